@@ -1,0 +1,107 @@
+//! A borrowed view of one 8-bit grey image; pixel (u, v) is `row(v)[u]`.
+
+use thiserror::Error;
+
+/// Largest width or height that is taken; beyond it the sums of moments could lose exactness.
+pub const MAX_SIDE_PX: usize = 16_384;
+
+/// An 8-bit grey image, row by row from the top, `stride` bytes from one row to the next.
+#[derive(Clone, Copy, Debug)]
+pub struct Frame<'a> {
+    pixels: &'a [u8],
+    width: usize,
+    height: usize,
+    stride: usize,
+}
+
+/// Why bytes are no image.
+#[derive(Clone, Debug, PartialEq, Eq, Error)]
+pub enum FrameError {
+    /// A side is zero or too long.
+    #[error("expected an image of 1 to {MAX_SIDE_PX} pixels a side, found {width} x {height}")]
+    Size {
+        /// Columns asked for.
+        width: usize,
+        /// Rows asked for.
+        height: usize,
+    },
+    /// Rows overlap.
+    #[error("expected a stride of at least the width {width}, found {stride}")]
+    Stride {
+        /// Columns asked for.
+        width: usize,
+        /// Bytes a row asked for.
+        stride: usize,
+    },
+    /// Too few bytes.
+    #[error("expected at least {expected} bytes of pixels, found {found}")]
+    Length {
+        /// Bytes that size and stride need.
+        expected: usize,
+        /// Bytes there are.
+        found: usize,
+    },
+}
+
+impl<'a> Frame<'a> {
+    /// A view of `pixels`; `stride ≥ width` bytes lie between the starts of two rows.
+    pub fn new(
+        pixels: &'a [u8],
+        width: usize,
+        height: usize,
+        stride: usize,
+    ) -> Result<Self, FrameError> {
+        if width == 0 || height == 0 || width > MAX_SIDE_PX || height > MAX_SIDE_PX {
+            return Err(FrameError::Size { width, height });
+        }
+        if stride < width {
+            return Err(FrameError::Stride { width, stride });
+        }
+        let expected = stride.saturating_mul(height - 1).saturating_add(width);
+        if pixels.len() < expected {
+            return Err(FrameError::Length { expected, found: pixels.len() });
+        }
+        Ok(Self { pixels, width, height, stride })
+    }
+
+    /// Columns, pixels.
+    pub fn width(&self) -> usize {
+        self.width
+    }
+
+    /// Rows, pixels.
+    pub fn height(&self) -> usize {
+        self.height
+    }
+
+    /// The grey values of row `v`, `width` of them. Panics if `v ≥ height`.
+    pub fn row(&self, v: usize) -> &'a [u8] {
+        assert!(v < self.height, "row {v} of an image of {} rows", self.height);
+        &self.pixels[v * self.stride..v * self.stride + self.width]
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn rows_follow_the_stride() {
+        let pixels: Vec<u8> = (0..12).collect();
+        let frame = Frame::new(&pixels[..11], 3, 3, 4).unwrap();
+        assert_eq!(frame.row(2), [8, 9, 10]);
+    }
+
+    #[test]
+    fn wrong_shapes_say_what_was_expected() {
+        assert_eq!(Frame::new(&[], 0, 1, 1).unwrap_err(), FrameError::Size { width: 0, height: 1 });
+        assert_eq!(
+            Frame::new(&[0; 9], 3, 3, 2).unwrap_err().to_string(),
+            "expected a stride of at least the width 3, found 2"
+        );
+        assert_eq!(
+            Frame::new(&[0; 8], 3, 3, 3).unwrap_err(),
+            FrameError::Length { expected: 9, found: 8 }
+        );
+    }
+}

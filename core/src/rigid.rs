@@ -1,0 +1,98 @@
+//! Rigid transforms and the covariances that travel with them.
+//!
+//! A transform `a_from_b` turns coordinates of frame b into coordinates of frame a. Covariances are
+//! over (position, rotation) with the rotation as a left perturbation, see [`crate::conventions`].
+
+use nalgebra::{Isometry3, Matrix3, SMatrix, SVector, UnitQuaternion, Vector3};
+
+/// A rigid transform, or the pose of one frame in another.
+pub type Rigid = Isometry3<f64>;
+
+/// Covariance over (position m, rotation rad), in the frame of its pose.
+pub type Covariance6 = SMatrix<f64, 6, 6>;
+
+/// Variance of an angle of which nothing is known: π²/3, that of the uniform one.
+pub const UNKNOWN_ANGLE_VARIANCE_RAD2: f64 = std::f64::consts::PI * std::f64::consts::PI / 3.0;
+
+/// Carries a covariance into another frame by the rotation of a known rigid motion.
+pub fn rotate_covariance(rotation: &UnitQuaternion<f64>, covariance: &Covariance6) -> Covariance6 {
+    let turn: Matrix3<f64> = rotation.to_rotation_matrix().into_inner();
+    let mut both = Covariance6::zeros();
+    both.fixed_view_mut::<3, 3>(0, 0).copy_from(&turn);
+    both.fixed_view_mut::<3, 3>(3, 3).copy_from(&turn);
+    both * covariance * both.transpose()
+}
+
+/// The upper triangle row by row: 3 → 6 numbers, 6 → 21.
+pub fn upper_triangle<const N: usize>(matrix: &SMatrix<f64, N, N>) -> Vec<f64> {
+    (0..N).flat_map(|row| (row..N).map(move |column| matrix[(row, column)])).collect()
+}
+
+/// The symmetric matrix of an upper triangle; `None` unless it has N (N + 1) / 2 numbers.
+pub fn from_upper_triangle<const N: usize>(numbers: &[f64]) -> Option<SMatrix<f64, N, N>> {
+    if numbers.len() != N * (N + 1) / 2 {
+        return None;
+    }
+    let mut matrix = SMatrix::<f64, N, N>::zeros();
+    let mut numbers = numbers.iter();
+    for row in 0..N {
+        for column in row..N {
+            let value = *numbers.next()?;
+            matrix[(row, column)] = value;
+            matrix[(column, row)] = value;
+        }
+    }
+    Some(matrix)
+}
+
+/// The orientation of a plain roundel or object whose z axis is `normal` (unit): the smallest
+/// rotation from +z, and for -z the half turn about x.
+pub fn orientation_of_normal(normal: &Vector3<f64>) -> UnitQuaternion<f64> {
+    UnitQuaternion::rotation_between(&Vector3::z(), normal).unwrap_or_else(|| {
+        UnitQuaternion::from_axis_angle(&Vector3::x_axis(), std::f64::consts::PI)
+    })
+}
+
+/// Squared Mahalanobis length of `error`; `None` if the covariance is not positive definite.
+pub fn mahalanobis_squared<const N: usize>(
+    error: &SVector<f64, N>,
+    covariance: &SMatrix<f64, N, N>,
+) -> Option<f64> {
+    let factor = covariance.cholesky()?;
+    Some(error.dot(&factor.solve(error)))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use proptest::prelude::*;
+
+    proptest! {
+        #[test]
+        fn upper_triangle_round_trips(numbers in proptest::collection::vec(-9.0..9.0f64, 21)) {
+            let matrix: Covariance6 = from_upper_triangle(&numbers).unwrap();
+            prop_assert_eq!(matrix, matrix.transpose());
+            prop_assert_eq!(upper_triangle(&matrix), numbers);
+        }
+
+        #[test]
+        fn orientation_takes_z_to_the_normal(x in -1.0..1.0f64, y in -1.0..1.0f64, z in -1.0..1.0f64) {
+            let normal = Vector3::new(x, y, z);
+            prop_assume!(normal.norm() > 1e-3);
+            let normal = normal.normalize();
+            prop_assert!((orientation_of_normal(&normal) * Vector3::z() - normal).norm() < 1e-9);
+        }
+    }
+
+    #[test]
+    fn downward_normal_is_the_half_turn_about_x() {
+        let turned = orientation_of_normal(&-Vector3::z());
+        assert!((turned * Vector3::x() - Vector3::x()).norm() < 1e-12);
+        assert!((turned * Vector3::z() + Vector3::z()).norm() < 1e-12);
+    }
+
+    #[test]
+    fn triangle_of_wrong_length_is_refused() {
+        assert_eq!(from_upper_triangle::<6>(&[0.0; 20]), None);
+    }
+}

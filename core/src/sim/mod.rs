@@ -1,0 +1,1 @@
+//! Simulated scenarios, rendered to pixels.

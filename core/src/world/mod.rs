@@ -1,0 +1,110 @@
+//! All objects in the world frame, from all cameras: the fusion machine.
+
+use nalgebra::{UnitQuaternion, Vector3};
+
+use crate::{
+    id::{CameraId, KindId, ObjectId},
+    pose::Detection,
+    rigid::Covariance6,
+    time::Timestamp,
+};
+
+/// One camera's detections of one frame: what a worker hands to fusion.
+#[derive(Clone, Debug, PartialEq)]
+pub struct FrameObservations {
+    /// Which camera.
+    pub camera: CameraId,
+    /// Frames that the worker took from its source so far, from 1.
+    pub frame: u64,
+    /// Middle of the exposure at the middle row.
+    pub capture_time: Timestamp,
+    /// When the worker had the frame.
+    pub received_time: Timestamp,
+    /// Version of the calibration that the poses were computed with.
+    pub calibration_version: u64,
+    /// What was found, each roundel once.
+    pub detections: Vec<Detection>,
+}
+
+/// A track's life stage.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum LifeStage {
+    /// Seen too seldom yet to be trusted.
+    Tentative,
+    /// Observed now.
+    Tracked,
+    /// Not observed now; the motion model's pose.
+    Predicted,
+    /// Given up.
+    Lost,
+}
+
+/// One object's estimate at a snapshot's pose time.
+#[derive(Clone, Debug, PartialEq)]
+pub struct ObjectState {
+    /// Given at first sight.
+    pub id: ObjectId,
+    /// Its kind of roundel.
+    pub kind: Option<KindId>,
+    /// Where in its life.
+    pub stage: LifeStage,
+    /// Tracked point, world frame, metres.
+    pub position_m: Vector3<f64>,
+    /// world_from_object.
+    pub orientation: UnitQuaternion<f64>,
+    /// False while the rotation about the normal is not observed.
+    pub yaw_observed: bool,
+    /// World frame, m/s.
+    pub velocity_m_s: Vector3<f64>,
+    /// World frame, rad/s.
+    pub angular_velocity_rad_s: Vector3<f64>,
+    /// Over (position, rotation), world frame, left perturbation.
+    pub covariance: Covariance6,
+    /// Over (position, velocity), world frame; its first block is that of `covariance`.
+    pub motion_covariance: Covariance6,
+    /// Cameras that contributed within the last 200 ms, ascending.
+    pub cameras: Vec<CameraId>,
+    /// Capture time of the newest observation used.
+    pub newest_observation: Timestamp,
+    /// Newest innovation's Mahalanobis distance squared over its degrees of freedom.
+    pub residual: f64,
+    /// First sight's capture time.
+    pub first_observation: Timestamp,
+    /// Detections used since then.
+    pub observations: u64,
+}
+
+/// Every track at one instant.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct Snapshot {
+    /// What every state is predicted to.
+    pub pose_time: Timestamp,
+    /// Newest observation used; `None` before the first.
+    pub capture_time: Option<Timestamp>,
+    /// By id.
+    pub objects: Vec<ObjectState>,
+}
+
+/// Something that happened to a track.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum EventKind {
+    /// A tentative track has become trusted.
+    Appeared,
+    /// No camera sees it any more.
+    Predicted,
+    /// Seen again after it was predicted.
+    Recovered,
+    /// Given up.
+    Lost,
+}
+
+/// A change in a track's life.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Event {
+    /// When, on the observations' time.
+    pub time: Timestamp,
+    /// Whose.
+    pub object: ObjectId,
+    /// What.
+    pub kind: EventKind,
+}

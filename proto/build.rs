@@ -1,0 +1,67 @@
+//! Compiles the `.proto` files without `protoc`, and gives every message the JSON form that REST
+//! and the WebSocket speak, so that there is one schema and not two.
+
+use std::path::PathBuf;
+
+use prost::Message;
+
+const FILES: [&str; 1] = ["roundel/v1/roundel.proto"];
+
+/// Nanoseconds exceed what a JSON number holds exactly (2^53), so in JSON they are strings.
+const NANOSECONDS: [&str; 12] = [
+    "Snapshot.pose_time_ns",
+    "Snapshot.capture_time_ns",
+    "Snapshot.fused_time_ns",
+    "Snapshot.sent_time_ns",
+    "ObjectState.observation_age_ns",
+    "Detection.capture_time_ns",
+    "FrameObservations.capture_time_ns",
+    "FrameObservations.received_time_ns",
+    "Event.time_ns",
+    "Object.first_seen_time_ns",
+    "Object.last_seen_time_ns",
+    "ServerInfo.started_time_ns",
+];
+
+/// Enumerations are integers on the wire and lower-case words in JSON.
+const ENUMERATIONS: [(&str, &str); 4] = [
+    ("ObjectState.stage", "life_stage"),
+    ("Object.stage", "life_stage"),
+    ("Camera.status", "camera_status"),
+    ("Event.kind", "event_kind"),
+];
+
+fn main() -> Result<(), Box<dyn std::error::Error>> {
+    println!("cargo:rerun-if-changed=roundel");
+    let descriptors = protox::compile(FILES, ["."])?;
+    let out = PathBuf::from(std::env::var("OUT_DIR")?);
+    std::fs::write(out.join("descriptors.bin"), descriptors.encode_to_vec())?;
+
+    let mut builder = tonic_prost_build::configure()
+        .message_attribute(
+            ".",
+            "#[derive(serde::Serialize, serde::Deserialize)]\n#[serde(default, deny_unknown_fields)]",
+        )
+        .message_attribute(
+            ".",
+            "#[cfg_attr(feature = \"openapi\", derive(utoipa::ToSchema))]",
+        );
+    for field in NANOSECONDS {
+        builder = builder.field_attribute(
+            format!("roundel.v1.{field}"),
+            "#[serde(with = \"crate::json::nanoseconds\")]\n\
+             #[cfg_attr(feature = \"openapi\", schema(value_type = String, example = \"1700000000000000000\"))]",
+        );
+    }
+    for (field, module) in ENUMERATIONS {
+        builder = builder.field_attribute(
+            format!("roundel.v1.{field}"),
+            format!(
+                "#[serde(with = \"crate::json::{module}\")]\n\
+                 #[cfg_attr(feature = \"openapi\", schema(value_type = String))]"
+            ),
+        );
+    }
+    builder.compile_fds(descriptors)?;
+    Ok(())
+}

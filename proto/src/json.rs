@@ -1,0 +1,88 @@
+//! How single fields look in JSON where serde's own form would mislead.
+
+/// `i64` nanoseconds as a decimal string.
+pub mod nanoseconds {
+    use serde::{Deserialize, Deserializer, Serializer, de::Error};
+
+    /// Writes the number as a string.
+    pub fn serialize<S: Serializer>(value: &i64, serializer: S) -> Result<S::Ok, S::Error> {
+        serializer.collect_str(value)
+    }
+
+    /// Reads a string of decimal digits.
+    pub fn deserialize<'de, D: Deserializer<'de>>(deserializer: D) -> Result<i64, D::Error> {
+        let text = String::deserialize(deserializer)?;
+        text.parse().map_err(|_| {
+            D::Error::custom(format!(
+                "expected nanoseconds as a string of digits, such as \"1700000000000000000\", found {text:?}"
+            ))
+        })
+    }
+}
+
+/// Makes a module that writes an enumeration's number as its lower-case name, without the prefix.
+macro_rules! enumeration {
+    ($module:ident, $type:ty, $prefix:literal) => {
+        #[doc = concat!("Values of `", stringify!($type), "` as lower-case words.")]
+        pub mod $module {
+            use serde::{Deserialize, Deserializer, Serializer, de::Error};
+
+            /// The value's word; `unspecified` for a number that this version does not know.
+            pub fn word(value: i32) -> String {
+                let known = <$type>::try_from(value).unwrap_or_default();
+                known.as_str_name().trim_start_matches($prefix).to_ascii_lowercase()
+            }
+
+            /// Writes the word.
+            pub fn serialize<S: Serializer>(value: &i32, serializer: S) -> Result<S::Ok, S::Error> {
+                serializer.serialize_str(&word(*value))
+            }
+
+            /// Reads the word.
+            pub fn deserialize<'de, D: Deserializer<'de>>(
+                deserializer: D,
+            ) -> Result<i32, D::Error> {
+                let text = String::deserialize(deserializer)?;
+                let name = format!("{}{}", $prefix, text.to_ascii_uppercase());
+                match <$type>::from_str_name(&name) {
+                    Some(value) => Ok(value as i32),
+                    None => {
+                        Err(D::Error::custom(format!("unknown {} {text:?}", stringify!($module))))
+                    }
+                }
+            }
+        }
+    };
+}
+
+enumeration!(life_stage, crate::v1::LifeStage, "LIFE_STAGE_");
+enumeration!(camera_status, crate::v1::CameraStatus, "CAMERA_STATUS_");
+enumeration!(event_kind, crate::v1::EventKind, "EVENT_KIND_");
+
+#[cfg(test)]
+mod tests {
+    use crate::v1::{LifeStage, ObjectState, Snapshot};
+
+    #[test]
+    fn json_keeps_times_exact_and_names_stages() {
+        let snapshot = Snapshot {
+            pose_time_ns: 1_700_000_000_123_456_789,
+            objects: vec![ObjectState { stage: LifeStage::Tracked as i32, ..Default::default() }],
+            ..Default::default()
+        };
+        let json = serde_json::to_value(&snapshot).unwrap();
+        assert_eq!(json["pose_time_ns"], "1700000000123456789");
+        assert_eq!(json["objects"][0]["stage"], "tracked");
+        assert_eq!(json["objects"][0]["position"], serde_json::Value::Null);
+        let back: Snapshot = serde_json::from_value(json).unwrap();
+        assert_eq!(back, snapshot);
+    }
+
+    #[test]
+    fn wrong_json_says_what_was_expected() {
+        let error = serde_json::from_str::<Snapshot>(r#"{"pose_time_ns":"soon"}"#).unwrap_err();
+        assert!(error.to_string().contains("expected nanoseconds"), "{error}");
+        let error = serde_json::from_str::<ObjectState>(r#"{"stage":"gone"}"#).unwrap_err();
+        assert!(error.to_string().contains("unknown life_stage \"gone\""), "{error}");
+    }
+}
