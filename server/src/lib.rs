@@ -1,1 +1,18 @@
-//! x
+//! The Roundel server: cameras in, world poses out. Data flows one way, down this list:
+//!
+//! | module | what it does | owner at run time |
+//! | --- | --- | --- |
+//! | `config`, [`camera_file`], [`image_file`] | what people write, read with errors that name the place | the command line |
+//! | [`clock`] | the one clock: monotonic, anchored to Unix time once | shared |
+//! | `source` | frames with capture times, from a URL | the worker |
+//! | `worker` | newest frame → detections → observations; supervised restarts | one OS thread a camera |
+//! | `fusion` | drives `core::world`'s state machine; snapshots at a fixed rate | one OS thread |
+//! | [`hub`] | the newest of everything, for whoever asks | shared |
+//! | [`convert`] | the only place where core's types become proto's | – |
+//! | `api` | gRPC, REST, WebSocket, metrics and the dashboard on one port | async tasks |
+//! | `serve` | puts the above together, and takes it apart on shutdown | – |
+//! | `cli` | the commands of `roundel` | main thread |
+
+pub mod clock;
+pub mod convert;
+pub mod hub;

@@ -1,0 +1,273 @@
+//! The only place where core's types become proto's. What the fields mean stands in the `.proto`
+//! files and in core; here they only change their clothes.
+
+use nalgebra::{UnitQuaternion, Vector3};
+use roundel_core::{
+    camera::{Camera, Lens, PixelPoint},
+    ellipse::Ellipse,
+    id::CameraId,
+    pose::{Detection, RoundelPose},
+    rigid::{Rigid, upper_triangle},
+    time::Timestamp,
+    world::{self, FrameObservations, LifeStage, ObjectState},
+};
+use roundel_proto::v1;
+
+use crate::hub::{
+    CameraState, CameraStatus, Event, FusedSnapshot, Happening, Installation, ObjectRecord,
+};
+
+/// A snapshot of `objects` (those that the subscriber chose out of `fused`).
+pub fn snapshot(
+    installation: &Installation,
+    fused: &FusedSnapshot,
+    chosen: &world::Snapshot,
+    with_covariance: bool,
+) -> v1::Snapshot {
+    v1::Snapshot {
+        sequence: fused.sequence,
+        source_id: installation.source_id.clone(),
+        pose_time_ns: chosen.pose_time.as_ns(),
+        capture_time_ns: chosen.capture_time.unwrap_or_default().as_ns(),
+        fused_time_ns: fused.fused_time.as_ns(),
+        sent_time_ns: 0,
+        objects: chosen
+            .objects
+            .iter()
+            .map(|state| object_state(installation, chosen.pose_time, state, with_covariance))
+            .collect(),
+        missed: 0,
+    }
+}
+
+fn object_state(
+    installation: &Installation,
+    pose_time: Timestamp,
+    state: &ObjectState,
+    with_covariance: bool,
+) -> v1::ObjectState {
+    let velocity_covariance = state.motion_covariance.fixed_view::<3, 3>(3, 3).into_owned();
+    v1::ObjectState {
+        object_id: state.id.0,
+        name: installation.object_name(state.kind).to_owned(),
+        stage: life_stage(state.stage) as i32,
+        position: Some(vector(&state.position_m)),
+        orientation: Some(quaternion(&state.orientation)),
+        yaw_observed: state.yaw_observed,
+        velocity: Some(vector(&state.velocity_m_s)),
+        angular_velocity: Some(vector(&state.angular_velocity_rad_s)),
+        covariance: if with_covariance { upper_triangle(&state.covariance) } else { Vec::new() },
+        velocity_covariance: if with_covariance {
+            upper_triangle(&velocity_covariance)
+        } else {
+            Vec::new()
+        },
+        cameras: state.cameras.iter().map(|&id| installation.camera_name(id).to_owned()).collect(),
+        observation_age_ns: pose_time.ns_since(state.newest_observation),
+        residual: state.residual,
+        roundel: installation.kind_name(state.kind).to_owned(),
+    }
+}
+
+/// What one camera saw in one frame.
+pub fn observations(
+    installation: &Installation,
+    frame: &FrameObservations,
+) -> v1::FrameObservations {
+    v1::FrameObservations {
+        camera: installation.camera_name(frame.camera).to_owned(),
+        frame: frame.frame,
+        capture_time_ns: frame.capture_time.as_ns(),
+        received_time_ns: frame.received_time.as_ns(),
+        calibration_version: frame.calibration_version,
+        detections: frame.detections.iter().map(|d| detection(installation, d)).collect(),
+        missed: 0,
+    }
+}
+
+fn detection(installation: &Installation, detection: &Detection) -> v1::Detection {
+    v1::Detection {
+        track: detection.track.0,
+        roundel: installation.kind_name(detection.ring.kind).to_owned(),
+        outer: Some(ellipse(&detection.ring.outer)),
+        inner: Some(ellipse(&detection.ring.inner)),
+        threshold: u32::from(detection.ring.threshold),
+        capture_time_ns: detection.capture_time.as_ns(),
+        pose: detection.pose.as_ref().map(roundel_pose),
+    }
+}
+
+fn roundel_pose(pose: &RoundelPose) -> v1::RoundelPose {
+    v1::RoundelPose {
+        position: Some(vector(&pose.position_m)),
+        normal: Some(vector(&pose.normal)),
+        normal_likelihood: pose.normal_likelihood,
+        other_normal: Some(vector(&pose.other_normal)),
+        yaw_rad: pose.yaw_rad,
+        covariance: upper_triangle(&pose.covariance),
+    }
+}
+
+/// A camera with how it is doing.
+pub fn camera(installation: &Installation, id: CameraId, state: &CameraState) -> v1::Camera {
+    let info = installation.cameras.get(id.0 as usize);
+    v1::Camera {
+        name: installation.camera_name(id).to_owned(),
+        source: info.map(|info| info.source.clone()).unwrap_or_default(),
+        status: camera_status(state.status) as i32,
+        error: state.error.clone(),
+        width: pixels(state.width),
+        height: pixels(state.height),
+        pose: state.world_from_camera.as_ref().map(pose),
+        intrinsics: state.camera.as_ref().map(intrinsics),
+        calibration_version: state.calibration_version,
+        frames: state.frames,
+        dropped: state.dropped,
+        restarts: state.restarts,
+        rate_hz: state.rate_hz,
+        detections: pixels(state.detections),
+        detect_ms: state.detect_ms,
+        latency_ms: state.latency_ms,
+    }
+}
+
+fn intrinsics(camera: &Camera) -> v1::Intrinsics {
+    let (lens, distortion) = match &camera.lens {
+        Lens::PlumbBob(k) => ("plumb_bob", k.to_vec()),
+        Lens::Rational(k) => ("rational_polynomial", k.to_vec()),
+        Lens::Equidistant(k) => ("equidistant", k.to_vec()),
+    };
+    v1::Intrinsics {
+        lens: lens.to_owned(),
+        fx_px: camera.fx_px,
+        fy_px: camera.fy_px,
+        cx_px: camera.cx_px,
+        cy_px: camera.cy_px,
+        distortion,
+    }
+}
+
+/// An object of the list of objects.
+pub fn object(installation: &Installation, record: &ObjectRecord) -> v1::Object {
+    v1::Object {
+        object_id: record.id.0,
+        name: installation.object_name(record.kind).to_owned(),
+        roundel: installation.kind_name(record.kind).to_owned(),
+        stage: life_stage(record.stage) as i32,
+        first_seen_time_ns: record.first_seen.as_ns(),
+        last_seen_time_ns: record.last_seen.as_ns(),
+        observations: record.observations,
+    }
+}
+
+/// An event.
+pub fn event(installation: &Installation, event: &Event) -> v1::Event {
+    let (kind, object_id, camera) = match event.happening {
+        Happening::Object(id, kind) => (object_event_kind(kind), id.0, String::new()),
+        Happening::Camera(id, status) => {
+            (camera_event_kind(status), 0, installation.camera_name(id).to_owned())
+        }
+    };
+    v1::Event {
+        sequence: event.sequence,
+        time_ns: event.time.as_ns(),
+        kind: kind as i32,
+        object_id,
+        camera,
+        message: event.message.clone(),
+    }
+}
+
+/// What a server says of itself.
+pub fn server_info(installation: &Installation) -> v1::ServerInfo {
+    v1::ServerInfo {
+        version: env!("CARGO_PKG_VERSION").to_owned(),
+        source_id: installation.source_id.clone(),
+        name: installation.name.clone(),
+        started_time_ns: installation.started.as_ns(),
+        snapshot_rate_hz: installation.snapshot_rate_hz,
+    }
+}
+
+fn life_stage(stage: LifeStage) -> v1::LifeStage {
+    match stage {
+        LifeStage::Tentative => v1::LifeStage::Tentative,
+        LifeStage::Tracked => v1::LifeStage::Tracked,
+        LifeStage::Predicted => v1::LifeStage::Predicted,
+        LifeStage::Lost => v1::LifeStage::Lost,
+    }
+}
+
+fn camera_status(status: CameraStatus) -> v1::CameraStatus {
+    match status {
+        CameraStatus::Starting => v1::CameraStatus::Starting,
+        CameraStatus::Running => v1::CameraStatus::Running,
+        CameraStatus::Failed => v1::CameraStatus::Failed,
+        CameraStatus::Finished => v1::CameraStatus::Finished,
+    }
+}
+
+fn object_event_kind(kind: world::EventKind) -> v1::EventKind {
+    match kind {
+        world::EventKind::Appeared => v1::EventKind::ObjectAppeared,
+        world::EventKind::Predicted => v1::EventKind::ObjectPredicted,
+        world::EventKind::Recovered => v1::EventKind::ObjectRecovered,
+        world::EventKind::Lost => v1::EventKind::ObjectLost,
+    }
+}
+
+fn camera_event_kind(status: CameraStatus) -> v1::EventKind {
+    match status {
+        CameraStatus::Starting => v1::EventKind::Unspecified,
+        CameraStatus::Running => v1::EventKind::CameraRunning,
+        CameraStatus::Failed => v1::EventKind::CameraFailed,
+        CameraStatus::Finished => v1::EventKind::CameraFinished,
+    }
+}
+
+fn ellipse(ellipse: &Ellipse) -> v1::Ellipse {
+    v1::Ellipse {
+        center: Some(pixel_point(&ellipse.center)),
+        semi_major_px: ellipse.semi_major_px,
+        semi_minor_px: ellipse.semi_minor_px,
+        angle_rad: ellipse.angle_rad,
+    }
+}
+
+fn pixel_point(point: &PixelPoint) -> v1::PixelPoint {
+    v1::PixelPoint { u: point.u, v: point.v }
+}
+
+fn pose(rigid: &Rigid) -> v1::Pose {
+    v1::Pose {
+        position: Some(vector(&rigid.translation.vector)),
+        orientation: Some(quaternion(&rigid.rotation)),
+    }
+}
+
+fn vector(vector: &Vector3<f64>) -> v1::Vector3 {
+    v1::Vector3 { x: vector.x, y: vector.y, z: vector.z }
+}
+
+fn quaternion(rotation: &UnitQuaternion<f64>) -> v1::Quaternion {
+    v1::Quaternion { x: rotation.i, y: rotation.j, z: rotation.k, w: rotation.w }
+}
+
+fn pixels(count: usize) -> u32 {
+    u32::try_from(count).unwrap_or(u32::MAX)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn quaternions_are_stored_x_y_z_w() {
+        let quarter_about_z =
+            UnitQuaternion::from_axis_angle(&Vector3::z_axis(), std::f64::consts::FRAC_PI_2);
+        let wire = quaternion(&quarter_about_z);
+        let half = std::f64::consts::FRAC_1_SQRT_2;
+        assert!((wire.z - half).abs() < 1e-15 && (wire.w - half).abs() < 1e-15);
+        assert_eq!((wire.x, wire.y), (0.0, 0.0));
+    }
+}
