@@ -3,7 +3,7 @@
 
 use nalgebra::{UnitQuaternion, Vector3};
 use roundel_core::{
-    camera::{Camera, Lens, PixelPoint},
+    camera::{Camera, PixelPoint},
     ellipse::Ellipse,
     id::CameraId,
     pose::{Detection, RoundelPose},
@@ -132,18 +132,14 @@ pub fn camera(installation: &Installation, id: CameraId, state: &CameraState) ->
 }
 
 fn intrinsics(camera: &Camera) -> v1::Intrinsics {
-    let (lens, distortion) = match &camera.lens {
-        Lens::PlumbBob(k) => ("plumb_bob", k.to_vec()),
-        Lens::Rational(k) => ("rational_polynomial", k.to_vec()),
-        Lens::Equidistant(k) => ("equidistant", k.to_vec()),
-    };
+    let intrinsics = camera.intrinsics();
     v1::Intrinsics {
-        lens: lens.to_owned(),
-        fx_px: camera.fx_px,
-        fy_px: camera.fy_px,
-        cx_px: camera.cx_px,
-        cy_px: camera.cy_px,
-        distortion,
+        lens: intrinsics.lens.name().to_owned(),
+        fx_px: intrinsics.fx_px,
+        fy_px: intrinsics.fy_px,
+        cx_px: intrinsics.cx_px,
+        cy_px: intrinsics.cy_px,
+        distortion: intrinsics.lens.coefficients().to_vec(),
     }
 }
 

@@ -1,4 +1,20 @@
-//! Lens distortion.
+//! Lens distortion: where a ray through the camera's centre meets the image, in focal lengths.
+//!
+//! With (x, y, z) in the camera frame, x' = x/z, y' = y/z and r² = x'² + y'²:
+//!
+//! - `plumb_bob` and `rational_polynomial` (Brown; OpenCV's `projectPoints`):
+//!   x″ = x' g(r²) + 2 p₁ x' y' + p₂ (r² + 2 x'²), y″ = y' g(r²) + p₁ (r² + 2 y'²) + 2 p₂ x' y', where
+//!   g(s) = (1 + k₁ s + k₂ s² + k₃ s³) / (1 + k₄ s + k₅ s² + k₆ s³), k₄ to k₆ zero for `plumb_bob`;
+//! - `equidistant` (Kannala and Brandt 2006; OpenCV's `fisheye`): with θ the angle to the optical
+//!   axis, (x″, y″) = (x, y)/√(x² + y²) · θ (1 + k₁ θ² + k₂ θ⁴ + k₃ θ⁶ + k₄ θ⁸). It goes on beyond 90°.
+//!
+//! Fitted polynomials turn back somewhere outside the image they were fitted to, and two rays then
+//! share one pixel. Each lens therefore has a *reach*, the radius (or angle) up to which the image
+//! grows strictly with it; beyond it nothing is projected.
+
+use nalgebra::{Matrix2, Matrix2x3, Vector2, Vector3};
+
+use super::LensError;
 
 /// A distortion model with its coefficients, named and ordered as in ROS' `camera_info`.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -9,4 +25,347 @@ pub enum Lens {
     Rational([f64; 8]),
     /// `equidistant`: k1 k2 k3 k4 (Kannala-Brandt).
     Equidistant([f64; 4]),
+}
+
+/// Steps of the angle from the axis in which the reach is looked for.
+const REACH_STEPS: usize = 4096;
+/// A planar model (x/z) is followed up to this angle from the axis, radians (89.9°).
+const PLANAR_LIMIT_RAD: f64 = 1.569_051_0;
+/// Newton's steps before giving up; four or five are the rule.
+const MAX_STEPS: usize = 60;
+/// A step this small, relative to the point, ends Newton's method: convergence being quadratic, the
+/// point is then exact to rounding.
+const STEP_TOLERANCE: f64 = 1e-9;
+
+impl Lens {
+    /// ROS' name of the model.
+    pub fn name(&self) -> &'static str {
+        match self {
+            Lens::PlumbBob(_) => "plumb_bob",
+            Lens::Rational(_) => "rational_polynomial",
+            Lens::Equidistant(_) => "equidistant",
+        }
+    }
+
+    /// The coefficients in ROS' order.
+    pub fn coefficients(&self) -> &[f64] {
+        match self {
+            Lens::PlumbBob(k) => k,
+            Lens::Rational(k) => k,
+            Lens::Equidistant(k) => k,
+        }
+    }
+
+    /// How far from the axis the image still grows: r = tan θ for the planar models, θ in radians for
+    /// `equidistant` (π at most).
+    pub(super) fn reach(&self) -> f64 {
+        let limit_rad = match self {
+            Lens::Equidistant(_) => std::f64::consts::PI,
+            _ => PLANAR_LIMIT_RAD,
+        };
+        let radius = |angle_rad: f64| match self {
+            Lens::Equidistant(_) => angle_rad,
+            _ => angle_rad.tan(),
+        };
+        let grows = |angle_rad: f64| self.radial(radius(angle_rad)).is_some_and(|(_, d)| d > 0.0);
+        let step_rad = limit_rad / REACH_STEPS as f64;
+        for step in 1..=REACH_STEPS {
+            let mut beyond = step as f64 * step_rad;
+            if grows(beyond) {
+                continue;
+            }
+            let mut within = (step - 1) as f64 * step_rad;
+            for _ in 0..52 {
+                let middle = 0.5 * (within + beyond);
+                if grows(middle) { within = middle } else { beyond = middle }
+            }
+            return radius(within);
+        }
+        radius(limit_rad)
+    }
+
+    /// The distorted radius and its derivative at radius r (planar) or angle θ (equidistant), without
+    /// tangential terms; `None` past a pole.
+    fn radial(&self, radius: f64) -> Option<(f64, f64)> {
+        let s = radius * radius;
+        match self {
+            Lens::Equidistant([k1, k2, k3, k4]) => {
+                let scale = 1.0 + s * (k1 + s * (k2 + s * (k3 + s * k4)));
+                let slope = 1.0 + s * (3.0 * k1 + s * (5.0 * k2 + s * (7.0 * k3 + s * 9.0 * k4)));
+                Some((radius * scale, slope))
+            }
+            _ => {
+                let (g, dg_ds) = self.planar()?.gain(s)?;
+                Some((radius * g, g + 2.0 * s * dg_ds))
+            }
+        }
+    }
+
+    /// The planar model's coefficients; `None` for `equidistant`.
+    fn planar(&self) -> Option<Planar> {
+        match *self {
+            Lens::PlumbBob([k1, k2, p1, p2, k3]) => {
+                Some(Planar { above: [k1, k2, k3], below: None, p1, p2 })
+            }
+            Lens::Rational([k1, k2, p1, p2, k3, k4, k5, k6]) => {
+                Some(Planar { above: [k1, k2, k3], below: Some([k4, k5, k6]), p1, p2 })
+            }
+            Lens::Equidistant(_) => None,
+        }
+    }
+
+    /// Where the ray through `point` meets the image, in focal lengths, with the derivative by the
+    /// point.
+    pub(super) fn project(
+        &self,
+        reach: f64,
+        point: &Vector3<f64>,
+    ) -> Result<(Vector2<f64>, Matrix2x3<f64>), LensError> {
+        if !(point.x.is_finite() && point.y.is_finite() && point.z.is_finite()) {
+            return Err(LensError::NotFinite);
+        }
+        if let Lens::Equidistant(_) = self {
+            return self.project_equidistant(reach, point);
+        }
+        if point.z <= 0.0 {
+            return Err(LensError::Behind);
+        }
+        let inverse_z = 1.0 / point.z;
+        let normalized = Vector2::new(point.x * inverse_z, point.y * inverse_z);
+        let (image, slope) = self.distort(reach, &normalized)?;
+        let along_z = -(slope * normalized) * inverse_z;
+        let planar = slope * inverse_z;
+        Ok((
+            image,
+            Matrix2x3::new(
+                planar.m11, planar.m12, along_z.x, //
+                planar.m21, planar.m22, along_z.y,
+            ),
+        ))
+    }
+
+    /// Distorts a point of the plane z = 1, with the derivative; planar models only.
+    fn distort(
+        &self,
+        reach: f64,
+        point: &Vector2<f64>,
+    ) -> Result<(Vector2<f64>, Matrix2<f64>), LensError> {
+        let planar = self.planar().ok_or(LensError::Outside)?;
+        if point.norm_squared() > reach * reach {
+            return Err(LensError::Outside);
+        }
+        let (image, slope) = planar.distort(point).ok_or(LensError::Outside)?;
+        // Tangential terms can fold the image within the radial reach.
+        if slope.determinant() <= 0.0 {
+            return Err(LensError::Outside);
+        }
+        Ok((image, slope))
+    }
+
+    fn project_equidistant(
+        &self,
+        reach: f64,
+        point: &Vector3<f64>,
+    ) -> Result<(Vector2<f64>, Matrix2x3<f64>), LensError> {
+        let rho = point.x.hypot(point.y);
+        let angle_rad = rho.atan2(point.z);
+        if rho == 0.0 && point.z <= 0.0 {
+            return Err(LensError::Behind);
+        }
+        if angle_rad >= reach {
+            return Err(LensError::Outside);
+        }
+        let (image_radius, slope) = self.radial(angle_rad).ok_or(LensError::Outside)?;
+        let distance_squared = rho * rho + point.z * point.z;
+        let (ux, uy) = if rho > 0.0 { (point.x / rho, point.y / rho) } else { (1.0, 0.0) };
+        // Across the radius the image scales by image_radius / rho, along it by the slope times dθ/dρ.
+        let across = if rho > 0.0 { image_radius / rho } else { 1.0 / point.z };
+        let along = slope * point.z / distance_squared;
+        let by_z = -slope * rho / distance_squared;
+        let mixed = (along - across) * ux * uy;
+        Ok((
+            Vector2::new(ux * image_radius, uy * image_radius),
+            Matrix2x3::new(
+                across + (along - across) * ux * ux,
+                mixed,
+                by_z * ux,
+                mixed,
+                across + (along - across) * uy * uy,
+                by_z * uy,
+            ),
+        ))
+    }
+
+    /// A vector along the ray that meets the image at `image` (in focal lengths), with its derivative
+    /// by the image point: (x', y', 1) for planar models, a unit vector for `equidistant`.
+    pub(super) fn ray(&self, reach: f64, image: &Vector2<f64>) -> Result<Ray, LensError> {
+        if !(image.x.is_finite() && image.y.is_finite()) {
+            return Err(LensError::NotFinite);
+        }
+        match self.planar() {
+            Some(planar) => {
+                let (point, slope) = self.undistort_planar(&planar, reach, image)?;
+                let inverse = slope.try_inverse().ok_or(LensError::Outside)?;
+                Ok(Ray {
+                    direction: point.push(1.0),
+                    by_image: [inverse.column(0).push(0.0), inverse.column(1).push(0.0)],
+                })
+            }
+            None => self.ray_equidistant(reach, image),
+        }
+    }
+
+    /// Newton on both coordinates, from the distorted point itself; where that fails, from the radial
+    /// model's exact inverse.
+    fn undistort_planar(
+        &self,
+        planar: &Planar,
+        reach: f64,
+        image: &Vector2<f64>,
+    ) -> Result<(Vector2<f64>, Matrix2<f64>), LensError> {
+        if let Some(found) = planar.newton(reach, image, image) {
+            return Ok(found);
+        }
+        let image_radius = image.norm();
+        // A little past the radial image's edge the tangential terms may still reach the point.
+        let radius = self.invert_radial(reach, image_radius).unwrap_or(0.999 * reach);
+        let start = image * (radius / image_radius);
+        planar.newton(reach, &start, image).ok_or(LensError::Outside)
+    }
+
+    /// The radius (or angle) within the reach whose distorted radius is `image_radius`.
+    fn invert_radial(&self, reach: f64, image_radius: f64) -> Option<f64> {
+        let (mut low, mut high) = (0.0, reach);
+        if self.radial(reach)?.0 < image_radius {
+            return None;
+        }
+        let mut radius = image_radius.min(reach);
+        for _ in 0..2 * MAX_STEPS {
+            let (value, slope) = self.radial(radius)?;
+            if value < image_radius {
+                low = radius
+            } else {
+                high = radius
+            }
+            let step = (image_radius - value) / slope;
+            let mut next = radius + step;
+            // Newton's method leaves the bracket only where the curve is nearly flat: halve there.
+            if !(next >= low && next <= high) {
+                next = 0.5 * (low + high);
+            }
+            let moved = (next - radius).abs();
+            radius = next;
+            if moved <= STEP_TOLERANCE * radius && step.abs() <= STEP_TOLERANCE * radius
+                || moved <= 1e-15 * radius
+            {
+                // One more quadratic step from within the tolerance is exact to rounding.
+                let (value, slope) = self.radial(radius)?;
+                return Some((radius + (image_radius - value) / slope).clamp(low, high));
+            }
+        }
+        None
+    }
+
+    fn ray_equidistant(&self, reach: f64, image: &Vector2<f64>) -> Result<Ray, LensError> {
+        let image_radius = image.norm();
+        if image_radius == 0.0 {
+            return Ok(Ray { direction: Vector3::z(), by_image: [Vector3::x(), Vector3::y()] });
+        }
+        let angle_rad = self.invert_radial(reach, image_radius).ok_or(LensError::Outside)?;
+        let slope = self.radial(angle_rad).ok_or(LensError::Outside)?.1;
+        if slope <= 0.0 || angle_rad >= reach {
+            return Err(LensError::Outside);
+        }
+        let (sin, cos) = angle_rad.sin_cos();
+        let (ux, uy) = (image.x / image_radius, image.y / image_radius);
+        let along = Vector3::new(cos * ux, cos * uy, -sin) / slope;
+        let across = Vector3::new(-uy, ux, 0.0) * (sin / image_radius);
+        Ok(Ray {
+            direction: Vector3::new(sin * ux, sin * uy, cos),
+            by_image: [along * ux - across * uy, along * uy + across * ux],
+        })
+    }
+}
+
+/// A direction and how it moves with the point of the image, in focal lengths.
+pub(super) struct Ray {
+    pub direction: Vector3<f64>,
+    pub by_image: [Vector3<f64>; 2],
+}
+
+/// Coefficients of the models that distort the plane z = 1.
+struct Planar {
+    above: [f64; 3],
+    below: Option<[f64; 3]>,
+    p1: f64,
+    p2: f64,
+}
+
+impl Planar {
+    /// g(s) and dg/ds; `None` at or past a pole.
+    fn gain(&self, s: f64) -> Option<(f64, f64)> {
+        let [k1, k2, k3] = self.above;
+        let value = 1.0 + s * (k1 + s * (k2 + s * k3));
+        let slope = k1 + s * (2.0 * k2 + s * 3.0 * k3);
+        let Some([k4, k5, k6]) = self.below else {
+            return Some((value, slope));
+        };
+        let below = 1.0 + s * (k4 + s * (k5 + s * k6));
+        if below <= 0.0 {
+            return None;
+        }
+        let gain = value / below;
+        Some((gain, (slope - gain * (k4 + s * (2.0 * k5 + s * 3.0 * k6))) / below))
+    }
+
+    /// The distorted point and its derivative.
+    fn distort(&self, point: &Vector2<f64>) -> Option<(Vector2<f64>, Matrix2<f64>)> {
+        let (x, y) = (point.x, point.y);
+        let s = x * x + y * y;
+        let (g, dg_ds) = self.gain(s)?;
+        let mixed = 2.0 * (x * y * dg_ds + self.p1 * x + self.p2 * y);
+        Some((
+            Vector2::new(
+                x * g + 2.0 * self.p1 * x * y + self.p2 * (s + 2.0 * x * x),
+                y * g + self.p1 * (s + 2.0 * y * y) + 2.0 * self.p2 * x * y,
+            ),
+            Matrix2::new(
+                g + 2.0 * x * x * dg_ds + 2.0 * self.p1 * y + 6.0 * self.p2 * x,
+                mixed,
+                mixed,
+                g + 2.0 * y * y * dg_ds + 6.0 * self.p1 * y + 2.0 * self.p2 * x,
+            ),
+        ))
+    }
+
+    /// The point within the reach that is distorted to `image`, with the derivative there.
+    fn newton(
+        &self,
+        reach: f64,
+        start: &Vector2<f64>,
+        image: &Vector2<f64>,
+    ) -> Option<(Vector2<f64>, Matrix2<f64>)> {
+        let mut point = *start;
+        for _ in 0..MAX_STEPS {
+            if point.norm_squared() > reach * reach {
+                return None;
+            }
+            let (value, slope) = self.distort(&point)?;
+            let determinant = slope.determinant();
+            if determinant <= 0.0 {
+                return None;
+            }
+            let miss = image - value;
+            let step = Vector2::new(
+                slope.m22 * miss.x - slope.m12 * miss.y,
+                slope.m11 * miss.y - slope.m21 * miss.x,
+            ) / determinant;
+            point += step;
+            if step.norm_squared() <= STEP_TOLERANCE * STEP_TOLERANCE * (1.0 + point.norm_squared())
+            {
+                return (point.norm_squared() <= reach * reach).then_some((point, slope));
+            }
+        }
+        None
+    }
 }
