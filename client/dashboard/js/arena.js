@@ -1,0 +1,287 @@
+/**
+ * The arena from above: two canvases, what stands still below what moves, drawn when something has
+ * changed and at most once per frame of the screen.
+ */
+
+import { cameraFootprint, drawBackdrop, gridStepM, RULER } from "./backdrop.js";
+import { find, setText } from "./dom.js";
+import { fixed } from "./format.js";
+import { listenForGestures } from "./gesture.js";
+import { readPalette } from "./palette.js";
+import { discRadius, drawTracks } from "./plot.js";
+import { boundsOf, View } from "./view.js";
+
+/** Kept free round what is fitted, CSS pixels; the rulers come on top. */
+const FIT_MARGIN_PX = 26;
+/** Reach of a click beyond the disc, CSS pixels; fingers are thicker. */
+const REACH_PX = 6;
+const REACH_COARSE_PX = 18;
+
+export class Arena {
+  /** @param {import("./store.js").Store} store */
+  constructor(store) {
+    this.store = store;
+    this.view = new View();
+    this.stage = find("#arena-stage");
+    this.layers = {
+      backdrop: new Layer(find("#arena-backdrop")),
+      tracks: new Layer(find("#arena-tracks")),
+    };
+    this.caption = find("#arena-caption");
+    this.palette = readPalette();
+    this.exaggeration = 10;
+    this.trails = true;
+    /** @type {number | null} */
+    this.hovered = null;
+    /** @type {[number, number] | null} */
+    this.pointer = null;
+    /** True until the person moves the view: it then no longer fits itself to what there is. */
+    this.fitsItself = true;
+    /** What the backdrop's cameras look like, to see whether they have changed. */
+    this.camerasDrawn = "";
+    this.boundsFitted = "";
+    this.backdropStale = true;
+    this.frameAsked = false;
+
+    store.on("snapshot", () => this.onSnapshot());
+    store.on("cameras", () => this.onCameras());
+    store.on("selection", () => this.onSelection());
+    document.addEventListener("themechange", () => {
+      this.palette = readPalette();
+      this.refresh();
+    });
+    new ResizeObserver(() => this.onResize()).observe(this.stage);
+    listenForGestures(this.stage, this.gestures());
+  }
+
+  /** @returns {import("./gesture.js").GestureHandlers} */
+  gestures() {
+    return {
+      pan: (dx, dy) => {
+        this.fitsItself = false;
+        this.store.follow(false);
+        this.view.pan(dx, dy);
+        this.refresh();
+      },
+      zoom: (px, py, factor) => this.zoom(px, py, factor),
+      pick: (px, py, coarse) => this.store.select(this.objectAt(px, py, coarse)),
+      hover: (px, py) => this.hover(px, py),
+      fit: () => this.fit(),
+      selectNext: (step) => this.store.selectNext(step),
+      deselect: () => this.store.select(null),
+      follow: () => this.store.follow(!this.store.following),
+    };
+  }
+
+  /**
+   * @param {number} px
+   * @param {number} py
+   * @param {number} factor
+   */
+  zoom(px, py, factor) {
+    this.fitsItself = false;
+    // While following, the object is what stays in place.
+    if (this.store.following) this.view.zoom(this.view.width / 2, this.view.height / 2, factor);
+    else this.view.zoom(px, py, factor);
+    this.refresh();
+  }
+
+  /** Zooms about the middle. @param {number} factor */
+  zoomMiddle(factor) {
+    this.zoom(this.view.width / 2, this.view.height / 2, factor);
+  }
+
+  /** Shows everything, and keeps showing it until the view is moved. */
+  fit() {
+    this.fitsItself = true;
+    this.boundsFitted = "";
+    this.store.follow(false);
+    this.fitNow();
+    this.refresh();
+  }
+
+  /** @param {number} exaggeration 0: no ellipses */
+  setExaggeration(exaggeration) {
+    this.exaggeration = exaggeration;
+    this.refresh();
+  }
+
+  /** @param {boolean} trails */
+  setTrails(trails) {
+    this.trails = trails;
+    this.askFrame();
+  }
+
+  onSnapshot() {
+    if (this.fitsItself && this.boundsFitted === "") {
+      this.fitNow();
+      this.backdropStale = true;
+    }
+    this.centerOnFollowed();
+    this.askFrame();
+  }
+
+  onCameras() {
+    const look = JSON.stringify(
+      this.store.cameras.map(({ name, status, pose, intrinsics, width, height }) => [
+        name, status === "failed", pose, intrinsics, width, height,
+      ]),
+    );
+    if (look === this.camerasDrawn) return;
+    this.camerasDrawn = look;
+    if (this.fitsItself) this.fitNow();
+    this.refresh();
+  }
+
+  onSelection() {
+    this.centerOnFollowed();
+    this.askFrame();
+  }
+
+  onResize() {
+    const { clientWidth, clientHeight } = this.stage;
+    if (clientWidth === 0 || clientHeight === 0) return;
+    this.view.width = clientWidth;
+    this.view.height = clientHeight;
+    for (const layer of Object.values(this.layers)) layer.resize(clientWidth, clientHeight);
+    this.boundsFitted = "";
+    if (this.fitsItself) this.fitNow();
+    // Drawn at once: a resized canvas is empty, and would flash until the next frame.
+    this.backdropStale = true;
+    this.draw();
+  }
+
+  centerOnFollowed() {
+    if (!this.store.following || this.store.selected === null) return;
+    const position = this.store.tracks.get(this.store.selected)?.state.positionM;
+    if (!position) return;
+    this.fitsItself = false;
+    this.view.centerX = position.x;
+    this.view.centerY = position.y;
+    this.backdropStale = true;
+  }
+
+  /** Fits to the cameras and what they see; to the objects where no camera's place is known. */
+  fitNow() {
+    const { cameras, tracks } = this.store;
+    const places = cameras.flatMap((camera) =>
+      camera.pose ? [camera.pose.position, ...cameraFootprint(camera)] : [],
+    );
+    if (places.length === 0) {
+      for (const { state } of tracks.values()) if (state.positionM) places.push(state.positionM);
+    }
+    if (places.length === 0) this.boundsFitted = "";
+    const bounds = boundsOf(places);
+    const wanted = places.length > 0 ? JSON.stringify(bounds) : "";
+    if (wanted !== "" && wanted === this.boundsFitted) return;
+    this.boundsFitted = wanted;
+    this.view.fit(bounds, {
+      left: RULER.left + FIT_MARGIN_PX,
+      right: FIT_MARGIN_PX,
+      top: FIT_MARGIN_PX,
+      bottom: RULER.bottom + FIT_MARGIN_PX,
+    });
+  }
+
+  /**
+   * @param {number | null} px
+   * @param {number | null} py
+   */
+  hover(px, py) {
+    this.pointer = px === null || py === null ? null : [px, py];
+    const hovered = this.pointer ? this.objectAt(...this.pointer, false) : null;
+    this.stage.classList.toggle("over-object", hovered !== null);
+    if (hovered !== this.hovered) {
+      this.hovered = hovered;
+      this.askFrame();
+    }
+    this.describe();
+  }
+
+  /**
+   * @param {number} px
+   * @param {number} py
+   * @param {boolean} coarse
+   * @returns {number | null} id of the nearest object within reach
+   */
+  objectAt(px, py, coarse) {
+    let nearest = null;
+    let nearestPx = discRadius(this.view) + (coarse ? REACH_COARSE_PX : REACH_PX);
+    for (const [id, { state }] of this.store.tracks) {
+      if (!state.positionM) continue;
+      const dx = this.view.screenX(state.positionM.x) - px;
+      const dy = this.view.screenY(state.positionM.y) - py;
+      const distancePx = Math.hypot(dx, dy);
+      if (distancePx > nearestPx) continue;
+      nearest = id;
+      nearestPx = distancePx;
+    }
+    return nearest;
+  }
+
+  /** Draws all anew with the next frame. */
+  refresh() {
+    this.backdropStale = true;
+    this.askFrame();
+  }
+
+  askFrame() {
+    if (this.frameAsked) return;
+    this.frameAsked = true;
+    requestAnimationFrame(() => {
+      this.frameAsked = false;
+      this.draw();
+    });
+  }
+
+  draw() {
+    const { view, palette, store } = this;
+    if (this.backdropStale) {
+      this.backdropStale = false;
+      drawBackdrop(this.layers.backdrop.context, view, palette, store.cameras);
+      this.describe();
+    }
+    drawTracks(this.layers.tracks.context, view, palette, [...store.tracks.values()], {
+      exaggeration: this.exaggeration,
+      trails: this.trails,
+      selected: store.selected,
+      hovered: this.hovered,
+      timeMs: store.snapshot?.poseTimeMs ?? 0,
+    });
+  }
+
+  /** Says the scale, how far the ellipses are exaggerated, and where the pointer is. */
+  describe() {
+    const parts = [`Grid ${gridStepM(this.view)} m`];
+    if (this.exaggeration === 1) parts.push("95 % ellipses to scale");
+    if (this.exaggeration > 1) parts.push(`95 % ellipses drawn ${this.exaggeration}× larger`);
+    if (this.pointer) {
+      const [px, py] = this.pointer;
+      parts.push(`x ${fixed(this.view.worldX(px), 2)}  y ${fixed(this.view.worldY(py), 2)} m`);
+    }
+    setText(this.caption, parts.join("  ·  "));
+  }
+}
+
+/** A canvas as sharp as the screen, with a context that counts in CSS pixels. */
+class Layer {
+  /** @param {HTMLElement} canvas */
+  constructor(canvas) {
+    if (!(canvas instanceof HTMLCanvasElement)) throw new Error(`#${canvas.id} is no canvas`);
+    const context = canvas.getContext("2d");
+    if (!context) throw new Error("this browser has no 2D canvas");
+    this.canvas = canvas;
+    this.context = context;
+  }
+
+  /**
+   * @param {number} width CSS pixels
+   * @param {number} height
+   */
+  resize(width, height) {
+    const ratio = devicePixelRatio || 1;
+    this.canvas.width = Math.round(width * ratio);
+    this.canvas.height = Math.round(height * ratio);
+    this.context.setTransform(ratio, 0, 0, ratio, 0, 0);
+  }
+}

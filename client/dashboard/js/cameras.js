@@ -1,0 +1,179 @@
+/** A card for each camera: how it is doing, in words and numbers, and what it sees. */
+
+import { element, find, glyph, setAttribute, setText } from "./dom.js";
+import { fixed, whole } from "./format.js";
+import { Picture } from "./picture.js";
+
+const STATUS_WORDS = {
+  starting: "Starting",
+  running: "Running",
+  failed: "Failed",
+  finished: "Finished",
+  unspecified: "Unknown state",
+};
+
+/** @typedef {import("./message.js").Camera} Camera */
+
+/** @type {{key: string, name: string, unit: string, title: string, value: (camera: Camera) => string}[]} */
+const FIGURES = [
+  { key: "rate", name: "Rate", unit: "Hz", title: "Frames processed a second", value: (c) => fixed(c.rateHz, 1) },
+  { key: "latency", name: "Latency", unit: "ms", title: "From capture to fused, median", value: (c) => fixed(c.latencyMs, 1) },
+  { key: "detect", name: "Detect", unit: "ms", title: "Time to find the roundels in a frame, median", value: (c) => fixed(c.detectMs, 2) },
+  { key: "detections", name: "Roundels", unit: "", title: "Found in the newest frame", value: (c) => whole(c.detections) },
+  { key: "dropped", name: "Dropped", unit: "", title: "Frames that gave way to newer ones because the worker was busy", value: (c) => whole(c.dropped) },
+  { key: "restarts", name: "Restarts", unit: "", title: "Times that the source was opened again after a failure", value: (c) => whole(c.restarts) },
+];
+
+/** @param {import("./store.js").Store} store */
+export function showCameras(store) {
+  const list = find("#camera-cards");
+  const empty = find("#cameras-empty");
+  const summary = find("#cameras-summary");
+  const viewer = new Viewer();
+  /** @type {Map<string, Card>} */
+  const cards = new Map();
+
+  const update = () => {
+    const names = new Set(store.cameras.map((camera) => camera.name));
+    for (const [name, card] of cards) {
+      if (names.has(name)) continue;
+      card.remove();
+      cards.delete(name);
+    }
+    const live = store.connection.phase === "live";
+    for (const camera of store.cameras) {
+      let card = cards.get(camera.name);
+      if (!card) {
+        card = new Card(camera.name, viewer);
+        cards.set(camera.name, card);
+        list.append(card.root);
+      }
+      card.fill(camera, live);
+    }
+    empty.hidden = store.cameras.length > 0 || !store.camerasKnown;
+    setText(summary, summaryWords(store.cameras));
+  };
+
+  store.on("cameras", update);
+  store.on("connection", update);
+}
+
+/** @param {Camera[]} cameras */
+function summaryWords(cameras) {
+  if (cameras.length === 0) return "";
+  const running = cameras.filter((camera) => camera.status === "running").length;
+  const failed = cameras.filter((camera) => camera.status === "failed").length;
+  return `${running} of ${cameras.length} running${failed > 0 ? `, ${failed} failed` : ""}`;
+}
+
+/** What is the matter and what is being done about it; empty while all is well. @param {Camera} camera */
+function trouble(camera) {
+  if (camera.status === "failed") {
+    const why = camera.error || "The source gave no reason.";
+    return `${why.replace(/([^.!?])$/, "$1.")} It is tried again by itself.`;
+  }
+  if (camera.status === "starting") return camera.error || "The source is being opened.";
+  if (camera.status === "finished") return "The source has no more frames.";
+  if (!camera.pose) return "Its place is not known yet, so its observations are not used.";
+  return "";
+}
+
+class Card {
+  /**
+   * @param {string} name
+   * @param {Viewer} viewer
+   */
+  constructor(name, viewer) {
+    const image = new Image();
+    image.alt = `What camera ${name} sees, with its detections drawn in`;
+    this.picture = new Picture(image, name);
+    this.frame = element("button", { class: "frame", type: "button", "aria-label": `Enlarge the picture of camera ${name}` }, [
+      image,
+      element("span", { class: "no-picture" }, ["No picture yet"]),
+    ]);
+    this.frame.addEventListener("click", () => viewer.open(name, image));
+    this.status = element("span", { class: "status" });
+    this.statusShown = "";
+    this.note = element("p", { class: "trouble" });
+    this.values = FIGURES.map(({ key }) => element("span", { "data-figure": key }));
+    const figures = FIGURES.map(({ name: title, unit, title: hint }, i) =>
+      element("div", { title: hint }, [
+        element("dt", {}, [title]),
+        element("dd", {}, unit ? [this.values[i], " ", element("small", {}, [unit])] : [this.values[i]]),
+      ]),
+    );
+    this.head = element("h3", {}, [name]);
+    this.root = element("li", { class: "card", "data-camera-card": name }, [
+      this.frame,
+      element("div", { class: "card-head" }, [this.head, this.status]),
+      this.note,
+      element("dl", { class: "figures" }, figures),
+    ]);
+  }
+
+  /**
+   * @param {Camera} camera
+   * @param {boolean} live whether the server can be asked for pictures
+   */
+  fill(camera, live) {
+    setAttribute(this.root, "data-status", camera.status);
+    if (this.statusShown !== camera.status) {
+      this.statusShown = camera.status;
+      this.status.replaceChildren(glyph(camera.status), STATUS_WORDS[camera.status]);
+    }
+    setAttribute(this.head, "title", `${camera.source}, ${camera.width} × ${camera.height} px`);
+    const words = trouble(camera);
+    this.note.hidden = words === "";
+    setText(this.note, words);
+    for (const [i, { value }] of FIGURES.entries()) setText(this.values[i], value(camera));
+    // Before the first frame there is no picture to ask for; a finished camera's last one stays.
+    this.picture.setWanted(live && camera.frames > 0 && camera.status !== "failed" && camera.status !== "starting");
+  }
+
+  remove() {
+    this.picture.stop();
+    this.root.remove();
+  }
+}
+
+/** One picture, large. It shows what the card's picture shows, so nothing is asked for twice. */
+class Viewer {
+  constructor() {
+    const dialog = find("#viewer");
+    const picture = find("#viewer-picture");
+    if (!(dialog instanceof HTMLDialogElement) || !(picture instanceof HTMLImageElement)) {
+      throw new Error("index.html's viewer is no dialog with an image");
+    }
+    this.dialog = dialog;
+    this.picture = picture;
+    /** @type {HTMLImageElement | null} */
+    this.source = null;
+    this.observer = new MutationObserver(() => this.copy());
+    dialog.addEventListener("close", () => {
+      this.observer.disconnect();
+      this.source = null;
+      this.picture.removeAttribute("src");
+    });
+    dialog.addEventListener("click", (event) => {
+      if (event.target === dialog) dialog.close();
+    });
+  }
+
+  /**
+   * @param {string} name
+   * @param {HTMLImageElement} source
+   */
+  open(name, source) {
+    if (!source.classList.contains("loaded")) return;
+    this.source = source;
+    this.picture.alt = source.alt;
+    setText(find("#viewer-title"), `Camera ${name}`);
+    this.copy();
+    this.observer.observe(source, { attributes: true, attributeFilter: ["data-pictures"] });
+    this.dialog.showModal();
+  }
+
+  copy() {
+    if (this.source) this.picture.src = this.source.src;
+  }
+}

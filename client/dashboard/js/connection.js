@@ -1,0 +1,117 @@
+/**
+ * The stream from the server: opens it, notices when it has gone, and opens it again.
+ *
+ * A broken network often leaves a socket open without a word, so silence counts as loss too: the
+ * server sends the cameras twice a second, whatever the robots do.
+ */
+
+/** Silence after which the connection counts as lost, ms. Six of the twice-a-second messages. */
+const SILENCE_MS = 3000;
+/** First and longest pause before another attempt, ms. */
+const FIRST_PAUSE_MS = 500;
+const LONGEST_PAUSE_MS = 8000;
+
+/**
+ * @typedef {object} ConnectionState
+ * @property {"connecting" | "live" | "lost"} phase
+ * @property {number} sinceMs `performance.now()` when the connection was lost; else when the phase began
+ * @property {number | null} retryAtMs `performance.now()` of the next attempt; null while one runs
+ */
+
+/**
+ * @param {string} url of the WebSocket
+ * @param {{onMessage: (message: any) => void, onState: (state: ConnectionState) => void}} handlers
+ * @returns {{retryNow: () => void}}
+ */
+export function connect(url, { onMessage, onState }) {
+  /** @type {WebSocket | null} */
+  let socket = null;
+  /** @type {ConnectionState} */
+  let state = { phase: "connecting", sinceMs: performance.now(), retryAtMs: null };
+  let attempts = 0;
+  let silenceTimer = 0;
+  let retryTimer = 0;
+
+  /** @param {Partial<ConnectionState>} change */
+  const become = (change) => {
+    state = { ...state, ...change };
+    onState(state);
+  };
+
+  const listen = () => {
+    clearTimeout(silenceTimer);
+    silenceTimer = setTimeout(lose, SILENCE_MS);
+  };
+
+  function open() {
+    clearTimeout(retryTimer);
+    if (state.phase === "lost") become({ retryAtMs: null });
+    const mine = new WebSocket(url);
+    socket = mine;
+    listen();
+    mine.onmessage = (event) => {
+      if (socket !== mine) return;
+      listen();
+      const message = parse(event.data);
+      if (message === null) return;
+      if (state.phase !== "live") {
+        attempts = 0;
+        become({ phase: "live", sinceMs: performance.now(), retryAtMs: null });
+      }
+      onMessage(message);
+    };
+    mine.onclose = () => {
+      if (socket === mine) lose();
+    };
+  }
+
+  function lose() {
+    clearTimeout(silenceTimer);
+    // Taken away first, so that the close this causes is not counted as a second loss.
+    const old = socket;
+    socket = null;
+    old?.close();
+    const pause = pauseMs(attempts);
+    attempts += 1;
+    const now = performance.now();
+    const sinceMs = state.phase === "lost" ? state.sinceMs : now;
+    become({ phase: "lost", sinceMs, retryAtMs: now + pause });
+    clearTimeout(retryTimer);
+    retryTimer = setTimeout(open, pause);
+  }
+
+  const retryNow = () => {
+    if (state.phase === "lost" && socket === null) open();
+  };
+
+  // Both mean that an attempt may succeed where the last ones did not.
+  addEventListener("online", retryNow);
+  document.addEventListener("visibilitychange", () => {
+    if (document.visibilityState === "visible") retryNow();
+  });
+
+  onState(state);
+  open();
+  return { retryNow };
+}
+
+/**
+ * Grows by doubling; the jitter keeps many pages from returning to a restarted server at once.
+ * @param {number} attempts that have failed
+ */
+function pauseMs(attempts) {
+  const pause = Math.min(FIRST_PAUSE_MS * 2 ** attempts, LONGEST_PAUSE_MS);
+  return pause * (0.75 + 0.5 * Math.random());
+}
+
+/**
+ * A message that is no JSON is left out: the next one stands for itself.
+ * @param {unknown} data
+ */
+function parse(data) {
+  try {
+    return typeof data === "string" ? JSON.parse(data) : null;
+  } catch {
+    return null;
+  }
+}

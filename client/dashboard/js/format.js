@@ -1,0 +1,57 @@
+/** Numbers and times as a person reads them. What is not known is an en dash. */
+
+const UNKNOWN = "–";
+/** A true minus sign: as wide as a digit, so that columns of signed numbers stay aligned. */
+const MINUS = "\u2212";
+
+const clock = new Intl.DateTimeFormat(undefined, {
+  hour: "2-digit",
+  minute: "2-digit",
+  second: "2-digit",
+  hourCycle: "h23",
+});
+
+/**
+ * @param {number | null | undefined} value
+ * @param {number} decimals
+ */
+export function fixed(value, decimals) {
+  if (value === null || value === undefined || !Number.isFinite(value)) return UNKNOWN;
+  const digits = Math.abs(value).toFixed(decimals);
+  // -0.0001 must not read as "−0.00".
+  return value < 0 && Number(digits) !== 0 ? MINUS + digits : digits;
+}
+
+/** Three digits that matter, for values over many orders of size. @param {number | null} value */
+export function significant(value) {
+  if (value === null || !Number.isFinite(value)) return UNKNOWN;
+  const size = Math.abs(value);
+  return fixed(value, size >= 100 ? 0 : size >= 10 ? 1 : 2);
+}
+
+/** With thin spaces between thousands. @param {number} value */
+export function whole(value) {
+  return Math.round(value)
+    .toString()
+    .replace(/\B(?=(\d{3})+$)/g, "\u2009");
+}
+
+/** @param {number | null} rad */
+export function degrees(rad) {
+  return rad === null ? UNKNOWN : `${fixed((rad * 180) / Math.PI, 1)}°`;
+}
+
+/** "41 ms", "3.2 s", "5 min". @param {number | null} ms */
+export function duration(ms) {
+  if (ms === null || !Number.isFinite(ms)) return UNKNOWN;
+  if (ms < 1000) return `${fixed(Math.round(ms), 0)} ms`;
+  if (ms < 10_000) return `${fixed(ms / 1000, 1)} s`;
+  if (ms < 120_000) return `${fixed(ms / 1000, 0)} s`;
+  if (ms < 7_200_000) return `${fixed(ms / 60_000, 0)} min`;
+  return `${fixed(ms / 3_600_000, 1)} h`;
+}
+
+/** Local time of day. @param {number} unixMs */
+export function timeOfDay(unixMs) {
+  return clock.format(unixMs);
+}

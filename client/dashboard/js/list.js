@@ -1,0 +1,104 @@
+/**
+ * All objects as a table: for reading, for the keyboard, and for whoever cannot see the arena.
+ * Each row carries its object's id as `data-object-id`.
+ */
+
+import { element, find, glyph, paced, setAttribute, setText } from "./dom.js";
+import { fixed } from "./format.js";
+
+/** Faster than this, figures flicker instead of being read, ms. */
+const INTERVAL_MS = 200;
+
+/** @typedef {import("./message.js").ObjectState} ObjectState */
+/** @typedef {{row: HTMLElement, button: HTMLElement, sign: Element, label: Element, cells: Element[], stage: string}} Row */
+
+/** @param {import("./store.js").Store} store */
+export function showList(store) {
+  const body = find("#object-rows");
+  const empty = find("#objects-empty");
+  /** @type {Map<number, Row>} */
+  const rows = new Map();
+
+  body.addEventListener("click", (event) => {
+    const row = event.target instanceof Element ? event.target.closest("tr") : null;
+    if (row) store.select(Number(row.dataset.objectId));
+  });
+
+  const update = () => {
+    const tracks = store.sortedTracks();
+    for (const [id, { row }] of rows) {
+      if (store.tracks.has(id)) continue;
+      row.remove();
+      rows.delete(id);
+    }
+    for (const [i, { state }] of tracks.entries()) {
+      let row = rows.get(state.id);
+      if (!row) {
+        row = makeRow(state);
+        rows.set(state.id, row);
+        body.insertBefore(row.row, body.children[i] ?? null);
+      }
+      fillRow(row, state, store.selected);
+    }
+    empty.hidden = tracks.length > 0;
+  };
+
+  const markSelected = () => {
+    for (const [id, { row, button }] of rows) {
+      const chosen = id === store.selected;
+      row.classList.toggle("selected", chosen);
+      setAttribute(button, "aria-pressed", String(chosen));
+      if (chosen) row.scrollIntoView({ block: "nearest" });
+    }
+  };
+
+  store.on("snapshot", paced(INTERVAL_MS, update));
+  store.on("selection", () => {
+    update();
+    markSelected();
+  });
+  update();
+}
+
+/**
+ * @param {ObjectState} state
+ * @returns {Row}
+ */
+function makeRow(state) {
+  const sign = element("span", { class: "sign" });
+  const label = element("span", { class: "label" });
+  const button = element("button", { type: "button", "aria-pressed": "false" }, [sign, label]);
+  const cells = Array.from({ length: 5 }, () => element("td"));
+  const row = element("tr", { "data-object-id": String(state.id) }, [
+    element("th", { scope: "row" }, [button]),
+    ...cells,
+  ]);
+  return { row, button, sign, label, cells, stage: "" };
+}
+
+/**
+ * @param {Row} row
+ * @param {ObjectState} state
+ * @param {number | null} selected
+ */
+function fillRow(row, state, selected) {
+  if (row.stage !== state.stage) {
+    row.stage = state.stage;
+    row.row.dataset.stage = state.stage;
+    row.sign.className = `sign stage-${state.stage}`;
+    row.sign.replaceChildren(glyph(state.stage));
+    setAttribute(row.button, "aria-label", `Object ${state.label}, ${state.stage}`);
+    row.button.title = state.stage;
+  }
+  row.row.classList.toggle("selected", state.id === selected);
+  setText(row.label, state.label);
+  const { positionM, sigmaM } = state;
+  const values = [
+    fixed(positionM?.x, 3),
+    fixed(positionM?.y, 3),
+    fixed(positionM?.z, 3),
+    fixed(state.speedMS, 2),
+    fixed(sigmaM && Math.max(sigmaM.x, sigmaM.y, sigmaM.z) * 1000, 1),
+  ];
+  for (const [i, value] of values.entries()) setText(row.cells[i], value);
+}

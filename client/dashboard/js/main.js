@@ -1,0 +1,63 @@
+/** Starts the page: one store, the views that read it, the connection that fills it. */
+
+import { Arena } from "./arena.js";
+import { showCameras } from "./cameras.js";
+import { connect } from "./connection.js";
+import { find } from "./dom.js";
+import { showEvents } from "./events.js";
+import { showList } from "./list.js";
+import { showMasthead } from "./masthead.js";
+import { readInfo } from "./message.js";
+import { showPanel } from "./panel.js";
+import { Store } from "./store.js";
+
+/** Snapshots asked for each second: half a screen's rate is fluent, and easy on a phone. */
+const MAX_RATE_HZ = 30;
+
+const store = new Store();
+const arena = new Arena(store);
+showList(store);
+showPanel(store);
+showCameras(store);
+showEvents(store);
+
+for (const input of document.querySelectorAll("input[name=exaggeration]")) {
+  if (!(input instanceof HTMLInputElement)) continue;
+  input.addEventListener("change", () => arena.setExaggeration(Number(input.value)));
+  // A reloaded page keeps what was chosen, in browsers that restore forms.
+  if (input.checked) arena.setExaggeration(Number(input.value));
+}
+const trails = /** @type {HTMLInputElement} */ (find("#trails"));
+trails.addEventListener("change", () => arena.setTrails(trails.checked));
+arena.setTrails(trails.checked);
+find("#fit").addEventListener("click", () => arena.fit());
+find("#zoom-in").addEventListener("click", () => arena.zoomMiddle(1.4));
+find("#zoom-out").addEventListener("click", () => arena.zoomMiddle(1 / 1.4));
+
+const connection = connect(streamAddress(), {
+  onMessage: (message) => store.take(message),
+  onState: (state) => {
+    const before = store.connection.phase;
+    store.setConnection(state);
+    // With each connection: it may be another server, or another version of it.
+    if (state.phase === "live" && before !== "live") void loadInfo();
+  },
+});
+showMasthead(store, () => connection.retryNow());
+
+/** Relative to the page, so that it also works behind a proxy that adds a path. */
+function streamAddress() {
+  const address = new URL("api/v1/stream", location.href);
+  address.protocol = location.protocol === "https:" ? "wss:" : "ws:";
+  address.search = `?include=snapshots,cameras,events&max_rate_hz=${MAX_RATE_HZ}`;
+  return address.href;
+}
+
+async function loadInfo() {
+  try {
+    const response = await fetch("api/v1/info", { cache: "no-store" });
+    if (response.ok) store.setInfo(readInfo(await response.json()));
+  } catch {
+    // The stream tells of the loss; the name comes with the next connection.
+  }
+}

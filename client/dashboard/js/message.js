@@ -1,0 +1,247 @@
+/**
+ * From the wire's JSON to the page's own values.
+ *
+ * The server's messages are those of `proto/roundel/v1`, with field names as there, times as decimal
+ * strings of nanoseconds, enumerations as lower-case words and absent messages as null. Everything
+ * the page uses passes here once: what is unknown is left out, what is missing or not finite becomes
+ * null, and nothing behind this module has to ask again.
+ */
+
+import { errorEllipse, headingRad, sigmasM, tiltRad } from "./geometry.js";
+
+/** @typedef {import("./geometry.js").Vector3} Vector3 */
+/** @typedef {import("./geometry.js").Quaternion} Quaternion */
+/** @typedef {"tentative" | "tracked" | "predicted" | "lost" | "unspecified"} Stage */
+/** @typedef {"starting" | "running" | "failed" | "finished" | "unspecified"} CameraStatus */
+/** @typedef {{lens: string, fxPx: number, fyPx: number, cxPx: number, cyPx: number}} Intrinsics */
+/** @typedef {{majorM: number, minorM: number, angleRad: number}} ErrorEllipse */
+
+/**
+ * One object at the snapshot's pose time.
+ * @typedef {object} ObjectState
+ * @property {number} id
+ * @property {string} name configured, or empty
+ * @property {string} label what a person calls it
+ * @property {Stage} stage
+ * @property {Vector3 | null} positionM
+ * @property {number | null} headingRad null while the yaw is not observed
+ * @property {number | null} tiltRad
+ * @property {Vector3 | null} velocityMS
+ * @property {number | null} speedMS
+ * @property {Vector3 | null} sigmaM null where the covariance was left out
+ * @property {ErrorEllipse | null} ellipse 95 %, floor plane
+ * @property {string[]} cameras
+ * @property {number | null} ageMs
+ * @property {number | null} residual
+ * @property {string} roundel
+ */
+
+/**
+ * @typedef {object} Snapshot
+ * @property {number} sequence
+ * @property {string} sourceId
+ * @property {number} poseTimeMs since the Unix epoch
+ * @property {number | null} latencyMs from the newest capture used to the sending of this message
+ * @property {ObjectState[]} objects
+ * @property {number} missed
+ */
+
+/**
+ * @typedef {object} Camera
+ * @property {string} name
+ * @property {string} source
+ * @property {CameraStatus} status
+ * @property {string} error
+ * @property {number} width
+ * @property {number} height
+ * @property {{position: Vector3, orientation: Quaternion} | null} pose world_from_camera
+ * @property {Intrinsics | null} intrinsics
+ * @property {number} frames
+ * @property {number} dropped
+ * @property {number} restarts
+ * @property {number} rateHz
+ * @property {number} detections
+ * @property {number} detectMs
+ * @property {number} latencyMs
+ */
+
+/** @typedef {{sequence: number, timeMs: number, kind: string, objectId: number, camera: string, message: string}} Event */
+/** @typedef {{version: string, sourceId: string, name: string, startedTimeMs: number | null, snapshotRateHz: number}} ServerInfo */
+
+const STAGES = new Set(["tentative", "tracked", "predicted", "lost"]);
+const STATUSES = new Set(["starting", "running", "failed", "finished"]);
+
+/**
+ * @param {any} raw
+ * @returns {Snapshot}
+ */
+export function readSnapshot(raw) {
+  const capture = nanoseconds(raw?.capture_time_ns);
+  const sent = nanoseconds(raw?.sent_time_ns);
+  const pose = nanoseconds(raw?.pose_time_ns);
+  return {
+    sequence: count(raw?.sequence),
+    sourceId: text(raw?.source_id),
+    poseTimeMs: pose === null ? 0 : milliseconds(pose),
+    // Both times are the server's, so no clock of this machine enters. 0 is "before the first".
+    latencyMs: capture && sent ? Number(sent - capture) / 1e6 : null,
+    objects: list(raw?.objects).map(readObject),
+    missed: count(raw?.missed),
+  };
+}
+
+/**
+ * @param {any} raw
+ * @returns {ObjectState}
+ */
+function readObject(raw) {
+  const orientation = quaternion(raw?.orientation);
+  const velocityMS = vector(raw?.velocity);
+  const covariance = numbers(raw?.covariance, 21);
+  const age = nanoseconds(raw?.observation_age_ns);
+  const id = count(raw?.object_id);
+  const name = text(raw?.name);
+  return {
+    id,
+    name,
+    label: name || String(id),
+    stage: STAGES.has(raw?.stage) ? raw.stage : "unspecified",
+    positionM: vector(raw?.position),
+    headingRad: raw?.yaw_observed === true && orientation ? headingRad(orientation) : null,
+    tiltRad: orientation ? tiltRad(orientation) : null,
+    velocityMS,
+    speedMS: velocityMS && Math.hypot(velocityMS.x, velocityMS.y, velocityMS.z),
+    sigmaM: covariance && sigmasM(covariance),
+    ellipse: covariance && errorEllipse(covariance),
+    cameras: list(raw?.cameras).map(text),
+    ageMs: age === null ? null : Number(age) / 1e6,
+    residual: number(raw?.residual),
+    roundel: text(raw?.roundel),
+  };
+}
+
+/**
+ * @param {any} raw
+ * @returns {Camera[]}
+ */
+export function readCameras(raw) {
+  return list(raw).map(readCamera);
+}
+
+/**
+ * @param {any} raw
+ * @returns {Camera}
+ */
+function readCamera(raw) {
+  const position = vector(raw?.pose?.position);
+  const orientation = quaternion(raw?.pose?.orientation);
+  return {
+    name: text(raw?.name),
+    source: text(raw?.source),
+    status: STATUSES.has(raw?.status) ? raw.status : "unspecified",
+    error: text(raw?.error),
+    width: count(raw?.width),
+    height: count(raw?.height),
+    pose: position && orientation && { position, orientation },
+    intrinsics: readIntrinsics(raw?.intrinsics),
+    frames: count(raw?.frames),
+    dropped: count(raw?.dropped),
+    restarts: count(raw?.restarts),
+    rateHz: count(raw?.rate_hz),
+    detections: count(raw?.detections),
+    detectMs: count(raw?.detect_ms),
+    latencyMs: count(raw?.latency_ms),
+  };
+}
+
+/**
+ * @param {any} raw
+ * @returns {Intrinsics | null}
+ */
+function readIntrinsics(raw) {
+  const [fxPx, fyPx] = [number(raw?.fx_px), number(raw?.fy_px)];
+  const [cxPx, cyPx] = [number(raw?.cx_px), number(raw?.cy_px)];
+  if (!fxPx || !fyPx || cxPx === null || cyPx === null) return null;
+  return { lens: text(raw.lens), fxPx, fyPx, cxPx, cyPx };
+}
+
+/**
+ * @param {any} raw
+ * @returns {Event}
+ */
+export function readEvent(raw) {
+  const time = nanoseconds(raw?.time_ns);
+  return {
+    sequence: count(raw?.sequence),
+    timeMs: time === null ? 0 : milliseconds(time),
+    kind: text(raw?.kind),
+    objectId: count(raw?.object_id),
+    camera: text(raw?.camera),
+    message: text(raw?.message),
+  };
+}
+
+/**
+ * @param {any} raw
+ * @returns {ServerInfo}
+ */
+export function readInfo(raw) {
+  const started = nanoseconds(raw?.started_time_ns);
+  return {
+    version: text(raw?.version),
+    sourceId: text(raw?.source_id),
+    name: text(raw?.name),
+    startedTimeMs: started ? milliseconds(started) : null,
+    snapshotRateHz: count(raw?.snapshot_rate_hz),
+  };
+}
+
+/** @param {any} raw @returns {number | null} */
+function number(raw) {
+  return typeof raw === "number" && Number.isFinite(raw) ? raw : null;
+}
+
+/** A number that counts or measures something; 0 where it is missing. @param {any} raw */
+function count(raw) {
+  return number(raw) ?? 0;
+}
+
+/** @param {any} raw */
+function text(raw) {
+  return typeof raw === "string" ? raw : "";
+}
+
+/** @param {any} raw @returns {any[]} */
+function list(raw) {
+  return Array.isArray(raw) ? raw : [];
+}
+
+/** @param {any} raw @param {number} length @returns {number[] | null} */
+function numbers(raw, length) {
+  return Array.isArray(raw) && raw.length === length && raw.every(Number.isFinite) ? raw : null;
+}
+
+/** @param {any} raw @returns {Vector3 | null} */
+function vector(raw) {
+  const [x, y, z] = [number(raw?.x), number(raw?.y), number(raw?.z)];
+  return x === null || y === null || z === null ? null : { x, y, z };
+}
+
+/** @param {any} raw @returns {Quaternion | null} */
+function quaternion(raw) {
+  const v = vector(raw);
+  const w = number(raw?.w);
+  if (!v || w === null) return null;
+  const norm = Math.hypot(v.x, v.y, v.z, w);
+  return norm > 0 ? { x: v.x / norm, y: v.y / norm, z: v.z / norm, w: w / norm } : null;
+}
+
+/** Exact: Unix time in nanoseconds exceeds 2^53. @param {any} raw @returns {bigint | null} */
+function nanoseconds(raw) {
+  return typeof raw === "string" && /^-?\d+$/.test(raw) ? BigInt(raw) : null;
+}
+
+/** @param {bigint} ns */
+function milliseconds(ns) {
+  return Number(ns / 1000n) / 1000;
+}

@@ -1,0 +1,98 @@
+/**
+ * A camera's live picture: asked for again and again while someone can see it, never twice at once.
+ */
+
+/** Pause between the end of one request and the start of the next, ms: two to three a second. */
+const PAUSE_MS = 350;
+/** Pause after a failure, ms. */
+const FAILURE_PAUSE_MS = 2000;
+/** A request that takes longer is given up, ms. */
+const TIMEOUT_MS = 5000;
+
+/** Tells each picture when it comes into view and leaves it. */
+const watcher = new IntersectionObserver((entries) => {
+  for (const entry of entries) pictures.get(entry.target)?.setInView(entry.isIntersecting);
+});
+/** @type {WeakMap<Element, Picture>} */
+const pictures = new WeakMap();
+
+document.addEventListener("visibilitychange", () => {
+  if (document.visibilityState !== "visible") return;
+  for (const image of document.querySelectorAll("img[data-camera]")) pictures.get(image)?.wake();
+});
+
+export class Picture {
+  /**
+   * @param {HTMLImageElement} image
+   * @param {string} camera its name
+   */
+  constructor(image, camera) {
+    this.image = image;
+    this.url = `api/v1/cameras/${encodeURIComponent(camera)}/frame.jpg`;
+    this.wanted = false;
+    this.inView = false;
+    this.busy = false;
+    this.timer = 0;
+    this.shown = "";
+    image.dataset.camera = camera;
+    pictures.set(image, this);
+    watcher.observe(image);
+  }
+
+  /** @param {boolean} wanted whether there is anything to ask for */
+  setWanted(wanted) {
+    if (this.wanted === wanted) return;
+    this.wanted = wanted;
+    this.wake();
+  }
+
+  /** @param {boolean} inView */
+  setInView(inView) {
+    this.inView = inView;
+    this.wake();
+  }
+
+  wake() {
+    clearTimeout(this.timer);
+    void this.load();
+  }
+
+  async load() {
+    if (this.busy || !this.wanted || !this.inView || document.visibilityState !== "visible") return;
+    this.busy = true;
+    const done = await this.fetchOnce();
+    this.busy = false;
+    this.timer = setTimeout(() => void this.load(), done ? PAUSE_MS : FAILURE_PAUSE_MS);
+  }
+
+  /** @returns {Promise<boolean>} whether a picture came */
+  async fetchOnce() {
+    try {
+      // The time in the address defeats caches on the way that ignore headers.
+      const response = await fetch(`${this.url}?t=${Date.now()}`, {
+        cache: "no-store",
+        signal: AbortSignal.timeout(TIMEOUT_MS),
+      });
+      if (!response.ok) return false;
+      const address = URL.createObjectURL(await response.blob());
+      const before = this.shown;
+      this.image.src = address;
+      this.shown = address;
+      // Decoded first, so that the picture before stays until this one can replace it.
+      await this.image.decode();
+      if (before) URL.revokeObjectURL(before);
+      this.image.classList.add("loaded");
+      this.image.dataset.pictures = String(Number(this.image.dataset.pictures ?? 0) + 1);
+      return true;
+    } catch {
+      return false;
+    }
+  }
+
+  stop() {
+    this.wanted = false;
+    clearTimeout(this.timer);
+    watcher.unobserve(this.image);
+    if (this.shown) URL.revokeObjectURL(this.shown);
+  }
+}

@@ -1,0 +1,209 @@
+/**
+ * All that the page knows, in one place: the newest snapshot, trails, cameras, events, selection.
+ *
+ * Views subscribe to a topic and read; only the functions here change anything.
+ */
+
+import { readCameras, readEvent, readSnapshot } from "./message.js";
+
+/** Length of a trail, ms. */
+export const TRAIL_MS = 5000;
+/** How long an object that was given up stays in view, ms of pose time. */
+const LOST_SHOWN_MS = 4000;
+/** Events remembered. */
+const MAX_EVENTS = 200;
+/** Window over which the snapshots are counted, ms. */
+const RATE_WINDOW_MS = 2000;
+
+/** @typedef {import("./message.js").ObjectState} ObjectState */
+/** @typedef {{timeMs: number, x: number, y: number}} TrailPoint */
+/** @typedef {{state: ObjectState, trail: TrailPoint[], lostAtMs: number | null}} Track */
+/** @typedef {"snapshot" | "cameras" | "events" | "selection" | "connection" | "info"} Topic */
+
+export class Store {
+  constructor() {
+    /** @type {import("./message.js").Snapshot | null} */
+    this.snapshot = null;
+    /** @type {Map<number, Track>} by object id, in the order of the ids */
+    this.tracks = new Map();
+    /** @type {import("./message.js").Camera[]} */
+    this.cameras = [];
+    /** True once the server has said which cameras there are, be it none. */
+    this.camerasKnown = false;
+    /** @type {import("./message.js").Event[]} newest first */
+    this.events = [];
+    /** @type {import("./message.js").ServerInfo | null} */
+    this.info = null;
+    /** @type {import("./connection.js").ConnectionState} */
+    this.connection = { phase: "connecting", sinceMs: performance.now(), retryAtMs: null };
+    /** Snapshots that this page was too slow for, since it was opened. */
+    this.missed = 0;
+    /** @type {number | null} id of the selected object */
+    this.selected = null;
+    /** @type {ObjectState | null} last values of the selected object, also after it has gone */
+    this.selectedState = null;
+    /** True while the arena keeps the selected object in its middle. */
+    this.following = false;
+    /** @type {number | null} `performance.now()` when the newest snapshot came */
+    this.receivedAtMs = null;
+    /** @type {number[]} */
+    this.arrivals = [];
+    /** @type {Map<Topic, Set<() => void>>} */
+    this.listeners = new Map();
+  }
+
+  /**
+   * @param {Topic} topic
+   * @param {() => void} listener
+   */
+  on(topic, listener) {
+    const listeners = this.listeners.get(topic) ?? new Set();
+    listeners.add(listener);
+    this.listeners.set(topic, listeners);
+  }
+
+  /** @param {Topic} topic */
+  emit(topic) {
+    for (const listener of this.listeners.get(topic) ?? []) listener();
+  }
+
+  /**
+   * Takes one message of the stream. Keys that this page does not know are left to newer pages.
+   * @param {any} message
+   */
+  take(message) {
+    if (message?.snapshot) this.takeSnapshot(readSnapshot(message.snapshot));
+    if (Array.isArray(message?.cameras)) {
+      this.cameras = readCameras(message.cameras);
+      this.camerasKnown = true;
+      this.emit("cameras");
+    }
+    if (message?.event) this.takeEvent(readEvent(message.event));
+  }
+
+  /** @param {import("./message.js").Snapshot} snapshot */
+  takeSnapshot(snapshot) {
+    const now = performance.now();
+    // A server that has started again counts its objects anew; old trails would be of others.
+    if (this.snapshot && this.snapshot.sourceId !== snapshot.sourceId) this.forget();
+    this.snapshot = snapshot;
+    this.missed += snapshot.missed;
+    this.receivedAtMs = now;
+    this.arrivals.push(now);
+    const live = new Set();
+    for (const state of snapshot.objects) {
+      live.add(state.id);
+      this.takeState(state, snapshot.poseTimeMs);
+    }
+    for (const [id, track] of this.tracks) {
+      if (live.has(id)) continue;
+      // Given up objects are named once and then left out. They stay a while, so that an eye that
+      // was elsewhere still finds where one was last; what vanishes otherwise goes at once.
+      const shownUntilMs = track.lostAtMs === null ? 0 : track.lostAtMs + LOST_SHOWN_MS;
+      if (snapshot.poseTimeMs > shownUntilMs) this.tracks.delete(id);
+    }
+    this.emit("snapshot");
+  }
+
+  /**
+   * @param {ObjectState} state
+   * @param {number} timeMs
+   */
+  takeState(state, timeMs) {
+    let track = this.tracks.get(state.id);
+    if (!track) {
+      track = { state, trail: [], lostAtMs: null };
+      this.tracks.set(state.id, track);
+    }
+    track.state = state;
+    if (state.stage === "lost") track.lostAtMs ??= timeMs;
+    else track.lostAtMs = null;
+    if (state.id === this.selected) this.selectedState = state;
+    const { trail } = track;
+    if (state.positionM) trail.push({ timeMs, x: state.positionM.x, y: state.positionM.y });
+    let stale = 0;
+    while (stale < trail.length && trail[stale].timeMs < timeMs - TRAIL_MS) stale += 1;
+    if (stale > 0) trail.splice(0, stale);
+  }
+
+  /** @param {import("./message.js").Event} event */
+  takeEvent(event) {
+    // After a reconnection the server may send remembered events again.
+    if (this.events.some((known) => known.sequence === event.sequence)) return;
+    this.events.unshift(event);
+    this.events.sort((a, b) => b.sequence - a.sequence);
+    this.events.length = Math.min(this.events.length, MAX_EVENTS);
+    this.emit("events");
+  }
+
+  /** Drops what belongs to another run of the server. */
+  forget() {
+    this.tracks.clear();
+    this.events = [];
+    this.missed = 0;
+    this.select(null);
+    this.emit("events");
+  }
+
+  /** @param {import("./message.js").ServerInfo} info */
+  setInfo(info) {
+    this.info = info;
+    this.emit("info");
+  }
+
+  /** @param {import("./connection.js").ConnectionState} connection */
+  setConnection(connection) {
+    if (connection.phase !== this.connection.phase) this.arrivals = [];
+    this.connection = connection;
+    this.emit("connection");
+  }
+
+  /** @param {number | null} id */
+  select(id) {
+    if (id === this.selected) return;
+    this.selected = id;
+    this.selectedState = id === null ? null : (this.tracks.get(id)?.state ?? null);
+    if (id === null) this.following = false;
+    this.emit("selection");
+  }
+
+  /** @param {boolean} following */
+  follow(following) {
+    const wanted = following && this.selected !== null;
+    if (wanted === this.following) return;
+    this.following = wanted;
+    this.emit("selection");
+  }
+
+  /** Selects the object after (or before) the selected one in the order of the list. @param {1 | -1} step */
+  selectNext(step) {
+    const ids = this.sortedTracks().map((track) => track.state.id);
+    if (ids.length === 0) return;
+    const at = this.selected === null ? -1 : ids.indexOf(this.selected);
+    const next = at < 0 ? (step > 0 ? 0 : ids.length - 1) : (at + step + ids.length) % ids.length;
+    this.select(ids[next]);
+  }
+
+  /** @returns {Track[]} by object id */
+  sortedTracks() {
+    return [...this.tracks.values()].sort((a, b) => a.state.id - b.state.id);
+  }
+
+  /** Snapshots a second over the last two; null before there is enough to say. */
+  snapshotRateHz() {
+    const now = performance.now();
+    while (this.arrivals.length > 0 && this.arrivals[0] < now - RATE_WINDOW_MS) this.arrivals.shift();
+    const spanMs = now - Math.max(this.connection.sinceMs, now - RATE_WINDOW_MS);
+    return spanMs < 500 ? null : (this.arrivals.length / spanMs) * 1000;
+  }
+
+  /**
+   * Age of the newest capture that the page shows, ms: what passed on the server until it was sent,
+   * by the server's clock, and what has passed here since it came, by this machine's. The way
+   * between is not in it, but no difference of two machines' clocks is either.
+   */
+  dataAgeMs() {
+    if (this.receivedAtMs === null || this.snapshot === null) return null;
+    return (this.snapshot.latencyMs ?? 0) + performance.now() - this.receivedAtMs;
+  }
+}

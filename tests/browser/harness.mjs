@@ -1,0 +1,120 @@
+/** What every browser test needs: a server, a browser, and a page that has been watched from its start. */
+
+import { createServer, connect } from "node:net";
+
+import { chromium } from "playwright-core";
+
+import { startMock } from "./mock.mjs";
+
+const EXECUTABLE = process.env.CHROMIUM ?? "/usr/bin/chromium";
+const FLAGS = [
+  "--headless",
+  "--no-sandbox",
+  "--disable-gpu",
+  "--disable-quic",
+  "--no-first-run",
+  "--disable-background-networking",
+  "--disable-component-update",
+  "--disable-sync",
+];
+
+/** The server under test: the one at ROUNDEL_URL, or a mock of its own, which then has a `world`. */
+export async function target() {
+  const url = process.env.ROUNDEL_URL;
+  if (!url) return startMock();
+  return { url: new URL("/", url).href, world: null, close: async () => {} };
+}
+
+export function launch() {
+  return chromium.launch({ executablePath: EXECUTABLE, args: FLAGS });
+}
+
+/**
+ * Opens the page and waits until it lives.
+ * @param {import("playwright-core").Browser} browser
+ * @param {string} url
+ * @param {import("playwright-core").BrowserContextOptions} [options]
+ */
+export async function openDashboard(browser, url, options = {}) {
+  const context = await browser.newContext({ viewport: { width: 1440, height: 900 }, ...options });
+  const page = await context.newPage();
+  /** @type {string[]} */
+  const complaints = [];
+  /** @type {string[]} */
+  const foreign = [];
+  page.on("console", (message) => {
+    if (message.type() === "error" || message.type() === "warning") complaints.push(message.text());
+  });
+  page.on("pageerror", (error) => complaints.push(String(error)));
+  page.on("request", (request) => {
+    const { protocol, host } = new URL(request.url());
+    const inside = protocol === "blob:" || protocol === "data:" || host === new URL(url).host;
+    if (!inside) foreign.push(request.url());
+  });
+  await page.goto(url);
+  await page.locator('body[data-phase="live"]').waitFor();
+  return { context, page, complaints, foreign };
+}
+
+/**
+ * The table of objects as numbers, by id.
+ * @param {import("playwright-core").Page} page
+ * @returns {Promise<Map<number, {stage: string, x: number, y: number, z: number}>>}
+ */
+export async function readObjects(page) {
+  const rows = await page.locator("#object-rows tr").evaluateAll((all) =>
+    all.map((row) => [
+      row.dataset.objectId,
+      row.dataset.stage,
+      ...[...row.querySelectorAll("td")].slice(0, 3).map((cell) => cell.textContent),
+    ]),
+  );
+  const number = (text) => Number(text.replace("\u2212", "-"));
+  return new Map(
+    rows.map(([id, stage, x, y, z]) => [Number(id), { stage, x: number(x), y: number(y), z: number(z) }]),
+  );
+}
+
+/**
+ * A line between browser and server that can be cut and mended, whatever the server is.
+ * @param {string} url
+ */
+export async function startLine(url) {
+  const { hostname, port } = new URL(url);
+  const sockets = new Set();
+  let whole = true;
+  const server = createServer((near) => {
+    if (!whole) return near.destroy();
+    const far = connect(Number(port), hostname);
+    for (const socket of [near, far]) {
+      sockets.add(socket);
+      socket.on("error", () => {});
+      socket.on("close", () => {
+        sockets.delete(socket);
+        near.destroy();
+        far.destroy();
+      });
+    }
+    near.pipe(far).pipe(near);
+  });
+  await new Promise((resolve) => server.listen(0, "127.0.0.1", resolve));
+  return {
+    url: `http://127.0.0.1:${server.address().port}/`,
+    cut() {
+      whole = false;
+      for (const socket of sockets) socket.destroy();
+    },
+    /** Leaves the connections open but lets nothing through, as a network does that has gone away. */
+    freeze() {
+      for (const socket of sockets) socket.pause();
+    },
+    mend() {
+      whole = true;
+    },
+    async close() {
+      whole = false;
+      for (const socket of sockets) socket.destroy();
+      await new Promise((resolve) => server.close(resolve));
+    },
+  };
+}

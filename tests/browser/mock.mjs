@@ -1,0 +1,95 @@
+/**
+ * A server with Roundel's HTTP surface and invented robots, for developing and testing the
+ * dashboard without cameras: `node mock.mjs [port]`.
+ *
+ * It speaks the messages of `proto/roundel/v1` in their JSON form and sends the policy that the page
+ * has to live under, so that what violates it shows in the browser's console.
+ */
+
+import { readFile } from "node:fs/promises";
+import { createServer } from "node:http";
+import { dirname, extname, join, normalize } from "node:path";
+import { fileURLToPath, pathToFileURL } from "node:url";
+
+import { WebSocketServer } from "ws";
+
+import { World } from "./world.mjs";
+
+const DASHBOARD = join(dirname(fileURLToPath(import.meta.url)), "../../client/dashboard");
+const POLICY =
+  "default-src 'self'; img-src 'self' data: blob:; connect-src 'self' ws: wss:; style-src 'self'; script-src 'self'";
+const TYPES = {
+  ".html": "text/html; charset=utf-8",
+  ".css": "text/css; charset=utf-8",
+  ".js": "text/javascript; charset=utf-8",
+  ".svg": "image/svg+xml",
+};
+
+/**
+ * @param {{port?: number, world?: World}} [options] port 0 takes a free one
+ * @returns {Promise<{url: string, world: World, close: () => Promise<void>}>}
+ */
+export async function startMock({ port = 0, world = new World() } = {}) {
+  const server = createServer((request, response) => {
+    answer(world, request, response).catch((error) => {
+      response.writeHead(500).end(String(error));
+    });
+  });
+  const sockets = new WebSocketServer({ server, path: "/api/v1/stream" });
+  sockets.on("connection", (socket, request) => {
+    const query = new URL(request.url, "http://mock").searchParams;
+    const rateHz = Number(query.get("max_rate_hz") ?? 60);
+    const send = (message) => socket.send(JSON.stringify(message));
+    const timers = [
+      setInterval(() => send({ snapshot: world.snapshot() }), 1000 / rateHz),
+      setInterval(() => send({ cameras: world.cameras() }), 500),
+    ];
+    send({ cameras: world.cameras() });
+    const unsubscribe = world.onEvent((event) => send({ event }));
+    socket.on("close", () => {
+      timers.forEach(clearInterval);
+      unsubscribe();
+    });
+  });
+  await new Promise((resolve) => server.listen(port, "127.0.0.1", resolve));
+  return {
+    url: `http://127.0.0.1:${server.address().port}/`,
+    world,
+    close: async () => {
+      for (const socket of sockets.clients) socket.terminate();
+      server.closeAllConnections();
+      await new Promise((resolve) => server.close(resolve));
+    },
+  };
+}
+
+async function answer(world, request, response) {
+  const { pathname } = new URL(request.url, "http://mock");
+  const json = (value) => {
+    response.writeHead(200, { "content-type": "application/json" }).end(JSON.stringify(value));
+  };
+  if (pathname === "/api/v1/cameras") return json({ cameras: world.cameras() });
+  if (pathname === "/api/v1/objects") return json({ objects: world.objects() });
+  if (pathname === "/api/v1/snapshot") return json(world.snapshot());
+  if (pathname === "/api/v1/info") return json(world.info());
+  const frame = /^\/api\/v1\/cameras\/([^/]+)\/frame\.jpg$/.exec(pathname);
+  if (frame) {
+    const picture = world.picture(decodeURIComponent(frame[1]));
+    if (!picture) return response.writeHead(404).end("no such camera");
+    return response.writeHead(200, { "content-type": "image/jpeg", "cache-control": "no-store" }).end(picture);
+  }
+  const path = normalize(pathname === "/" ? "/index.html" : pathname);
+  const type = TYPES[extname(path)];
+  if (!type || path.includes("..")) return response.writeHead(404).end("not found");
+  try {
+    const body = await readFile(join(DASHBOARD, path));
+    response.writeHead(200, { "content-type": type, "content-security-policy": POLICY }).end(body);
+  } catch {
+    response.writeHead(404).end("not found");
+  }
+}
+
+if (process.argv[1] && import.meta.url === pathToFileURL(process.argv[1]).href) {
+  const { url } = await startMock({ port: Number(process.argv[2] ?? 7671) });
+  console.log(`dashboard with invented robots: ${url}`);
+}

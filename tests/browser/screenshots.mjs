@@ -1,0 +1,51 @@
+/**
+ * Pictures of the page for looking at: `npm run screenshots`, with ROUNDEL_URL for a real server.
+ * They land in `screenshots/`, which is not kept in the repository.
+ */
+
+import { mkdir } from "node:fs/promises";
+import { dirname, join } from "node:path";
+import { fileURLToPath } from "node:url";
+
+import { launch, openDashboard, target } from "./harness.mjs";
+
+const FOLDER = join(dirname(fileURLToPath(import.meta.url)), "screenshots");
+const WIDE = { width: 1440, height: 900 };
+const PHONE = { width: 390, height: 844 };
+
+await mkdir(FOLDER, { recursive: true });
+const server = await target();
+const browser = await launch();
+const shot = (page, name, options = {}) => page.screenshot({ path: join(FOLDER, `${name}.png`), ...options });
+
+for (const colorScheme of ["light", "dark"]) {
+  const { page, context } = await openDashboard(browser, server.url, { viewport: WIDE, colorScheme });
+  await page.waitForTimeout(6000);
+  await shot(page, `wide-${colorScheme}`);
+  await page.locator("#object-rows button").nth(6).click();
+  await page.waitForTimeout(600);
+  await shot(page, `wide-${colorScheme}-selected`);
+  await context.close();
+}
+
+const { page, context } = await openDashboard(browser, server.url, { viewport: PHONE, colorScheme: "light", hasTouch: true });
+await page.waitForTimeout(4000);
+await shot(page, "phone", { fullPage: true });
+await page.locator("#object-rows button").first().click();
+await page.waitForTimeout(500);
+await page.evaluate(() => scrollTo(0, 0));
+await shot(page, "phone-selected");
+await context.close();
+
+if (server.world) {
+  const troubled = await openDashboard(browser, server.url, { viewport: WIDE, colorScheme: "light" });
+  server.world.failCamera("north-west", "the folder frames/north-west has no images; put PNG or JPEG files there");
+  await troubled.page.waitForTimeout(2500);
+  await shot(troubled.page, "wide-light-camera-failed");
+  await server.close();
+  await troubled.page.waitForTimeout(2500);
+  await shot(troubled.page, "wide-light-lost");
+  await troubled.context.close();
+}
+await browser.close();
+if (!server.world) await server.close();
