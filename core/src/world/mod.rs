@@ -1,4 +1,24 @@
 //! All objects in the world frame, from all cameras: the fusion machine.
+//!
+//! [`Fusion`] takes what cameras saw, each observation with its own time and covariance, in any
+//! order, and gives snapshots and events. It is a pure state machine: it reads no clock, and the
+//! same calls give the same bits. What is where: `timeline` judges frames by their times,
+//! `observation` carries detections into the world, `association` says which object each one is
+//! of, [`crate::track`] estimates, `life` tells new from trusted from lost, `merge` joins two
+//! tracks of one object, `snapshot` shows the result at an instant.
+
+mod assignment;
+mod association;
+mod fusion;
+mod life;
+mod merge;
+mod observation;
+mod param;
+mod snapshot;
+mod timeline;
+
+pub use fusion::{CameraPlacement, Fusion, FusionCounts};
+pub use param::FusionParams;
 
 use nalgebra::{UnitQuaternion, Vector3};
 
@@ -62,6 +82,10 @@ pub struct ObjectState {
     pub covariance: Covariance6,
     /// Over (position, velocity), world frame; its first block is that of `covariance`.
     pub motion_covariance: Covariance6,
+    /// Over (rotation, angular velocity), world frame; its first block is the last of `covariance`.
+    pub rotation_covariance: Covariance6,
+    /// By which both grow when the state is predicted.
+    pub process_noise: ProcessNoise,
     /// Cameras that contributed within the last 200 ms, ascending.
     pub cameras: Vec<CameraId>,
     /// Capture time of the newest observation used.
@@ -72,6 +96,16 @@ pub struct ObjectState {
     pub first_observation: Timestamp,
     /// Detections used since then.
     pub observations: u64,
+}
+
+/// What an object may do that constant velocity does not foresee: spectral densities of white
+/// acceleration and white angular acceleration.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct ProcessNoise {
+    /// m²/s³.
+    pub acceleration_density_m2_s3: f64,
+    /// rad²/s³.
+    pub angular_density_rad2_s3: f64,
 }
 
 /// Every track at one instant.

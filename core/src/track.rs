@@ -1,1 +1,0 @@
-//! One object's motion.

@@ -1,0 +1,319 @@
+//! How an object is turned: orientation and angular velocity, with both normals kept in play.
+//!
+//! The error state is a small rotation δθ on the left (true R = exp([δθ]×) R, world frame) and the
+//! angular velocity's error; [`Kernel`] filters them, and each correction goes into the quaternion
+//! at once (a multiplicative Kalman filter: Lefferts, Markley, Shuster, 1982).
+//!
+//! A plain roundel shows its normal only. Its measured orientation is then the predicted one turned
+//! by the smallest rotation onto the measured normal: nothing is said about the rest, and the
+//! measurement's variance about the normal is that of an unknown angle.
+//!
+//! An ellipse allows two normals, mirrored at the line of sight. The wrong one changes with the
+//! view, the right one does not. So up to two hypotheses are filtered, each taking from every
+//! measurement the normal that suits it better; the log-odds between them gather
+//! w · (e₀ - e₁), eₕ = max over normals k of (ln Lₖ - d²ₕₖ/2 - ½ ln det Sₕ), and forget with a
+//! second's time constant towards the prior that printed faces look up, so that no verdict stands
+//! without views to hold it. When only one hypothesis is left and it fits badly, or its verdict has
+//! grown old, the normal it did not take stands up as its rival again. Both are shown by the
+//! covariance, as long as the second is not negligible (moments of the mixture).
+
+use nalgebra::{Matrix3, Matrix6, UnitQuaternion, Vector3};
+
+use super::{Kernel, MotionModel, Noise, Spread};
+use crate::{
+    id::CameraId,
+    rigid::{UNKNOWN_ANGLE_VARIANCE_RAD2, orientation_of_normal},
+};
+
+/// Successive frames share most of their error, so each counts only for this part of a fresh one.
+const EVIDENCE_WEIGHT: f64 = 0.25;
+/// What a single measurement may say at most, before its weight.
+const EVIDENCE_LIMIT: f64 = 8.0;
+/// Log-odds never exceed this, so that a mistake can be undone.
+const ODDS_LIMIT: f64 = 12.0;
+/// Above these odds the rival is let go; below the lower ones it may stand up again.
+const SETTLED_ODDS: f64 = 8.0;
+const RIVAL_ODDS: f64 = 5.0;
+/// Verdicts fade with this time constant.
+const VERDICT_TIME_S: f64 = 1.0;
+/// Squared Mahalanobis length that a fitting measurement of the normal has at most (χ², 2 degrees
+/// of freedom, 0.99).
+const FITTING_DISTANCE_SQUARED: f64 = 9.2;
+
+/// How one detection says that the roundel is turned, world frame.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct AttitudeMeasurement {
+    /// The orientations of both normals, the likelier first; of plain roundels only the z axes count.
+    pub candidates: [UnitQuaternion<f64>; 2],
+    /// Of the first one, 0.5 to 1.
+    pub likelihood: f64,
+    /// Whether the rotation about the normal is measured.
+    pub yaw_observed: bool,
+    /// Error of the small rotation.
+    pub noise: Noise,
+}
+
+#[derive(Clone, Copy, Debug, PartialEq)]
+struct Hypothesis {
+    orientation: UnitQuaternion<f64>,
+    kernel: Kernel,
+}
+
+/// Orientation and angular velocity of one object, with both normals while both are possible.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Attitude {
+    best: Hypothesis,
+    rival: Option<Hypothesis>,
+    /// ln(likelihood of `best` / likelihood of the other normal).
+    log_odds: f64,
+    yaw_observed: bool,
+}
+
+/// What is told about an orientation.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct AttitudeEstimate {
+    /// world_from_roundel.
+    pub orientation: UnitQuaternion<f64>,
+    /// False while only the normal is known.
+    pub yaw_observed: bool,
+    /// World frame, rad/s; across the normal only while the yaw is not observed.
+    pub angular_velocity_rad_s: Vector3<f64>,
+    /// Over (rotation, angular velocity), world frame, left perturbation.
+    pub covariance: Matrix6<f64>,
+}
+
+impl Attitude {
+    /// What one measurement tells.
+    pub fn begin(seen: &AttitudeMeasurement, camera: CameraId, model: &MotionModel) -> Self {
+        let hypothesis = |index: usize| Hypothesis {
+            orientation: completed(seen, index),
+            kernel: Kernel::begin(
+                &turned_noise(seen, index),
+                camera,
+                model.angular_speed_rad_s.powi(2),
+            ),
+        };
+        let mut attitude = Self {
+            best: hypothesis(0),
+            rival: Some(hypothesis(1)),
+            log_odds: 0.0,
+            yaw_observed: seen.yaw_observed,
+        };
+        attitude.log_odds =
+            attitude.prior(model) + log_likelihood(seen, 0) - log_likelihood(seen, 1);
+        attitude.settle();
+        attitude
+    }
+
+    /// Moves on by `dt` seconds, either way.
+    pub fn predict(&mut self, dt: f64, model: &MotionModel) {
+        for hypothesis in std::iter::once(&mut self.best).chain(self.rival.as_mut()) {
+            let turn = UnitQuaternion::from_scaled_axis(hypothesis.kernel.rate * dt);
+            hypothesis.orientation = turn * hypothesis.orientation;
+            hypothesis.kernel.predict(dt, model.angular_density_rad2_s3, model.systematic_time_s);
+        }
+        let prior = if self.rival.is_some() { self.prior(model) } else { 0.0 };
+        self.log_odds = prior + (self.log_odds - prior) * (-dt.abs() / VERDICT_TIME_S).exp();
+    }
+
+    /// Takes in a measurement at the present time.
+    pub fn update(&mut self, seen: &AttitudeMeasurement, camera: CameraId, model: &MotionModel) {
+        self.yaw_observed = seen.yaw_observed;
+        let (fit, taken) = self.best.update(seen, camera, model);
+        let other_fit = match &mut self.rival {
+            Some(rival) => rival.update(seen, camera, model).0,
+            // No rival stands: the best one is held against a normal that would just fit.
+            None => fit.fitting(),
+        };
+        let evidence = (fit.evidence - other_fit.evidence).clamp(-EVIDENCE_LIMIT, EVIDENCE_LIMIT);
+        let fresh = if self.rival.is_none() { evidence.min(0.0) } else { evidence };
+        self.log_odds = (self.log_odds + EVIDENCE_WEIGHT * fresh).clamp(-ODDS_LIMIT, ODDS_LIMIT);
+        if self.rival.is_none() && self.log_odds < RIVAL_ODDS {
+            self.raise_rival(seen, 1 - taken, camera, model);
+        }
+        self.settle();
+    }
+
+    /// The present estimate; both normals show in the covariance while both are possible.
+    pub fn estimate(&self) -> AttitudeEstimate {
+        let mut spread = self.best.kernel.spread;
+        if let Some(rival) = &self.rival {
+            let weight = 1.0 / (1.0 + self.log_odds.exp());
+            let apart = smallest_turn(&self.best.normal(), &rival.normal());
+            spread.value +=
+                (rival.kernel.spread.value - spread.value + apart * apart.transpose()) * weight;
+            spread.rate += (rival.kernel.spread.rate - spread.rate) * weight;
+            spread.cross += (rival.kernel.spread.cross - spread.cross) * weight;
+        }
+        let mut estimate = AttitudeEstimate {
+            orientation: self.best.orientation,
+            yaw_observed: self.yaw_observed,
+            angular_velocity_rad_s: self.best.kernel.rate,
+            covariance: spread.matrix(),
+        };
+        if !self.yaw_observed {
+            let normal = self.best.normal();
+            estimate.orientation = orientation_of_normal(&normal);
+            estimate.angular_velocity_rad_s -=
+                normal * normal.dot(&estimate.angular_velocity_rad_s);
+            spread = without_yaw(&spread, &normal);
+            estimate.covariance = spread.matrix();
+        }
+        estimate
+    }
+
+    /// Log-odds of the best normal against the rival's before any evidence.
+    fn prior(&self, model: &MotionModel) -> f64 {
+        let other = match &self.rival {
+            Some(rival) => rival.normal(),
+            None => return 0.0,
+        };
+        model.upright_log_odds * (self.best.normal().z - other.z)
+    }
+
+    fn raise_rival(
+        &mut self,
+        seen: &AttitudeMeasurement,
+        index: usize,
+        camera: CameraId,
+        model: &MotionModel,
+    ) {
+        let kernel =
+            Kernel::begin(&turned_noise(seen, index), camera, model.angular_speed_rad_s.powi(2));
+        self.rival = Some(Hypothesis { orientation: completed(seen, index), kernel });
+    }
+
+    /// Puts the likelier hypothesis first and lets go of a rival that is beaten or the same.
+    fn settle(&mut self) {
+        let Some(rival) = self.rival else { return };
+        if self.log_odds < 0.0 {
+            self.rival = Some(self.best);
+            self.best = rival;
+            self.log_odds = -self.log_odds;
+        }
+        let apart = smallest_turn(&self.best.normal(), &rival.normal());
+        let apart = if self.log_odds >= 0.0 { apart } else { -apart };
+        let both = self.best.kernel.spread.value + rival.kernel.spread.value;
+        let length_squared = apart.norm_squared();
+        let variance =
+            if length_squared > 0.0 { apart.dot(&(both * apart)) / length_squared } else { 0.0 };
+        if length_squared <= variance || self.log_odds > SETTLED_ODDS {
+            self.rival = None;
+        }
+    }
+}
+
+/// How well a hypothesis explains a measurement.
+#[derive(Clone, Copy)]
+struct Fit {
+    evidence: f64,
+    distance_squared: f64,
+}
+
+impl Fit {
+    /// That of a normal which fits as it should at worst.
+    fn fitting(self) -> Self {
+        let excess = (self.distance_squared - FITTING_DISTANCE_SQUARED).max(0.0);
+        Self { evidence: self.evidence + excess / 2.0, ..self }
+    }
+}
+
+impl Hypothesis {
+    fn normal(&self) -> Vector3<f64> {
+        self.orientation * Vector3::z()
+    }
+
+    /// Takes the candidate that suits better; says how well it fits and which one it was.
+    fn update(
+        &mut self,
+        seen: &AttitudeMeasurement,
+        camera: CameraId,
+        model: &MotionModel,
+    ) -> (Fit, usize) {
+        let mut chosen: Option<(Fit, usize, Vector3<f64>, Noise)> = None;
+        for index in 0..2 {
+            let turn = self.turn_to(seen, index);
+            let noise = turned_noise(seen, index);
+            let Some(innovation) = self.kernel.innovation(&turn, &noise, camera) else { continue };
+            let evidence = log_likelihood(seen, index)
+                - 0.5 * (innovation.distance_squared + innovation.log_det);
+            if chosen.is_none_or(|(fit, ..)| evidence > fit.evidence) {
+                let fit = Fit { evidence, distance_squared: innovation.distance_squared };
+                chosen = Some((fit, index, turn, noise));
+            }
+        }
+        let Some((fit, index, turn, noise)) = chosen else {
+            return (Fit { evidence: 0.0, distance_squared: 0.0 }, 0);
+        };
+        let robust = model.robust_distance_squared;
+        let (correction, _) = self.kernel.update(&turn, &noise, camera, robust);
+        self.orientation = UnitQuaternion::from_scaled_axis(correction) * self.orientation;
+        (fit, index)
+    }
+
+    /// The rotation from this orientation to the candidate's.
+    fn turn_to(&self, seen: &AttitudeMeasurement, index: usize) -> Vector3<f64> {
+        if seen.yaw_observed {
+            (seen.candidates[index] * self.orientation.inverse()).scaled_axis()
+        } else {
+            smallest_turn(&self.normal(), &(seen.candidates[index] * Vector3::z()))
+        }
+    }
+}
+
+/// The covariance of a rotation and its rate when nothing is known about the rotation about
+/// `normal`: the variance of an unknown angle there, and no correlation with the rest.
+pub(crate) fn without_yaw(spread: &Spread, normal: &Vector3<f64>) -> Spread {
+    let along = normal * normal.transpose();
+    let across = Matrix3::identity() - along;
+    let rate_variance = normal.dot(&(spread.rate * normal));
+    Spread {
+        value: across * spread.value * across + along * UNKNOWN_ANGLE_VARIANCE_RAD2,
+        cross: across * spread.cross * across,
+        rate: across * spread.rate * across + along * rate_variance,
+    }
+}
+
+fn log_likelihood(seen: &AttitudeMeasurement, index: usize) -> f64 {
+    // A pose estimator's certainty is not believed beyond a thousand to one.
+    let first = seen.likelihood.clamp(1e-3, 1.0 - 1e-3);
+    if index == 0 { first.ln() } else { (1.0 - first).ln() }
+}
+
+fn completed(seen: &AttitudeMeasurement, index: usize) -> UnitQuaternion<f64> {
+    if seen.yaw_observed {
+        seen.candidates[index]
+    } else {
+        orientation_of_normal(&(seen.candidates[index] * Vector3::z()))
+    }
+}
+
+/// The noise belongs to the first candidate; the second one's is the same, turned along.
+fn turned_noise(seen: &AttitudeMeasurement, index: usize) -> Noise {
+    if index == 0 {
+        return seen.noise;
+    }
+    let normals = seen.candidates.map(|candidate| candidate * Vector3::z());
+    let turn = UnitQuaternion::from_scaled_axis(smallest_turn(&normals[0], &normals[1]))
+        .to_rotation_matrix()
+        .into_inner();
+    Noise {
+        total: turn * seen.noise.total * turn.transpose(),
+        systematic_root: turn * seen.noise.systematic_root * turn.transpose(),
+    }
+}
+
+/// Rotation vector of the smallest rotation from one unit vector to another.
+fn smallest_turn(from: &Vector3<f64>, to: &Vector3<f64>) -> Vector3<f64> {
+    let cross = from.cross(to);
+    let (sine, cosine) = (cross.norm(), from.dot(to));
+    if sine > 1e-12 {
+        cross * (sine.atan2(cosine) / sine)
+    } else if cosine > 0.0 {
+        cross
+    } else {
+        // Opposite: any axis across will do; this one is the same every time.
+        let axis = if from.x.abs() < 0.9 { Vector3::x() } else { Vector3::y() };
+        from.cross(&axis).normalize() * std::f64::consts::PI
+    }
+}

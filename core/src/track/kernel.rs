@@ -1,0 +1,310 @@
+//! A constant-velocity Kalman filter for a value in three dimensions and its rate, that knows that
+//! part of each camera's error is the same from frame to frame.
+//!
+//! A measurement of camera c is z = p + L β_c + w: the noise w is fresh each time, the systematic
+//! part L β_c is not. β_c (three numbers of unit variance) forgets itself with a time constant τ, so
+//! averaging a thousand frames of one camera does not average it away, while a second camera, with
+//! its own β, does help. β is not estimated but considered (Schmidt, *Application of state-space
+//! methods to navigation problems*, 1966): its correlation with the state is carried along, and the
+//! gain takes it into account.
+//!
+//! With x = (p, v), P = [A B; Bᵀ D] and C_c = E[x̃ β_cᵀ] = [Cp; Cv]:
+//!
+//! - predict: P ← F P Fᵀ + Q, C ← ρ F C, ρ = exp(-dt/τ);
+//! - update by camera c: M = A + Cp Lᵀ, N = Bᵀ + Cv Lᵀ (covariances of p̃ and ṽ with the
+//!   innovation), S = A + Cp Lᵀ + L Cpᵀ + R, K = [M; N] S⁻¹, P ← P - K S Kᵀ,
+//!   C_j ← C_j - K (Cp_j + [j = c] L).
+//!
+//! An innovation longer than the robust limit k (Mahalanobis) is held back with Huber's weight
+//! w = k/d; the covariance is then that of the gain w K: P ← P - (2w - w²) K S Kᵀ.
+//!
+//! P stays positive definite: S ≥ R, R has a floor and P a ceiling (see `world::params`), so that
+//! the subtraction keeps more than six digits; a property test drives it through the extremes.
+
+use nalgebra::{Matrix3, Matrix6, Vector3};
+
+use super::MotionModel;
+use crate::id::CameraId;
+
+/// Cameras whose systematic error is carried at most; the one not heard of longest gives way.
+pub const MAX_SOURCES: usize = 8;
+
+/// Sources whose correlation has decayed below exp(-this) are let go.
+const FORGOTTEN_TIMES: f64 = 6.0;
+
+/// A measurement's error: everything, and the root of the part that stays.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Noise {
+    /// Covariance R of the whole error.
+    pub total: Matrix3<f64>,
+    /// L with L Lᵀ the covariance of the systematic part; zero where nothing is systematic.
+    pub systematic_root: Matrix3<f64>,
+}
+
+/// A camera's systematic error and the state: E[x̃ βᵀ].
+#[derive(Clone, Copy, Debug, PartialEq)]
+struct Source {
+    camera: CameraId,
+    age_s: f64,
+    value: Matrix3<f64>,
+    rate: Matrix3<f64>,
+}
+
+const NO_SOURCE: Source = Source {
+    camera: CameraId(u32::MAX),
+    age_s: 0.0,
+    value: Matrix3::new(0., 0., 0., 0., 0., 0., 0., 0., 0.),
+    rate: Matrix3::new(0., 0., 0., 0., 0., 0., 0., 0., 0.),
+};
+
+/// Covariance over (value, rate) in blocks.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Spread {
+    /// Of the value: A.
+    pub value: Matrix3<f64>,
+    /// Between value (rows) and rate (columns): B.
+    pub cross: Matrix3<f64>,
+    /// Of the rate: D.
+    pub rate: Matrix3<f64>,
+}
+
+impl Spread {
+    /// F P Fᵀ + Q over `dt` seconds (either sign; the noise grows with |dt|), density `q`.
+    pub fn predict(&mut self, dt: f64, q: f64) {
+        let span = dt.abs();
+        let sum = self.cross + self.cross.transpose();
+        self.value += sum * dt + self.rate * (dt * dt);
+        self.cross += self.rate * dt;
+        for axis in 0..3 {
+            self.value[(axis, axis)] += q * span * span * span / 3.0;
+            self.cross[(axis, axis)] += q * dt * span / 2.0;
+            self.rate[(axis, axis)] += q * span;
+        }
+    }
+
+    /// The whole 6×6.
+    pub fn matrix(&self) -> Matrix6<f64> {
+        let mut whole = Matrix6::zeros();
+        whole.fixed_view_mut::<3, 3>(0, 0).copy_from(&self.value);
+        whole.fixed_view_mut::<3, 3>(0, 3).copy_from(&self.cross);
+        whole.fixed_view_mut::<3, 3>(3, 0).copy_from(&self.cross.transpose());
+        whole.fixed_view_mut::<3, 3>(3, 3).copy_from(&self.rate);
+        whole
+    }
+
+    /// The blocks of a symmetric 6×6.
+    pub fn from_matrix(whole: &Matrix6<f64>) -> Self {
+        Self {
+            value: whole.fixed_view::<3, 3>(0, 0).into_owned(),
+            cross: whole.fixed_view::<3, 3>(0, 3).into_owned(),
+            rate: whole.fixed_view::<3, 3>(3, 3).into_owned(),
+        }
+    }
+}
+
+/// How far a measurement lies from what was predicted.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Innovation {
+    /// Squared Mahalanobis length.
+    pub distance_squared: f64,
+    /// ln det S.
+    pub log_det: f64,
+}
+
+/// Rate, covariance and systematic correlations; the value itself lies with the caller, who knows
+/// whether it is a vector or a rotation.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Kernel {
+    /// Rate of the value, per second.
+    pub rate: Vector3<f64>,
+    /// Covariance.
+    pub spread: Spread,
+    sources: [Source; MAX_SOURCES],
+    len: usize,
+}
+
+impl Kernel {
+    /// After one measurement of the value, with a rate of which only the variance is known.
+    pub fn begin(noise: &Noise, camera: CameraId, rate_variance: f64) -> Self {
+        let mut kernel = Self {
+            rate: Vector3::zeros(),
+            spread: Spread {
+                value: noise.total,
+                cross: Matrix3::zeros(),
+                rate: Matrix3::from_diagonal_element(rate_variance),
+            },
+            sources: [NO_SOURCE; MAX_SOURCES],
+            len: 1,
+        };
+        kernel.sources[0] = Source { camera, value: noise.systematic_root, ..NO_SOURCE };
+        kernel
+    }
+
+    /// Moves the covariance on by `dt` seconds; the caller moves the value by `rate` · dt.
+    pub fn predict(&mut self, dt: f64, density: f64, systematic_time_s: f64) {
+        self.spread.predict(dt, density);
+        let kept = (-dt.abs() / systematic_time_s).exp();
+        let mut live = 0;
+        for index in 0..self.len {
+            let mut source = self.sources[index];
+            source.age_s += dt.abs();
+            if source.age_s > FORGOTTEN_TIMES * systematic_time_s {
+                continue;
+            }
+            source.value = (source.value + source.rate * dt) * kept;
+            source.rate *= kept;
+            self.sources[live] = source;
+            live += 1;
+        }
+        self.len = live;
+    }
+
+    /// How far `residual` (measured less predicted value) would be from zero, `dt` seconds from
+    /// now. `None` if the innovation's covariance is not positive definite.
+    pub fn innovation_after(
+        &self,
+        dt: f64,
+        model: &MotionModel,
+        residual: &Vector3<f64>,
+        (noise, camera): (&Noise, CameraId),
+    ) -> Option<Innovation> {
+        let mut spread = self.spread;
+        spread.predict(dt, model.acceleration_density_m2_s3);
+        let mut covariance = spread.value + noise.total;
+        if let Some(index) = self.source(camera) {
+            let source = &self.sources[index];
+            let kept = (-dt.abs() / model.systematic_time_s).exp();
+            let shared =
+                (source.value + source.rate * dt) * noise.systematic_root.transpose() * kept;
+            covariance += shared + shared.transpose();
+        }
+        let (inverse, log_det) = invert_positive(&covariance)?;
+        Some(Innovation { distance_squared: residual.dot(&(inverse * residual)), log_det })
+    }
+
+    /// How far `residual` (measured less predicted value) is from zero, by a camera's noise.
+    /// `None` if the innovation's covariance is not positive definite.
+    pub fn innovation(
+        &self,
+        residual: &Vector3<f64>,
+        noise: &Noise,
+        camera: CameraId,
+    ) -> Option<Innovation> {
+        let shared = match self.source(camera) {
+            Some(index) => self.sources[index].value * noise.systematic_root.transpose(),
+            None => Matrix3::zeros(),
+        };
+        let covariance = self.spread.value + shared + shared.transpose() + noise.total;
+        let (inverse, log_det) = invert_positive(&covariance)?;
+        Some(Innovation { distance_squared: residual.dot(&(inverse * residual)), log_det })
+    }
+
+    /// Takes in a measurement; gives the correction of the value. A measurement whose innovation
+    /// has no positive definite covariance changes nothing and has an infinite distance.
+    pub fn update(
+        &mut self,
+        residual: &Vector3<f64>,
+        noise: &Noise,
+        camera: CameraId,
+        robust_distance_squared: f64,
+    ) -> (Vector3<f64>, Innovation) {
+        let own = self.source_or_new(camera);
+        let root_transposed = noise.systematic_root.transpose();
+        let value_shared = self.sources[own].value * root_transposed;
+        let value_cov = self.spread.value + value_shared;
+        let rate_cov = self.spread.cross.transpose() + self.sources[own].rate * root_transposed;
+        let covariance = value_cov + value_shared.transpose() + noise.total;
+        let Some((inverse, log_det)) = invert_positive(&covariance) else {
+            let nothing = Innovation { distance_squared: f64::INFINITY, log_det: 0.0 };
+            return (Vector3::zeros(), nothing);
+        };
+        let weighted = inverse * residual;
+        let distance_squared = residual.dot(&weighted);
+        let weight = if distance_squared > robust_distance_squared {
+            (robust_distance_squared / distance_squared).sqrt()
+        } else {
+            1.0
+        };
+        let value_gain = value_cov * inverse;
+        let rate_gain = rate_cov * inverse;
+        let share = 2.0 * weight - weight * weight;
+        self.spread.value =
+            symmetric(self.spread.value - value_gain * value_cov.transpose() * share);
+        self.spread.cross -= value_gain * rate_cov.transpose() * share;
+        self.spread.rate = symmetric(self.spread.rate - rate_gain * rate_cov.transpose() * share);
+        for (index, source) in self.sources[..self.len].iter_mut().enumerate() {
+            let mut with_innovation = source.value;
+            if index == own {
+                with_innovation += noise.systematic_root;
+                source.age_s = 0.0;
+            }
+            with_innovation *= weight;
+            source.value -= value_gain * with_innovation;
+            source.rate -= rate_gain * with_innovation;
+        }
+        self.rate += rate_cov * weighted * weight;
+        (value_cov * weighted * weight, Innovation { distance_squared, log_det })
+    }
+
+    fn source(&self, camera: CameraId) -> Option<usize> {
+        self.sources[..self.len].iter().position(|source| source.camera == camera)
+    }
+
+    fn source_or_new(&mut self, camera: CameraId) -> usize {
+        if let Some(index) = self.source(camera) {
+            return index;
+        }
+        let index = if self.len < MAX_SOURCES {
+            self.len += 1;
+            self.len - 1
+        } else {
+            let mut oldest = 0;
+            for index in 1..MAX_SOURCES {
+                if self.sources[index].age_s > self.sources[oldest].age_s {
+                    oldest = index;
+                }
+            }
+            oldest
+        };
+        self.sources[index] = Source { camera, ..NO_SOURCE };
+        index
+    }
+}
+
+fn symmetric(matrix: Matrix3<f64>) -> Matrix3<f64> {
+    (matrix + matrix.transpose()) * 0.5
+}
+
+/// Lower Cholesky factor; `None` if the matrix is not positive definite (or not finite).
+pub(crate) fn positive_root(matrix: &Matrix3<f64>) -> Option<Matrix3<f64>> {
+    let positive = |value: f64| (value.is_finite() && value > 0.0).then(|| value.sqrt());
+    let l00 = positive(matrix[(0, 0)])?;
+    let l10 = matrix[(1, 0)] / l00;
+    let l20 = matrix[(2, 0)] / l00;
+    let l11 = positive(matrix[(1, 1)] - l10 * l10)?;
+    let l21 = (matrix[(2, 1)] - l20 * l10) / l11;
+    let l22 = positive(matrix[(2, 2)] - l20 * l20 - l21 * l21)?;
+    Some(Matrix3::new(l00, 0., 0., l10, l11, 0., l20, l21, l22))
+}
+
+/// Inverse and ln det of a symmetric positive definite matrix, by its Cholesky factor.
+fn invert_positive(matrix: &Matrix3<f64>) -> Option<(Matrix3<f64>, f64)> {
+    let l = positive_root(matrix)?;
+    let (i00, i11, i22) = (1.0 / l[(0, 0)], 1.0 / l[(1, 1)], 1.0 / l[(2, 2)]);
+    let i10 = -l[(1, 0)] * i00 * i11;
+    let i21 = -l[(2, 1)] * i11 * i22;
+    let i20 = -(l[(2, 0)] * i00 + l[(2, 1)] * i10) * i22;
+    let (m01, m02, m12) = (i10 * i11 + i20 * i21, i20 * i22, i21 * i22);
+    let inverse = Matrix3::new(
+        i00 * i00 + i10 * i10 + i20 * i20,
+        m01,
+        m02,
+        m01,
+        i11 * i11 + i21 * i21,
+        m12,
+        m02,
+        m12,
+        i22 * i22,
+    );
+    Some((inverse, 2.0 * (l[(0, 0)] * l[(1, 1)] * l[(2, 2)]).ln()))
+}

@@ -1,0 +1,133 @@
+//! One object's motion over time: what measurements come in, the estimate that comes out.
+//!
+//! A track is the pair of two filters that share their measurements' times: where the roundel's
+//! centre is and how fast it moves ([`Kernel`] over position and velocity), and how it is turned
+//! ([`Attitude`], the same kernel over small rotations and angular velocity, with both normals that
+//! an ellipse allows). [`History`] keeps the measurements of a window, so that a late one is put in
+//! its place and the past is filtered again.
+//!
+//! Motion model: constant velocity, disturbed by white acceleration of spectral density q,
+//! F = [I dt·I; 0 I], Q = q [dt³/3·I dt²/2·I; dt²/2·I dt·I] (Bar-Shalom, Li, Kirubarajan,
+//! *Estimation with Applications to Tracking and Navigation*, 2001, section 6.2.2).
+
+mod attitude;
+mod history;
+mod kernel;
+
+pub(crate) use attitude::without_yaw;
+pub use attitude::{Attitude, AttitudeEstimate, AttitudeMeasurement};
+pub use history::{History, Inserted};
+pub(crate) use kernel::positive_root;
+pub use kernel::{Innovation, Kernel, MAX_SOURCES, Noise, Spread};
+
+use nalgebra::Vector3;
+
+use crate::{
+    id::{CameraId, TrackNumber},
+    time::Timestamp,
+};
+
+/// How objects can move, and how measurements err; equal for all tracks of a kind.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct MotionModel {
+    /// Spectral density of the white acceleration, m²/s³.
+    pub acceleration_density_m2_s3: f64,
+    /// Spectral density of the white angular acceleration, rad²/s³.
+    pub angular_density_rad2_s3: f64,
+    /// Standard deviation of an unseen velocity, each axis, m/s.
+    pub speed_m_s: f64,
+    /// Standard deviation of an unseen angular velocity, each axis, rad/s.
+    pub angular_speed_rad_s: f64,
+    /// Time in which a camera's systematic error forgets itself, s.
+    pub systematic_time_s: f64,
+    /// Innovations beyond this squared Mahalanobis length are held back to it.
+    pub robust_distance_squared: f64,
+    /// Log-odds by which a normal straight up is preferred to a level one before any evidence.
+    pub upright_log_odds: f64,
+}
+
+/// One detection, carried into the world frame.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Measurement {
+    /// When it was exposed.
+    pub time: Timestamp,
+    /// Who saw it.
+    pub camera: CameraId,
+    /// In which of its frames.
+    pub frame: u64,
+    /// As which of its tracks.
+    pub number: TrackNumber,
+    /// Roundel's centre, metres.
+    pub position_m: Vector3<f64>,
+    /// Its error.
+    pub position_noise: Noise,
+    /// How the roundel is turned.
+    pub attitude: AttitudeMeasurement,
+}
+
+impl Measurement {
+    /// What orders measurements of one object, whatever the order in which they came.
+    fn key(&self) -> (Timestamp, CameraId, u64, TrackNumber) {
+        (self.time, self.camera, self.frame, self.number)
+    }
+}
+
+/// All that is known of one object at one instant.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Estimate {
+    /// The instant.
+    pub time: Timestamp,
+    /// Roundel's centre, world frame, metres.
+    pub position_m: Vector3<f64>,
+    /// Velocity and covariance over (position, velocity).
+    pub motion: Kernel,
+    /// Orientation, angular velocity and their covariance.
+    pub attitude: Attitude,
+    /// Newest position innovation's squared Mahalanobis length over its 3 degrees of freedom.
+    pub residual: f64,
+}
+
+impl Estimate {
+    /// What one measurement tells; the velocity is the model's prior.
+    pub fn begin(measurement: &Measurement, model: &MotionModel) -> Self {
+        Self {
+            time: measurement.time,
+            position_m: measurement.position_m,
+            motion: Kernel::begin(
+                &measurement.position_noise,
+                measurement.camera,
+                model.speed_m_s.powi(2),
+            ),
+            attitude: Attitude::begin(&measurement.attitude, measurement.camera, model),
+            residual: 1.0,
+        }
+    }
+
+    /// The same object at another instant. Going back spreads the covariance as much as going
+    /// forward, which is more than is true, never less.
+    pub fn predict(&mut self, time: Timestamp, model: &MotionModel) {
+        let dt = time.seconds_since(self.time);
+        if dt == 0.0 {
+            return;
+        }
+        self.time = time;
+        self.position_m += self.motion.rate * dt;
+        self.motion.predict(dt, model.acceleration_density_m2_s3, model.systematic_time_s);
+        self.attitude.predict(dt, model);
+    }
+
+    /// Takes in a measurement made at or after this estimate's time.
+    pub fn update(&mut self, measurement: &Measurement, model: &MotionModel) {
+        self.predict(measurement.time, model);
+        let error_m = measurement.position_m - self.position_m;
+        let (correction_m, innovation) = self.motion.update(
+            &error_m,
+            &measurement.position_noise,
+            measurement.camera,
+            model.robust_distance_squared,
+        );
+        self.position_m += correction_m;
+        self.residual = innovation.distance_squared / 3.0;
+        self.attitude.update(&measurement.attitude, measurement.camera, model);
+    }
+}

@@ -1,0 +1,213 @@
+//! Which track each detection of one frame belongs to.
+//!
+//! A pair is possible if kinds are equal and the innovation lies inside the gate (squared
+//! Mahalanobis length of the position with its whole covariance, so along the line of sight far
+//! more is allowed than across it). Its cost is -2 ln likelihood up to a constant,
+//! d² + ln det S - ln det R, less a bonus if the camera's own tracker says that it is the same
+//! roundel as before. Independent groups of pairs are solved one by one, each optimally; leaving a
+//! detection out costs [`UNASSIGNED_COST`].
+
+use nalgebra::Vector3;
+
+use super::{
+    FusionParams,
+    assignment::{FORBIDDEN, assign},
+    life::Track,
+};
+use crate::{
+    id::KindId,
+    track::{Innovation, Measurement, MotionModel},
+};
+
+/// A detection may stay without a track at this cost: above that of a true pair at the gate whose
+/// velocity is not known yet.
+const UNASSIGNED_COST: f64 = 60.0;
+/// The camera's own tracker continues: likelihood e⁶ in favour.
+const CONTINUITY_BONUS: f64 = 12.0;
+/// And the gate is wider by this factor, since a moment's error is then the better explanation; the
+/// filter holds such innovations back.
+const CONTINUITY_GATE: f64 = 3.0;
+/// A track that is not trusted yet takes nothing from one that is.
+const TENTATIVE_COST: f64 = 6.0;
+
+/// A detection in the world, with the kind of its roundel.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Sighting {
+    pub(super) kind: Option<KindId>,
+    pub(super) measurement: Measurement,
+}
+
+/// What was decided about one sighting.
+#[derive(Clone, Copy, Debug, Default)]
+pub(super) struct Decision {
+    /// Index of the track, and how well it fits.
+    pub(super) track: Option<(usize, Innovation)>,
+    /// A track that the camera took it for lies outside the gate.
+    pub(super) gated: bool,
+}
+
+#[derive(Clone, Copy, Debug)]
+struct Pair {
+    sighting: usize,
+    track: usize,
+    cost: f64,
+    innovation: Innovation,
+}
+
+/// Working memory, kept from frame to frame.
+#[derive(Clone, Debug, Default)]
+pub(super) struct Scratch {
+    coarse: Vec<Coarse>,
+    pairs: Vec<Pair>,
+    group_of_sighting: Vec<usize>,
+    group_of_track: Vec<usize>,
+}
+
+/// Enough of a track to tell most sightings that they are not of it.
+#[derive(Clone, Copy, Debug)]
+struct Coarse {
+    position_m: Vector3<f64>,
+    velocity_m_s: Vector3<f64>,
+    deviation_m: f64,
+}
+
+/// Decides for every sighting of one frame; no track gets two.
+pub(super) fn associate(
+    tracks: &[Track],
+    sightings: &[Sighting],
+    (params, model): (&FusionParams, &MotionModel),
+    scratch: &mut Scratch,
+) -> Vec<Decision> {
+    let mut decisions = vec![Decision::default(); sightings.len()];
+    let Some(first) = sightings.first() else { return decisions };
+    let time = first.measurement.time;
+    scratch.coarse.clear();
+    scratch.coarse.extend(tracks.iter().map(|track| {
+        let newest = track.history.newest();
+        let dt = time.seconds_since(newest.time);
+        let mut spread = newest.motion.spread;
+        spread.predict(dt, model.acceleration_density_m2_s3);
+        Coarse {
+            position_m: newest.position_m + newest.motion.rate * dt,
+            velocity_m_s: newest.motion.rate,
+            deviation_m: spread.value.trace().max(0.0).sqrt(),
+        }
+    }));
+    scratch.pairs.clear();
+    for (index, sighting) in sightings.iter().enumerate() {
+        let gate = params.gate_distance_squared;
+        decisions[index].gated = possible(index, sighting, tracks, (gate, model), time, scratch);
+    }
+    group(sightings.len(), tracks.len(), scratch);
+    solve(&mut decisions, scratch);
+    for decision in &mut decisions {
+        decision.gated &= decision.track.is_none();
+    }
+    decisions
+}
+
+/// Collects a sighting's possible pairs; says whether a track of its number was out of the gate.
+fn possible(
+    index: usize,
+    sighting: &Sighting,
+    tracks: &[Track],
+    (gate, model): (f64, &MotionModel),
+    frame_time: crate::time::Timestamp,
+    scratch: &mut Scratch,
+) -> bool {
+    let seen = &sighting.measurement;
+    let deviation_m = seen.position_noise.total.trace().sqrt();
+    let offset_s = seen.time.seconds_since(frame_time);
+    let reach = (gate * CONTINUITY_GATE).sqrt() * 1.5;
+    let noise_det = seen.position_noise.total.determinant().max(f64::MIN_POSITIVE).ln();
+    let mut out_of_gate = false;
+    for (number, (coarse, track)) in scratch.coarse.iter().zip(tracks).enumerate() {
+        if track.kind != sighting.kind {
+            continue;
+        }
+        let residual_m = seen.position_m - coarse.position_m - coarse.velocity_m_s * offset_s;
+        let reach_m = reach * (coarse.deviation_m + deviation_m);
+        if residual_m.norm_squared() > reach_m * reach_m {
+            continue;
+        }
+        let newest = track.history.newest();
+        let dt = seen.time.seconds_since(newest.time);
+        let Some(innovation) = newest.motion.innovation_after(
+            dt,
+            model,
+            &residual_m,
+            (&seen.position_noise, seen.camera),
+        ) else {
+            continue;
+        };
+        let continued = track.is_continued_by(seen);
+        let limit = if continued { gate * CONTINUITY_GATE } else { gate };
+        if innovation.distance_squared > limit {
+            out_of_gate |= continued;
+            continue;
+        }
+        let cost = innovation.distance_squared + innovation.log_det
+            - noise_det
+            - if continued { CONTINUITY_BONUS } else { 0.0 }
+            + if track.is_tentative() { TENTATIVE_COST } else { 0.0 };
+        scratch.pairs.push(Pair { sighting: index, track: number, cost, innovation });
+    }
+    out_of_gate
+}
+
+/// Numbers the groups of sightings and tracks that share pairs, by their lowest sighting.
+fn group(sightings: usize, tracks: usize, scratch: &mut Scratch) {
+    scratch.group_of_sighting.clear();
+    scratch.group_of_sighting.extend(0..sightings);
+    scratch.group_of_track.clear();
+    scratch.group_of_track.resize(tracks, usize::MAX);
+    // Few rounds: a group's lowest number travels one pair a round, forward in one.
+    let mut changed = true;
+    while changed {
+        changed = false;
+        for pair in &scratch.pairs {
+            let of_sighting = scratch.group_of_sighting[pair.sighting];
+            let of_track = scratch.group_of_track[pair.track];
+            let lowest = of_sighting.min(of_track);
+            changed |= of_sighting != lowest || (of_track != lowest && of_track != usize::MAX);
+            scratch.group_of_sighting[pair.sighting] = lowest;
+            scratch.group_of_track[pair.track] = lowest;
+        }
+    }
+}
+
+fn solve(decisions: &mut [Decision], scratch: &mut Scratch) {
+    let groups = &scratch.group_of_sighting;
+    // A stable sort: within a group, pairs stay ordered by sighting, then track.
+    scratch.pairs.sort_by_key(|pair| groups[pair.sighting]);
+    for pairs in scratch.pairs.chunk_by(|a, b| groups[a.sighting] == groups[b.sighting]) {
+        if let [only] = pairs {
+            if only.cost < UNASSIGNED_COST {
+                decisions[only.sighting].track = Some((only.track, only.innovation));
+            }
+            continue;
+        }
+        let mut rows: Vec<usize> = pairs.iter().map(|pair| pair.sighting).collect();
+        rows.dedup();
+        let mut columns: Vec<usize> = pairs.iter().map(|pair| pair.track).collect();
+        columns.sort_unstable();
+        columns.dedup();
+        // Behind the tracks, each sighting has a column of its own for staying alone.
+        let width = columns.len() + rows.len();
+        let mut costs = vec![FORBIDDEN; rows.len() * width];
+        for row in 0..rows.len() {
+            costs[row * width + columns.len() + row] = UNASSIGNED_COST;
+        }
+        let place = |list: &[usize], value: usize| list.binary_search(&value).unwrap_or(0);
+        for pair in pairs {
+            let (row, column) = (place(&rows, pair.sighting), place(&columns, pair.track));
+            costs[row * width + column] = pair.cost;
+        }
+        for (row, column) in assign(&costs, rows.len(), width).into_iter().enumerate() {
+            let Some(&track) = columns.get(column) else { continue };
+            let chosen =
+                pairs.iter().find(|pair| pair.sighting == rows[row] && pair.track == track);
+            decisions[rows[row]].track = chosen.map(|pair| (track, pair.innovation));
+        }
+    }
+}

@@ -1,0 +1,356 @@
+//! The fusion machine: frames in, snapshots and events out.
+
+use std::collections::{BTreeMap, VecDeque};
+
+use nalgebra::Vector3;
+
+use super::{
+    Event, EventKind, FrameObservations, FusionParams, LifeStage, Snapshot,
+    association::{Scratch, Sighting, associate},
+    life::Track,
+    merge,
+    observation::{Refused, measure},
+    snapshot::state_of,
+    timeline::{Timeline, Verdict},
+};
+use crate::{
+    id::{CameraId, KindId, ObjectId},
+    rigid::{Covariance6, Rigid},
+    time::Timestamp,
+    track::{Inserted, MotionModel},
+};
+
+/// Events kept for a caller that does not fetch them; the oldest give way.
+const MAX_EVENTS: usize = 10_000;
+/// A detection's capture time may differ from its frame's by so much (half a slow rolling shutter).
+const MAX_ROW_TIME_NS: i64 = 500_000_000;
+/// Pairs of tracks are compared this often.
+const MERGE_EVERY_NS: i64 = 50_000_000;
+
+/// Where a camera stands.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct CameraPlacement {
+    /// Turns camera coordinates into world coordinates.
+    pub world_from_camera: Rigid,
+    /// Over (position, rotation), world frame, left perturbation; zero when exact.
+    pub covariance: Covariance6,
+}
+
+/// What became of all that was observed, since the start.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct FusionCounts {
+    /// Frames handed over.
+    pub frames: u64,
+    /// Frames that were there already.
+    pub duplicate_frames: u64,
+    /// Frames older than the late window.
+    pub late_frames: u64,
+    /// Frames from an implausible future.
+    pub jumped_frames: u64,
+    /// Times that the timeline was begun anew, ending all tracks.
+    pub restarts: u64,
+    /// Detections in all frames.
+    pub detections: u64,
+    /// Detections that went into a track, the ones that began one included.
+    pub used: u64,
+    /// Of these, detections that came after newer ones of the same object.
+    pub out_of_order: u64,
+    /// Detections that began a track.
+    pub begun: u64,
+    /// Detections dropped as older than the late window, those of late frames included.
+    pub late: u64,
+    /// Detections of duplicate frames, or with a track number twice in one frame.
+    pub duplicate: u64,
+    /// Detections of frames whose time jumped.
+    pub jumped: u64,
+    /// Detections of cameras whose place is not known.
+    pub no_camera_pose: u64,
+    /// Detections without a pose.
+    pub no_pose: u64,
+    /// Detections with numbers that are not finite or no covariance.
+    pub invalid: u64,
+    /// Detections outside the gate of the object that their camera took them for.
+    pub gated: u64,
+    /// Detections that would have begun a track beyond the greatest number of objects.
+    pub over_max_objects: u64,
+    /// Tracks joined with another of the same object.
+    pub merged: u64,
+}
+
+/// All objects of an installation.
+#[derive(Clone, Debug)]
+pub struct Fusion {
+    params: FusionParams,
+    model: MotionModel,
+    cameras: BTreeMap<CameraId, CameraPlacement>,
+    offsets_m: BTreeMap<KindId, Vector3<f64>>,
+    timeline: Timeline,
+    /// By id.
+    tracks: Vec<Track>,
+    /// To be named once more.
+    lost: Vec<Track>,
+    next_id: u64,
+    next_merge: Option<Timestamp>,
+    newest_used: Option<Timestamp>,
+    events: VecDeque<Event>,
+    counts: FusionCounts,
+    scratch: Scratch,
+    sightings: Vec<Sighting>,
+}
+
+impl Fusion {
+    /// An empty world.
+    pub fn new(params: FusionParams) -> Self {
+        Self {
+            params,
+            model: params.motion_model(),
+            cameras: BTreeMap::new(),
+            offsets_m: BTreeMap::new(),
+            timeline: Timeline::default(),
+            tracks: Vec::new(),
+            lost: Vec::new(),
+            next_id: 1,
+            next_merge: None,
+            newest_used: None,
+            events: VecDeque::new(),
+            counts: FusionCounts::default(),
+            scratch: Scratch::default(),
+            sightings: Vec::new(),
+        }
+    }
+
+    /// Says where a camera stands from now on; `None`: not known, its detections are not used.
+    pub fn set_camera(&mut self, camera: CameraId, placement: Option<CameraPlacement>) {
+        match placement {
+            Some(placement) => self.cameras.insert(camera, placement),
+            None => self.cameras.remove(&camera),
+        };
+    }
+
+    /// Says which point of a kind's objects is tracked: metres, in the roundel's frame.
+    pub fn set_offset(&mut self, kind: KindId, offset_m: Vector3<f64>) {
+        self.offsets_m.insert(kind, offset_m);
+    }
+
+    /// What became of everything so far.
+    pub fn counts(&self) -> FusionCounts {
+        self.counts
+    }
+
+    /// Takes the events since the last call, in the order in which they were found out.
+    pub fn drain_events(&mut self) -> impl Iterator<Item = Event> + '_ {
+        self.events.drain(..)
+    }
+
+    /// Takes in what a camera saw in one frame. Frames may come in any order; nothing in them can
+    /// make this panic or spoil a track: what cannot be used is counted.
+    pub fn observe(&mut self, frame: &FrameObservations) {
+        let detections = frame.detections.len() as u64;
+        self.counts.frames += 1;
+        self.counts.detections += detections;
+        let limits = (self.params.late_window_ns, self.params.max_lead_ns);
+        let source = (frame.camera, frame.frame);
+        match self.timeline.judge(source, frame.capture_time, frame.received_time, limits) {
+            Verdict::Use => {}
+            Verdict::Restart => self.restart(),
+            Verdict::Duplicate => {
+                self.counts.duplicate_frames += 1;
+                self.counts.duplicate += detections;
+                return;
+            }
+            Verdict::Late => {
+                self.counts.late_frames += 1;
+                self.counts.late += detections;
+                return;
+            }
+            Verdict::Jumped => {
+                self.counts.jumped_frames += 1;
+                self.counts.jumped += detections;
+                return;
+            }
+        }
+        let Some(now) = self.timeline.newest() else { return };
+        self.advance(now);
+        if !self.collect(frame, now) {
+            return;
+        }
+        self.apply(frame, now);
+        if self.next_merge.is_none_or(|time| now >= time) {
+            self.next_merge = Some(now.plus_ns(MERGE_EVERY_NS));
+            self.merge(now);
+        }
+    }
+
+    /// Every track, predicted to `pose_time` by what was measured until then. Time passes with it:
+    /// what was not seen until `pose_time` becomes predicted or lost, the lost named this once.
+    pub fn snapshot(&mut self, pose_time: Timestamp) -> Snapshot {
+        self.advance(self.timeline.newest().map_or(pose_time, |newest| newest.max(pose_time)));
+        let mut objects: Vec<_> = self
+            .tracks
+            .iter()
+            .chain(&self.lost)
+            .map(|track| {
+                let offset = track.kind.and_then(|kind| self.offsets_m.get(&kind));
+                let offset_m = offset.copied().unwrap_or_else(Vector3::zeros);
+                state_of(track, pose_time, &offset_m, &self.model)
+            })
+            .collect();
+        self.lost.clear();
+        objects.sort_by_key(|object| object.id);
+        Snapshot { pose_time, capture_time: self.newest_used, objects }
+    }
+
+    /// Turns the frame's detections into sightings; false if the camera's place is not known.
+    fn collect(&mut self, frame: &FrameObservations, now: Timestamp) -> bool {
+        let Some(placement) = self.cameras.get(&frame.camera) else {
+            self.counts.no_camera_pose += frame.detections.len() as u64;
+            return false;
+        };
+        self.sightings.clear();
+        for detection in &frame.detections {
+            let row_ns = detection.capture_time.ns_since(frame.capture_time);
+            if row_ns.saturating_abs() > MAX_ROW_TIME_NS {
+                self.counts.invalid += 1;
+                continue;
+            }
+            if now.ns_since(detection.capture_time) > self.params.late_window_ns {
+                self.counts.late += 1;
+                continue;
+            }
+            let is_known = |sighting: &Sighting| sighting.measurement.number == detection.track;
+            if self.sightings.iter().any(is_known) {
+                self.counts.duplicate += 1;
+                continue;
+            }
+            let source = (frame.camera, frame.frame);
+            match measure(detection, source, placement, &self.params) {
+                Ok(measurement) => {
+                    self.sightings.push(Sighting { kind: detection.ring.kind, measurement });
+                }
+                Err(Refused::NoPose) => self.counts.no_pose += 1,
+                Err(Refused::Invalid) => self.counts.invalid += 1,
+            }
+        }
+        true
+    }
+
+    /// Gives each sighting to its track, or to a new one.
+    fn apply(&mut self, frame: &FrameObservations, now: Timestamp) {
+        let decisions = associate(
+            &self.tracks,
+            &self.sightings,
+            (&self.params, &self.model),
+            &mut self.scratch,
+        );
+        let forgotten = now.plus_ns(-self.params.late_window_ns);
+        let known = self.tracks.len();
+        let mut seen = vec![false; known];
+        for (index, decision) in decisions.iter().enumerate() {
+            let sighting = self.sightings[index];
+            self.counts.gated += u64::from(decision.gated);
+            let Some((track, innovation)) = decision.track else {
+                self.begin(&sighting);
+                continue;
+            };
+            seen[track] = true;
+            let track = &mut self.tracks[track];
+            let (inserted, event) =
+                track.observe(&sighting.measurement, &innovation, &self.params, &self.model);
+            track.history.forget(forgotten);
+            if matches!(inserted, Inserted::InOrder | Inserted::OutOfOrder) {
+                self.newest_used = self.newest_used.max(Some(sighting.measurement.time));
+            }
+            match inserted {
+                Inserted::InOrder => self.counts.used += 1,
+                Inserted::OutOfOrder => {
+                    self.counts.used += 1;
+                    self.counts.out_of_order += 1;
+                }
+                Inserted::TooLate => self.counts.late += 1,
+                Inserted::Duplicate => self.counts.duplicate += 1,
+            }
+            if let Some(event) = event {
+                self.tell(event);
+            }
+        }
+        for (track, seen) in self.tracks[..known].iter_mut().zip(seen) {
+            if !seen {
+                track.miss(frame.camera, frame.capture_time);
+            }
+        }
+    }
+
+    fn begin(&mut self, sighting: &Sighting) {
+        if self.tracks.len() >= self.params.max_objects {
+            self.counts.over_max_objects += 1;
+            return;
+        }
+        let id = ObjectId(self.next_id);
+        self.next_id += 1;
+        self.counts.used += 1;
+        self.counts.begun += 1;
+        self.newest_used = self.newest_used.max(Some(sighting.measurement.time));
+        self.tracks.push(Track::begin(id, sighting.kind, sighting.measurement, &self.model));
+    }
+
+    /// Lets time pass for all tracks.
+    fn advance(&mut self, now: Timestamp) {
+        let mut index = 0;
+        while index < self.tracks.len() {
+            match self.tracks[index].advance(now, &self.params) {
+                Ok(event) => {
+                    if let Some(event) = event {
+                        self.tell(event);
+                    }
+                    index += 1;
+                }
+                Err(event) => {
+                    let track = self.tracks.remove(index);
+                    self.end(track, event);
+                }
+            }
+        }
+    }
+
+    /// Ends all tracks: time goes on elsewhere.
+    fn restart(&mut self) {
+        self.counts.restarts += 1;
+        self.next_merge = None;
+        self.newest_used = None;
+        for mut track in std::mem::take(&mut self.tracks) {
+            let known = !track.is_tentative();
+            let event = track.lose(track.newest);
+            self.end(track, known.then_some(event));
+        }
+    }
+
+    fn merge(&mut self, now: Timestamp) {
+        while let Some((stays, goes)) = merge::find(&mut self.tracks, now, &self.model) {
+            let mut gone = self.tracks[goes].clone();
+            self.tracks[stays].adopt_views(&gone);
+            self.tracks.remove(goes);
+            self.counts.merged += 1;
+            let known = !gone.is_tentative();
+            let event = gone.lose(now);
+            self.end(gone, known.then_some(event));
+        }
+    }
+
+    /// A track's end; one that was known is told and named once more.
+    fn end(&mut self, track: Track, event: Option<Event>) {
+        let Some(event) = event else { return };
+        self.tell(event);
+        if self.lost.len() >= self.params.max_objects {
+            self.lost.remove(0);
+        }
+        debug_assert!(track.stage == LifeStage::Lost && event.kind == EventKind::Lost);
+        self.lost.push(track);
+    }
+
+    fn tell(&mut self, event: Event) {
+        if self.events.len() == MAX_EVENTS {
+            self.events.pop_front();
+        }
+        self.events.push_back(event);
+    }
+}

@@ -1,0 +1,179 @@
+//! A track's life: tentative until enough speaks for it, tracked while it is seen, predicted while
+//! it is not, lost in the end.
+//!
+//! What speaks for a tentative track is a score, the logarithm of the likelihood ratio of "an
+//! object" to "clutter" (Blackman, Popoli, *Design and Analysis of Modern Tracking Systems*, 1999,
+//! section 6.2): each detection that fits adds -½ d² - ½ ln det(2π S) - ln λ for a density λ of
+//! clutter, so a hit in a narrow gate counts much and one in a wide gate little; each frame of a
+//! camera that saw it and sees it no more takes away. Trusted above [`TRUSTED_SCORE`] with enough
+//! hits, dropped below [`DROPPED_SCORE`].
+
+use super::{Event, EventKind, FusionParams, LifeStage};
+use crate::{
+    id::{CameraId, KindId, ObjectId, TrackNumber},
+    time::Timestamp,
+    track::{History, Innovation, Inserted, Measurement, MotionModel},
+};
+
+/// e¹⁰: twenty thousand to one that it is an object.
+const TRUSTED_SCORE: f64 = 10.0;
+const DROPPED_SCORE: f64 = -5.0;
+/// What a frame without the track says.
+const MISS_SCORE: f64 = -2.0;
+/// -ln λ: one false detection a frame in 100 m³.
+const CLUTTER_SCORE: f64 = 4.6;
+/// ln 2π · 3 / 2.
+const GAUSS_CONSTANT: f64 = 2.756_815_6;
+
+/// A camera's last sight of a track.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(super) struct View {
+    pub(super) camera: CameraId,
+    pub(super) number: TrackNumber,
+    pub(super) frame: u64,
+    pub(super) time: Timestamp,
+}
+
+/// One object as fusion follows it.
+#[derive(Clone, Debug)]
+pub(super) struct Track {
+    pub(super) id: ObjectId,
+    pub(super) kind: Option<KindId>,
+    pub(super) stage: LifeStage,
+    pub(super) history: History,
+    pub(super) first: Timestamp,
+    pub(super) newest: Timestamp,
+    pub(super) observations: u64,
+    /// By camera.
+    pub(super) views: Vec<View>,
+    /// Tracks that a camera saw beside this one.
+    pub(super) apart: Vec<ObjectId>,
+    score: f64,
+}
+
+impl Track {
+    /// From a detection that was no other track's.
+    pub(super) fn begin(
+        id: ObjectId,
+        kind: Option<KindId>,
+        measurement: Measurement,
+        model: &MotionModel,
+    ) -> Self {
+        Self {
+            id,
+            kind,
+            stage: LifeStage::Tentative,
+            history: History::begin(measurement, model),
+            first: measurement.time,
+            newest: measurement.time,
+            observations: 1,
+            views: vec![view(&measurement)],
+            apart: Vec::new(),
+            score: 0.0,
+        }
+    }
+
+    pub(super) fn is_tentative(&self) -> bool {
+        self.stage == LifeStage::Tentative
+    }
+
+    /// Whether the camera's tracker says that this is the roundel it saw as this track before.
+    pub(super) fn is_continued_by(&self, seen: &Measurement) -> bool {
+        self.view(seen.camera).is_ok_and(|index| self.views[index].number == seen.number)
+    }
+
+    /// Takes in a measurement; gives what became of it and what happened to the track.
+    pub(super) fn observe(
+        &mut self,
+        seen: &Measurement,
+        innovation: &Innovation,
+        params: &FusionParams,
+        model: &MotionModel,
+    ) -> (Inserted, Option<Event>) {
+        let inserted = self.history.insert(*seen, model);
+        if matches!(inserted, Inserted::TooLate | Inserted::Duplicate) {
+            return (inserted, None);
+        }
+        self.observations += 1;
+        self.first = self.first.min(seen.time);
+        let is_newest = seen.time > self.newest;
+        self.newest = self.newest.max(seen.time);
+        match self.view(seen.camera) {
+            Ok(index) if self.views[index].time <= seen.time => self.views[index] = view(seen),
+            Ok(_) => {}
+            Err(index) => self.views.insert(index, view(seen)),
+        }
+        let happened = match self.stage {
+            LifeStage::Tentative => {
+                self.score += CLUTTER_SCORE
+                    - GAUSS_CONSTANT
+                    - 0.5 * (innovation.distance_squared + innovation.log_det);
+                let trusted =
+                    self.score >= TRUSTED_SCORE && self.observations >= params.confirm_hits;
+                trusted.then_some(EventKind::Appeared)
+            }
+            LifeStage::Predicted => is_newest.then_some(EventKind::Recovered),
+            LifeStage::Tracked | LifeStage::Lost => None,
+        };
+        if happened.is_some() {
+            self.stage = LifeStage::Tracked;
+        }
+        let event = happened.map(|kind| Event { time: seen.time, object: self.id, kind });
+        (inserted, event)
+    }
+
+    /// A frame of this camera did not show the track.
+    pub(super) fn miss(&mut self, camera: CameraId, time: Timestamp) {
+        if self.is_tentative() && self.view(camera).is_ok_and(|index| self.views[index].time < time)
+        {
+            self.score += MISS_SCORE;
+        }
+    }
+
+    /// Lets time pass. `Err` when the track has come to its end, with an event if it was known.
+    pub(super) fn advance(
+        &mut self,
+        now: Timestamp,
+        params: &FusionParams,
+    ) -> Result<Option<Event>, Option<Event>> {
+        let unseen_ns = now.ns_since(self.newest);
+        if self.is_tentative() {
+            let ends = unseen_ns > params.tentative_after_ns || self.score < DROPPED_SCORE;
+            return if ends { Err(None) } else { Ok(None) };
+        }
+        if unseen_ns > params.lost_after_ns {
+            return Err(Some(self.lose(self.newest.plus_ns(params.lost_after_ns))));
+        }
+        if self.stage == LifeStage::Tracked && unseen_ns > params.predicted_after_ns {
+            self.stage = LifeStage::Predicted;
+            let time = self.newest.plus_ns(params.predicted_after_ns);
+            return Ok(Some(Event { time, object: self.id, kind: EventKind::Predicted }));
+        }
+        Ok(None)
+    }
+
+    /// Gives the track up.
+    pub(super) fn lose(&mut self, time: Timestamp) -> Event {
+        self.stage = LifeStage::Lost;
+        Event { time, object: self.id, kind: EventKind::Lost }
+    }
+
+    /// Takes over how cameras number a track that is the same object.
+    pub(super) fn adopt_views(&mut self, other: &Track) {
+        for seen in &other.views {
+            match self.view(seen.camera) {
+                Ok(index) if self.views[index].time < seen.time => self.views[index] = *seen,
+                Ok(_) => {}
+                Err(index) => self.views.insert(index, *seen),
+            }
+        }
+    }
+
+    fn view(&self, camera: CameraId) -> Result<usize, usize> {
+        self.views.binary_search_by_key(&camera, |view| view.camera)
+    }
+}
+
+fn view(seen: &Measurement) -> View {
+    View { camera: seen.camera, number: seen.number, frame: seen.frame, time: seen.time }
+}

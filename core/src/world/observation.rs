@@ -1,0 +1,115 @@
+//! From a detection in a camera's frame to a measurement in the world.
+//!
+//! With camera pose (R, t), detection p and covariance Σ: p_w = R p + t, and its error is
+//! diag(R, R) Σ diag(R, R)ᵀ plus that of the camera's place, J Σ_camera Jᵀ with
+//! J = [I -[R p]×; 0 I], since a small turn δθ of the camera moves the point by δθ × R p. The
+//! camera's place errs in every frame alike, so its part is wholly systematic; of Σ a configured
+//! share is.
+
+use nalgebra::{Matrix3, Matrix6, UnitQuaternion, Vector3};
+
+use super::{CameraPlacement, FusionParams};
+use crate::{
+    id::CameraId,
+    pose::{Detection, RoundelPose},
+    rigid::{Covariance6, orientation_of_normal, rotate_covariance},
+    track::{AttitudeMeasurement, Measurement, Noise, positive_root},
+};
+
+/// No measurement is believed to be better than 10 µm and 10 µrad: keeps the filter's arithmetic
+/// well within the digits of `f64`.
+const FLOOR_VARIANCE: f64 = 1e-10;
+/// Beyond 100 m and 10 rad a measurement tells nothing and only costs digits.
+const CEILING_POSITION_M2: f64 = 1e4;
+const CEILING_ROTATION_RAD2: f64 = 1e2;
+/// A unit normal's length may be off by so much.
+const UNIT_TOLERANCE: f64 = 1e-3;
+
+/// Why a detection is no measurement.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) enum Refused {
+    /// It has no pose.
+    NoPose,
+    /// Something is not finite, a normal is no unit vector, or the covariance is not positive
+    /// definite or outlandish.
+    Invalid,
+}
+
+/// Carries a detection into the world frame.
+pub(super) fn measure(
+    detection: &Detection,
+    (camera, frame): (CameraId, u64),
+    placement: &CameraPlacement,
+    params: &FusionParams,
+) -> Result<Measurement, Refused> {
+    let pose = detection.pose.as_ref().ok_or(Refused::NoPose)?;
+    if !is_sound(pose) {
+        return Err(Refused::Invalid);
+    }
+    let place = &placement.world_from_camera;
+    let arm_m = place.rotation * pose.position_m;
+    let seen = rotate_covariance(&place.rotation, &pose.covariance);
+    let placed = placement_error(&placement.covariance, &arm_m);
+    let share = params.systematic_share.clamp(0.0, 1.0);
+    let noise = |corner: usize| {
+        let block = |whole: &Covariance6| {
+            let block = whole.fixed_view::<3, 3>(corner, corner);
+            (block + block.transpose()) * 0.5
+        };
+        let systematic = block(&seen) * share + block(&placed);
+        Noise {
+            total: block(&seen) + block(&placed) + Matrix3::from_diagonal_element(FLOOR_VARIANCE),
+            // Nothing systematic: no root, and none is needed.
+            systematic_root: positive_root(&systematic).unwrap_or_else(Matrix3::zeros),
+        }
+    };
+    let (position_noise, rotation_noise) = (noise(0), noise(3));
+    if positive_root(&position_noise.total).is_none()
+        || positive_root(&rotation_noise.total).is_none()
+    {
+        return Err(Refused::Invalid);
+    }
+    Ok(Measurement {
+        time: detection.capture_time,
+        camera,
+        frame,
+        number: detection.track,
+        position_m: arm_m + place.translation.vector,
+        position_noise,
+        attitude: AttitudeMeasurement {
+            candidates: [pose.normal, pose.other_normal]
+                .map(|normal| place.rotation * orientation(&normal, pose.yaw_rad)),
+            likelihood: pose.normal_likelihood,
+            yaw_observed: pose.yaw_rad.is_some(),
+            noise: rotation_noise,
+        },
+    })
+}
+
+/// The roundel's orientation in the camera frame: the normal's, turned by the yaw about it.
+fn orientation(normal: &Vector3<f64>, yaw_rad: Option<f64>) -> UnitQuaternion<f64> {
+    let yaw = UnitQuaternion::from_axis_angle(&Vector3::z_axis(), yaw_rad.unwrap_or(0.0));
+    orientation_of_normal(&normal.normalize()) * yaw
+}
+
+fn placement_error(covariance: &Covariance6, arm_m: &Vector3<f64>) -> Covariance6 {
+    if *covariance == Covariance6::zeros() {
+        return Covariance6::zeros();
+    }
+    let mut jacobian = Matrix6::identity();
+    jacobian.fixed_view_mut::<3, 3>(0, 3).copy_from(&-arm_m.cross_matrix());
+    jacobian * covariance * jacobian.transpose()
+}
+
+fn is_sound(pose: &RoundelPose) -> bool {
+    let is_unit = |vector: &Vector3<f64>| (vector.norm() - 1.0).abs() < UNIT_TOLERANCE;
+    let variances = pose.covariance.diagonal();
+    pose.position_m.iter().chain(pose.covariance.iter()).all(|number| number.is_finite())
+        && is_unit(&pose.normal)
+        && is_unit(&pose.other_normal)
+        && (0.0..=1.0).contains(&pose.normal_likelihood)
+        && pose.yaw_rad.is_none_or(f64::is_finite)
+        && (0..3).all(|axis| (0.0..=CEILING_POSITION_M2).contains(&variances[axis]))
+        && (3..6).all(|axis| (0.0..=CEILING_ROTATION_RAD2).contains(&variances[axis]))
+        && pose.covariance.cholesky().is_some()
+}
