@@ -20,6 +20,8 @@ mod timeline;
 pub use fusion::{CameraPlacement, Fusion, FusionCounts};
 pub use param::FusionParams;
 
+pub mod reference;
+
 use nalgebra::{UnitQuaternion, Vector3};
 
 use crate::{
