@@ -2,9 +2,9 @@
 //!
 //! | module | what it does | owner at run time |
 //! | --- | --- | --- |
-//! | `config`, [`camera_file`], [`image_file`] | what people write, read with errors that name the place | the command line |
+//! | [`config`], [`camera_file`], [`image_file`] | what people write, read with errors that name the place | the command line |
 //! | [`clock`] | the one clock: monotonic, anchored to Unix time once | shared |
-//! | `source` | frames with capture times, from a URL | the worker |
+//! | [`source`] | frames with capture times, from a URL | the worker |
 //! | `worker` | newest frame → detections → observations; supervised restarts | one OS thread a camera |
 //! | `fusion` | drives `core::world`'s state machine; snapshots at a fixed rate | one OS thread |
 //! | [`hub`] | the newest of everything, for whoever asks | shared |
@@ -13,6 +13,10 @@
 //! | `serve` | puts the above together, and takes it apart on shutdown | – |
 //! | `cli` | the commands of `roundel` | main thread |
 
+pub mod camera_file;
 pub mod clock;
+pub mod config;
 pub mod convert;
 pub mod hub;
+pub mod image_file;
+pub mod source;

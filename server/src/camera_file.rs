@@ -1,0 +1,325 @@
+//! Camera files: the ROS `camera_info` YAML that calibration tools write.
+//!
+//! Read are `image_width`, `image_height`, `camera_matrix`, `distortion_model` and
+//! `distortion_coefficients`; rectification, projection and whatever else stands there is ignored,
+//! as ROS itself tolerates it. Errors name file, line, field and remedy.
+
+use std::{
+    fmt::Write as _,
+    fs, io,
+    path::{Path, PathBuf},
+};
+
+use roundel_core::camera::{Camera, CameraError, Intrinsics, Lens};
+use serde::Deserialize;
+use serde_saphyr::Spanned;
+use thiserror::Error;
+
+/// A camera file longer than this is certainly another file.
+const MAX_BYTES: u64 = 1 << 20;
+const MODELS: &str = "plumb_bob, rational_polynomial or equidistant";
+
+/// Why a file is no camera file.
+#[derive(Debug, Error)]
+pub enum CameraFileError {
+    /// It cannot be read at all.
+    #[error("cannot read camera file {}: {source}; name an existing ROS camera_info YAML file", .path.display())]
+    Read {
+        /// Which file.
+        path: PathBuf,
+        /// What the system says.
+        source: io::Error,
+    },
+    /// Its content is wrong.
+    #[error("{}:{line}: {message}; {help}", .path.display())]
+    Content {
+        /// Which file.
+        path: PathBuf,
+        /// From 1.
+        line: u64,
+        /// What was expected and what was found.
+        message: String,
+        /// What to do.
+        help: String,
+    },
+}
+
+/// The keys that are read.
+#[derive(Deserialize)]
+struct Document {
+    image_width: Option<Spanned<f64>>,
+    image_height: Option<Spanned<f64>>,
+    camera_matrix: Option<Spanned<Matrix>>,
+    distortion_model: Option<Spanned<String>>,
+    distortion_coefficients: Option<Spanned<Matrix>>,
+}
+
+#[derive(Deserialize)]
+struct Matrix {
+    data: Option<Spanned<Vec<f64>>>,
+}
+
+/// Something wrong at a line, before the file's name is known.
+struct Wrong {
+    line: u64,
+    message: String,
+    help: String,
+}
+
+impl Wrong {
+    fn at(line: u64, message: impl Into<String>, help: impl Into<String>) -> Self {
+        Self { line, message: message.into(), help: help.into() }
+    }
+
+    fn missing(field: &str, example: &str) -> Self {
+        Self::at(1, format!("missing field `{field}`"), format!("add `{example}`"))
+    }
+}
+
+/// Reads a camera file.
+pub fn load(path: &Path) -> Result<Camera, CameraFileError> {
+    let text =
+        read(path).map_err(|source| CameraFileError::Read { path: path.to_owned(), source })?;
+    parse(&text).map_err(|wrong| CameraFileError::Content {
+        path: path.to_owned(),
+        line: wrong.line,
+        message: wrong.message,
+        help: wrong.help,
+    })
+}
+
+fn read(path: &Path) -> io::Result<String> {
+    let size = fs::metadata(path)?.len();
+    if size > MAX_BYTES {
+        let message = format!("expected at most {MAX_BYTES} bytes, found {size}");
+        return Err(io::Error::new(io::ErrorKind::FileTooLarge, message));
+    }
+    fs::read_to_string(path)
+}
+
+fn parse(text: &str) -> Result<Camera, Wrong> {
+    let document: Document = serde_saphyr::from_str(text).map_err(|error| {
+        let line = error.location().map_or(1, |location| location.line());
+        Wrong::at(
+            line,
+            format!("not a camera_info YAML: {}", first_line(&error.without_snippet().to_string())),
+            "write the file as ROS' camera_calibration does: numbers without quotes, matrices with \
+             `rows`, `cols` and `data`",
+        )
+    })?;
+    let (width, width_line) = side("image_width", document.image_width)?;
+    let (height, height_line) = side("image_height", document.image_height)?;
+    let (matrix, matrix_line) = camera_matrix(document.camera_matrix)?;
+    let (lens, lens_line) = lens(document.distortion_model, document.distortion_coefficients)?;
+    let [fx_px, _, cx_px, _, fy_px, cy_px, ..] = matrix;
+    let intrinsics = Intrinsics { width, height, fx_px, fy_px, cx_px, cy_px, lens };
+    Camera::new(intrinsics).map_err(|error| {
+        let line = match &error {
+            CameraError::Size { field: "width", .. } => width_line,
+            CameraError::Size { .. } => height_line,
+            CameraError::Focal { .. } | CameraError::Center { .. } => matrix_line,
+            CameraError::Coefficient { .. } => lens_line,
+        };
+        Wrong::at(line, error.to_string(), "calibrate the camera again, or correct the number")
+    })
+}
+
+fn first_line(text: &str) -> &str {
+    text.lines().next().unwrap_or_default()
+}
+
+fn side(field: &str, value: Option<Spanned<f64>>) -> Result<(usize, u64), Wrong> {
+    let value = value.ok_or_else(|| Wrong::missing(field, &format!("{field}: 1280")))?;
+    let line = value.referenced.line();
+    let whole =
+        value.value >= 1.0 && value.value <= f64::from(u32::MAX) && value.value.fract() == 0.0;
+    if !whole {
+        return Err(Wrong::at(
+            line,
+            format!("`{field}` must be a whole number of pixels above 0, found {}", value.value),
+            "write the size of the camera's images",
+        ));
+    }
+    Ok((value.value as usize, line))
+}
+
+/// The numbers of a matrix with the line that they begin at.
+fn data(
+    field: &str,
+    matrix: Option<Spanned<Matrix>>,
+    example: &str,
+) -> Result<(Vec<f64>, u64), Wrong> {
+    let matrix = matrix.ok_or_else(|| Wrong::missing(field, example))?;
+    let line = matrix.referenced.line();
+    let data = matrix.value.data.ok_or_else(|| {
+        Wrong::at(line, format!("`{field}` has no `data`"), format!("add `{example}`"))
+    })?;
+    Ok((data.value, data.referenced.line()))
+}
+
+fn camera_matrix(matrix: Option<Spanned<Matrix>>) -> Result<([f64; 9], u64), Wrong> {
+    const EXAMPLE: &str =
+        "camera_matrix: {rows: 3, cols: 3, data: [fx, 0, cx, 0, fy, cy, 0, 0, 1]}";
+    let (numbers, line) = data("camera_matrix", matrix, EXAMPLE)?;
+    let matrix = <[f64; 9]>::try_from(numbers).map_err(|numbers| {
+        let message = format!("`camera_matrix.data` must have 9 numbers, found {}", numbers.len());
+        Wrong::at(line, message, "write [fx, 0, cx, 0, fy, cy, 0, 0, 1], row by row")
+    })?;
+    let shape_holds = matrix[1] == 0.0
+        && matrix[3] == 0.0
+        && matrix[6] == 0.0
+        && matrix[7] == 0.0
+        && matrix[8] == 1.0;
+    if !shape_holds {
+        return Err(Wrong::at(
+            line,
+            format!(
+                "`camera_matrix.data` must be [fx, 0, cx, 0, fy, cy, 0, 0, 1] (no skew), found {matrix:?}"
+            ),
+            "check that the matrix is written row by row",
+        ));
+    }
+    Ok((matrix, line))
+}
+
+fn lens(
+    model: Option<Spanned<String>>,
+    coefficients: Option<Spanned<Matrix>>,
+) -> Result<(Lens, u64), Wrong> {
+    let model =
+        model.ok_or_else(|| Wrong::missing("distortion_model", "distortion_model: plumb_bob"))?;
+    let model_line = model.referenced.line();
+    let wanted: &[usize] = match model.value.as_str() {
+        "plumb_bob" => &[4, 5],
+        "rational_polynomial" => &[8],
+        "equidistant" | "fisheye" => &[4],
+        other => {
+            return Err(Wrong::at(
+                model_line,
+                format!("unknown `distortion_model` \"{other}\": expected {MODELS}"),
+                "calibrate with one of these models",
+            ));
+        }
+    };
+    const EXAMPLE: &str = "distortion_coefficients: {rows: 1, cols: 5, data: [k1, k2, p1, p2, k3]}";
+    let (k, line) = data("distortion_coefficients", coefficients, EXAMPLE)?;
+    let lens = match (model.value.as_str(), k.as_slice()) {
+        ("plumb_bob", &[k1, k2, p1, p2]) => Lens::PlumbBob([k1, k2, p1, p2, 0.0]),
+        ("plumb_bob", &[k1, k2, p1, p2, k3]) => Lens::PlumbBob([k1, k2, p1, p2, k3]),
+        ("rational_polynomial", k) if k.len() == 8 => {
+            Lens::Rational([k[0], k[1], k[2], k[3], k[4], k[5], k[6], k[7]])
+        }
+        ("equidistant" | "fisheye", &[k1, k2, k3, k4]) => Lens::Equidistant([k1, k2, k3, k4]),
+        (name, k) => {
+            let counts: Vec<String> = wanted.iter().map(ToString::to_string).collect();
+            return Err(Wrong::at(
+                line,
+                format!(
+                    "`distortion_coefficients.data` of {name} must have {} numbers, found {}",
+                    counts.join(" or "),
+                    k.len()
+                ),
+                "write them in ROS' order, or correct `distortion_model`",
+            ));
+        }
+    };
+    Ok((lens, line))
+}
+
+/// The text of a camera file that reads as this camera, every number exactly.
+pub fn write(name: &str, camera: &Camera) -> String {
+    let Intrinsics { width, height, fx_px, fy_px, cx_px, cy_px, lens } = camera.intrinsics();
+    let coefficients = lens.coefficients();
+    let mut text = String::new();
+    // Writing to a String cannot fail.
+    let _ = write!(
+        text,
+        "image_width: {width}\nimage_height: {height}\ncamera_name: {name:?}\n\
+         camera_matrix:\n  rows: 3\n  cols: 3\n  \
+         data: [{fx_px:?}, 0.0, {cx_px:?}, 0.0, {fy_px:?}, {cy_px:?}, 0.0, 0.0, 1.0]\n\
+         distortion_model: {}\n\
+         distortion_coefficients:\n  rows: 1\n  cols: {}\n  data: {coefficients:?}\n",
+        lens.name(),
+        coefficients.len(),
+    );
+    text
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    const GOOD: &str = "\
+image_width: 1280
+image_height: 720
+camera_name: north
+camera_matrix:
+  rows: 3
+  cols: 3
+  data: [733.0, 0, 640, 0, 734, 360, 0, 0, 1]
+distortion_model: plumb_bob
+distortion_coefficients:
+  rows: 1
+  cols: 5
+  data: [-0.1, 0.01, 1e-3, -2.0e-4, 0]
+rectification_matrix:
+  rows: 3
+  cols: 3
+  data: [1, 0, 0, 0, 1, 0, 0, 0, 1]
+binning_x: 0
+";
+
+    #[test]
+    fn a_ros_file_is_read() {
+        let camera = parse(GOOD).map_err(|wrong| wrong.message).unwrap();
+        let read = camera.intrinsics();
+        assert_eq!((read.width, read.height), (1280, 720));
+        assert_eq!((read.fx_px, read.fy_px, read.cx_px, read.cy_px), (733.0, 734.0, 640.0, 360.0));
+        assert_eq!(read.lens, Lens::PlumbBob([-0.1, 0.01, 1e-3, -2e-4, 0.0]));
+    }
+
+    #[test]
+    fn what_is_written_reads_the_same() {
+        for lens in [
+            Lens::PlumbBob([-0.1, 0.02, 1e-17, -0.000_1, 0.3]),
+            Lens::Rational([0.1, 0.2, 0.3, 0.4, 0.5, 0.6, 0.7, 1.0 / 3.0]),
+            Lens::Equidistant([1e-9, 0.0, -0.1, 5.0]),
+        ] {
+            let intrinsics = Intrinsics {
+                width: 641,
+                height: 480,
+                fx_px: 1000.0 / 3.0,
+                fy_px: 333.25,
+                cx_px: 320.1,
+                cy_px: 1e2,
+                lens,
+            };
+            let camera = Camera::new(intrinsics).unwrap();
+            let text = write("a \"quoted\" name", &camera);
+            assert_eq!(parse(&text).map_err(|wrong| wrong.message).unwrap(), camera);
+        }
+    }
+
+    #[test]
+    fn what_is_wrong_is_named_with_its_line() {
+        for (from, to, line, expected) in [
+            ("image_width: 1280\n", "", 1, "missing field `image_width`"),
+            ("1280", "0", 1, "`image_width` must be a whole number of pixels above 0, found 0"),
+            ("720", "99999", 2, "height: expected 1 to 16384 pixels, found 99999"),
+            ("720", "tall", 2, "not a camera_info YAML"),
+            ("733.0, ", "", 7, "`camera_matrix.data` must have 9 numbers, found 8"),
+            ("733.0", "-733.0", 7, "fx_px: expected a positive number of pixels, found -733"),
+            ("733.0, 0", "733.0, 2", 7, "(no skew)"),
+            ("plumb_bob", "plum_bob", 8, "unknown `distortion_model` \"plum_bob\""),
+            ("plumb_bob", "equidistant", 12, "of equidistant must have 4 numbers, found 5"),
+            ("-0.1", ".nan", 12, "expected finite coefficients, found NaN as number 0"),
+            ("distortion_model: plumb_bob\n", "", 1, "missing field `distortion_model`"),
+        ] {
+            let wrong = parse(&GOOD.replacen(from, to, 1)).expect_err(expected);
+            assert!(wrong.message.contains(expected), "{expected}: {}", wrong.message);
+            assert_eq!(wrong.line, line, "{expected}: {}", wrong.message);
+        }
+        assert!(parse("just text").is_err());
+        assert!(parse("").is_err());
+    }
+}

@@ -1,0 +1,186 @@
+//! The configuration of an installation: one TOML file, read into checked types.
+//!
+//! Every key that exists stands in `deploy/roundel.example.toml` with its meaning and default. All
+//! that is wrong with a file is found in one go; each problem names file, line and column, and an
+//! unknown key the nearest known one. What is read here holds: sizes are positive, names unique,
+//! references to kinds resolved, camera files loaded, quaternions unit.
+
+mod document;
+mod error;
+mod geometry;
+mod reader;
+
+use std::{fs, net::SocketAddr, path::Path};
+
+use nalgebra::Vector3;
+use roundel_core::{camera::Camera, id::KindId, marker::Kind, rigid::Rigid};
+
+pub use error::{ConfigError, Place, Problem};
+pub(crate) use reader::{list, nearest};
+
+use crate::source::SourceAddress;
+
+/// A configuration longer than this is certainly another file.
+const MAX_BYTES: u64 = 4 << 20;
+
+/// An installation, as configured.
+#[derive(Clone, Debug)]
+pub struct Config {
+    /// Shown to clients and on the dashboard.
+    pub name: String,
+    /// `[server]`.
+    pub server: ServerConfig,
+    /// `[[roundel]]`, by [`KindId`]; at least one, ratios of diameters a tenth apart.
+    pub kinds: Vec<Kind>,
+    /// `[[camera]]`, by [`roundel_core::id::CameraId`]; at least one, names unique.
+    pub cameras: Vec<CameraConfig>,
+    /// `[[reference]]`; none, or at least three that are not in one line.
+    pub references: Vec<ReferenceConfig>,
+    /// `[[object]]`; at most one a kind.
+    pub objects: Vec<ObjectConfig>,
+    /// `[fusion]`.
+    pub fusion: FusionConfig,
+    /// `[limits]`.
+    pub limits: LimitsConfig,
+}
+
+/// `[server]`.
+#[derive(Clone, Debug, PartialEq)]
+pub struct ServerConfig {
+    /// The one port of every API.
+    pub listen: SocketAddr,
+    /// Snapshots a second.
+    pub snapshot_rate_hz: f64,
+}
+
+/// `[[camera]]`.
+#[derive(Clone, Debug)]
+pub struct CameraConfig {
+    /// Unique.
+    pub name: String,
+    /// As written.
+    pub source: String,
+    /// The same, read.
+    pub address: SourceAddress,
+    /// From the camera file; `None` for a simulated camera that brings its own.
+    pub calibration: Option<Camera>,
+    /// Where it stands.
+    pub pose: CameraPose,
+    /// Time from one image row's exposure to the next, seconds; `None` for a simulated camera that
+    /// brings its own.
+    pub line_time_s: Option<f64>,
+}
+
+/// Where a camera stands.
+#[derive(Clone, Debug, PartialEq)]
+pub enum CameraPose {
+    /// world_from_camera.
+    Known(Rigid),
+    /// To be found from the reference roundels.
+    Unknown,
+    /// A simulated camera brings its own.
+    Simulated,
+}
+
+/// `[[reference]]`.
+#[derive(Clone, Debug, PartialEq)]
+pub struct ReferenceConfig {
+    /// Its kind of roundel.
+    pub kind: KindId,
+    /// Its centre, world frame, metres.
+    pub position_m: Vector3<f64>,
+}
+
+/// `[[object]]`.
+#[derive(Clone, Debug, PartialEq)]
+pub struct ObjectConfig {
+    /// Shown to clients.
+    pub name: String,
+    /// The kind of roundel that it carries.
+    pub kind: KindId,
+    /// The tracked point in the roundel's frame, metres.
+    pub offset_m: Vector3<f64>,
+}
+
+/// `[fusion]`.
+#[derive(Clone, Debug, PartialEq)]
+pub struct FusionConfig {
+    /// Rms acceleration that objects are capable of, m/s².
+    pub acceleration_m_s2: f64,
+    /// Observations this much older than the newest are still used, seconds.
+    pub late_window_s: f64,
+    /// Not seen for so long: predicted, seconds.
+    pub predicted_after_s: f64,
+    /// Not seen for so long: lost, seconds; above `predicted_after_s`.
+    pub lost_after_s: f64,
+}
+
+impl Default for FusionConfig {
+    fn default() -> Self {
+        Self {
+            acceleration_m_s2: 1.5,
+            late_window_s: 0.3,
+            predicted_after_s: 0.15,
+            lost_after_s: 2.0,
+        }
+    }
+}
+
+/// `[limits]`.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct LimitsConfig {
+    /// Objects followed at most.
+    pub max_objects: usize,
+    /// Roundels that one camera follows at most.
+    pub max_roundels_per_camera: usize,
+    /// Open client connections.
+    pub max_clients: usize,
+}
+
+impl Default for LimitsConfig {
+    fn default() -> Self {
+        Self { max_objects: 1000, max_roundels_per_camera: 400, max_clients: 1000 }
+    }
+}
+
+impl Config {
+    /// Reads a file and the camera files that it names; paths in it are relative to its folder.
+    ///
+    /// Errors name every problem with its line, and the remedy.
+    pub fn load(path: &Path) -> Result<Self, ConfigError> {
+        let text = read(path).map_err(|(message, help)| ConfigError {
+            path: path.to_owned(),
+            problems: vec![Problem { message, help: Some(help.to_owned()), place: None }],
+        })?;
+        let folder = path.parent().unwrap_or(Path::new(""));
+        Self::parse(&text, folder)
+            .map_err(|problems| ConfigError { path: path.to_owned(), problems })
+    }
+
+    /// Reads a configuration's text; paths in it are relative to `folder`.
+    pub fn parse(text: &str, folder: &Path) -> Result<Self, Vec<Problem>> {
+        document::parse(text, folder)
+    }
+}
+
+fn read(path: &Path) -> Result<String, (String, &'static str)> {
+    const NAME_IT: &str = "name the file with --config FILE; deploy/roundel.example.toml is an \
+                           annotated example to start from";
+    let size = fs::metadata(path)
+        .map_err(|error| (format!("cannot read the configuration: {error}"), NAME_IT))?
+        .len();
+    if size > MAX_BYTES {
+        let message =
+            format!("expected a configuration of at most {MAX_BYTES} bytes, found {size}");
+        return Err((message, NAME_IT));
+    }
+    let bytes = fs::read(path)
+        .map_err(|error| (format!("cannot read the configuration: {error}"), NAME_IT))?;
+    String::from_utf8(bytes).map_err(|error| {
+        let at = error.utf8_error().valid_up_to();
+        (
+            format!("expected UTF-8 text, found other bytes after byte {at}"),
+            "a configuration is a TOML text file: save it as UTF-8",
+        )
+    })
+}

@@ -1,0 +1,382 @@
+//! Image files → 8-bit grey: PNG, JPEG, PGM, BMP, grey or colour (colour by BT.601's luma).
+//!
+//! The kind is told by the first bytes, not by the name. JPEG is decoded straight to its luma,
+//! without a detour over RGB. Deeper samples keep their upper eight bits' range, rounded; alpha is
+//! ignored.
+
+mod pnm;
+
+use std::{
+    fs::File,
+    io::{self, Cursor, Read},
+    path::{Path, PathBuf},
+};
+
+use roundel_core::frame::{Frame, FrameError, MAX_SIDE_PX};
+use thiserror::Error;
+use zune_core::{colorspace::ColorSpace, options::DecoderOptions};
+
+/// Larger files are refused before they are read: the largest frame as an uncompressed 16-bit RGBA
+/// image has half of this at 8 k.
+const MAX_BYTES: u64 = 1 << 30;
+/// More pixels than this are refused: a crafted header must not take all memory.
+const MAX_PIXELS: usize = 1 << 27;
+
+/// An 8-bit grey image.
+#[derive(Clone, Debug, Default, PartialEq, Eq)]
+pub struct GreyImage {
+    /// Columns, pixels.
+    pub width: usize,
+    /// Rows, pixels.
+    pub height: usize,
+    /// Row by row from the top, without gaps.
+    pub pixels: Vec<u8>,
+}
+
+impl GreyImage {
+    /// The image as the detector takes it.
+    pub fn frame(&self) -> Result<Frame<'_>, FrameError> {
+        Frame::new(&self.pixels, self.width, self.height, self.width)
+    }
+}
+
+/// Why a file gives no image; each names the file.
+#[derive(Debug, Error)]
+pub enum ImageError {
+    /// It cannot be read.
+    #[error("{}: cannot read the image: {source}", .path.display())]
+    Read {
+        /// Which file.
+        path: PathBuf,
+        /// What the system says.
+        source: io::Error,
+    },
+    /// It has no bytes.
+    #[error("{}: expected an image, found an empty file", .path.display())]
+    Empty {
+        /// Which file.
+        path: PathBuf,
+    },
+    /// It is something else.
+    #[error("{}: expected a PNG, JPEG, PGM or BMP image, found {found}", .path.display())]
+    Kind {
+        /// Which file.
+        path: PathBuf,
+        /// What its first bytes look like.
+        found: String,
+    },
+    /// It is larger than a frame may be.
+    #[error("{}: image of {found} is too large: expected at most {MAX_SIDE_PX} pixels a side and {MAX_PIXELS} in all", .path.display())]
+    TooLarge {
+        /// Which file.
+        path: PathBuf,
+        /// Its size.
+        found: String,
+    },
+    /// It begins as an image and does not go on as one.
+    #[error("{}: broken or truncated {kind} image: {reason}; save it again", .path.display())]
+    Broken {
+        /// Which file.
+        path: PathBuf,
+        /// PNG, JPEG, PGM or BMP.
+        kind: &'static str,
+        /// What the decoder says.
+        reason: String,
+    },
+}
+
+/// An error before the file's name is known.
+enum Fault {
+    TooLarge(String),
+    Broken(String),
+}
+
+impl<E: std::fmt::Display> From<E> for Fault {
+    fn from(error: E) -> Self {
+        Self::Broken(error.to_string())
+    }
+}
+
+#[derive(Clone, Copy)]
+enum Kind {
+    Png,
+    Jpeg,
+    Pnm,
+    Bmp,
+}
+
+impl Kind {
+    fn name(self) -> &'static str {
+        match self {
+            Self::Png => "PNG",
+            Self::Jpeg => "JPEG",
+            Self::Pnm => "PGM",
+            Self::Bmp => "BMP",
+        }
+    }
+}
+
+/// Reads an image file.
+pub fn load(path: &Path) -> Result<GreyImage, ImageError> {
+    let read = |source| ImageError::Read { path: path.to_owned(), source };
+    let file = File::open(path).map_err(read)?;
+    let size = file.metadata().map_err(read)?.len();
+    if size > MAX_BYTES {
+        let found = format!("{size} bytes");
+        return Err(ImageError::TooLarge { path: path.to_owned(), found });
+    }
+    let mut bytes = Vec::new();
+    // A file that grows meanwhile is cut, and then found to be broken.
+    file.take(MAX_BYTES).read_to_end(&mut bytes).map_err(read)?;
+    decode(&bytes, path)
+}
+
+/// Decodes an image file's bytes; `path` is for messages.
+pub fn decode(bytes: &[u8], path: &Path) -> Result<GreyImage, ImageError> {
+    let path = || path.to_owned();
+    let kind = match bytes {
+        [] => return Err(ImageError::Empty { path: path() }),
+        [0x89, b'P', b'N', b'G', ..] => Kind::Png,
+        [0xFF, 0xD8, 0xFF, ..] => Kind::Jpeg,
+        [b'P', b'2' | b'5' | b'3' | b'6', b' ' | b'\t' | b'\r' | b'\n', ..] => Kind::Pnm,
+        [b'B', b'M', _, _, _, _, _, _, _, _, ..] => Kind::Bmp,
+        _ => return Err(ImageError::Kind { path: path(), found: looks_like(bytes) }),
+    };
+    let decoded = match kind {
+        Kind::Png => png(bytes),
+        Kind::Jpeg => jpeg(bytes),
+        Kind::Pnm => pnm::decode(bytes),
+        Kind::Bmp => bmp(bytes),
+    };
+    decoded.map_err(|fault| match fault {
+        Fault::TooLarge(found) => ImageError::TooLarge { path: path(), found },
+        Fault::Broken(reason) => ImageError::Broken { path: path(), kind: kind.name(), reason },
+    })
+}
+
+fn looks_like(bytes: &[u8]) -> String {
+    let known: [(&[u8], &str); 9] = [
+        (b"GIF8", "a GIF image"),
+        (b"II*\0", "a TIFF image"),
+        (b"MM\0*", "a TIFF image"),
+        (b"%PDF", "a PDF document"),
+        (b"PK\x03\x04", "a ZIP archive"),
+        (b"\x1F\x8B", "a gzip archive"),
+        (b"<svg", "an SVG drawing"),
+        (b"P4", "a PBM image"),
+        (b"version https://git-lfs", "a Git LFS pointer: fetch the file itself"),
+    ];
+    if let Some((_, name)) = known.iter().find(|(start, _)| bytes.starts_with(start)) {
+        return (*name).to_owned();
+    }
+    if bytes.get(4..8) == Some(b"ftyp") {
+        return "an MP4 or HEIF file".to_owned();
+    }
+    if bytes.starts_with(b"RIFF") {
+        return "a RIFF file (WebP, AVI)".to_owned();
+    }
+    let start = &bytes[..bytes.len().min(16)];
+    if start.iter().all(|byte| byte.is_ascii_graphic() || byte.is_ascii_whitespace()) {
+        format!("text that begins with {:?}", String::from_utf8_lossy(start))
+    } else {
+        let hex: Vec<String> = start.iter().take(8).map(|byte| format!("{byte:02x}")).collect();
+        format!("bytes that begin with {}", hex.join(" "))
+    }
+}
+
+fn check_size(width: usize, height: usize) -> Result<(), Fault> {
+    if width == 0 || height == 0 {
+        return Err(Fault::Broken(format!("its size is {width} x {height}")));
+    }
+    if width > MAX_SIDE_PX || height > MAX_SIDE_PX || width * height > MAX_PIXELS {
+        return Err(Fault::TooLarge(format!("{width} x {height} pixels")));
+    }
+    Ok(())
+}
+
+fn png(bytes: &[u8]) -> Result<GreyImage, Fault> {
+    let mut decoder = png::Decoder::new(Cursor::new(bytes));
+    // Palettes and 1, 2, 4 bit greys become 8 bit samples; 16 bit ones stay, to be rounded here.
+    decoder.set_transformations(png::Transformations::EXPAND);
+    let mut reader = decoder.read_info()?;
+    let (width, height) = (reader.info().width as usize, reader.info().height as usize);
+    check_size(width, height)?;
+    let size = reader
+        .output_buffer_size()
+        .ok_or_else(|| Fault::TooLarge(format!("{width} x {height} pixels")))?;
+    let mut samples = vec![0; size];
+    let info = reader.next_frame(&mut samples)?;
+    samples.truncate(info.buffer_size());
+    if info.bit_depth == png::BitDepth::Sixteen {
+        samples = samples
+            .chunks_exact(2)
+            .map(|pair| narrow(u16::from_be_bytes([pair[0], pair[1]]), u16::MAX))
+            .collect();
+    }
+    let pixels = grey(samples, info.color_type.samples());
+    Ok(GreyImage { width, height, pixels })
+}
+
+fn jpeg(bytes: &[u8]) -> Result<GreyImage, Fault> {
+    let options = DecoderOptions::default()
+        .set_max_width(MAX_SIDE_PX)
+        .set_max_height(MAX_SIDE_PX)
+        // A file that was cut must not pass as one with a grey end.
+        .set_strict_mode(true)
+        .jpeg_set_out_colorspace(ColorSpace::Luma);
+    let mut decoder = zune_jpeg::JpegDecoder::new_with_options(Cursor::new(bytes), options);
+    decoder.decode_headers()?;
+    let info = decoder.info().ok_or_else(|| Fault::Broken("no image header".to_owned()))?;
+    let (width, height) = (usize::from(info.width), usize::from(info.height));
+    check_size(width, height)?;
+    let samples = decoder.decode()?;
+    let channels = decoder.output_colorspace().map_or(1, |space| space.num_components());
+    Ok(GreyImage { width, height, pixels: grey(samples, channels) })
+}
+
+fn bmp(bytes: &[u8]) -> Result<GreyImage, Fault> {
+    let options = DecoderOptions::default().set_max_width(MAX_SIDE_PX).set_max_height(MAX_SIDE_PX);
+    let mut decoder = zune_bmp::BmpDecoder::new_with_options(Cursor::new(bytes), options);
+    decoder.decode_headers().map_err(bmp_reason)?;
+    let (width, height) =
+        decoder.dimensions().ok_or_else(|| Fault::Broken("no image header".to_owned()))?;
+    check_size(width, height)?;
+    let samples = decoder.decode().map_err(bmp_reason)?;
+    let channels = decoder.colorspace().map_or(3, |space| space.num_components());
+    if samples.len() != width * height * channels {
+        return Err(Fault::Broken(format!(
+            "expected {} samples, found {}",
+            width * height * channels,
+            samples.len()
+        )));
+    }
+    Ok(GreyImage { width, height, pixels: grey(samples, channels) })
+}
+
+fn bmp_reason(error: impl std::fmt::Debug) -> Fault {
+    Fault::Broken(format!("{error:?}").trim().to_owned())
+}
+
+/// Samples of 1 (grey), 2 (grey, alpha), 3 (RGB) or 4 (RGB, alpha) channels → grey.
+fn grey(samples: Vec<u8>, channels: usize) -> Vec<u8> {
+    match channels {
+        1 => samples,
+        2 => samples.chunks_exact(2).map(|pixel| pixel[0]).collect(),
+        _ => samples.chunks_exact(channels).map(luma).collect(),
+    }
+}
+
+/// BT.601's luma, as JPEG has it, to the nearest level.
+fn luma(rgb: &[u8]) -> u8 {
+    let [red, green, blue] = [rgb[0], rgb[1], rgb[2]].map(u32::from);
+    // At most (299 + 587 + 114) · 255 + 500 over 1000: fits.
+    ((299 * red + 587 * green + 114 * blue + 500) / 1000) as u8
+}
+
+/// A sample of 0 to `most` as 0 to 255, to the nearest level; larger ones count as `most`.
+fn narrow(sample: u16, most: u16) -> u8 {
+    let (sample, most) = (u32::from(sample.min(most)), u32::from(most));
+    ((sample * 255 + most / 2) / most) as u8
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn load_bytes(bytes: &[u8]) -> Result<GreyImage, String> {
+        decode(bytes, Path::new("frame")).map_err(|error| error.to_string())
+    }
+
+    fn png_file(
+        size: (u32, u32),
+        color: png::ColorType,
+        depth: png::BitDepth,
+        data: &[u8],
+    ) -> Vec<u8> {
+        let mut bytes = Vec::new();
+        let mut encoder = png::Encoder::new(&mut bytes, size.0, size.1);
+        encoder.set_color(color);
+        encoder.set_depth(depth);
+        if color == png::ColorType::Indexed {
+            encoder.set_palette(vec![0, 0, 0, 255, 0, 0, 255, 255, 255]);
+        }
+        encoder.write_header().unwrap().write_image_data(data).unwrap();
+        bytes
+    }
+
+    #[test]
+    fn every_kind_of_png_becomes_grey() {
+        use png::{BitDepth, ColorType};
+        for (color, depth, data, expected) in [
+            (ColorType::Grayscale, BitDepth::Eight, vec![0, 200], [0, 200]),
+            (ColorType::Grayscale, BitDepth::One, vec![0b0100_0000], [0, 255]),
+            (ColorType::Grayscale, BitDepth::Sixteen, vec![0x80, 0x7F, 0xFF, 0xFF], [128, 255]),
+            (ColorType::GrayscaleAlpha, BitDepth::Eight, vec![9, 0, 8, 255], [9, 8]),
+            (ColorType::Rgb, BitDepth::Eight, vec![255, 0, 0, 0, 255, 0], [76, 150]),
+            (ColorType::Rgba, BitDepth::Eight, vec![0, 0, 255, 0, 9, 9, 9, 255], [29, 9]),
+            (ColorType::Indexed, BitDepth::Eight, vec![1, 2], [76, 255]),
+        ] {
+            let image = load_bytes(&png_file((2, 1), color, depth, &data)).unwrap();
+            assert_eq!((image.width, image.height), (2, 1));
+            assert_eq!(image.pixels, expected, "{color:?} {depth:?}");
+        }
+    }
+
+    /// A 2x2 BMP of 24 bits: bottom row first, blue green red, rows padded to four bytes.
+    fn bmp_file() -> Vec<u8> {
+        let mut bytes = b"BM".to_vec();
+        for word in [70u32, 0, 54, 40, 2, 2] {
+            bytes.extend(word.to_le_bytes());
+        }
+        bytes.extend([1, 0, 24, 0]);
+        for word in [0u32, 16, 2835, 2835, 0, 0] {
+            bytes.extend(word.to_le_bytes());
+        }
+        bytes.extend([255, 0, 0, 0, 0, 255, 0, 0]);
+        bytes.extend([10, 10, 10, 0, 255, 0, 0, 0]);
+        bytes
+    }
+
+    #[test]
+    fn bmp_is_turned_the_right_way_up() {
+        assert_eq!(load_bytes(&bmp_file()).unwrap().pixels, [10, 150, 29, 76]);
+    }
+
+    #[test]
+    fn deep_samples_are_rounded_not_cut() {
+        assert_eq!(narrow(0x00FF, u16::MAX), 1);
+        assert_eq!(narrow(512, 1023), 128);
+        assert_eq!(narrow(9, 3), 255);
+    }
+
+    #[test]
+    fn what_is_no_image_is_named() {
+        let good = png_file(
+            (64, 64),
+            png::ColorType::Grayscale,
+            png::BitDepth::Eight,
+            &(0..64 * 64u32)
+                .map(|i| (i.wrapping_mul(2_654_435_761) >> 13) as u8)
+                .collect::<Vec<_>>(),
+        );
+        let huge =
+            png_file((20_000, 1), png::ColorType::Grayscale, png::BitDepth::Eight, &[0; 20_000]);
+        for (bytes, expected) in [
+            (&b""[..], "frame: expected an image, found an empty file"),
+            (b"GIF89a.....", "found a GIF image"),
+            (b"name = \"lab\"", "found text that begins with \"name = "),
+            (&[0, 1, 2, 3], "found bytes that begin with 00 01 02 03"),
+            (&good[..good.len() / 2], "broken or truncated PNG"),
+            (&good[..20], "broken or truncated PNG"),
+            (&bmp_file()[..60], "broken or truncated BMP"),
+            (&[0xFF, 0xD8, 0xFF, 0xE0, 0, 16], "broken or truncated JPEG"),
+            (b"P5 4 4 255\nabc", "broken or truncated PGM"),
+            (&huge, "image of 20000 x 1 pixels is too large"),
+        ] {
+            let error = load_bytes(bytes).expect_err(expected);
+            assert!(error.contains(expected), "{error} lacks {expected}");
+        }
+        let missing = load(Path::new("no/such.png")).unwrap_err().to_string();
+        assert!(missing.contains("no/such.png: cannot read the image"), "{missing}");
+    }
+}

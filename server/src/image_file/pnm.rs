@@ -1,0 +1,114 @@
+//! PGM and PPM (netpbm's P2, P3, P5, P6), of which cameras' tools write many dialects: comments
+//! anywhere in the header, any maximum up to 65535.
+
+use super::{Fault, GreyImage, check_size, grey, narrow};
+
+/// Decodes a file whose first two bytes are known to be `P2`, `P3`, `P5` or `P6`.
+pub(super) fn decode(bytes: &[u8]) -> Result<GreyImage, Fault> {
+    let plain = matches!(bytes[1], b'2' | b'3');
+    let channels = if matches!(bytes[1], b'3' | b'6') { 3 } else { 1 };
+    let mut rest = &bytes[2..];
+    let width = number(&mut rest, "width")?;
+    let height = number(&mut rest, "height")?;
+    let most = number(&mut rest, "largest value")?;
+    check_size(width, height)?;
+    let most = u16::try_from(most)
+        .ok()
+        .filter(|most| *most > 0)
+        .ok_or_else(|| broken(format!("expected a largest value of 1 to 65535, found {most}")))?;
+    let count = width * height * channels;
+    let samples = if plain {
+        plain_samples(&mut rest, count, most)?
+    } else {
+        // Exactly one byte of white space parts the header from the samples.
+        raw_samples(rest.get(1..).unwrap_or_default(), count, most)?
+    };
+    Ok(GreyImage { width, height, pixels: grey(samples, channels) })
+}
+
+fn broken(reason: String) -> Fault {
+    Fault::Broken(reason)
+}
+
+fn plain_samples(rest: &mut &[u8], count: usize, most: u16) -> Result<Vec<u8>, Fault> {
+    // Memory grows with what is there, not with what the header promises.
+    let mut samples = Vec::with_capacity(count.min(rest.len()));
+    for _ in 0..count {
+        let sample = number(rest, "sample")?;
+        samples.push(narrow(u16::try_from(sample).unwrap_or(u16::MAX), most));
+    }
+    Ok(samples)
+}
+
+fn raw_samples(data: &[u8], count: usize, most: u16) -> Result<Vec<u8>, Fault> {
+    let width = if most > 255 { 2 } else { 1 };
+    let data = data.get(..count * width).ok_or_else(|| {
+        broken(format!("expected {} bytes of samples, found {}", count * width, data.len()))
+    })?;
+    Ok(match (width, most) {
+        (1, 255) => data.to_vec(),
+        (1, _) => data.iter().map(|&sample| narrow(u16::from(sample), most)).collect(),
+        _ => data
+            .chunks_exact(2)
+            .map(|pair| narrow(u16::from_be_bytes([pair[0], pair[1]]), most))
+            .collect(),
+    })
+}
+
+/// The next number, after white space and comments.
+fn number(rest: &mut &[u8], what: &str) -> Result<usize, Fault> {
+    while let Some(&byte) = rest.first() {
+        if byte == b'#' {
+            let end = rest.iter().position(|&byte| byte == b'\n').unwrap_or(rest.len());
+            *rest = &rest[end..];
+        } else if byte.is_ascii_whitespace() {
+            *rest = &rest[1..];
+        } else {
+            break;
+        }
+    }
+    let digits = rest.iter().take_while(|byte| byte.is_ascii_digit()).count();
+    let (number, after) = rest.split_at(digits);
+    *rest = after;
+    std::str::from_utf8(number)
+        .ok()
+        .and_then(|number| number.parse().ok())
+        .ok_or_else(|| broken(format!("expected a number as {what}")))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn pixels(bytes: &[u8]) -> Result<Vec<u8>, String> {
+        match decode(bytes) {
+            Ok(image) => Ok(image.pixels),
+            Err(Fault::Broken(reason) | Fault::TooLarge(reason)) => Err(reason),
+        }
+    }
+
+    #[test]
+    fn every_dialect_is_read() {
+        assert_eq!(pixels(b"P5\n# made by hand\n2 1 # size\n255\n\x0A\xFF").unwrap(), [10, 255]);
+        assert_eq!(pixels(b"P5 2 1 1023\n\x02\x00\x03\xFF").unwrap(), [128, 255]);
+        assert_eq!(pixels(b"P2 2 1 15 0 15").unwrap(), [0, 255]);
+        assert_eq!(pixels(b"P6 1 1 255\n\xFF\x00\x00").unwrap(), [76]);
+        assert_eq!(pixels(b"P3 1 1 255 0 255 0").unwrap(), [150]);
+    }
+
+    #[test]
+    fn what_is_wrong_is_named() {
+        for (bytes, expected) in [
+            (&b"P5 2"[..], "expected a number as height"),
+            (b"P5 0 3 255\n", "its size is 0 x 3"),
+            (b"P5 2 2 0\n1234", "expected a largest value of 1 to 65535, found 0"),
+            (b"P5 2 2 255\n123", "expected 4 bytes of samples, found 3"),
+            (b"P2 2 1 255 7", "expected a number as sample"),
+            (b"P5 99999 2 255\n", "99999 x 2 pixels"),
+            (b"P5 99999999999999999999999 2 255\n", "expected a number as width"),
+        ] {
+            let error = pixels(bytes).expect_err(expected);
+            assert!(error.contains(expected), "{error} lacks {expected}");
+        }
+    }
+}

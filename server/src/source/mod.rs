@@ -1,0 +1,5 @@
+//! Where frames come from.
+
+mod address;
+
+pub use address::{AddressError, ImagesAddress, SimAddress, SimPreset, SourceAddress};
