@@ -1,20 +1,56 @@
 //! Rings found in a frame, and followed from frame to frame.
+//!
+//! | step | module | paper |
+//! | --- | --- | --- |
+//! | rows with black, white, black | `scan` | 3.1, 3.6 |
+//! | threshold at each place | `threshold` | 3.2, eq. (3) |
+//! | fill, roundness, areas, ellipses | `examine` | 3.1, 3.3, eqs. (1), (2), (4), (5), (6) |
+//! | rims to a fraction of a pixel | `refine` | – |
+//! | kind by ratio of diameters | `kind` | 3.4 |
+//! | compensation of the rims | [`rim`] | 3.5, eqs. (7), (8) |
+//! | all rings of a frame | `detector` | 3.6 |
+//! | from frame to frame | `tracker` | 3, 3.6 |
+//!
+//! ```
+//! use roundel_core::{frame::Frame, marker::{Detector, Kind, Params, Scratch, Tracker}};
+//!
+//! let kind = Kind {
+//!     name: "robot".into(), outer_diameter_m: 0.16, inner_diameter_m: 0.064,
+//! };
+//! let detector = Detector::new(vec![kind], Params::default())?;
+//! let pixels = vec![200u8; 640 * 480];
+//! let frame = Frame::new(&pixels, 640, 480, 640)?;
+//! assert!(detector.detect(&frame, &mut Scratch::default()).is_empty());
+//!
+//! let mut tracker = Tracker::new(detector);
+//! for tracked in tracker.process(&frame) {
+//!     println!("{}: {:?}", tracked.track, tracked.ring.outer.center);
+//! }
+//! # Ok::<(), Box<dyn std::error::Error>>(())
+//! ```
+
+mod detector;
+mod examine;
+mod kind;
+mod param;
+mod refine;
+mod reject;
+pub mod rim;
+mod scan;
+mod threshold;
+mod tracker;
+
+pub use detector::{Detector, Scratch};
+pub use kind::{Kind, RATIO_LIMITS};
+pub use param::{DetectorError, Params};
+pub use reject::{Reject, RejectCounts};
+pub use threshold::BinarySearch;
+pub use tracker::Tracker;
 
 use crate::{
     ellipse::Ellipse,
     id::{KindId, TrackNumber},
 };
-
-/// The print: a plain roundel's diameters. Kinds are told apart by their ratio (paper, section 3.4).
-#[derive(Clone, Debug, PartialEq)]
-pub struct Kind {
-    /// Name in the configuration.
-    pub name: String,
-    /// Black ring's outer diameter, metres.
-    pub outer_diameter_m: f64,
-    /// White disc's diameter, metres, below the outer one.
-    pub inner_diameter_m: f64,
-}
 
 /// One roundel as imaged.
 #[derive(Clone, Copy, Debug, PartialEq)]

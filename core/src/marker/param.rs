@@ -1,0 +1,133 @@
+//! What the detector and the tracker can be told.
+
+use thiserror::Error;
+
+use crate::marker::kind::{Kind, RATIO_LIMITS};
+
+/// Limits of detection and tracking.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Params {
+    /// Roundels found in one frame, or followed, at most.
+    pub max_roundels: usize,
+    /// Smallest shorter semiaxis of the outer rim, pixels.
+    pub min_semi_minor_px: f64,
+    /// Smallest difference of white and black, grey levels; below it noise makes rings.
+    pub min_contrast: u8,
+    /// Smallest ratio of shorter to longer semiaxis, the cosine of the largest tilt.
+    pub min_axis_ratio: f64,
+    /// While roundels are followed, the search for new ones goes through the whole frame once in so
+    /// many frames, a part of it in each, so that it never delays those that are followed.
+    pub search_frames: u32,
+    /// A roundel that is not seen for more frames than this loses its number.
+    pub coast_frames: u32,
+}
+
+impl Default for Params {
+    fn default() -> Self {
+        Self {
+            max_roundels: 400,
+            min_semi_minor_px: 4.0,
+            min_contrast: 20,
+            min_axis_ratio: 0.25,
+            search_frames: 4,
+            coast_frames: 5,
+        }
+    }
+}
+
+/// Kinds or limits that no detector can be made of.
+#[derive(Clone, Debug, PartialEq, Error)]
+pub enum DetectorError {
+    /// A kind's diameters.
+    #[error(
+        "roundel {name:?}: expected an inner diameter of {low} to {high} of the outer one, \
+         found {inner_m} m of {outer_m} m; print a roundel within these limits",
+        low = RATIO_LIMITS.0,
+        high = RATIO_LIMITS.1
+    )]
+    Diameters {
+        /// Name of the kind.
+        name: String,
+        /// Its inner diameter, metres.
+        inner_m: f64,
+        /// Its outer diameter, metres.
+        outer_m: f64,
+    },
+    /// A parameter out of its range.
+    #[error("detector parameter {name}: expected {expected}, found {found}")]
+    Param {
+        /// Name of the field.
+        name: &'static str,
+        /// What it may be.
+        expected: &'static str,
+        /// What it is.
+        found: f64,
+    },
+    /// More kinds than can be numbered.
+    #[error("expected at most 65535 kinds of roundel, found {found}")]
+    Kinds {
+        /// How many there are.
+        found: usize,
+    },
+}
+
+/// Whether a detector can be made of these.
+pub(crate) fn check(kinds: &[Kind], params: &Params) -> Result<(), DetectorError> {
+    if kinds.len() > usize::from(u16::MAX) {
+        return Err(DetectorError::Kinds { found: kinds.len() });
+    }
+    for kind in kinds {
+        let (outer_m, inner_m) = (kind.outer_diameter_m, kind.inner_diameter_m);
+        let positive = outer_m.is_finite() && outer_m > 0.0 && inner_m > 0.0;
+        if !positive || kind.ratio() < RATIO_LIMITS.0 || kind.ratio() > RATIO_LIMITS.1 {
+            let name = kind.name.clone();
+            return Err(DetectorError::Diameters { name, inner_m, outer_m });
+        }
+    }
+    let param = |name, expected, found: f64, ok: bool| {
+        if ok { Ok(()) } else { Err(DetectorError::Param { name, expected, found }) }
+    };
+    let least = params.min_semi_minor_px;
+    param(
+        "min_semi_minor_px",
+        "a finite number of at least 3",
+        least,
+        (3.0..1e4).contains(&least),
+    )?;
+    let ratio = params.min_axis_ratio;
+    param("min_axis_ratio", "0.1 to 1", ratio, (0.1..=1.0).contains(&ratio))?;
+    let contrast = params.min_contrast;
+    param("min_contrast", "8 or more", f64::from(contrast), contrast >= 8)?;
+    let frames = params.search_frames;
+    param("search_frames", "1 or more", f64::from(frames), frames >= 1)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn kind(outer_diameter_m: f64, inner_diameter_m: f64) -> Kind {
+        Kind { name: "robot".into(), outer_diameter_m, inner_diameter_m }
+    }
+
+    #[test]
+    fn impossible_kinds_are_refused() {
+        assert_eq!(check(&[kind(0.16, 0.064)], &Params::default()), Ok(()));
+        for (outer, inner) in [(0.1, 0.1), (0.0, 0.0), (f64::NAN, 0.1), (0.1, -0.05), (1.0, 0.1)] {
+            let error = check(&[kind(outer, inner)], &Params::default()).unwrap_err();
+            assert!(error.to_string().contains("roundel \"robot\": expected an inner diameter"));
+        }
+    }
+
+    #[test]
+    fn impossible_params_name_their_field() {
+        for (params, field) in [
+            (Params { min_semi_minor_px: f64::NAN, ..Params::default() }, "min_semi_minor_px"),
+            (Params { min_axis_ratio: 0.0, ..Params::default() }, "min_axis_ratio"),
+            (Params { min_contrast: 1, ..Params::default() }, "min_contrast"),
+            (Params { search_frames: 0, ..Params::default() }, "search_frames"),
+        ] {
+            assert!(check(&[], &params).unwrap_err().to_string().contains(field));
+        }
+    }
+}

@@ -1,0 +1,113 @@
+//! Why a candidate is no roundel: one reason for each stage that can refuse it, counted.
+
+use std::fmt;
+
+macro_rules! rejects {
+    ($($(#[doc = $doc:literal])+ $name:ident = $text:literal,)+) => {
+        /// The stage at which a candidate died, in the order in which they are passed.
+        #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, PartialOrd, Ord)]
+        pub enum Reject {
+            $($(#[doc = $doc])+ $name,)+
+        }
+
+        impl Reject {
+            /// All stages, in order.
+            pub const ALL: &'static [Reject] = &[$(Reject::$name,)+];
+
+            /// What was wrong, in a few words.
+            pub fn reason(self) -> &'static str {
+                match self { $(Reject::$name => $text,)+ }
+            }
+        }
+    };
+}
+
+rejects! {
+    /// Search: black is not equally wide on both sides of the white.
+    Chord = "black and white do not alternate evenly along row and column",
+    /// The frame's edge cuts it, or is too near to measure its rim.
+    FrameEdge = "cut by the frame's edge",
+    /// Nothing black next to the place where a ring's disc should be.
+    NoBlack = "no black where the ring should be",
+    /// The black segment goes on past the size looked for.
+    BlackTooLarge = "black segment larger than the roundel looked for",
+    /// The black segment has too few pixels.
+    TooSmall = "too small",
+    /// Eq. (2) of the black segment.
+    BlackBox = "black segment's area does not fit its box (eq. 2)",
+    /// No white at the black segment's centre.
+    NoWhite = "no white at the ring's centre",
+    /// The white segment is not enclosed by the black one.
+    WhiteTooLarge = "white disc not enclosed by the black ring",
+    /// Eq. (2) of the white segment.
+    WhiteBox = "white segment's area does not fit its box (eq. 2)",
+    /// Ratio of the segments' areas.
+    AreaRatio = "ratio of black to white area",
+    /// Centres of the two segments apart.
+    Concentricity = "ring and disc are not concentric",
+    /// Eq. (5) of the disc or of ring and disc together.
+    Roundness = "not an ellipse (eq. 5)",
+    /// Flatter than any tilt looked for.
+    Tilt = "too flat",
+    /// The two rims have different shapes.
+    Similarity = "ring and disc have different shapes",
+    /// Black and white too near.
+    Contrast = "contrast too low",
+    /// The grey levels along the rims contradict the segments.
+    Profile = "grey levels at the rims are not those of a roundel",
+    /// No configured kind has such a ratio.
+    Kind = "ratio of diameters fits no kind",
+    /// Another roundel stands there already.
+    Claimed = "already taken for another roundel",
+    /// Tracking: a roundel, but not where or not how the track must be.
+    Gate = "too far from the track's prediction",
+}
+
+impl fmt::Display for Reject {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.write_str(self.reason())
+    }
+}
+
+/// How many candidates of one frame died at each stage.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct RejectCounts([u32; Reject::ALL.len()]);
+
+impl RejectCounts {
+    /// Candidates that this stage refused.
+    pub fn count(&self, reject: Reject) -> u32 {
+        self.0[reject as usize]
+    }
+
+    /// Candidates refused by any stage.
+    pub fn total(&self) -> u32 {
+        self.0.iter().fold(0, |sum, &n| sum.saturating_add(n))
+    }
+
+    /// Every stage with its count, in order.
+    pub fn iter(&self) -> impl Iterator<Item = (Reject, u32)> + '_ {
+        Reject::ALL.iter().map(|&reject| (reject, self.count(reject)))
+    }
+
+    pub(crate) fn add(&mut self, reject: Reject) {
+        let count = &mut self.0[reject as usize];
+        *count = count.saturating_add(1);
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn counts_are_kept_by_stage() {
+        let mut counts = RejectCounts::default();
+        counts.add(Reject::Gate);
+        counts.add(Reject::Chord);
+        counts.add(Reject::Gate);
+        assert_eq!(counts.count(Reject::Gate), 2);
+        assert_eq!(counts.total(), 3);
+        assert_eq!(counts.iter().filter(|(_, n)| *n > 0).count(), 2);
+        assert_eq!(counts.iter().next(), Some((Reject::Chord, 1)));
+    }
+}

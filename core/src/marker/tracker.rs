@@ -1,0 +1,274 @@
+//! Roundels followed from frame to frame of one camera.
+//!
+//! A track starts each frame where its last motion leads (constant velocity in the image): there
+//! lies the disc, beside it the ring, and only their pixels are touched (paper, section 3). If the
+//! ring is not there, a window round the prediction is searched. A roundel that stays away keeps its
+//! number for a few frames, its window growing. New roundels are searched for in a part of the frame
+//! each time, so that those followed are never delayed.
+//!
+//! A ring belongs to one track: what one has taken, no other can.
+
+use crate::{
+    camera::PixelPoint,
+    frame::Frame,
+    id::TrackNumber,
+    marker::{
+        Ring, TrackedRing,
+        detector::{Claim, Detector, Scratch},
+        examine::Probe,
+        reject::{Reject, RejectCounts},
+        scan::ROW_STEP,
+    },
+    segment::Window,
+};
+
+/// A track's ring may change its radius by this share a frame …
+const GATE_RADIUS_SHARE: f64 = 0.25;
+/// … and this many pixels on top.
+const GATE_RADIUS_PX: f64 = 1.0;
+/// How far from its prediction a ring may be: this share of its radius, and pixels on top. Faster
+/// roundels are lost, and found again as new ones.
+const GATE_SHARE: f64 = 1.0;
+/// See [`GATE_SHARE`].
+const GATE_PX: f64 = 6.0;
+/// Share of a frame's measured motion in the velocity; the rest is the velocity known.
+const VELOCITY_GAIN: f64 = 0.7;
+
+/// Follows all roundels of one camera.
+#[derive(Debug)]
+pub struct Tracker {
+    detector: Detector,
+    scratch: Scratch,
+    tracks: Vec<Track>,
+    output: Vec<TrackedRing>,
+    next_number: u64,
+    size: (usize, usize),
+    next_row: usize,
+}
+
+#[derive(Clone, Copy, Debug)]
+struct Track {
+    number: TrackNumber,
+    ring: Ring,
+    /// Motion of the centre, pixels a frame.
+    velocity: (f64, f64),
+    /// Frames since it was seen last; 0 if it is seen in the newest.
+    missed: u32,
+    /// Frames in which it was seen.
+    seen: u32,
+}
+
+impl Track {
+    fn new(number: u64, ring: Ring) -> Self {
+        let number = TrackNumber(number);
+        Self { number, ring, velocity: (0.0, 0.0), missed: 0, seen: 1 }
+    }
+
+    /// Where the centre is expected in the frame after `missed` ones without it.
+    fn predicted(&self) -> PixelPoint {
+        let frames = f64::from(self.missed);
+        let PixelPoint { u, v } = self.ring.outer.center;
+        PixelPoint { u: u + self.velocity.0 * frames, v: v + self.velocity.1 * frames }
+    }
+
+    fn gate_px(&self) -> f64 {
+        let grown = 1.0 + 0.5 * f64::from(self.missed.saturating_sub(1));
+        grown * (GATE_PX + GATE_SHARE * self.ring.outer.semi_major_px)
+    }
+
+    /// Distance of a ring from the prediction, pixels; `None` if it cannot be this track's.
+    fn distance_px(&self, ring: &Ring) -> Option<f64> {
+        let at = self.predicted();
+        let distance = (ring.outer.center.u - at.u).hypot(ring.outer.center.v - at.v);
+        let frames = f64::from(self.missed.max(1));
+        let known = self.ring.outer.mean_radius_px();
+        let change = (ring.outer.mean_radius_px() - known).abs();
+        let same_size = change <= frames * (GATE_RADIUS_PX + GATE_RADIUS_SHARE * known);
+        let same = same_size && ring.kind == self.ring.kind && distance <= self.gate_px();
+        same.then_some(distance)
+    }
+
+    fn update(&mut self, ring: Ring) {
+        let frames = f64::from(self.missed.max(1));
+        let (from, to) = (self.ring.outer.center, ring.outer.center);
+        let motion = ((to.u - from.u) / frames, (to.v - from.v) / frames);
+        let gain = if self.seen == 1 { 1.0 } else { VELOCITY_GAIN };
+        self.velocity.0 += gain * (motion.0 - self.velocity.0);
+        self.velocity.1 += gain * (motion.1 - self.velocity.1);
+        self.ring = ring;
+        self.missed = 0;
+        self.seen = self.seen.saturating_add(1);
+    }
+}
+
+impl Tracker {
+    /// A tracker with no tracks yet; its first frame is searched wholly.
+    pub fn new(detector: Detector) -> Self {
+        Self {
+            detector,
+            scratch: Scratch::default(),
+            tracks: Vec::new(),
+            output: Vec::new(),
+            next_number: 1,
+            size: (0, 0),
+            next_row: 0,
+        }
+    }
+
+    /// The detector in use.
+    pub fn detector(&self) -> &Detector {
+        &self.detector
+    }
+
+    /// Candidates of the newest frame that died, by stage.
+    pub fn rejects(&self) -> &RejectCounts {
+        &self.scratch.rejects
+    }
+
+    /// Forgets all tracks, as after a gap in the frames. Numbers go on.
+    pub fn reset(&mut self) {
+        self.tracks.clear();
+        self.output.clear();
+        self.next_row = 0;
+    }
+
+    /// The roundels of the next frame, by the number of their track. A frame of another size than
+    /// the one before starts afresh.
+    pub fn process(&mut self, frame: &Frame) -> &[TrackedRing] {
+        let size = (frame.width(), frame.height());
+        if size != self.size {
+            self.reset();
+            self.size = size;
+        }
+        self.scratch.rejects = RejectCounts::default();
+        self.scratch.claims.clear();
+        self.scratch.found.clear();
+        for track in &mut self.tracks {
+            track.missed += 1;
+        }
+        self.follow(frame);
+        self.seek_missing(frame);
+        self.search_part(frame);
+        let coast = self.detector.params().coast_frames;
+        self.tracks.retain(|track| track.missed <= coast);
+
+        self.output.clear();
+        let seen = self.tracks.iter().filter(|track| track.missed == 0);
+        self.output.extend(seen.map(|track| TrackedRing { track: track.number, ring: track.ring }));
+        &self.output
+    }
+
+    /// Measures every track's ring at its prediction.
+    fn follow(&mut self, frame: &Frame) {
+        for track in &mut self.tracks {
+            let scratch = &mut self.scratch;
+            let measured = probe(frame, track)
+                .and_then(|probe| self.detector.measure(frame, &probe, &mut scratch.fill))
+                .and_then(|ring| {
+                    if scratch.claims.iter().any(|claim| claim.covers(&ring)) {
+                        return Err(Reject::Claimed);
+                    }
+                    track.distance_px(&ring).map(|_| ring).ok_or(Reject::Gate)
+                });
+            match measured {
+                Ok(ring) => {
+                    scratch.claims.push(Claim::new(&ring));
+                    track.update(ring);
+                }
+                Err(reject) => scratch.rejects.add(reject),
+            }
+        }
+    }
+
+    /// Searches the neighbourhood of the predictions at which there was no ring.
+    fn seek_missing(&mut self, frame: &Frame) {
+        for index in 0..self.tracks.len() {
+            let track = &self.tracks[index];
+            if track.missed == 0 {
+                continue;
+            }
+            let at = track.predicted();
+            let half_u = track.ring.outer.half_box_px().0;
+            let gate = track.gate_px();
+            // Rows are needed where the disc can be, columns where the ring can.
+            let half = (gate + half_u + 4.0, gate + 1.0);
+            let window = Window::around(frame, (at.u, at.v), half);
+            self.take_found(|detector, scratch| {
+                detector.search(frame, window, usize::MAX, scratch);
+            });
+        }
+    }
+
+    /// Searches the next part of the frame for new roundels; all of it while none is followed.
+    fn search_part(&mut self, frame: &Frame) {
+        if self.tracks.len() >= self.detector.params().max_roundels {
+            return;
+        }
+        let none = self.tracks.iter().all(|track| track.missed > 0);
+        let parts = if none { 1 } else { self.detector.params().search_frames as usize };
+        let rows = frame.height().div_ceil(parts).next_multiple_of(ROW_STEP);
+        if none || self.next_row >= frame.height() {
+            self.next_row = 0;
+        }
+        let bottom = (self.next_row + rows).min(frame.height());
+        let window = Window { top: self.next_row, bottom, ..Window::of(frame) };
+        self.next_row = bottom;
+        self.take_found(|detector, scratch| {
+            detector.search(frame, window, usize::MAX, scratch);
+        });
+    }
+
+    /// Gives each ring that `search` finds to the nearest missing track whose gate it passes, or to
+    /// a new one while there is room.
+    fn take_found(&mut self, search: impl FnOnce(&Detector, &mut Scratch)) {
+        self.scratch.found.clear();
+        search(&self.detector, &mut self.scratch);
+        let most = self.detector.params().max_roundels;
+        for ring in &self.scratch.found {
+            let missing = self.tracks.iter_mut().filter(|track| track.missed > 0);
+            let near = missing
+                .filter_map(|track| track.distance_px(ring).map(|distance| (distance, track)))
+                .min_by(|a, b| a.0.total_cmp(&b.0));
+            if let Some((_, track)) = near {
+                track.update(*ring);
+            } else if self.tracks.len() < most {
+                self.tracks.push(Track::new(self.next_number, *ring));
+                self.next_number += 1;
+            }
+        }
+    }
+}
+
+/// Where to fill for a track: the disc at its prediction, and the black to the left of it.
+fn probe(frame: &Frame, track: &Track) -> Result<Probe, Reject> {
+    let at = track.predicted();
+    let (half_u, half_v) = track.ring.outer.half_box_px();
+    let inside =
+        at.u >= 0.0 && at.v >= 0.0 && at.u < frame.width() as f64 && at.v < frame.height() as f64;
+    if !inside {
+        return Err(Reject::FrameEdge);
+    }
+    let center = (
+        (at.u.round() as usize).min(frame.width() - 1),
+        (at.v.round() as usize).min(frame.height() - 1),
+    );
+    let threshold = track.ring.threshold;
+    let row = frame.row(center.1);
+    if row[center.0] < threshold {
+        return Err(Reject::NoWhite);
+    }
+    let furthest = center.0.saturating_sub(half_u as usize + 2);
+    let first = (furthest..center.0).rev().find(|&u| row[u] < threshold);
+    let first = first.ok_or(Reject::NoBlack)?;
+    // A few pixels into the black, so that the seed is black at the next threshold as well.
+    let thickness = 0.5 * (track.ring.outer.semi_minor_px - track.ring.inner.semi_minor_px);
+    let deeper = first.saturating_sub(thickness as usize);
+    let black = if row[deeper] < threshold { deeper } else { first };
+    let reach = track.gate_px();
+    let bounds = Window::around(
+        frame,
+        (at.u, at.v),
+        (1.3 * half_u + reach + 2.0, 1.3 * half_v + reach + 2.0),
+    );
+    Ok(Probe { center, black: (black, center.1), threshold, bounds })
+}
