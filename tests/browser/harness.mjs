@@ -76,44 +76,52 @@ export async function readObjects(page) {
 }
 
 /**
- * A line between browser and server that can be cut and mended, whatever the server is.
+ * A line between browser and server that can be cut, frozen and mended, whatever the server is.
  * @param {string} url
  */
 export async function startLine(url) {
   const { hostname, port } = new URL(url);
   const sockets = new Set();
-  let whole = true;
+  /** @type {"whole" | "cut" | "frozen"} */
+  let state = "whole";
+  const keep = (socket, others) => {
+    sockets.add(socket);
+    socket.on("error", () => {});
+    socket.on("close", () => {
+      sockets.delete(socket);
+      for (const other of others) other.destroy();
+    });
+  };
   const server = createServer((near) => {
-    if (!whole) return near.destroy();
+    if (state === "cut") return near.destroy();
+    if (state === "frozen") return keep(near, []);
     const far = connect(Number(port), hostname);
-    for (const socket of [near, far]) {
-      sockets.add(socket);
-      socket.on("error", () => {});
-      socket.on("close", () => {
-        sockets.delete(socket);
-        near.destroy();
-        far.destroy();
-      });
-    }
+    keep(near, [far]);
+    keep(far, [near]);
     near.pipe(far).pipe(near);
   });
+  const destroyAll = () => {
+    for (const socket of sockets) socket.destroy();
+  };
   await new Promise((resolve) => server.listen(0, "127.0.0.1", resolve));
   return {
     url: `http://127.0.0.1:${server.address().port}/`,
     cut() {
-      whole = false;
-      for (const socket of sockets) socket.destroy();
+      state = "cut";
+      destroyAll();
     },
-    /** Leaves the connections open but lets nothing through, as a network does that has gone away. */
+    /** Connections stay and new ones are taken, but nothing passes: a network that has gone away. */
     freeze() {
-      for (const socket of sockets) socket.pause();
+      state = "frozen";
+      for (const socket of sockets) socket.unpipe().pause();
     },
+    /** New connections pass again; what was frozen stays dead. */
     mend() {
-      whole = true;
+      state = "whole";
     },
     async close() {
-      whole = false;
-      for (const socket of sockets) socket.destroy();
+      state = "cut";
+      destroyAll();
       await new Promise((resolve) => server.close(resolve));
     },
   };

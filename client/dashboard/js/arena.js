@@ -255,6 +255,7 @@ export class Arena {
     const parts = [`Grid ${gridStepM(this.view)} m`];
     if (this.exaggeration === 1) parts.push("95 % ellipses to scale");
     if (this.exaggeration > 1) parts.push(`95 % ellipses drawn ${this.exaggeration}× larger`);
+    parts.push("lines reach 0.5 s ahead");
     if (this.pointer) {
       const [px, py] = this.pointer;
       parts.push(`x ${fixed(this.view.worldX(px), 2)}  y ${fixed(this.view.worldY(py), 2)} m`);

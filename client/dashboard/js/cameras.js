@@ -51,19 +51,24 @@ export function showCameras(store) {
       card.fill(camera, live);
     }
     empty.hidden = store.cameras.length > 0 || !store.camerasKnown;
-    setText(summary, summaryWords(store.cameras));
+    const failed = store.cameras.filter((camera) => camera.status === "failed").length;
+    summary.classList.toggle("bad", failed > 0);
+    setText(summary, summaryWords(store.cameras, failed));
   };
 
   store.on("cameras", update);
   store.on("connection", update);
 }
 
-/** @param {Camera[]} cameras */
-function summaryWords(cameras) {
+/**
+ * @param {Camera[]} cameras
+ * @param {number} failed
+ */
+function summaryWords(cameras, failed) {
   if (cameras.length === 0) return "";
+  if (failed > 0) return `${failed} of ${cameras.length} failed`;
   const running = cameras.filter((camera) => camera.status === "running").length;
-  const failed = cameras.filter((camera) => camera.status === "failed").length;
-  return `${running} of ${cameras.length} running${failed > 0 ? `, ${failed} failed` : ""}`;
+  return running === cameras.length ? `${running} running` : `${running} of ${cameras.length} running`;
 }
 
 /** What is the matter and what is being done about it; empty while all is well. @param {Camera} camera */

@@ -85,7 +85,7 @@ function drawTrails(context, view, palette, tracks, timeMs) {
       const newMs = oldMs + TRAIL_MS / TRAIL_BANDS;
       context.beginPath();
       for (const { trail } of members) traceTrail(context, view, trail, oldMs, newMs);
-      context.globalAlpha = 0.1 + (0.5 * band) / (TRAIL_BANDS - 1);
+      context.globalAlpha = 0.15 + (0.6 * band) / (TRAIL_BANDS - 1);
       context.stroke();
     }
   }

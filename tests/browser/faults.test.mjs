@@ -1,0 +1,153 @@
+/** What only invented servers do on demand: cameras that fail, empty arenas, messages of another version. */
+
+import assert from "node:assert/strict";
+import { after, before, describe, test } from "node:test";
+
+import { launch, openDashboard } from "./harness.mjs";
+import { startMock } from "./mock.mjs";
+import { World } from "./world.mjs";
+
+let browser;
+before(async () => {
+  browser = await launch();
+});
+after(() => browser?.close());
+
+/** A mock server of this case's own, and the page on it. */
+async function withWorld(world, body) {
+  const server = await startMock({ world });
+  try {
+    const opened = await openDashboard(browser, server.url);
+    try {
+      await body(opened.page, opened);
+      return;
+    } finally {
+      await opened.context.close();
+    }
+  } finally {
+    await server.close();
+  }
+}
+
+describe("trouble with cameras", () => {
+  test("a failed one says why and that it is retried, and shows when it is back", async () => {
+    const world = new World();
+    await withWorld(world, async (page) => {
+      const card = page.locator('[data-camera-card="north-west"]');
+      await page.locator('[data-camera-card="north-west"][data-status="running"]').waitFor();
+      world.failCamera("north-west", "no images in frames/north-west");
+      await page.locator('[data-camera-card="north-west"][data-status="failed"]').waitFor();
+      const words = await card.textContent();
+      assert.match(words, /Failed/);
+      assert.match(words, /no images in frames\/north-west\. It is tried again by itself\./);
+      await page.locator("#cameras-summary", { hasText: "1 of 4 failed" }).waitFor();
+      await page.locator(".event.sign-failed", { hasText: "north-west" }).waitFor();
+      world.restoreCamera("north-west");
+      await page.locator('[data-camera-card="north-west"][data-status="running"]').waitFor();
+      await page.locator(".event.sign-running", { hasText: "running again" }).waitFor();
+      assert.equal(await card.locator(".trouble").isVisible(), false);
+    });
+  });
+
+  test("one without a pose says that it is not used", async () => {
+    class Unplaced extends World {
+      cameras() {
+        return super.cameras().map((camera) => ({ ...camera, pose: null, intrinsics: null }));
+      }
+    }
+    await withWorld(new Unplaced(), async (page, { complaints }) => {
+      await page.locator(".trouble", { hasText: "not known yet" }).first().waitFor();
+      assert.deepEqual(complaints, []);
+    });
+  });
+});
+
+describe("little to show", () => {
+  test("no objects", async () => {
+    await withWorld(new World({ robots: 0 }), async (page, { complaints }) => {
+      await page.locator("#arena-note", { hasText: "No object is in view" }).waitFor();
+      assert.ok(await page.locator("#objects-empty").isVisible());
+      assert.deepEqual(complaints, []);
+    });
+  });
+
+  test("no cameras", async () => {
+    await withWorld(new World({ robots: 0, cameras: 0 }), async (page, { complaints }) => {
+      await page.locator("#arena-note", { hasText: "No cameras are configured" }).waitFor();
+      assert.ok(await page.locator("#cameras-empty").isVisible());
+      assert.deepEqual(complaints, []);
+    });
+  });
+});
+
+describe("what a page meets over months", () => {
+  test("an object that is given up is marked, then goes; the panel keeps its last values", async () => {
+    class Leaving extends World {
+      state(robot, t) {
+        const state = super.state(robot, t);
+        return robot.id === 2 && this.leaving ? { ...state, stage: "lost" } : state;
+      }
+
+      snapshot() {
+        const snapshot = super.snapshot();
+        if (this.gone) snapshot.objects = snapshot.objects.filter((object) => object.object_id !== 2);
+        this.gone = this.leaving;
+        return snapshot;
+      }
+    }
+    const world = new Leaving({ robots: 3 });
+    await withWorld(world, async (page) => {
+      await page.locator('#object-rows tr[data-object-id="2"] button').click();
+      world.leaving = true;
+      await page.locator('#object-rows tr[data-object-id="2"][data-stage="lost"]').waitFor();
+      await page.locator('#object-rows tr[data-object-id="2"]').waitFor({ state: "detached" });
+      assert.match(await page.locator(".stage-words").textContent(), /given up; these are its last values/);
+      assert.equal(await page.locator("#object-rows tr").count(), 2);
+    });
+  });
+
+  test("messages of another version, and broken ones, disturb nothing", async () => {
+    class Odd extends World {
+      snapshot() {
+        const snapshot = super.snapshot();
+        Object.assign(snapshot.objects[0], { stage: "hibernating", position: null, orientation: null });
+        Object.assign(snapshot.objects[1], { covariance: [], velocity: null, cameras: null, residual: null });
+        delete snapshot.objects[2].name;
+        return snapshot;
+      }
+
+      cameras() {
+        const cameras = super.cameras();
+        Object.assign(cameras[0], { status: "dreaming", rate_hz: null, intrinsics: { lens: "spiral" } });
+        return cameras;
+      }
+    }
+    const world = new Odd({ robots: 4 });
+    await withWorld(world, async (page, { complaints }) => {
+      await page.locator('#object-rows tr[data-object-id="4"]').waitFor();
+      world.tell({ kind: "moon_rose", message: "" });
+      await page.locator(".event", { hasText: "moon rose" }).waitFor();
+      for (const id of [1, 2, 3]) {
+        await page.locator(`#object-rows tr[data-object-id="${id}"] button`).click();
+        await page.locator("#selection h2", { hasText: String(id) }).waitFor();
+        assert.doesNotMatch(await page.locator("#selection").textContent(), /NaN|undefined|null/);
+      }
+      assert.doesNotMatch(await page.locator("main").textContent(), /NaN|undefined/);
+      assert.deepEqual(complaints, []);
+    });
+  });
+
+  test("another run of the server begins with a clean sheet", async () => {
+    const world = new World({ robots: 3 });
+    await withWorld(world, async (page) => {
+      await page.locator('#object-rows tr[data-object-id="3"] button').click();
+      world.tell({ kind: "object_lost", object_id: 9, message: "Object 9 is lost." });
+      await page.locator(".event").first().waitFor();
+      world.sourceId = "mock-2";
+      world.robots = world.robots.slice(0, 2);
+      await page.locator('#object-rows tr[data-object-id="3"]').waitFor({ state: "detached" });
+      await page.locator("#selection").waitFor({ state: "hidden" });
+      assert.equal(await page.locator(".event").count(), 0);
+    });
+  });
+});

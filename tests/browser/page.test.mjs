@@ -1,0 +1,434 @@
+/**
+ * The dashboard in headless Chromium: against the real server at ROUNDEL_URL, where that is given,
+ * and else against the mock. No case depends on how fast either is; each waits for what it wants.
+ */
+
+import assert from "node:assert/strict";
+import { after, before, describe, test } from "node:test";
+
+import { launch, openDashboard, readObjects, startLine, target } from "./harness.mjs";
+
+/** How long a case waits for what has to come, ms. */
+const PATIENCE_MS = 30_000;
+
+let server;
+let browser;
+
+before(async () => {
+  server = await target();
+  browser = await launch();
+});
+after(async () => {
+  await browser?.close();
+  await server?.close();
+});
+
+/** Opens the page, runs the case, and closes the page whatever happens. */
+async function withPage(options, body, url = server.url) {
+  const opened = await openDashboard(browser, url, options);
+  opened.page.setDefaultTimeout(PATIENCE_MS);
+  try {
+    await opened.page.locator("#object-rows tr").first().waitFor();
+    return await body(opened.page, opened);
+  } finally {
+    await opened.context.close();
+  }
+}
+
+/** A number that changes with the canvas' picture. */
+function canvasSum(page, id) {
+  return page.evaluate((name) => {
+    const canvas = document.getElementById(name);
+    const { data } = canvas.getContext("2d").getImageData(0, 0, canvas.width, canvas.height);
+    let sum = 0;
+    for (let i = 0; i < data.length; i += 4) {
+      sum = (sum * 31 + data[i] + 7 * data[i + 1] + 13 * data[i + 2] + 17 * data[i + 3]) % 4294967291;
+    }
+    return sum;
+  }, id);
+}
+
+/** Waits until a canvas' picture is as wanted. */
+async function assertPicture(page, id, wanted, complaint) {
+  const until = Date.now() + PATIENCE_MS;
+  while (!wanted(await canvasSum(page, id))) {
+    assert.ok(Date.now() < until, `${id} ${complaint} for ${PATIENCE_MS} ms`);
+    await page.waitForTimeout(100);
+  }
+}
+
+const assertChanges = (page, id, before) =>
+  assertPicture(page, id, (sum) => sum !== before, "shows the same picture");
+const assertReturns = (page, id, before) =>
+  assertPicture(page, id, (sum) => sum === before, "does not show what it did");
+
+describe("the page", () => {
+  test("opens without a complaint and asks nobody but its server", async () => {
+    await withPage({}, async (page, { complaints, foreign }) => {
+      await page.waitForFunction(() => document.querySelector("#installation").textContent !== "–");
+      const info = await (await fetch(new URL("api/v1/info", server.url))).json();
+      assert.equal(await page.locator("h1").textContent(), info.name || "Unnamed installation");
+      assert.equal(await page.locator("#link-text").textContent(), "Live");
+      await page.waitForFunction(() => Number(document.querySelector("#rate").textContent) > 0);
+      assert.deepEqual(complaints, []);
+      assert.deepEqual(foreign, []);
+    });
+  });
+
+  test("shows the server's objects, moving", async () => {
+    await withPage({}, async (page) => {
+      const first = await readObjects(page);
+      const truth = await (await fetch(new URL("api/v1/snapshot", server.url))).json();
+      const known = truth.objects.filter((object) => first.has(object.object_id) && object.position);
+      assert.ok(known.length >= truth.objects.length / 2, `${known.length} of ${truth.objects.length} are listed`);
+      for (const { object_id: id, position } of known) {
+        const shown = first.get(id);
+        // The two were read one after the other, and robots move: a wide bound, but no chance hit.
+        const distance = Math.hypot(shown.x - position.x, shown.y - position.y, shown.z - position.z);
+        assert.ok(distance < 3, `object ${id} is shown ${distance.toFixed(2)} m from where it is`);
+      }
+      await page.waitForFunction(
+        (before) => {
+          const rows = [...document.querySelectorAll("#object-rows tr")];
+          const moved = rows.filter((row) => {
+            const was = before[row.dataset.objectId];
+            return was && was !== row.children[1].textContent + row.children[2].textContent;
+          });
+          return moved.length >= Object.keys(before).length / 2;
+        },
+        await page.locator("#object-rows tr").evaluateAll((rows) =>
+          Object.fromEntries(
+            rows.map((row) => [row.dataset.objectId, row.children[1].textContent + row.children[2].textContent]),
+          ),
+        ),
+      );
+    });
+  });
+
+  test("counts the objects by life stage", async () => {
+    await withPage({}, async (page) => {
+      await page.waitForFunction(() => {
+        const tracked = document.querySelectorAll('#object-rows tr[data-stage="tracked"]').length;
+        return tracked > 0 && Number(document.querySelector('[data-stage="tracked"] b').textContent) === tracked;
+      });
+    });
+  });
+
+  test("draws the arena, and draws it anew as things move", async () => {
+    await withPage({}, async (page) => {
+      const empty = await page.evaluate(() => {
+        const canvas = document.querySelector("#arena-tracks");
+        const { data } = canvas.getContext("2d").getImageData(0, 0, canvas.width, canvas.height);
+        return data.every((value) => value === 0);
+      });
+      assert.equal(empty, false);
+      const before = await canvasSum(page, "arena-tracks");
+      await assertChanges(page, "arena-tracks", before);
+    });
+  });
+
+  test("has a card for each camera, with its figures and its picture", async () => {
+    const { cameras } = await (await fetch(new URL("api/v1/cameras", server.url))).json();
+    assert.ok(cameras.length > 0, "the server has cameras");
+    await withPage({}, async (page) => {
+      for (const { name } of cameras) {
+        const card = page.locator(`[data-camera-card="${name}"]`);
+        await card.waitFor();
+        await card.scrollIntoViewIfNeeded();
+        await page.waitForFunction(
+          (wanted) => {
+            const found = [...document.querySelectorAll("[data-camera-card]")].find((c) => c.dataset.cameraCard === wanted);
+            const figure = (key) => Number(found.querySelector(`[data-figure=${key}]`).textContent);
+            const image = found.querySelector("img");
+            return (
+              found.dataset.status === "running" &&
+              figure("rate") > 0 &&
+              figure("latency") > 0 &&
+              figure("detect") > 0 &&
+              image.naturalWidth > 0 &&
+              Number(image.dataset.pictures) >= 2
+            );
+          },
+          name,
+        );
+      }
+    });
+  });
+
+  test("asks for one picture of a camera at a time, and for none that is out of view", async () => {
+    await withPage({ viewport: { width: 390, height: 500 } }, async (page) => {
+      const open = new Map();
+      let most = 0;
+      let asked = 0;
+      const camera = (request) => /cameras\/([^/]+)\/frame\.jpg/.exec(request.url())?.[1];
+      const ended = (request) => {
+        const name = camera(request);
+        if (name) open.set(name, (open.get(name) ?? 1) - 1);
+      };
+      page.on("request", (request) => {
+        const name = camera(request);
+        if (!name) return;
+        asked += 1;
+        open.set(name, (open.get(name) ?? 0) + 1);
+        most = Math.max(most, open.get(name));
+      });
+      page.on("requestfinished", ended);
+      page.on("requestfailed", ended);
+      await page.waitForTimeout(1000);
+      assert.equal(asked, 0, "the cameras are below the fold");
+      await page.locator("[data-camera-card]").first().scrollIntoViewIfNeeded();
+      await page.waitForFunction(() => Number(document.querySelector("img[data-camera]").dataset.pictures) >= 4);
+      assert.equal(most, 1);
+    });
+  });
+
+  test("enlarges a picture and keeps it live", async () => {
+    await withPage({}, async (page) => {
+      await page.locator("img[data-camera].loaded").first().waitFor();
+      await page.locator(".frame").first().click();
+      const picture = page.locator("#viewer-picture");
+      await picture.waitFor();
+      const first = await picture.getAttribute("src");
+      await page.waitForFunction((src) => document.querySelector("#viewer-picture").src !== src, first);
+      await page.keyboard.press("Escape");
+      await picture.waitFor({ state: "hidden" });
+    });
+  });
+});
+
+describe("selecting", () => {
+  test("an object from the list shows all its values, as they change", async () => {
+    await withPage({}, async (page) => {
+      const row = page.locator('#object-rows tr[data-stage="tracked"]').first();
+      const id = await row.getAttribute("data-object-id");
+      await row.locator("button").click();
+      const panel = page.locator("#selection");
+      await panel.waitFor();
+      assert.match(await panel.locator("h2").textContent(), new RegExp(`\\b${id}\\b`));
+      const value = (key) => panel.locator(`[data-value="${key}"]`).textContent();
+      for (const key of ["x", "y", "z", "sigma-x", "sigma-y", "sigma-z", "velocity-x"]) {
+        assert.match(await value(key), /^\u2212?\d+\.\d+$/, key);
+      }
+      assert.match(await value("speed"), /^\d+\.\d+ m\/s$/);
+      assert.match(await value("ellipse"), /^± [\d.]+ × [\d.]+ mm$/);
+      assert.match(await value("age"), /\d/);
+      assert.match(await value("residual"), /^\d+\.\d+/);
+      const { cameras } = await (await fetch(new URL("api/v1/cameras", server.url))).json();
+      const names = cameras.map((camera) => camera.name);
+      const seenBy = (await value("cameras")).split(", ");
+      assert.ok(seenBy.every((name) => names.includes(name) || name === "none now"), seenBy.join());
+      assert.doesNotMatch(await panel.textContent(), /NaN|undefined|null/);
+      const x = await value("x");
+      const y = await value("y");
+      await page.waitForFunction(
+        (was) => ["x", "y"].map((k) => document.querySelector(`[data-value="${k}"]`).textContent).join() !== was,
+        [x, y].join(),
+      );
+      await page.keyboard.press("Tab");
+      await page.locator("#deselect").click();
+      await panel.waitFor({ state: "hidden" });
+    });
+  });
+
+  test("an object by a click in the arena, and nothing by a click beside it", async () => {
+    const line = await startLine(server.url);
+    try {
+      await withPage(
+        {},
+        async (page) => {
+          const row = page.locator('#object-rows tr[data-stage="tracked"]').first();
+          const id = await row.getAttribute("data-object-id");
+          await row.locator("button").click();
+          await page.locator("#follow").click();
+          assert.equal(await page.locator("#follow").getAttribute("aria-pressed"), "true");
+          // Close enough that no other object lies within the click's reach.
+          for (let i = 0; i < 6; i += 1) await page.locator("#zoom-in").click();
+          // What is followed lies in the middle; with the line frozen it stays there.
+          line.freeze();
+          await page.locator('body[data-phase="lost"]').waitFor();
+          const panel = page.locator("#selection");
+          await page.locator("#deselect").click();
+          await panel.waitFor({ state: "hidden" });
+          const box = await page.locator("#arena-stage").boundingBox();
+          const middle = [box.x + box.width / 2, box.y + box.height / 2];
+          await page.mouse.click(...middle);
+          await panel.waitFor();
+          const selected = await page.locator("#object-rows tr.selected").getAttribute("data-object-id");
+          assert.equal(selected, id);
+          await page.mouse.click(middle[0] + 60, middle[1] + 60);
+          await panel.waitFor({ state: "hidden" });
+        },
+        line.url,
+      );
+    } finally {
+      await line.close();
+    }
+  });
+
+  test("works from the keyboard alone", async () => {
+    await withPage({}, async (page) => {
+      await page.locator("#arena-stage").focus();
+      await page.keyboard.press("n");
+      const first = await page.locator("#object-rows tr.selected").getAttribute("data-object-id");
+      await page.keyboard.press("n");
+      const second = await page.locator("#object-rows tr.selected").getAttribute("data-object-id");
+      assert.notEqual(first, second);
+      await page.keyboard.press("p");
+      assert.equal(await page.locator("#object-rows tr.selected").getAttribute("data-object-id"), first);
+      await page.keyboard.press("f");
+      assert.equal(await page.locator("#follow").getAttribute("aria-pressed"), "true");
+      // Moving the view by hand lets go of the object.
+      await page.keyboard.press("ArrowLeft");
+      await page.waitForFunction(() => document.querySelector("#follow").getAttribute("aria-pressed") === "false");
+      await page.keyboard.press("Escape");
+      await page.locator("#selection").waitFor({ state: "hidden" });
+    });
+  });
+});
+
+describe("the view", () => {
+  const grid = async (page) => /Grid ([\d.]+) m/.exec(await page.locator("#arena-caption").textContent())[1];
+
+  test("zooms by wheel and keys, pans by dragging, and fits again", async () => {
+    await withPage({}, async (page) => {
+      const box = await page.locator("#arena-stage").boundingBox();
+      // Cameras may come after the objects, and the view fits itself to them.
+      await page.locator("[data-camera-card]").first().waitFor();
+      await page.locator("#fit").click();
+      await page.waitForTimeout(500);
+      const fitted = await canvasSum(page, "arena-backdrop");
+      const step = Number(await grid(page));
+      await page.mouse.move(box.x + box.width / 2, box.y + box.height / 2);
+      await page.mouse.wheel(0, -1200);
+      await page.waitForFunction(
+        (was) => Number(/Grid ([\d.]+) m/.exec(document.querySelector("#arena-caption").textContent)[1]) < was,
+        step,
+      );
+      await page.locator("#fit").click();
+      await assertReturns(page, "arena-backdrop", fitted);
+      await page.mouse.move(box.x + 300, box.y + 300);
+      await page.mouse.down();
+      await page.mouse.move(box.x + 380, box.y + 340, { steps: 4 });
+      await page.mouse.up();
+      await assertChanges(page, "arena-backdrop", fitted);
+      await page.locator("#arena-stage").focus();
+      await page.keyboard.press("0");
+      await assertReturns(page, "arena-backdrop", fitted);
+    });
+  });
+
+  test("says how far the uncertainty is exaggerated", async () => {
+    await withPage({}, async (page) => {
+      const caption = page.locator("#arena-caption");
+      await page.locator("input[name=exaggeration][value='100']").check();
+      assert.match(await caption.textContent(), /95 % ellipses drawn 100× larger/);
+      await page.locator("input[name=exaggeration][value='1']").check();
+      assert.match(await caption.textContent(), /95 % ellipses to scale/);
+      await page.locator("input[name=exaggeration][value='0']").check();
+      assert.doesNotMatch(await caption.textContent(), /ellipses/);
+    });
+  });
+});
+
+describe("a lost connection", () => {
+  /** Opens the page over a line, breaks the line, and sees the page through loss and return. */
+  async function seeThroughLoss(breakLine) {
+    const line = await startLine(server.url);
+    try {
+      await withPage(
+        {},
+        async (page) => {
+          const banner = page.locator("#banner");
+          assert.equal(await banner.isVisible(), false);
+          breakLine(line);
+          await banner.waitFor();
+          assert.match(await banner.textContent(), /Connection lost\..* ago\./);
+          assert.equal(await page.locator("body").getAttribute("data-phase"), "lost");
+          assert.ok((await page.locator("#object-rows tr").count()) > 0, "what was known stays in view");
+          const greyed = await page.locator("#arena-tracks").evaluate((canvas) => getComputedStyle(canvas).filter);
+          assert.match(greyed, /grayscale/);
+          line.mend();
+          await page.locator('body[data-phase="live"]').waitFor();
+          await banner.waitFor({ state: "hidden" });
+          const before = await canvasSum(page, "arena-tracks");
+          await assertChanges(page, "arena-tracks", before);
+          await page.waitForFunction(() => document.querySelector("#link-text").textContent === "Live");
+        },
+        line.url,
+      );
+    } finally {
+      await line.close();
+    }
+  }
+
+  test("that breaks is said plainly, and comes back by itself", () => seeThroughLoss((line) => line.cut()));
+
+  test("that falls silent is noticed too", () => seeThroughLoss((line) => line.freeze()));
+
+  test("can be tried again by hand", async () => {
+    const line = await startLine(server.url);
+    try {
+      await withPage(
+        {},
+        async (page) => {
+          line.cut();
+          await page.locator("#banner").waitFor();
+          // Long pauses by now: it is the button that brings it back.
+          await page.waitForTimeout(3000);
+          line.mend();
+          await page.locator("#retry").click();
+          await page.locator('body[data-phase="live"]').waitFor();
+        },
+        line.url,
+      );
+    } finally {
+      await line.close();
+    }
+  });
+});
+
+describe("light and dark", () => {
+  const ground = (page) => page.evaluate(() => getComputedStyle(document.body).backgroundColor);
+  const luma = (color) => color.match(/\d+/g).slice(0, 3).reduce((sum, part) => sum + Number(part), 0) / 3;
+
+  test("follow the system", async () => {
+    await withPage({ colorScheme: "light" }, async (page) => assert.ok(luma(await ground(page)) > 200));
+    await withPage({ colorScheme: "dark" }, async (page) => {
+      assert.ok(luma(await ground(page)) < 50);
+      await page.emulateMedia({ colorScheme: "light" });
+      await page.waitForFunction(() => document.documentElement.dataset.theme === "light");
+    });
+  });
+
+  test("can be chosen, which holds after a reload, in the arena too", async () => {
+    await withPage({ colorScheme: "light" }, async (page) => {
+      const before = await canvasSum(page, "arena-backdrop");
+      await page.locator("#theme").click();
+      assert.ok(luma(await ground(page)) < 50);
+      await assertChanges(page, "arena-backdrop", before);
+      await page.reload();
+      await page.locator('body[data-phase="live"]').waitFor();
+      assert.ok(luma(await ground(page)) < 50);
+      assert.equal(await page.locator("#theme").getAttribute("aria-label"), "Switch to the light theme");
+    });
+  });
+});
+
+describe("a phone", () => {
+  for (const width of [320, 390]) {
+    test(`${width} px wide has everything without scrolling sideways`, async () => {
+      await withPage({ viewport: { width, height: 800 }, hasTouch: true, isMobile: true }, async (page) => {
+        await page.locator("#object-rows button").first().tap();
+        for (const section of ["#arena-stage", "#selection", "#objects", ".cameras", ".events"]) {
+          const box = await page.locator(section).boundingBox();
+          assert.ok(box && box.width > 0 && box.height > 0, `${section} is there`);
+          assert.ok(box.x >= 0 && box.x + box.width <= width, `${section} keeps within the width`);
+        }
+        const wide = await page.evaluate(() => document.documentElement.scrollWidth);
+        assert.ok(wide <= width, `the page is ${wide} px wide`);
+        const table = await page.locator("#objects .scroll").evaluate((box) => box.scrollWidth - box.clientWidth);
+        assert.ok(table <= 0, `the table is ${table} px too wide`);
+      });
+    });
+  }
+});

@@ -1,0 +1,112 @@
+/** What the page makes of the wire's JSON, also of what it does not expect. */
+
+import assert from "node:assert/strict";
+import { test } from "node:test";
+
+import { degrees, duration, fixed, significant, whole } from "../../../client/dashboard/js/format.js";
+import { readCameras, readEvent, readInfo, readSnapshot } from "../../../client/dashboard/js/message.js";
+
+const SNAPSHOT = {
+  sequence: 7,
+  source_id: "a",
+  pose_time_ns: "1700000000123456789",
+  capture_time_ns: "1700000000100000000",
+  fused_time_ns: "1700000000120000000",
+  sent_time_ns: "1700000000125500000",
+  missed: 2,
+  objects: [
+    {
+      object_id: 3,
+      name: "",
+      stage: "tracked",
+      position: { x: 1, y: 2, z: 0.3 },
+      orientation: { x: 0, y: 0, z: 2, w: 0 },
+      yaw_observed: false,
+      velocity: { x: 0.3, y: 0.4, z: 0 },
+      covariance: Array.from({ length: 21 }, (_, i) => ([0, 6, 11, 15, 18, 20].includes(i) ? 1e-6 : 0)),
+      cameras: ["north"],
+      observation_age_ns: "31500000",
+      residual: 1.1,
+      roundel: "robot",
+    },
+  ],
+};
+
+test("a snapshot's times are taken exactly", () => {
+  const snapshot = readSnapshot(SNAPSHOT);
+  assert.equal(snapshot.poseTimeMs, 1700000000123.456);
+  assert.equal(snapshot.latencyMs, 25.5);
+  assert.equal(snapshot.missed, 2);
+});
+
+test("an object's values come out in the page's units", () => {
+  const [state] = readSnapshot(SNAPSHOT).objects;
+  assert.equal(state.label, "3");
+  assert.equal(state.ageMs, 31.5);
+  assert.equal(state.speedMS, 0.5);
+  assert.equal(state.headingRad, null, "a yaw that is not observed is no heading");
+  assert.equal(state.tiltRad, 0, "the quaternion is normalized first");
+  assert.deepEqual(state.sigmaM, { x: 0.001, y: 0.001, z: 0.001 });
+});
+
+test("a heading is given where the yaw is observed", () => {
+  const object = { ...SNAPSHOT.objects[0], yaw_observed: true, orientation: { x: 0, y: 0, z: 1, w: 1 } };
+  const [state] = readSnapshot({ ...SNAPSHOT, objects: [object] }).objects;
+  assert.ok(Math.abs(state.headingRad - Math.PI / 2) < 1e-12);
+});
+
+test("nothing is latency before the first observation", () => {
+  assert.equal(readSnapshot({ ...SNAPSHOT, capture_time_ns: "0" }).latencyMs, null);
+});
+
+test("missing and foreign values become null or empty, never NaN", () => {
+  const odd = [
+    {},
+    null,
+    { object_id: 1, stage: "hibernating", position: { x: 1, y: null, z: 3 } },
+    { object_id: 2, orientation: { x: 0, y: 0, z: 0, w: 0 }, covariance: [1, 2], velocity: "fast" },
+    { object_id: 3, covariance: new Array(21).fill(null), cameras: "north", observation_age_ns: 12 },
+  ];
+  const { objects } = readSnapshot({ objects: odd, pose_time_ns: "soon" });
+  assert.equal(objects.length, odd.length);
+  for (const state of objects) {
+    assert.equal(state.stage, "unspecified");
+    assert.equal(state.positionM, null);
+    assert.equal(state.ellipse, null);
+    assert.deepEqual(state.cameras, []);
+    assert.doesNotMatch(JSON.stringify(state), /NaN|undefined/);
+  }
+  assert.deepEqual(readSnapshot(null).objects, []);
+  assert.deepEqual(readCameras("none"), []);
+});
+
+test("cameras without place or lens are cameras all the same", () => {
+  const [camera] = readCameras([{ name: "north", status: "dreaming", pose: null, intrinsics: { fx_px: 0 } }]);
+  assert.equal(camera.status, "unspecified");
+  assert.equal(camera.pose, null);
+  assert.equal(camera.intrinsics, null);
+  assert.equal(camera.rateHz, 0);
+});
+
+test("events and the server's own words are read", () => {
+  const event = readEvent({ sequence: 4, time_ns: "1700000000000000000", kind: "object_lost", object_id: 9, message: "gone" });
+  assert.deepEqual(event, { sequence: 4, timeMs: 1.7e12, kind: "object_lost", objectId: 9, camera: "", message: "gone" });
+  assert.equal(readInfo({ name: "lab", started_time_ns: "1700000000000000000" }).startedTimeMs, 1.7e12);
+});
+
+test("numbers are written for people", () => {
+  assert.equal(fixed(-1.25, 1), "\u22121.3");
+  assert.equal(fixed(-0.0001, 2), "0.00");
+  assert.equal(fixed(null, 2), "–");
+  assert.equal(fixed(Number.NaN, 2), "–");
+  assert.equal(whole(1234567), "1\u2009234\u2009567");
+  assert.equal(whole(999), "999");
+  assert.equal(significant(12.345), "12.3");
+  assert.equal(significant(0.5), "0.50");
+  assert.equal(degrees(Math.PI / 2), "90.0°");
+  assert.equal(degrees(null), "–");
+  assert.deepEqual(
+    [41.4, 3210, 12_000, 300_000, 7.2e6].map(duration),
+    ["41 ms", "3.2 s", "12 s", "5 min", "2.0 h"],
+  );
+});
