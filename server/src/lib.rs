@@ -9,10 +9,11 @@
 //! | `fusion` | drives `core::world`'s state machine; snapshots at a fixed rate | one OS thread |
 //! | [`hub`] | the newest of everything, for whoever asks | shared |
 //! | [`convert`] | the only place where core's types become proto's | – |
-//! | `api` | gRPC, REST, WebSocket, metrics and the dashboard on one port | async tasks |
+//! | [`api`] | gRPC, REST, WebSocket, metrics and the dashboard on one port | async tasks |
 //! | `serve` | puts the above together, and takes it apart on shutdown | – |
 //! | `cli` | the commands of `roundel` | main thread |
 
+pub mod api;
 pub mod camera_file;
 pub mod clock;
 pub mod config;

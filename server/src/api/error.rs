@@ -1,0 +1,122 @@
+//! What can be wrong with a request, and the one table that says how gRPC and HTTP put it.
+
+use axum::{
+    Json,
+    http::StatusCode,
+    response::{IntoResponse, Response},
+};
+use serde::Serialize;
+use tonic::{Code, Status};
+use utoipa::ToSchema;
+
+/// Said to every stream and connection that the end of the server cuts off.
+pub const SHUTTING_DOWN: &str = "server is shutting down";
+
+/// Why a request is not answered as asked.
+#[derive(Clone, Debug, PartialEq, thiserror::Error)]
+pub enum ApiError {
+    /// A field or query parameter does not hold what it should.
+    #[error("{field}: expected {expected}, found {found}")]
+    InvalidArgument {
+        /// Name of the field or query parameter, as the client wrote it.
+        field: String,
+        /// What it may be.
+        expected: String,
+        /// What it was.
+        found: String,
+    },
+    /// No such thing here.
+    #[error("no {what} {name:?}; {known}")]
+    NotFound {
+        /// What kind of thing was looked for.
+        what: &'static str,
+        /// Under which name.
+        name: String,
+        /// What there is, or where to look.
+        known: String,
+    },
+    /// The path exists, but not with this method.
+    #[error("this path answers to GET only")]
+    MethodNotAllowed,
+    /// The WebSocket's path was asked for without an upgrade.
+    #[error("expected a WebSocket handshake (open it as ws://HOST:PORT/api/v1/stream): {0}")]
+    UpgradeRequired(String),
+    /// Nothing to give yet, or any more; worth another try.
+    #[error("{0}")]
+    Unavailable(String),
+    /// A limit of the server is reached.
+    #[error("{0}")]
+    ResourceExhausted(String),
+    /// A fault of the server's own.
+    #[error("{0}")]
+    Internal(String),
+}
+
+impl ApiError {
+    /// A field or parameter that holds something else than expected.
+    pub fn invalid(
+        field: impl Into<String>,
+        expected: impl Into<String>,
+        found: impl ToString,
+    ) -> Self {
+        Self::InvalidArgument {
+            field: field.into(),
+            expected: expected.into(),
+            found: found.to_string(),
+        }
+    }
+
+    /// The table: what each error is called in JSON, in gRPC and in HTTP.
+    pub fn codes(&self) -> (&'static str, Code, StatusCode) {
+        match self {
+            Self::InvalidArgument { .. } => {
+                ("invalid_argument", Code::InvalidArgument, StatusCode::BAD_REQUEST)
+            }
+            Self::NotFound { .. } => ("not_found", Code::NotFound, StatusCode::NOT_FOUND),
+            Self::MethodNotAllowed => {
+                ("method_not_allowed", Code::Unimplemented, StatusCode::METHOD_NOT_ALLOWED)
+            }
+            Self::UpgradeRequired(_) => {
+                ("upgrade_required", Code::FailedPrecondition, StatusCode::UPGRADE_REQUIRED)
+            }
+            Self::Unavailable(_) => {
+                ("unavailable", Code::Unavailable, StatusCode::SERVICE_UNAVAILABLE)
+            }
+            Self::ResourceExhausted(_) => {
+                ("resource_exhausted", Code::ResourceExhausted, StatusCode::SERVICE_UNAVAILABLE)
+            }
+            Self::Internal(_) => ("internal", Code::Internal, StatusCode::INTERNAL_SERVER_ERROR),
+        }
+    }
+}
+
+impl From<ApiError> for Status {
+    fn from(error: ApiError) -> Self {
+        let (_, code, _) = error.codes();
+        Status::new(code, error.to_string())
+    }
+}
+
+/// The body of every response that is no success.
+#[derive(Debug, Serialize, ToSchema)]
+pub struct ErrorBody {
+    /// What went wrong.
+    pub error: ErrorDetail,
+}
+
+/// What went wrong.
+#[derive(Debug, Serialize, ToSchema)]
+pub struct ErrorDetail {
+    /// A word for programs, such as `invalid_argument` or `not_found`.
+    pub code: &'static str,
+    /// A sentence for people: what was expected, what was found, and where.
+    pub message: String,
+}
+
+impl IntoResponse for ApiError {
+    fn into_response(self) -> Response {
+        let (code, _, status) = self.codes();
+        let body = ErrorBody { error: ErrorDetail { code, message: self.to_string() } };
+        (status, Json(body)).into_response()
+    }
+}

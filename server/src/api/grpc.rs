@@ -1,0 +1,250 @@
+//! The service of `proto/roundel/v1/roundel.proto`, with reflection (v1) and health.
+//!
+//! Health knows two names: the empty one serves as long as the process works; that of the service
+//! serves while `/readyz` says so, too.
+
+use std::{collections::BTreeMap, pin::Pin, sync::Arc};
+
+use axum::Router;
+use futures::{Stream, StreamExt, stream};
+use roundel_core::id::CameraId;
+use roundel_proto::v1::{self, roundel_server::RoundelServer};
+use tokio::sync::broadcast::{self, error::RecvError};
+use tokio_util::sync::CancellationToken;
+use tonic::{Request, Response, Status, service::Routes};
+use tonic_health::server::HealthReporter;
+
+use super::{
+    Api,
+    error::{ApiError, SHUTTING_DOWN},
+    feed::Feed,
+    selection::{MESSAGE_FIELDS, Selection},
+};
+use crate::{convert, hub};
+
+/// Largest request; lists of ids are the only large thing in one.
+const MAX_REQUEST_BYTES: usize = 256 * 1024;
+
+type Messages<T> = Pin<Box<dyn Stream<Item = Result<T, Status>> + Send>>;
+
+/// Answers gRPC requests out of the hub.
+#[derive(Clone)]
+pub struct Service {
+    api: Arc<Api>,
+}
+
+/// The routes of the service, reflection and health, and the handle that sets the health.
+pub fn router(api: &Arc<Api>) -> (Router, HealthReporter) {
+    let (reporter, health) = tonic_health::server::health_reporter();
+    let service = RoundelServer::new(Service { api: api.clone() })
+        .max_decoding_message_size(MAX_REQUEST_BYTES);
+    let reflection = tonic_reflection::server::Builder::configure()
+        .register_encoded_file_descriptor_set(roundel_proto::DESCRIPTORS)
+        .register_encoded_file_descriptor_set(tonic_health::pb::FILE_DESCRIPTOR_SET)
+        .build_v1()
+        // The descriptors are compiled into this binary; a test reads them through this very path.
+        .expect("the compiled descriptors are valid");
+    let routes = Routes::new(service).add_service(reflection).add_service(health);
+    (routes.prepare().into_axum_router(), reporter)
+}
+
+/// Ends a stream with UNAVAILABLE when the server goes down.
+fn until_shutdown<T: Send + 'static>(
+    messages: impl Stream<Item = T> + Send + 'static,
+    cancel: CancellationToken,
+) -> Messages<T> {
+    let end = stream::once(async move {
+        cancel.cancelled_owned().await;
+        None
+    });
+    // `None` marks the end; nothing after it is sent.
+    let marked = stream::select(messages.map(Some), end);
+    Box::pin(marked.scan(false, |ended, message| {
+        let next = match message {
+            _ if *ended => None,
+            Some(message) => Some(Ok(message)),
+            None => {
+                *ended = true;
+                Some(Err(ApiError::Unavailable(SHUTTING_DOWN.into()).into()))
+            }
+        };
+        std::future::ready(next)
+    }))
+}
+
+#[tonic::async_trait]
+impl v1::roundel_server::Roundel for Service {
+    type SubscribeSnapshotsStream = Messages<v1::Snapshot>;
+    type SubscribeObservationsStream = Messages<v1::FrameObservations>;
+    type SubscribeEventsStream = Messages<v1::Event>;
+
+    async fn subscribe_snapshots(
+        &self,
+        request: Request<v1::SubscribeSnapshotsRequest>,
+    ) -> Result<Response<Self::SubscribeSnapshotsStream>, Status> {
+        let selection = Selection::new(request.into_inner(), &MESSAGE_FIELDS)?;
+        let feed = Feed::new(self.api.clone(), selection);
+        let messages = stream::unfold(feed, |mut feed| async move {
+            let message = feed.next().await?;
+            Some((message, feed))
+        });
+        Ok(Response::new(until_shutdown(messages, self.api.cancel.clone())))
+    }
+
+    async fn subscribe_observations(
+        &self,
+        request: Request<v1::SubscribeObservationsRequest>,
+    ) -> Result<Response<Self::SubscribeObservationsStream>, Status> {
+        let observer = Observer::new(&self.api, &request.into_inner().cameras)?;
+        let messages = stream::unfold(observer, |mut observer| async move {
+            let message = observer.next().await?;
+            Some((message, observer))
+        });
+        Ok(Response::new(until_shutdown(messages, self.api.cancel.clone())))
+    }
+
+    async fn subscribe_events(
+        &self,
+        request: Request<v1::SubscribeEventsRequest>,
+    ) -> Result<Response<Self::SubscribeEventsStream>, Status> {
+        let backlog = checked_backlog(request.into_inner().backlog, "backlog")?;
+        let api = self.api.clone();
+        let (remembered, receiver) = api.hub.events(backlog);
+        let new = stream::unfold(receiver, |mut receiver| async move {
+            let event = next_event(&mut receiver).await?;
+            Some((event, receiver))
+        });
+        let messages = stream::iter(remembered)
+            .chain(new)
+            .map(move |event| convert::event(api.hub.installation(), &event));
+        Ok(Response::new(until_shutdown(messages, self.api.cancel.clone())))
+    }
+
+    async fn get_snapshot(
+        &self,
+        _: Request<v1::GetSnapshotRequest>,
+    ) -> Result<Response<v1::Snapshot>, Status> {
+        Ok(Response::new(newest_snapshot(&self.api, &Selection::default())?))
+    }
+
+    async fn list_cameras(
+        &self,
+        _: Request<v1::ListCamerasRequest>,
+    ) -> Result<Response<v1::ListCamerasResponse>, Status> {
+        Ok(Response::new(v1::ListCamerasResponse { cameras: cameras(&self.api) }))
+    }
+
+    async fn list_objects(
+        &self,
+        _: Request<v1::ListObjectsRequest>,
+    ) -> Result<Response<v1::ListObjectsResponse>, Status> {
+        Ok(Response::new(v1::ListObjectsResponse { objects: objects(&self.api) }))
+    }
+
+    async fn get_server_info(
+        &self,
+        _: Request<v1::GetServerInfoRequest>,
+    ) -> Result<Response<v1::ServerInfo>, Status> {
+        Ok(Response::new(convert::server_info(self.api.hub.installation())))
+    }
+}
+
+/// The newest snapshot as a subscriber of `selection` would get it.
+pub(super) fn newest_snapshot(api: &Api, selection: &Selection) -> Result<v1::Snapshot, ApiError> {
+    let fused = api.hub.snapshots().borrow().clone();
+    if fused.sequence == 0 {
+        return Err(ApiError::Unavailable(
+            "no snapshot yet: fusion has not made its first one; try again in a moment".into(),
+        ));
+    }
+    let mut message = selection.filter.message(api.hub.installation(), &fused);
+    message.sent_time_ns = api.clock.now().as_ns();
+    Ok(message)
+}
+
+/// Every camera, in the order of the configuration.
+pub(super) fn cameras(api: &Api) -> Vec<v1::Camera> {
+    let states = api.hub.cameras();
+    let ids = (0..).map(CameraId);
+    ids.zip(&states).map(|(id, state)| convert::camera(api.hub.installation(), id, state)).collect()
+}
+
+/// Every object that is remembered, by id.
+pub(super) fn objects(api: &Api) -> Vec<v1::Object> {
+    let records = api.hub.objects();
+    records.iter().map(|record| convert::object(api.hub.installation(), record)).collect()
+}
+
+/// The id of the camera of that name, or an error that names those there are.
+pub(super) fn camera_id(api: &Api, name: &str) -> Result<CameraId, ApiError> {
+    let installation = api.hub.installation();
+    installation.camera_id(name).ok_or_else(|| {
+        let names: Vec<&str> = installation.cameras.iter().map(|c| c.name.as_str()).collect();
+        let known = if names.is_empty() {
+            "this installation has none".to_owned()
+        } else {
+            format!("there are: {}", names.join(", "))
+        };
+        ApiError::NotFound { what: "camera", name: name.to_owned(), known }
+    })
+}
+
+/// A wish for remembered events that the hub can fulfil.
+pub(super) fn checked_backlog(backlog: u32, field: &str) -> Result<usize, ApiError> {
+    let backlog = backlog as usize;
+    if backlog > hub::EVENTS_KEPT {
+        let expected = format!("at most {} events", hub::EVENTS_KEPT);
+        return Err(ApiError::invalid(field, expected, backlog));
+    }
+    Ok(backlog)
+}
+
+/// The next event; those that a slow reader missed show as a gap in the sequence.
+pub(super) async fn next_event(
+    receiver: &mut broadcast::Receiver<Arc<hub::Event>>,
+) -> Option<Arc<hub::Event>> {
+    loop {
+        match receiver.recv().await {
+            Ok(event) => return Some(event),
+            Err(RecvError::Lagged(_)) => {}
+            Err(RecvError::Closed) => return None,
+        }
+    }
+}
+
+/// What one subscriber sees of the cameras' observations.
+struct Observer {
+    api: Arc<Api>,
+    receiver: broadcast::Receiver<Arc<roundel_core::world::FrameObservations>>,
+    /// Empty: all.
+    cameras: Vec<CameraId>,
+    /// The newest frame sent, by camera.
+    newest: BTreeMap<CameraId, u64>,
+}
+
+impl Observer {
+    fn new(api: &Arc<Api>, names: &[String]) -> Result<Self, ApiError> {
+        let cameras = names.iter().map(|name| camera_id(api, name)).collect::<Result<_, _>>()?;
+        let receiver = api.hub.observations();
+        Ok(Self { api: api.clone(), receiver, cameras, newest: BTreeMap::new() })
+    }
+
+    async fn next(&mut self) -> Option<v1::FrameObservations> {
+        loop {
+            let frame = match self.receiver.recv().await {
+                Ok(frame) => frame,
+                // What was missed shows in the numbers of the frames that follow.
+                Err(RecvError::Lagged(_)) => continue,
+                Err(RecvError::Closed) => return None,
+            };
+            if !self.cameras.is_empty() && !self.cameras.contains(&frame.camera) {
+                continue;
+            }
+            let before = self.newest.insert(frame.camera, frame.frame);
+            let mut message = convert::observations(self.api.hub.installation(), &frame);
+            // A camera counts its frames without gaps, so a gap is what this subscriber missed.
+            message.missed = before.map_or(0, |before| frame.frame.saturating_sub(before + 1));
+            return Some(message);
+        }
+    }
+}

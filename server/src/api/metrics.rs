@@ -1,0 +1,289 @@
+//! `/metrics` for Prometheus, and `/healthz` and `/readyz` for whoever restarts the server.
+//!
+//! The numbers are read from the hub when they are asked for, so that they cost nothing otherwise.
+
+use std::{
+    fmt::Write,
+    sync::{Arc, atomic::Ordering},
+    time::Duration,
+};
+
+use axum::{
+    Json,
+    extract::State,
+    http::{StatusCode, header},
+    response::{IntoResponse, Response},
+};
+use roundel_core::world::LifeStage;
+use roundel_proto::v1::roundel_server;
+use serde::Serialize;
+use tokio::time::sleep;
+use tonic::server::NamedService;
+use tonic_health::{ServingStatus, server::HealthReporter};
+use utoipa::ToSchema;
+
+use super::{Api, grpc};
+use crate::hub::{CameraState, CameraStatus, Installation};
+
+/// A snapshot older than this, or than this many periods, means that fusion does not publish.
+const STALE_SECONDS: f64 = 1.0;
+const STALE_PERIODS: f64 = 5.0;
+/// How often the readiness is looked at for gRPC's health service.
+const READINESS_INTERVAL: Duration = Duration::from_millis(250);
+
+/// The name under which the service's health is known.
+const SERVICE_NAME: &str = <roundel_server::RoundelServer<grpc::Service> as NamedService>::NAME;
+
+/// The answer of `/healthz` and `/readyz`.
+#[derive(Debug, Serialize, ToSchema)]
+pub struct Health {
+    /// `ok`, or `unavailable`.
+    pub status: &'static str,
+    /// What is missing, one sentence each.
+    pub missing: Vec<String>,
+}
+
+/// Whether the process works.
+#[utoipa::path(
+    get, path = "/healthz", tag = "server",
+    responses((status = 200, description = "it does", body = Health)),
+)]
+pub async fn health() -> Json<Health> {
+    Json(Health { status: "ok", missing: Vec::new() })
+}
+
+/// Whether clients get poses: fusion publishes, and at least one camera runs.
+#[utoipa::path(
+    get, path = "/readyz", tag = "server",
+    responses(
+        (status = 200, description = "they do", body = Health),
+        (status = 503, description = "says what is missing", body = Health),
+    ),
+)]
+pub async fn readiness(State(api): State<Arc<Api>>) -> Response {
+    let missing = missing(&api);
+    if missing.is_empty() {
+        Json(Health { status: "ok", missing }).into_response()
+    } else {
+        let body = Json(Health { status: "unavailable", missing });
+        (StatusCode::SERVICE_UNAVAILABLE, body).into_response()
+    }
+}
+
+/// What keeps clients from getting poses; empty when they do.
+fn missing(api: &Api) -> Vec<String> {
+    let mut missing = Vec::new();
+    if api.cancel.is_cancelled() {
+        missing.push(super::error::SHUTTING_DOWN.to_owned());
+    }
+    let installation = api.hub.installation();
+    let fused = api.hub.snapshots().borrow().clone();
+    if fused.sequence == 0 {
+        missing.push("fusion has not published a snapshot yet".to_owned());
+    } else {
+        let age_s = api.clock.now().seconds_since(fused.fused_time);
+        let allowed_s = STALE_SECONDS.max(STALE_PERIODS / installation.snapshot_rate_hz);
+        if age_s > allowed_s {
+            missing.push(format!("fusion's newest snapshot is {age_s:.1} s old"));
+        }
+    }
+    let cameras = api.hub.cameras();
+    if cameras.is_empty() {
+        missing.push("the configuration names no camera".to_owned());
+    } else if !cameras.iter().any(|camera| camera.status == CameraStatus::Running) {
+        let each = installation.cameras.iter().zip(&cameras);
+        let states: Vec<String> = each
+            .map(|(info, state)| format!("{} is {}", info.name, status_word(state.status)))
+            .collect();
+        missing.push(format!("no camera runs: {}", states.join(", ")));
+    }
+    missing
+}
+
+/// Tells gRPC's health service about the readiness, until the server goes down.
+pub async fn report_readiness(api: Arc<Api>, reporter: HealthReporter) {
+    loop {
+        let is_ready = missing(&api).is_empty();
+        let status = if is_ready { ServingStatus::Serving } else { ServingStatus::NotServing };
+        reporter.set_service_status(SERVICE_NAME, status).await;
+        if api.cancel.is_cancelled() {
+            reporter.set_service_status("", ServingStatus::NotServing).await;
+            return;
+        }
+        tokio::select! {
+            () = sleep(READINESS_INTERVAL) => {}
+            () = api.cancel.cancelled() => {}
+        }
+    }
+}
+
+/// Every number of the server, as Prometheus reads it.
+#[utoipa::path(
+    get, path = "/metrics", tag = "server",
+    responses((status = 200, description = "Prometheus' text format", body = String, content_type = "text/plain")),
+)]
+pub async fn metrics(State(api): State<Arc<Api>>) -> Response {
+    let mut page = Page::default();
+    write_server(&mut page, &api);
+    write_cameras(&mut page, api.hub.installation(), &api.hub.cameras());
+    write_fusion(&mut page, &api);
+    write_clients(&mut page, &api);
+    ([(header::CONTENT_TYPE, "text/plain; version=0.0.4; charset=utf-8")], page.text)
+        .into_response()
+}
+
+fn write_server(page: &mut Page, api: &Api) {
+    let installation = api.hub.installation();
+    page.family("roundel_info", "gauge", "Always 1; its labels name the server.");
+    let labels = [
+        ("version", env!("CARGO_PKG_VERSION")),
+        ("name", &installation.name),
+        ("source_id", &installation.source_id),
+    ];
+    page.sample("roundel_info", &labels, 1.0);
+    let start_s = installation.started.as_ns() as f64 * 1e-9;
+    page.single("roundel_start_time_seconds", "gauge", "Start of the server, Unix time.", start_s);
+    let ready = f64::from(u8::from(missing(api).is_empty()));
+    page.single("roundel_ready", "gauge", "1 while /readyz says yes.", ready);
+}
+
+/// A number of each camera: name, type, help, and where it stands.
+type CameraFamily = (&'static str, &'static str, &'static str, fn(&CameraState) -> f64);
+
+const CAMERA_FAMILIES: [CameraFamily; 8] = [
+    ("roundel_camera_up", "gauge", "1 while frames arrive.", |camera| {
+        f64::from(u8::from(camera.status == CameraStatus::Running))
+    }),
+    ("roundel_camera_frames_total", "counter", "Frames processed.", |camera| camera.frames as f64),
+    (
+        "roundel_camera_frames_dropped_total",
+        "counter",
+        "Frames that gave way to newer ones because the worker was busy.",
+        |camera| camera.dropped as f64,
+    ),
+    (
+        "roundel_camera_restarts_total",
+        "counter",
+        "Times that the source was opened again after a failure.",
+        |camera| camera.restarts as f64,
+    ),
+    ("roundel_camera_rate_hertz", "gauge", "Frames a second, mean over the last seconds.", |c| {
+        c.rate_hz
+    }),
+    ("roundel_camera_detections", "gauge", "Roundels in the newest frame.", |camera| {
+        camera.detections as f64
+    }),
+    (
+        "roundel_camera_detect_seconds",
+        "gauge",
+        "Time that a frame takes to detect, median of the newest ones.",
+        |camera| camera.detect_ms * 1e-3,
+    ),
+    (
+        "roundel_camera_latency_seconds",
+        "gauge",
+        "From capture to fused, median of the newest frames.",
+        |camera| camera.latency_ms * 1e-3,
+    ),
+];
+
+fn write_cameras(page: &mut Page, installation: &Installation, cameras: &[CameraState]) {
+    for (name, kind, help, number) in CAMERA_FAMILIES {
+        page.family(name, kind, help);
+        for (info, state) in installation.cameras.iter().zip(cameras) {
+            page.sample(name, &[("camera", &info.name)], number(state));
+        }
+    }
+}
+
+fn write_fusion(page: &mut Page, api: &Api) {
+    let fused = api.hub.snapshots().borrow().clone();
+    let help = "Snapshots that fusion made.";
+    page.single("roundel_snapshots_total", "counter", help, fused.sequence as f64);
+    if fused.sequence > 0 {
+        let age_s = api.clock.now().seconds_since(fused.fused_time);
+        page.single("roundel_snapshot_age_seconds", "gauge", "Age of the newest snapshot.", age_s);
+    }
+    page.family("roundel_objects", "gauge", "Objects by life stage; lost ones of the last minute.");
+    let records = api.hub.objects();
+    for (stage, word) in [
+        (LifeStage::Tentative, "tentative"),
+        (LifeStage::Tracked, "tracked"),
+        (LifeStage::Predicted, "predicted"),
+        (LifeStage::Lost, "lost"),
+    ] {
+        let count = records.iter().filter(|record| record.stage == stage).count();
+        page.sample("roundel_objects", &[("stage", word)], count as f64);
+    }
+}
+
+fn write_clients(page: &mut Page, api: &Api) {
+    let counters = &api.counters;
+    for (name, kind, help, counter) in [
+        ("roundel_connections", "gauge", "Open connections.", &counters.connections),
+        (
+            "roundel_connections_refused_total",
+            "counter",
+            "Connections refused because limits.max_clients were open.",
+            &counters.connections_refused,
+        ),
+        (
+            "roundel_subscribers",
+            "gauge",
+            "Subscribers to snapshots, by gRPC or WebSocket.",
+            &counters.snapshot_subscribers,
+        ),
+        (
+            "roundel_snapshots_sent_total",
+            "counter",
+            "Snapshots handed to subscribers.",
+            &counters.snapshots_sent,
+        ),
+        (
+            "roundel_snapshots_missed_total",
+            "counter",
+            "Snapshots that subscribers wanted and were too slow for.",
+            &counters.snapshots_missed,
+        ),
+    ] {
+        page.single(name, kind, help, counter.load(Ordering::Relaxed) as f64);
+    }
+}
+
+/// Prometheus' text format, version 0.0.4.
+#[derive(Default)]
+struct Page {
+    text: String,
+}
+
+impl Page {
+    fn family(&mut self, name: &str, kind: &str, help: &str) {
+        // Writing to a string cannot fail.
+        let _ = writeln!(self.text, "# HELP {name} {help}\n# TYPE {name} {kind}");
+    }
+
+    fn sample(&mut self, name: &str, labels: &[(&str, &str)], value: f64) {
+        self.text.push_str(name);
+        for (place, (label, content)) in labels.iter().enumerate() {
+            let open = if place == 0 { '{' } else { ',' };
+            let content = content.replace('\\', r"\\").replace('"', "\\\"").replace('\n', r"\n");
+            let _ = write!(self.text, "{open}{label}=\"{content}\"");
+        }
+        let close = if labels.is_empty() { "" } else { "}" };
+        let _ = writeln!(self.text, "{close} {value}");
+    }
+
+    fn single(&mut self, name: &str, kind: &str, help: &str, value: f64) {
+        self.family(name, kind, help);
+        self.sample(name, &[], value);
+    }
+}
+
+fn status_word(status: CameraStatus) -> &'static str {
+    match status {
+        CameraStatus::Starting => "starting",
+        CameraStatus::Running => "running",
+        CameraStatus::Failed => "failed",
+        CameraStatus::Finished => "finished",
+    }
+}

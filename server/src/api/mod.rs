@@ -1,0 +1,110 @@
+//! gRPC, REST, WebSocket, metrics and the dashboard, on one port.
+//!
+//! In: the [`Hub`], read only (but for the wish for a picture). Out: bytes on sockets. Requests
+//! whose content type is `application/grpc…` go to tonic, all others to axum; both speak HTTP/1.1
+//! or HTTP/2 without TLS, as the client likes.
+//!
+//! | module | what it does |
+//! | --- | --- |
+//! | `port` | accepts connections up to the limit, and takes them apart on shutdown |
+//! | [`grpc`] | the service of `proto/roundel/v1/roundel.proto` |
+//! | [`rest`], [`openapi`] | `/api/v1/…` and its description |
+//! | [`ws`] | `/api/v1/stream` |
+//! | [`metrics`] | `/metrics`, `/healthz`, `/readyz` |
+//! | [`page`] | the dashboard's files |
+//! | [`selection`], [`feed`] | which snapshots a subscriber gets, and what is in them |
+//! | [`picture`] | a frame with its detections drawn in, as JPEG |
+//! | [`error`] | what can be wrong, and how each protocol says so |
+//!
+//! No client can hold up another one or the server: a subscriber holds a handle on the newest
+//! snapshot and not a queue, sockets take little more than one message ahead, and whoever does not
+//! read at all is cut off.
+
+pub mod error;
+pub mod feed;
+pub mod grpc;
+pub mod metrics;
+pub mod openapi;
+pub mod page;
+pub mod picture;
+mod port;
+pub mod query;
+pub mod rest;
+pub mod selection;
+pub mod ws;
+
+use std::{
+    sync::{Arc, atomic::AtomicU64},
+    time::Duration,
+};
+
+use tokio::net::TcpListener;
+use tokio_util::sync::CancellationToken;
+
+use crate::{clock::Clock, hub::Hub};
+
+/// What the port allows.
+#[derive(Clone, Copy, Debug)]
+pub struct Limits {
+    /// Open connections; further ones are refused with an error that says so.
+    pub max_clients: usize,
+    /// How long clients may take to end after the shutdown's begin, before they are cut off.
+    pub grace: Duration,
+}
+
+impl Default for Limits {
+    fn default() -> Self {
+        Self { max_clients: 1000, grace: Duration::from_secs(2) }
+    }
+}
+
+/// What the port has done so far.
+#[derive(Debug, Default)]
+pub struct Counters {
+    /// Open connections.
+    pub connections: AtomicU64,
+    /// Connections refused because of the limit.
+    pub connections_refused: AtomicU64,
+    /// Subscribers to snapshots right now, by gRPC or WebSocket.
+    pub snapshot_subscribers: AtomicU64,
+    /// Snapshots handed to subscribers.
+    pub snapshots_sent: AtomicU64,
+    /// Snapshots that subscribers wanted and were too slow for.
+    pub snapshots_missed: AtomicU64,
+}
+
+/// What every handler of a request shares.
+pub struct Api {
+    /// The newest of everything.
+    pub hub: Arc<Hub>,
+    /// The server's clock.
+    pub clock: Clock,
+    /// Set when the server goes down.
+    pub cancel: CancellationToken,
+    /// What the port has done so far.
+    pub counters: Counters,
+    pictures: picture::Gallery,
+}
+
+/// Serves every API on `listener` until `cancel`, and then until the last client has gone, at most
+/// for the grace time.
+///
+/// On cancellation, streams end with UNAVAILABLE "server is shutting down", WebSockets with a close
+/// frame (1001), and no connection is taken any more.
+pub async fn serve(
+    listener: TcpListener,
+    hub: Arc<Hub>,
+    clock: Clock,
+    limits: Limits,
+    cancel: CancellationToken,
+) {
+    let pictures = picture::Gallery::new(hub.installation().cameras.len());
+    let counters = Counters::default();
+    let api = Arc::new(Api { hub, clock, cancel: cancel.clone(), counters, pictures });
+    let (grpc_router, health) = grpc::router(&api);
+    let http_router = rest::router(api.clone());
+    let readiness = tokio::spawn(metrics::report_readiness(api.clone(), health));
+    port::run(listener, port::Dispatch { grpc_router, http_router }, limits, api).await;
+    // It watches the same token, so it has ended.
+    let _ = readiness.await;
+}

@@ -1,0 +1,46 @@
+//! `/openapi.json`. A route is made of its description, so none can be without.
+
+use std::sync::{Arc, OnceLock};
+
+use axum::Json;
+use utoipa::{OpenApi, openapi};
+use utoipa_axum::{router::OpenApiRouter, routes};
+
+use super::{Api, metrics, rest, ws};
+
+#[derive(OpenApi)]
+#[openapi(info(
+    title = "Roundel",
+    description = "Where every robot is, live. Units are SI, frames and signs those of \
+        core/docs/conventions.md; times are nanoseconds since the Unix epoch, as decimal strings. \
+        The same messages are on gRPC, at the same address (package roundel.v1, with reflection).",
+))]
+struct Description;
+
+/// Every path but the dashboard's files, with its description.
+pub fn described_routes() -> OpenApiRouter<Arc<Api>> {
+    OpenApiRouter::with_openapi(Description::openapi())
+        .routes(routes!(rest::snapshot))
+        .routes(routes!(rest::objects))
+        .routes(routes!(rest::object))
+        .routes(routes!(rest::cameras))
+        .routes(routes!(rest::camera))
+        .routes(routes!(rest::frame))
+        .routes(routes!(rest::events))
+        .routes(routes!(rest::info))
+        .routes(routes!(ws::stream))
+        .routes(routes!(document))
+        .routes(routes!(metrics::metrics))
+        .routes(routes!(metrics::health))
+        .routes(routes!(metrics::readiness))
+}
+
+/// This description.
+#[utoipa::path(
+    get, path = "/openapi.json", tag = "server",
+    responses((status = 200, description = "OpenAPI 3.1", content_type = "application/json")),
+)]
+pub async fn document() -> Json<&'static openapi::OpenApi> {
+    static DOCUMENT: OnceLock<openapi::OpenApi> = OnceLock::new();
+    Json(DOCUMENT.get_or_init(|| described_routes().into_openapi()))
+}

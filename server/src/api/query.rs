@@ -1,0 +1,112 @@
+//! Query parameters of REST and the WebSocket, read with errors that name the parameter.
+
+use std::str::FromStr;
+
+use axum::{extract::Query, http::Uri};
+use roundel_proto::v1;
+
+use super::error::ApiError;
+
+/// The parameters of one query. Each is taken once; what is left at the end is a mistake.
+#[derive(Debug)]
+pub struct Parameters {
+    left: Vec<(String, String)>,
+    known: Vec<&'static str>,
+}
+
+impl Parameters {
+    /// Reads a query; a parameter without a value counts as left out.
+    pub fn of(uri: &Uri) -> Result<Self, ApiError> {
+        let Query(left) = Query::<Vec<(String, String)>>::try_from_uri(uri).map_err(|error| {
+            ApiError::invalid("query", format!("name=value&… ({error})"), uri.query().unwrap_or(""))
+        })?;
+        Ok(Self { left, known: Vec::new() })
+    }
+
+    /// The text of a parameter.
+    pub fn take(&mut self, name: &'static str) -> Result<Option<String>, ApiError> {
+        self.known.push(name);
+        let mut found = None;
+        for place in (0..self.left.len()).rev() {
+            if self.left[place].0 == name {
+                let (_, text) = self.left.remove(place);
+                if let Some(other) = found.replace(text) {
+                    return Err(ApiError::invalid(
+                        name,
+                        "one value",
+                        format!("another, {other:?}"),
+                    ));
+                }
+            }
+        }
+        Ok(found.filter(|text| !text.is_empty()))
+    }
+
+    /// A parameter that `T` can read; `expected` says what that is.
+    pub fn take_parsed<T: FromStr>(
+        &mut self,
+        name: &'static str,
+        expected: &str,
+    ) -> Result<Option<T>, ApiError> {
+        let Some(text) = self.take(name)? else {
+            return Ok(None);
+        };
+        parsed(&text, name, expected).map(Some)
+    }
+
+    /// A list with commas between its items; empty if left out.
+    pub fn take_list<T: FromStr>(
+        &mut self,
+        name: &'static str,
+        expected: &str,
+    ) -> Result<Vec<T>, ApiError> {
+        let text = self.take(name)?.unwrap_or_default();
+        let items = text.split(',').map(str::trim).filter(|item| !item.is_empty());
+        items.map(|item| parsed(item, name, expected)).collect()
+    }
+
+    fn take_corner(&mut self, name: &'static str) -> Result<Option<v1::Vector3>, ApiError> {
+        let expected = "three numbers of metres, such as -1,0,2.5";
+        match self.take_list(name, expected)?.as_slice() {
+            [] => Ok(None),
+            &[x, y, z] => Ok(Some(v1::Vector3 { x, y, z })),
+            others => Err(ApiError::invalid(name, expected, format!("{} numbers", others.len()))),
+        }
+    }
+
+    /// What a snapshot is to hold: `ids`, `min`, `max`, `horizon_ms`, `omit_covariance`.
+    pub fn take_selection(&mut self) -> Result<v1::SubscribeSnapshotsRequest, ApiError> {
+        let object_ids = self.take_list("ids", "ids with commas between, such as 1,2")?;
+        let (min, max) = (self.take_corner("min")?, self.take_corner("max")?);
+        let region = (min.is_some() || max.is_some()).then_some(v1::Box { min, max });
+        Ok(v1::SubscribeSnapshotsRequest {
+            object_ids,
+            region,
+            max_rate_hz: None,
+            horizon_ms: self.take_parsed("horizon_ms", "a number of milliseconds")?,
+            omit_covariance: self.take_parsed("omit_covariance", "true or false")?.unwrap_or(false),
+        })
+    }
+
+    /// Refuses what nobody took, and names the nearest parameter that there is.
+    pub fn finish(self) -> Result<(), ApiError> {
+        let Some((name, _)) = self.left.first() else {
+            return Ok(());
+        };
+        let nearest = self
+            .known
+            .iter()
+            .max_by(|a, b| strsim::jaro_winkler(a, name).total_cmp(&strsim::jaro_winkler(b, name)));
+        let expected = match nearest {
+            Some(nearest) => {
+                format!("one of {} (perhaps {nearest}?)", self.known.join(", "))
+            }
+            None => "no parameters here".to_owned(),
+        };
+        Err(ApiError::invalid("query", expected, format!("{name:?}")))
+    }
+}
+
+fn parsed<T: FromStr>(text: &str, name: &str, expected: &str) -> Result<T, ApiError> {
+    text.parse().map_err(|_| ApiError::invalid(name, expected, format!("{text:?}")))
+}

@@ -1,0 +1,228 @@
+//! `/api/v1/…`: everything readable, once. The JSON is that of the messages of `proto/roundel/v1`.
+
+use std::{sync::Arc, time::Duration};
+
+use axum::{
+    Json, Router,
+    extract::{Path, State},
+    http::{HeaderName, HeaderValue, Uri, header},
+    middleware,
+    response::{IntoResponse, Response},
+};
+use roundel_core::id::ObjectId;
+use roundel_proto::v1;
+use serde::Serialize;
+use tokio::time::timeout;
+use utoipa::ToSchema;
+
+use super::{
+    Api,
+    error::{ApiError, ErrorBody},
+    grpc, openapi, page,
+    query::Parameters,
+    selection::{QUERY_FIELDS, Selection},
+};
+use crate::convert;
+
+/// How long a picture may take to come: a camera of 1 Hz still makes one.
+const PICTURE_WAIT: Duration = Duration::from_secs(1);
+/// When the picture was taken: middle of the exposure, ns since the Unix epoch.
+const CAPTURE_TIME_HEADER: HeaderName = HeaderName::from_static("roundel-capture-time-ns");
+/// Events given if nobody says how many.
+const DEFAULT_BACKLOG: u32 = 50;
+
+/// Everything that is not gRPC: the described paths, and the dashboard for what is left.
+pub fn router(api: Arc<Api>) -> Router {
+    let (router, _) = openapi::described_routes().split_for_parts();
+    router
+        .fallback(page::file)
+        .method_not_allowed_fallback(async || ApiError::MethodNotAllowed)
+        .layer(middleware::map_response(page::with_security_headers))
+        .with_state(api)
+}
+
+/// The newest snapshot.
+#[utoipa::path(
+    get, path = "/api/v1/snapshot", tag = "poses",
+    params(
+        ("ids" = Option<String>, Query, description = "only these objects, commas between", example = "1,2"),
+        ("min" = Option<String>, Query, description = "with max: only objects in this box of the world frame; its smallest corner, metres", example = "-1,-1,0"),
+        ("max" = Option<String>, Query, description = "the box's largest corner, metres", example = "1,1,2"),
+        ("horizon_ms" = Option<f64>, Query, description = "predict every pose this far past the server's pose time, 0 to 1000"),
+        ("omit_covariance" = Option<bool>, Query, description = "leave the covariances out"),
+    ),
+    responses(
+        (status = 200, description = "every chosen object at one instant", body = v1::Snapshot),
+        (status = 400, description = "names the wrong parameter", body = ErrorBody),
+        (status = 503, description = "fusion has not made one yet", body = ErrorBody),
+    ),
+)]
+pub async fn snapshot(
+    State(api): State<Arc<Api>>,
+    uri: Uri,
+) -> Result<Json<v1::Snapshot>, ApiError> {
+    let mut parameters = Parameters::of(&uri)?;
+    let request = parameters.take_selection()?;
+    parameters.finish()?;
+    let selection = Selection::new(request, &QUERY_FIELDS)?;
+    grpc::newest_snapshot(&api, &selection).map(Json)
+}
+
+/// Every object, by id; lost ones are kept for a minute.
+#[utoipa::path(
+    get, path = "/api/v1/objects", tag = "poses",
+    responses((status = 200, description = "the objects", body = v1::ListObjectsResponse)),
+)]
+pub async fn objects(State(api): State<Arc<Api>>) -> Json<v1::ListObjectsResponse> {
+    Json(v1::ListObjectsResponse { objects: grpc::objects(&api) })
+}
+
+/// An object with where it is.
+#[derive(Debug, Serialize, ToSchema)]
+pub struct ObjectWithState {
+    /// What the server knows of it.
+    pub object: v1::Object,
+    /// Its part of the newest snapshot; null once it is lost.
+    pub state: Option<v1::ObjectState>,
+}
+
+/// One object with its newest state.
+#[utoipa::path(
+    get, path = "/api/v1/objects/{id}", tag = "poses",
+    params(("id" = u64, Path, description = "object_id")),
+    responses(
+        (status = 200, description = "the object", body = ObjectWithState),
+        (status = 400, description = "no number", body = ErrorBody),
+        (status = 404, description = "no such object now or within the last minute", body = ErrorBody),
+    ),
+)]
+pub async fn object(
+    State(api): State<Arc<Api>>,
+    Path(id): Path<String>,
+) -> Result<Json<ObjectWithState>, ApiError> {
+    let number = id.parse::<u64>().map_err(|_| {
+        ApiError::invalid("id", "the number of an object (object_id)", format!("{id:?}"))
+    })?;
+    let records = api.hub.objects();
+    let Some(record) = records.iter().find(|record| record.id == ObjectId(number)) else {
+        let known = "/api/v1/objects lists those seen within the last minute".to_owned();
+        return Err(ApiError::NotFound { what: "object", name: id, known });
+    };
+    let installation = api.hub.installation();
+    let fused = api.hub.snapshots().borrow().clone();
+    let message = Selection::default().filter.message(installation, &fused);
+    let state = message.objects.into_iter().find(|state| state.object_id == number);
+    Ok(Json(ObjectWithState { object: convert::object(installation, record), state }))
+}
+
+/// Every camera, in the order of the configuration.
+#[utoipa::path(
+    get, path = "/api/v1/cameras", tag = "cameras",
+    responses((status = 200, description = "the cameras", body = v1::ListCamerasResponse)),
+)]
+pub async fn cameras(State(api): State<Arc<Api>>) -> Json<v1::ListCamerasResponse> {
+    Json(v1::ListCamerasResponse { cameras: grpc::cameras(&api) })
+}
+
+/// One camera.
+#[utoipa::path(
+    get, path = "/api/v1/cameras/{name}", tag = "cameras",
+    params(("name" = String, Path, description = "the camera's name")),
+    responses(
+        (status = 200, description = "the camera", body = v1::Camera),
+        (status = 404, description = "names the cameras that there are", body = ErrorBody),
+    ),
+)]
+pub async fn camera(
+    State(api): State<Arc<Api>>,
+    Path(name): Path<String>,
+) -> Result<Json<v1::Camera>, ApiError> {
+    let id = grpc::camera_id(&api, &name)?;
+    let states = api.hub.cameras();
+    let state = states.get(id.0 as usize).cloned().unwrap_or_default();
+    Ok(Json(convert::camera(api.hub.installation(), id, &state)))
+}
+
+/// The camera's newest frame, with what was found in it drawn in.
+///
+/// Waits up to a second for a new frame; without one, the last that there was is given. The header
+/// `roundel-capture-time-ns` says when it was taken.
+#[utoipa::path(
+    get, path = "/api/v1/cameras/{name}/frame.jpg", tag = "cameras",
+    params(("name" = String, Path, description = "the camera's name")),
+    responses(
+        (status = 200, description = "outer rims green, inner rims cyan, centres red, numbers of tracks yellow", body = Vec<u8>, content_type = "image/jpeg"),
+        (status = 404, description = "names the cameras that there are", body = ErrorBody),
+        (status = 503, description = "the camera gives no frames; says why", body = ErrorBody),
+    ),
+)]
+pub async fn frame(
+    State(api): State<Arc<Api>>,
+    Path(name): Path<String>,
+) -> Result<Response, ApiError> {
+    let id = grpc::camera_id(&api, &name)?;
+    let Some(mut pictures) = api.hub.request_picture(id) else {
+        return Err(ApiError::Internal(format!("camera {name:?} has no place in the hub")));
+    };
+    let fresh = timeout(PICTURE_WAIT, pictures.changed());
+    tokio::select! {
+        // Whether it came or not: the newest is taken below.
+        _ = fresh => {}
+        () = api.cancel.cancelled() => {}
+    }
+    let newest = pictures.borrow().clone();
+    let Some(picture) = newest else {
+        let states = api.hub.cameras();
+        let state = states.get(id.0 as usize).cloned().unwrap_or_default();
+        let shown = convert::camera(api.hub.installation(), id, &state);
+        let status = roundel_proto::json::camera_status::word(shown.status);
+        let why = if shown.error.is_empty() { "no frame came yet" } else { &shown.error };
+        return Err(ApiError::Unavailable(format!(
+            "no picture from camera {name:?} within a second: it is {status} ({why})"
+        )));
+    };
+    let capture_time = picture.observations.capture_time.as_ns();
+    let jpeg = api.pictures.jpeg(id, picture).await?;
+    let headers = [
+        (header::CONTENT_TYPE, HeaderValue::from_static("image/jpeg")),
+        (header::CACHE_CONTROL, HeaderValue::from_static("no-store")),
+        (CAPTURE_TIME_HEADER, HeaderValue::from(capture_time)),
+    ];
+    Ok((headers, jpeg).into_response())
+}
+
+/// What happened lately.
+#[derive(Debug, Serialize, ToSchema)]
+pub struct EventList {
+    /// Oldest first.
+    pub events: Vec<v1::Event>,
+}
+
+/// The newest events, oldest first.
+#[utoipa::path(
+    get, path = "/api/v1/events", tag = "server",
+    params(("backlog" = Option<u32>, Query, description = "how many at most, up to 1000; 50 if left out")),
+    responses(
+        (status = 200, description = "the events", body = EventList),
+        (status = 400, description = "names the wrong parameter", body = ErrorBody),
+    ),
+)]
+pub async fn events(State(api): State<Arc<Api>>, uri: Uri) -> Result<Json<EventList>, ApiError> {
+    let mut parameters = Parameters::of(&uri)?;
+    let backlog = parameters.take_parsed("backlog", "a number of events")?;
+    parameters.finish()?;
+    let backlog = grpc::checked_backlog(backlog.unwrap_or(DEFAULT_BACKLOG), "backlog")?;
+    let (remembered, _) = api.hub.events(backlog);
+    let installation = api.hub.installation();
+    let events = remembered.iter().map(|event| convert::event(installation, event)).collect();
+    Ok(Json(EventList { events }))
+}
+
+/// What the server says of itself.
+#[utoipa::path(
+    get, path = "/api/v1/info", tag = "server",
+    responses((status = 200, description = "the server", body = v1::ServerInfo)),
+)]
+pub async fn info(State(api): State<Arc<Api>>) -> Json<v1::ServerInfo> {
+    Json(convert::server_info(api.hub.installation()))
+}

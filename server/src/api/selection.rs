@@ -1,0 +1,201 @@
+//! What a subscriber wants of the snapshots: validated once, then applied to each.
+//!
+//! A request becomes a [`Selection`]: a [`Filter`], which decides what a message holds, and a rate,
+//! which decides when one is due ([`crate::api::feed`]). Filters compare and hash by value, so that
+//! subscribers with the same one can share what was encoded for it.
+
+use std::{
+    borrow::Cow,
+    hash::{Hash, Hasher},
+};
+
+use nalgebra::Vector3;
+use roundel_core::{id::ObjectId, world};
+use roundel_proto::v1;
+
+use crate::{
+    api::error::ApiError,
+    convert,
+    hub::{FusedSnapshot, Installation},
+};
+
+/// Longest prediction past the server's pose time, milliseconds.
+pub const MAX_HORIZON_MS: f64 = 1000.0;
+
+/// How the fields of a selection are called where the request came from.
+#[derive(Debug)]
+pub struct FieldNames {
+    ids: &'static str,
+    min: &'static str,
+    max: &'static str,
+    max_rate_hz: &'static str,
+    horizon_ms: &'static str,
+}
+
+/// In gRPC messages.
+pub const MESSAGE_FIELDS: FieldNames = FieldNames {
+    ids: "object_ids",
+    min: "region.min",
+    max: "region.max",
+    max_rate_hz: "max_rate_hz",
+    horizon_ms: "horizon_ms",
+};
+
+/// In queries of REST and the WebSocket.
+pub const QUERY_FIELDS: FieldNames = FieldNames {
+    ids: "ids",
+    min: "min",
+    max: "max",
+    max_rate_hz: "max_rate_hz",
+    horizon_ms: "horizon_ms",
+};
+
+/// An axis-aligned box in the world frame, metres; its faces belong to it, and a side may be
+/// infinitely far.
+#[derive(Clone, Debug, PartialEq)]
+struct Region {
+    min_m: Vector3<f64>,
+    max_m: Vector3<f64>,
+}
+
+impl Region {
+    fn contains(&self, point_m: &Vector3<f64>) -> bool {
+        (0..3).all(|axis| self.min_m[axis] <= point_m[axis] && point_m[axis] <= self.max_m[axis])
+    }
+}
+
+/// What a snapshot's message holds.
+#[derive(Clone, Debug, Default)]
+pub struct Filter {
+    /// Ascending, each once; empty: all.
+    ids: Vec<ObjectId>,
+    region: Option<Region>,
+    horizon_s: f64,
+    omit_covariance: bool,
+}
+
+impl Filter {
+    /// Everything that takes part in comparing and hashing. Zero has one sign here, and no number
+    /// is NaN, so that bits stand for values.
+    fn key(&self) -> (&[ObjectId], Option<[u64; 6]>, u64, bool) {
+        let region = self.region.as_ref().map(|region| {
+            let (min, max) = (&region.min_m, &region.max_m);
+            [min.x, min.y, min.z, max.x, max.y, max.z].map(|side| (side + 0.0).to_bits())
+        });
+        (&self.ids, region, (self.horizon_s + 0.0).to_bits(), self.omit_covariance)
+    }
+
+    /// The message that this filter makes of a snapshot; `sent_time_ns` and `missed` belong to the
+    /// subscriber and are left 0.
+    pub fn message(&self, installation: &Installation, fused: &FusedSnapshot) -> v1::Snapshot {
+        let chosen = self.choose(&fused.snapshot);
+        convert::snapshot(installation, fused, &chosen, !self.omit_covariance)
+    }
+
+    fn choose<'a>(&self, snapshot: &'a world::Snapshot) -> Cow<'a, world::Snapshot> {
+        let mut chosen = Cow::Borrowed(snapshot);
+        if !self.ids.is_empty() {
+            let wanted = |state: &&world::ObjectState| self.ids.binary_search(&state.id).is_ok();
+            chosen = Cow::Owned(world::Snapshot {
+                objects: snapshot.objects.iter().filter(wanted).cloned().collect(),
+                ..*snapshot
+            });
+        }
+        if self.horizon_s > 0.0 {
+            chosen = Cow::Owned(chosen.predicted(self.horizon_s));
+        }
+        if let Some(region) = &self.region
+            && chosen.objects.iter().any(|state| !region.contains(&state.position_m))
+        {
+            chosen.to_mut().objects.retain(|state| region.contains(&state.position_m));
+        }
+        chosen
+    }
+}
+
+impl PartialEq for Filter {
+    fn eq(&self, other: &Self) -> bool {
+        self.key() == other.key()
+    }
+}
+
+impl Eq for Filter {}
+
+impl Hash for Filter {
+    fn hash<H: Hasher>(&self, state: &mut H) {
+        self.key().hash(state);
+    }
+}
+
+/// What a subscriber wants, and how often.
+#[derive(Clone, Debug, Default)]
+pub struct Selection {
+    /// What.
+    pub filter: Filter,
+    /// At most so often, above 0; `None`: each snapshot.
+    pub max_rate_hz: Option<f64>,
+}
+
+impl Selection {
+    /// Checks a request; errors call the fields by `names`.
+    pub fn new(
+        request: v1::SubscribeSnapshotsRequest,
+        names: &FieldNames,
+    ) -> Result<Self, ApiError> {
+        let region = request.region.map(|region| checked_region(region, names)).transpose()?;
+        if let Some(rate_hz) = request.max_rate_hz
+            && !(rate_hz > 0.0 && rate_hz.is_finite())
+        {
+            let expected = "a rate above 0 (leave it out for every snapshot)";
+            return Err(ApiError::invalid(names.max_rate_hz, expected, rate_hz));
+        }
+        let horizon_ms = request.horizon_ms.unwrap_or(0.0);
+        if !(0.0..=MAX_HORIZON_MS).contains(&horizon_ms) {
+            let expected = format!("milliseconds from 0 to {MAX_HORIZON_MS}");
+            return Err(ApiError::invalid(names.horizon_ms, expected, horizon_ms));
+        }
+        Ok(Self {
+            filter: Filter {
+                ids: checked_ids(&request.object_ids, names)?,
+                region,
+                horizon_s: horizon_ms * 1e-3,
+                omit_covariance: request.omit_covariance,
+            },
+            max_rate_hz: request.max_rate_hz,
+        })
+    }
+}
+
+fn checked_ids(ids: &[u64], names: &FieldNames) -> Result<Vec<ObjectId>, ApiError> {
+    if ids.contains(&0) {
+        return Err(ApiError::invalid(names.ids, "ids of objects, which count from 1", 0));
+    }
+    let mut ids: Vec<ObjectId> = ids.iter().copied().map(ObjectId).collect();
+    ids.sort_unstable();
+    ids.dedup();
+    Ok(ids)
+}
+
+fn checked_region(region: v1::Box, names: &FieldNames) -> Result<Region, ApiError> {
+    let min_m = checked_corner(region.min, names.min)?;
+    let max_m = checked_corner(region.max, names.max)?;
+    for (axis, name) in ["x", "y", "z"].into_iter().enumerate() {
+        if min_m[axis] > max_m[axis] {
+            let expected = format!("at least {} ({}.{name})", min_m[axis], names.min);
+            return Err(ApiError::invalid(format!("{}.{name}", names.max), expected, max_m[axis]));
+        }
+    }
+    Ok(Region { min_m, max_m })
+}
+
+fn checked_corner(corner: Option<v1::Vector3>, field: &str) -> Result<Vector3<f64>, ApiError> {
+    let Some(corner) = corner else {
+        return Err(ApiError::invalid(field, "a corner of the box, metres", "nothing"));
+    };
+    for (name, side) in [("x", corner.x), ("y", corner.y), ("z", corner.z)] {
+        if side.is_nan() {
+            return Err(ApiError::invalid(format!("{field}.{name}"), "metres", side));
+        }
+    }
+    Ok(Vector3::new(corner.x, corner.y, corner.z))
+}
