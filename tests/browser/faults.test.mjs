@@ -3,7 +3,7 @@
 import assert from "node:assert/strict";
 import { after, before, describe, test } from "node:test";
 
-import { launch, openDashboard } from "./harness.mjs";
+import { launch, openDashboard, startLine } from "./harness.mjs";
 import { startMock } from "./mock.mjs";
 import { World } from "./world.mjs";
 
@@ -138,16 +138,29 @@ describe("what a page meets over months", () => {
   });
 
   test("another run of the server begins with a clean sheet", async () => {
-    const world = new World({ robots: 3 });
-    await withWorld(world, async (page) => {
+    const first = await startMock({ world: new World({ robots: 3 }) });
+    const line = await startLine(first.url);
+    const second = await startMock({ world: new World({ robots: 2 }) });
+    second.world.sourceId = "mock-2";
+    try {
+      const { page, context } = await openDashboard(browser, line.url);
       await page.locator('#object-rows tr[data-object-id="3"] button').click();
-      world.tell({ kind: "object_lost", object_id: 9, message: "Object 9 is lost." });
-      await page.locator(".event").first().waitFor();
-      world.sourceId = "mock-2";
-      world.robots = world.robots.slice(0, 2);
+      for (const id of [7, 8]) first.world.tell({ kind: "object_lost", object_id: id, message: `Object ${id} is lost.` });
+      await page.locator(".event", { hasText: "Object 8" }).waitFor();
+      line.cut();
+      await page.locator("#banner").waitFor();
+      // Its first event has the number of one that the page knows from the first run.
+      second.world.tell({ kind: "camera_running", camera: "south-west", message: "Camera south-west is running." });
+      line.mend(second.url);
       await page.locator('#object-rows tr[data-object-id="3"]').waitFor({ state: "detached" });
       await page.locator("#selection").waitFor({ state: "hidden" });
-      assert.equal(await page.locator(".event").count(), 0);
-    });
+      assert.equal(await page.locator(".event", { hasText: "Object 7" }).count(), 0);
+      assert.equal(await page.locator(".event", { hasText: "Object 8" }).count(), 0);
+      assert.equal(await page.locator(".event", { hasText: "south-west is running" }).count(), 1);
+      await context.close();
+    } finally {
+      await line.close();
+      await Promise.all([first.close(), second.close()]);
+    }
   });
 });

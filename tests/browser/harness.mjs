@@ -80,7 +80,7 @@ export async function readObjects(page) {
  * @param {string} url
  */
 export async function startLine(url) {
-  const { hostname, port } = new URL(url);
+  let end = new URL(url);
   const sockets = new Set();
   /** @type {"whole" | "cut" | "frozen"} */
   let state = "whole";
@@ -95,7 +95,7 @@ export async function startLine(url) {
   const server = createServer((near) => {
     if (state === "cut") return near.destroy();
     if (state === "frozen") return keep(near, []);
-    const far = connect(Number(port), hostname);
+    const far = connect(Number(end.port), end.hostname);
     keep(near, [far]);
     keep(far, [near]);
     near.pipe(far).pipe(near);
@@ -115,8 +115,9 @@ export async function startLine(url) {
       state = "frozen";
       for (const socket of sockets) socket.unpipe().pause();
     },
-    /** New connections pass again; what was frozen stays dead. */
-    mend() {
+    /** New connections pass again, to another server if one is named; what was frozen stays dead. */
+    mend(other = end.href) {
+      end = new URL(other);
       state = "whole";
     },
     async close() {

@@ -44,6 +44,7 @@ export async function startMock({ port = 0, world = new World() } = {}) {
       setInterval(() => send({ snapshot: world.snapshot() }), 1000 / rateHz),
       setInterval(() => send({ cameras: world.cameras() }), 500),
     ];
+    for (const event of world.events.slice(-50)) send({ event });
     send({ cameras: world.cameras() });
     const unsubscribe = world.onEvent((event) => send({ event }));
     socket.on("close", () => {

@@ -20,7 +20,8 @@ export class World {
     this.robots = Array.from({ length: robots }, (_, i) => makeRobot(i));
     this.mounts = Array.from({ length: cameras }, (_, i) => makeMount(i));
     this.listeners = new Set();
-    this.events = 0;
+    /** All that has happened, oldest first. */
+    this.events = [];
     this.stages = new Map();
   }
 
@@ -35,8 +36,8 @@ export class World {
 
   /** @param {object} event kind, message, and what it is about */
   tell(event) {
-    this.events += 1;
-    const whole = { sequence: this.events, time_ns: nowNs(0), object_id: 0, camera: "", ...event };
+    const whole = { sequence: this.events.length + 1, time_ns: nowNs(0), object_id: 0, camera: "", ...event };
+    this.events.push(whole);
     for (const listener of this.listeners) listener(whole);
   }
 

@@ -18,8 +18,9 @@ const SIGNS = new Map([
 export function showEvents(store) {
   const list = find("#event-rows");
   const empty = find("#events-empty");
-  /** @type {Map<number, HTMLElement>} by sequence */
+  /** @type {Map<string, HTMLElement>} by what tells events apart, also those of two servers */
   const rows = new Map();
+  const key = (/** @type {import("./message.js").Event} */ event) => `${event.sequence} ${event.timeMs}`;
 
   list.addEventListener("click", (event) => {
     const button = event.target instanceof Element ? event.target.closest("button") : null;
@@ -28,16 +29,16 @@ export function showEvents(store) {
   });
 
   store.on("events", () => {
-    const known = new Set(store.events.map((event) => event.sequence));
-    for (const [sequence, row] of rows) {
-      if (known.has(sequence)) continue;
+    const known = new Set(store.events.map(key));
+    for (const [shown, row] of rows) {
+      if (known.has(shown)) continue;
       row.remove();
-      rows.delete(sequence);
+      rows.delete(shown);
     }
     for (const [i, event] of store.events.entries()) {
-      if (rows.has(event.sequence)) continue;
+      if (rows.has(key(event))) continue;
       const row = makeRow(event);
-      rows.set(event.sequence, row);
+      rows.set(key(event), row);
       list.insertBefore(row, list.children[i] ?? null);
     }
     empty.hidden = rows.size > 0;

@@ -30,8 +30,10 @@ export class Store {
     this.cameras = [];
     /** True once the server has said which cameras there are, be it none. */
     this.camerasKnown = false;
-    /** @type {import("./message.js").Event[]} newest first */
+    /** @type {(import("./message.js").Event & {connectionNumber: number})[]} newest first */
     this.events = [];
+    /** Counts the connections, to tell what came over an earlier one. */
+    this.connectionNumber = 0;
     /** @type {import("./message.js").ServerInfo | null} */
     this.info = null;
     /** @type {import("./connection.js").ConnectionState} */
@@ -128,18 +130,19 @@ export class Store {
 
   /** @param {import("./message.js").Event} event */
   takeEvent(event) {
-    // After a reconnection the server may send remembered events again.
-    if (this.events.some((known) => known.sequence === event.sequence)) return;
-    this.events.unshift(event);
-    this.events.sort((a, b) => b.sequence - a.sequence);
-    this.events.length = Math.min(this.events.length, MAX_EVENTS);
+    // Each connection begins with events that the server remembers; those known are replaced.
+    const others = this.events.filter((known) => known.sequence !== event.sequence);
+    others.push({ ...event, connectionNumber: this.connectionNumber });
+    others.sort((a, b) => b.sequence - a.sequence);
+    this.events = others.slice(0, MAX_EVENTS);
     this.emit("events");
   }
 
   /** Drops what belongs to another run of the server. */
   forget() {
     this.tracks.clear();
-    this.events = [];
+    // The new run's first events come before its first snapshot, which is what gave it away.
+    this.events = this.events.filter((event) => event.connectionNumber === this.connectionNumber);
     this.missed = 0;
     this.select(null);
     this.emit("events");
@@ -153,7 +156,10 @@ export class Store {
 
   /** @param {import("./connection.js").ConnectionState} connection */
   setConnection(connection) {
-    if (connection.phase !== this.connection.phase) this.arrivals = [];
+    if (connection.phase !== this.connection.phase) {
+      this.arrivals = [];
+      if (connection.phase === "live") this.connectionNumber += 1;
+    }
     this.connection = connection;
     this.emit("connection");
   }
