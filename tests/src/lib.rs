@@ -1,1 +1,30 @@
-//! x
+//! What judges Roundel: an independent renderer with known truth, and what runs and scores a server.
+//!
+//! The renderer shares no projection, distortion, pose or rendering code with `roundel-core`, so a
+//! mistake in one of them cannot cancel against itself:
+//!
+//! | module | makes |
+//! | --- | --- |
+//! | [`normal`] | the normal distribution: cumulative function, quantiles, a seeded generator |
+//! | [`optics`] | pinhole cameras with `plumb_bob` and `equidistant` lenses, forward and inverse |
+//! | [`coverage`] | how much of each pixel a shape covers, blurred, exact by a contour integral |
+//! | [`render`] | 8-bit frames of roundels that move, over a background |
+//! | [`clutter`] | seeded backgrounds that hold no roundel |
+//! | [`arena`] | cameras and robots on smooth paths, with the truth at any time |
+//! | [`export`] | such an arena as an installation on disk, for `roundel serve` |
+//! | [`score`] | snapshots against the truth: normalized errors, swaps, rms |
+//! | [`process`] | a real server process: built, started, read, ended |
+//! | [`layering`] | the house's rules of who may use whom, checked on source text |
+//! | [`shared_data`] | the recordings beside the repository, where they are there |
+
+pub mod arena;
+pub mod clutter;
+pub mod coverage;
+pub mod export;
+pub mod layering;
+pub mod normal;
+pub mod optics;
+pub mod process;
+pub mod render;
+pub mod score;
+pub mod shared_data;

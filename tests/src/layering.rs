@@ -1,0 +1,362 @@
+//! The house's rules of who may use whom, as checks on manifests and source text.
+//!
+//! Each check takes text and returns what breaks the rule, one sentence each; `tests/layering.rs`
+//! runs them over the repository and, beside that, over examples that must be refused. Source is
+//! read without comments, strings and test items, so that a rule is about code that ships.
+
+use std::collections::BTreeMap;
+
+/// Modules of core from the bottom up: each may use only those before it.
+pub const CORE_ORDER: [&str; 12] = [
+    "time", "id", "rigid", "camera", "frame", "segment", "ellipse", "marker", "pose", "track",
+    "world", "sim",
+];
+
+/// Modules of core that stand beside the stack: they use it, and nothing uses them.
+pub const CORE_BESIDE: [&str; 3] = ["calib", "plan", "sim"];
+
+/// Crates that core may use: all of them compute and do nothing else.
+pub const PURE_CRATES: [&str; 8] = [
+    "fearless_simd",
+    "fearless_simd_macros",
+    "nalgebra",
+    "rand",
+    "rand_chacha",
+    "rand_distr",
+    "rayon",
+    "thiserror",
+];
+
+/// Paths and macros that core must not name: clocks, output, files, sockets, processes, logging.
+pub const IMPURE: [&str; 17] = [
+    "SystemTime",
+    "Instant",
+    "UNIX_EPOCH",
+    "println",
+    "eprintln",
+    "print",
+    "eprint",
+    "dbg",
+    "std::fs",
+    "std::net",
+    "std::env",
+    "std::process",
+    "std::thread",
+    "std::io",
+    "tokio",
+    "tracing",
+    "log",
+];
+
+/// What each of our crates may depend on among ours; `roundel-tests` may use everything.
+pub const ROOMS: [(&str, &[&str]); 4] = [
+    ("roundel-proto", &[]),
+    ("roundel-core", &[]),
+    ("roundel-client", &["roundel-proto"]),
+    ("roundel-server", &["roundel-core", "roundel-proto", "roundel-client"]),
+];
+
+/// Everything that may stand at the top of the repository, beside dot-files and build output.
+pub const TOP_LEVEL: [&str; 15] = [
+    "CHANGELOG.md",
+    "Cargo.lock",
+    "Cargo.toml",
+    "LICENSE-APACHE",
+    "LICENSE-MIT",
+    "README.md",
+    "client",
+    "core",
+    "deny.toml",
+    "deploy",
+    "proto",
+    "rustfmt.toml",
+    "server",
+    "target",
+    "tests",
+];
+
+/// Names at the top of the repository that do not belong there.
+pub fn stray_names(names: &[String]) -> Vec<String> {
+    let known = |name: &str| name.starts_with('.') || TOP_LEVEL.contains(&name);
+    names
+        .iter()
+        .filter(|name| !known(name))
+        .map(|name| {
+            format!("`{name}` stands at the top: move it into a room, or add it to the list")
+        })
+        .collect()
+}
+
+/// Dependencies that cross rooms the wrong way, or that core must not have.
+///
+/// `crates` maps a crate of ours to all it depends on; `shipped` leaves development dependencies out.
+pub fn forbidden_dependencies(
+    crates: &BTreeMap<String, Vec<String>>,
+    shipped: &BTreeMap<String, Vec<String>>,
+) -> Vec<String> {
+    let mut broken = Vec::new();
+    for (name, allowed) in ROOMS {
+        let Some(used) = crates.get(name) else {
+            broken.push(format!("expected a crate `{name}`, found none"));
+            continue;
+        };
+        for other in used.iter().filter(|other| other.starts_with("roundel-")) {
+            if !allowed.contains(&other.as_str()) {
+                broken.push(format!("`{name}` depends on `{other}`, which its room may not use"));
+            }
+        }
+    }
+    for other in shipped.get("roundel-core").into_iter().flatten() {
+        if !PURE_CRATES.contains(&other.as_str()) && !other.starts_with("roundel-") {
+            broken.push(format!(
+                "`roundel-core` depends on `{other}`, which is not on the pure list"
+            ));
+        }
+    }
+    broken
+}
+
+/// Clocks, input and output in a source file of core.
+pub fn impurities(path: &str, source: &str) -> Vec<String> {
+    let code = shipped_code(source);
+    IMPURE
+        .iter()
+        .filter(|word| names(&code, word))
+        .map(|word| format!("{path} names `{word}`: core is pure, the caller passes what it needs"))
+        .collect()
+}
+
+/// Imports in a source file of core that do not run down. `path` is relative to `core/src`.
+pub fn upward_imports(path: &str, source: &str) -> Vec<String> {
+    let own = module_path(path);
+    let Some(module) = own.first() else { return Vec::new() };
+    if rank(module).is_none() {
+        return vec![format!("core/src/{path}: module `{module}` has no place in the order")];
+    }
+    crate_uses(&own, &shipped_code(source))
+        .into_iter()
+        .filter(|used| used != module && !may_use(module, used))
+        .map(|used| format!("core/src/{path} uses `{used}`, which does not stand below `{module}`"))
+        .collect()
+}
+
+/// A file of the server that names both core and proto without being the one that converts, or that
+/// names the wrong one of them. `path` is relative to `server/src`.
+pub fn misplaced_types(path: &str, source: &str) -> Vec<String> {
+    let code = shipped_code(source);
+    let (core, proto) = (names(&code, "roundel_core"), names(&code, "roundel_proto"));
+    let room = path.split(['/', '.']).next().unwrap_or_default();
+    let mut broken = Vec::new();
+    if path != "convert.rs" && core && proto {
+        broken.push(format!(
+            "server/src/{path} names roundel_core and roundel_proto: only convert.rs may"
+        ));
+    }
+    if matches!(room, "api" | "hub") && core {
+        broken.push(format!("server/src/{path} names roundel_core: it serves messages only"));
+    }
+    if matches!(room, "fusion" | "worker" | "source") && proto {
+        broken
+            .push(format!("server/src/{path} names roundel_proto: it works on core's types only"));
+    }
+    broken
+}
+
+fn rank(module: &str) -> Option<usize> {
+    if CORE_BESIDE.contains(&module) {
+        return Some(CORE_ORDER.len());
+    }
+    CORE_ORDER.iter().position(|known| *known == module)
+}
+
+fn may_use(module: &str, used: &str) -> bool {
+    match (rank(module), rank(used)) {
+        (Some(own), Some(other)) => other < own,
+        _ => false,
+    }
+}
+
+/// `marker/tracker.rs` is module `marker::tracker`; `lib.rs` is the root.
+fn module_path(path: &str) -> Vec<String> {
+    let stem = path.strip_suffix(".rs").unwrap_or(path);
+    let stem = stem.strip_suffix("/mod").unwrap_or(stem);
+    if stem == "lib" { Vec::new() } else { stem.split('/').map(str::to_owned).collect() }
+}
+
+/// Top-level modules that code in module `own` reaches through `crate::` or `super::`.
+fn crate_uses(own: &[String], code: &str) -> Vec<String> {
+    let mut used = Vec::new();
+    for (at, _) in code.match_indices("crate::") {
+        if !preceded_by_word(code, at) {
+            used.extend(first_names(&code[at + "crate::".len()..]));
+        }
+    }
+    let mut rest = code;
+    while let Some(at) = rest.find("super::") {
+        let mut climbed = 0;
+        rest = &rest[at..];
+        while let Some(after) = rest.strip_prefix("super::") {
+            climbed += 1;
+            rest = after;
+        }
+        if climbed >= own.len() {
+            used.extend(first_names(rest));
+        }
+    }
+    used.sort_unstable();
+    used.dedup();
+    used
+}
+
+/// The first segment of each path that follows: of `a::b` or of each in `{a::b, c::{d, e}}`.
+fn first_names(text: &str) -> Vec<String> {
+    let word = |text: &str| -> String {
+        text.chars().take_while(|c| c.is_alphanumeric() || *c == '_').collect()
+    };
+    let Some(group) = text.strip_prefix('{') else { return vec![word(text)] };
+    let (mut depth, mut start, mut found) = (0, 0, Vec::new());
+    for (i, c) in group.char_indices() {
+        match c {
+            '{' => depth += 1,
+            '}' | ',' if depth == 0 => {
+                found.push(word(group[start..i].trim_start()));
+                start = i + 1;
+                if c == '}' {
+                    break;
+                }
+            }
+            '}' => depth -= 1,
+            _ => {}
+        }
+    }
+    found.retain(|name| !name.is_empty());
+    found
+}
+
+/// Whether `code` names this path or word as a whole.
+fn names(code: &str, word: &str) -> bool {
+    code.match_indices(word).any(|(at, _)| {
+        let after = code[at + word.len()..].chars().next();
+        let goes_on = after.is_some_and(|c| c.is_alphanumeric() || c == '_');
+        // `.log()` and `.print()` are methods, `fn log` a name of one's own: only paths and macros
+        // reach outside.
+        let reaches = word.contains("::")
+            || word.starts_with(char::is_uppercase)
+            || word.starts_with("roundel_")
+            || code[at + word.len()..].starts_with("::")
+            || (code[at + word.len()..].starts_with('!')
+                && !code[at + word.len()..].starts_with("!="))
+            || code[..at].trim_end().ends_with("use");
+        !goes_on && !preceded_by_word(code, at) && reaches
+    })
+}
+
+fn preceded_by_word(code: &str, at: usize) -> bool {
+    code[..at].chars().next_back().is_some_and(|c| c.is_alphanumeric() || c == '_' || c == '$')
+}
+
+/// Source without comments, the contents of strings, and items under `#[cfg(test)]`.
+pub fn shipped_code(source: &str) -> String {
+    let code = without_comments_and_strings(source);
+    let mut shipped = String::new();
+    let mut rest = code.as_str();
+    while let Some(at) = rest.find("#[cfg(test)]") {
+        shipped.push_str(&rest[..at]);
+        rest = after_item(&rest[at + "#[cfg(test)]".len()..]);
+    }
+    shipped.push_str(rest);
+    shipped
+}
+
+/// What follows the first item of `code`: after its `;`, or after its outermost braces.
+fn after_item(code: &str) -> &str {
+    let mut depth = 0usize;
+    for (i, c) in code.char_indices() {
+        match c {
+            '{' => depth += 1,
+            '}' if depth <= 1 => return &code[i + 1..],
+            '}' => depth -= 1,
+            ';' if depth == 0 => return &code[i + 1..],
+            _ => {}
+        }
+    }
+    ""
+}
+
+fn without_comments_and_strings(source: &str) -> String {
+    let bytes: Vec<char> = source.chars().collect();
+    let (mut out, mut i) = (String::with_capacity(source.len()), 0);
+    while i < bytes.len() {
+        let next = bytes.get(i + 1).copied();
+        match bytes[i] {
+            '/' if next == Some('/') => {
+                while i < bytes.len() && bytes[i] != '\n' {
+                    i += 1;
+                }
+            }
+            '/' if next == Some('*') => i = end_of_block_comment(&bytes, i),
+            'r' if matches!(next, Some('"' | '#')) && !out.ends_with(is_word) => {
+                i = end_of_raw_string(&bytes, i, &mut out);
+            }
+            '"' => {
+                i += 1;
+                while i < bytes.len() && bytes[i] != '"' {
+                    i += if bytes[i] == '\\' { 2 } else { 1 };
+                }
+                i += 1;
+                out.push_str("\"\"");
+            }
+            // A character literal, as against a lifetime.
+            '\'' if next == Some('\\') || bytes.get(i + 2) == Some(&'\'') => {
+                i += if next == Some('\\') { 3 } else { 2 };
+                while i < bytes.len() && bytes[i] != '\'' {
+                    i += 1;
+                }
+                i += 1;
+                out.push_str("' '");
+            }
+            c => {
+                out.push(c);
+                i += 1;
+            }
+        }
+    }
+    out
+}
+
+fn is_word(c: char) -> bool {
+    c.is_alphanumeric() || c == '_'
+}
+
+fn end_of_block_comment(text: &[char], start: usize) -> usize {
+    let (mut depth, mut i) = (0usize, start);
+    while i < text.len() {
+        match (text[i], text.get(i + 1)) {
+            ('/', Some('*')) => (depth, i) = (depth + 1, i + 2),
+            ('*', Some('/')) if depth == 1 => return i + 2,
+            ('*', Some('/')) => (depth, i) = (depth - 1, i + 2),
+            _ => i += 1,
+        }
+    }
+    i
+}
+
+/// Skips `r"…"` or `r#"…"#`; `r#name` is no string and is copied.
+fn end_of_raw_string(text: &[char], start: usize, out: &mut String) -> usize {
+    let hashes = text[start + 1..].iter().take_while(|c| **c == '#').count();
+    if text.get(start + 1 + hashes) != Some(&'"') {
+        out.push('r');
+        return start + 1;
+    }
+    out.push_str("\"\"");
+    let mut i = start + 2 + hashes;
+    while i < text.len() {
+        let closing = text[i] == '"'
+            && text[i + 1..].iter().take(hashes).filter(|c| **c == '#').count() == hashes;
+        if closing {
+            return i + 1 + hashes;
+        }
+        i += 1;
+    }
+    i
+}

@@ -1,0 +1,219 @@
+//! A real server process: the binary found or built, started on a free port, its output captured,
+//! and ended when the test is done with it.
+
+use std::{
+    fs,
+    io::{BufRead, BufReader, Read},
+    path::{Path, PathBuf},
+    process::{Child, Command, ExitStatus, Stdio},
+    sync::{
+        Arc, Mutex, OnceLock,
+        mpsc::{RecvTimeoutError, channel},
+    },
+    thread,
+    time::{Duration, Instant, SystemTime},
+};
+
+use anyhow::{Context, bail, ensure};
+
+/// What a server prints, once, when it takes connections; the address follows.
+const LISTENING: &str = "listening on http://";
+
+/// The repository's root.
+pub fn workspace_root() -> PathBuf {
+    let manifest = Path::new(env!("CARGO_MANIFEST_DIR"));
+    manifest.parent().unwrap_or(manifest).to_path_buf()
+}
+
+/// The `roundel` binary of this test's profile, built if it is missing or older than its sources.
+pub fn roundel() -> anyhow::Result<PathBuf> {
+    static BINARY: OnceLock<Result<PathBuf, String>> = OnceLock::new();
+    let found = BINARY.get_or_init(|| find_or_build().map_err(|error| format!("{error:#}")));
+    found.clone().map_err(anyhow::Error::msg)
+}
+
+fn find_or_build() -> anyhow::Result<PathBuf> {
+    // target/PROFILE/deps/test-HASH
+    let test = std::env::current_exe()?;
+    let profile_folder =
+        test.ancestors().nth(2).context("expected the test in target/PROFILE/deps")?;
+    let binary = profile_folder.join(format!("roundel{}", std::env::consts::EXE_SUFFIX));
+    let built = fs::metadata(&binary).and_then(|data| data.modified()).ok();
+    if built.is_some_and(|built| newest_source(&workspace_root()) <= built) {
+        return Ok(binary);
+    }
+    let profile = match profile_folder.file_name().and_then(|name| name.to_str()) {
+        Some("debug") | None => "dev",
+        Some(name) => name,
+    };
+    let target = profile_folder.parent().context("expected target/PROFILE")?;
+    let cargo = std::env::var_os("CARGO").unwrap_or_else(|| "cargo".into());
+    // Naming this crate too keeps the features, and so most of what is built already.
+    let output = Command::new(cargo)
+        .current_dir(workspace_root())
+        .args(["build", "-p", "roundel-server", "-p", "roundel-tests", "--bin", "roundel"])
+        .args(["--profile", profile, "--target-dir"])
+        .arg(target)
+        .output()
+        .context("cargo could not be started to build the roundel binary")?;
+    ensure!(
+        output.status.success() && binary.exists(),
+        "expected cargo to build {}, found:\n{}",
+        binary.display(),
+        String::from_utf8_lossy(&output.stderr)
+    );
+    Ok(binary)
+}
+
+/// When the newest file that goes into the binary was changed.
+fn newest_source(root: &Path) -> SystemTime {
+    fn newest(path: &Path) -> SystemTime {
+        let Ok(data) = fs::metadata(path) else { return SystemTime::UNIX_EPOCH };
+        if !data.is_dir() {
+            return data.modified().unwrap_or(SystemTime::UNIX_EPOCH);
+        }
+        let entries = fs::read_dir(path).into_iter().flatten().flatten();
+        entries.map(|entry| newest(&entry.path())).max().unwrap_or(SystemTime::UNIX_EPOCH)
+    }
+    let parts = [
+        "Cargo.toml",
+        "proto",
+        "core/Cargo.toml",
+        "core/src",
+        "core/docs",
+        "server/Cargo.toml",
+        "server/src",
+        "client/rust/Cargo.toml",
+        "client/rust/src",
+        "client/dashboard",
+    ];
+    parts.iter().map(|part| newest(&root.join(part))).max().unwrap_or(SystemTime::UNIX_EPOCH)
+}
+
+/// A running `roundel serve` or `roundel demo`; killed when dropped.
+pub struct Server {
+    child: Child,
+    address: String,
+    stdout: Arc<Mutex<String>>,
+    stderr: Arc<Mutex<String>>,
+}
+
+impl Server {
+    /// Starts `roundel ARGS…` in `folder` and waits until it says where it listens.
+    ///
+    /// The arguments or the configuration must ask for port 0. Fails with what it printed if it ends
+    /// first, or says nothing for a minute.
+    pub fn start(args: &[&str], folder: &Path) -> anyhow::Result<Server> {
+        let mut child = Command::new(roundel()?)
+            .args(args)
+            .current_dir(folder)
+            .stdin(Stdio::null())
+            .stdout(Stdio::piped())
+            .stderr(Stdio::piped())
+            .spawn()
+            .context("the roundel binary could not be started")?;
+        let (stdout, stderr) = (Arc::<Mutex<String>>::default(), Arc::<Mutex<String>>::default());
+        let (say, heard) = channel();
+        capture(child.stdout.take(), stdout.clone(), move |line| {
+            if let Some((_, address)) = line.split_once(LISTENING) {
+                let word = address.split_whitespace().next().unwrap_or_default();
+                // The test may have stopped listening: the address is wanted once.
+                let _ = say.send(word.trim_end_matches('/').to_owned());
+            }
+        });
+        capture(child.stderr.take(), stderr.clone(), |_| {});
+        let mut server = Server { child, address: String::new(), stdout, stderr };
+        match heard.recv_timeout(Duration::from_secs(60)) {
+            Ok(address) => server.address = address,
+            Err(RecvTimeoutError::Disconnected) => {
+                let status = server.child.wait()?;
+                bail!(
+                    "expected `roundel {}` to listen, but it ended with {status}:\n{}",
+                    args.join(" "),
+                    server.log()
+                );
+            }
+            Err(RecvTimeoutError::Timeout) => bail!(
+                "expected `roundel {}` to print `{LISTENING}ADDRESS` within a minute, found:\n{}",
+                args.join(" "),
+                server.log()
+            ),
+        }
+        Ok(server)
+    }
+
+    /// `roundel serve --config CONFIG`.
+    pub fn serve(config: &Path) -> anyhow::Result<Server> {
+        let folder = config.parent().unwrap_or(Path::new("."));
+        Self::start(&["serve", "--config", &config.to_string_lossy()], folder)
+    }
+
+    /// HOST:PORT.
+    pub fn address(&self) -> &str {
+        &self.address
+    }
+
+    /// `http://HOST:PORT`, for gRPC and REST.
+    pub fn url(&self) -> String {
+        format!("http://{}", self.address)
+    }
+
+    /// All that was printed so far: standard output, then standard error.
+    pub fn log(&self) -> String {
+        let text = |part: &Mutex<String>| part.lock().map(|text| text.clone()).unwrap_or_default();
+        format!("{}\n{}", text(&self.stdout), text(&self.stderr))
+    }
+
+    /// Sends the process a signal by name, e.g. `INT` or `TERM` (Unix).
+    pub fn signal(&self, name: &str) -> anyhow::Result<()> {
+        let status =
+            Command::new("kill").args(["-s", name, &self.child.id().to_string()]).status()?;
+        ensure!(status.success(), "expected `kill -s {name}` to reach the server, found {status}");
+        Ok(())
+    }
+
+    /// Waits until the process has ended by itself; an error if it runs on for `longest`.
+    pub fn wait(&mut self, longest: Duration) -> anyhow::Result<ExitStatus> {
+        let start = Instant::now();
+        loop {
+            if let Some(status) = self.child.try_wait()? {
+                return Ok(status);
+            }
+            ensure!(
+                start.elapsed() < longest,
+                "expected the server to end within {longest:?}, but it runs; its log:\n{}",
+                self.log()
+            );
+            thread::sleep(Duration::from_millis(10));
+        }
+    }
+}
+
+impl Drop for Server {
+    fn drop(&mut self) {
+        // It may have ended already; then there is nothing to do.
+        let _ = self.child.kill();
+        let _ = self.child.wait();
+        if thread::panicking() {
+            eprintln!("the server's log:\n{}", self.log());
+        }
+    }
+}
+
+/// Copies a pipe's lines into `text` and shows each to `see`, on a thread that ends with the pipe.
+fn capture(
+    pipe: Option<impl Read + Send + 'static>,
+    text: Arc<Mutex<String>>,
+    mut see: impl FnMut(&str) + Send + 'static,
+) {
+    let Some(pipe) = pipe else { return };
+    thread::spawn(move || {
+        for line in BufReader::new(pipe).lines().map_while(Result::ok) {
+            see(&line);
+            if let Ok(mut text) = text.lock() {
+                text.push_str(&line);
+                text.push('\n');
+            }
+        }
+    });
+}

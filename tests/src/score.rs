@@ -1,0 +1,331 @@
+//! Snapshots against the truth: are the errors as large as the covariances say?
+//!
+//! For an unbiased estimate whose covariance is right, the normalized error squared (NEES) eᵀ Σ⁻¹ e of
+//! n degrees of freedom follows χ²(n) (Bar-Shalom, Li, Kirubarajan 2001, section 5.4): 95 % of a
+//! position's lie below 7.815. Objects carry no code, so each is taken for the robot nearest to it at
+//! its first sight, and a change of robot later is a swap.
+
+use std::collections::HashMap;
+
+use nalgebra::{Matrix2, Matrix3, UnitQuaternion, Vector2, Vector3};
+use roundel_proto::v1::{self, LifeStage, Snapshot};
+
+use crate::arena::Truth;
+
+/// 95 % of χ² with two degrees of freedom.
+pub const CHI2_95_2: f64 = 5.991;
+/// 95 % of χ² with three degrees of freedom.
+pub const CHI2_95_3: f64 = 7.815;
+
+/// Errors of one kind, with their normalized squares.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct Errors {
+    squares: Vec<f64>,
+    normalized: Vec<f64>,
+}
+
+impl Errors {
+    /// Takes one error's length and its normalized square.
+    pub fn push(&mut self, length: f64, normalized: f64) {
+        self.squares.push(length * length);
+        self.normalized.push(normalized);
+    }
+
+    /// How many errors there are.
+    pub fn count(&self) -> usize {
+        self.squares.len()
+    }
+
+    /// Root mean square of the errors' lengths; NaN without any.
+    pub fn rms(&self) -> f64 {
+        (self.squares.iter().sum::<f64>() / self.count() as f64).sqrt()
+    }
+
+    /// Share of normalized squares at most `bound`; NaN without any.
+    pub fn share_within(&self, bound: f64) -> f64 {
+        let inside = self.normalized.iter().filter(|square| **square <= bound).count();
+        inside as f64 / self.count() as f64
+    }
+
+    /// Mean normalized square: the degrees of freedom if the covariances are right.
+    pub fn mean_normalized(&self) -> f64 {
+        self.normalized.iter().sum::<f64>() / self.count() as f64
+    }
+}
+
+/// What became of a run's snapshots.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct Score {
+    /// Position, metres.
+    pub position: Errors,
+    /// Velocity, m/s, of states that say its covariance.
+    pub velocity: Errors,
+    /// Normal, radians, over the two rotations that turn it.
+    pub normal: Errors,
+    /// Objects that went over to another robot.
+    pub swaps: usize,
+    /// States farther than the gate from every robot.
+    pub strays: usize,
+    /// Ids given to each robot beyond its first.
+    pub extra_ids: usize,
+    /// Robots and snapshots for which no state was there.
+    pub misses: usize,
+    /// States that could not be normalized: a covariance missing or not positive definite.
+    pub unusable: usize,
+}
+
+/// Scores snapshots one by one.
+#[derive(Clone, Debug)]
+pub struct Judge {
+    /// A state farther than this from every robot is a stray, metres.
+    pub gate_m: f64,
+    robot_of: HashMap<u64, usize>,
+    score: Score,
+}
+
+impl Default for Judge {
+    fn default() -> Self {
+        Self { gate_m: 0.3, robot_of: HashMap::new(), score: Score::default() }
+    }
+}
+
+impl Judge {
+    /// Takes the states of one snapshot that are tracked (seen now); `truth` is that of its
+    /// `pose_time_ns`.
+    pub fn take(&mut self, snapshot: &Snapshot, truth: &[Truth]) {
+        let mut found = vec![false; truth.len()];
+        let tracked = |state: &&v1::ObjectState| state.stage() == LifeStage::Tracked;
+        for state in snapshot.objects.iter().filter(tracked) {
+            let Some(position) = state.position.as_ref().map(vector) else {
+                self.score.unusable += 1;
+                continue;
+            };
+            let Some(robot) = self.associate(state.object_id, &position, truth) else {
+                self.score.strays += 1;
+                continue;
+            };
+            found[robot] = true;
+            self.compare(state, &position, &truth[robot]);
+        }
+        self.score.misses += found.iter().filter(|found| !**found).count();
+    }
+
+    /// The score of all snapshots taken.
+    pub fn finish(mut self) -> Score {
+        let robots: std::collections::HashSet<_> = self.robot_of.values().collect();
+        self.score.extra_ids = self.robot_of.len() - robots.len();
+        self.score
+    }
+
+    fn associate(&mut self, id: u64, position: &Vector3<f64>, truth: &[Truth]) -> Option<usize> {
+        let distance = |truth: &Truth| (truth.pose.translation.vector - position).norm();
+        let (robot, apart_m) = truth
+            .iter()
+            .map(distance)
+            .enumerate()
+            .min_by(|one, other| one.1.total_cmp(&other.1))?;
+        if apart_m > self.gate_m {
+            return None;
+        }
+        if self.robot_of.insert(id, robot).is_some_and(|before| before != robot) {
+            self.score.swaps += 1;
+        }
+        Some(robot)
+    }
+
+    fn compare(&mut self, state: &v1::ObjectState, position: &Vector3<f64>, truth: &Truth) {
+        let error = position - truth.pose.translation.vector;
+        let block = position_block(&state.covariance);
+        match block.and_then(|covariance| normalized3(&error, &covariance)) {
+            Some(square) => self.score.position.push(error.norm(), square),
+            None => self.score.unusable += 1,
+        }
+        if let (Some(velocity), Some(covariance)) =
+            (&state.velocity, triangle3(&state.velocity_covariance))
+        {
+            let error = vector(velocity) - truth.velocity_m_s;
+            match normalized3(&error, &covariance) {
+                Some(square) => self.score.velocity.push(error.norm(), square),
+                None => self.score.unusable += 1,
+            }
+        }
+        if let (Some(q), Some(covariance)) = (&state.orientation, rotation_block(&state.covariance))
+        {
+            let quaternion = nalgebra::Quaternion::new(q.w, q.x, q.y, q.z);
+            let normal = UnitQuaternion::from_quaternion(quaternion) * Vector3::z();
+            let true_normal = truth.pose.rotation * Vector3::z();
+            if let Some((angle, square)) = normal_error(&normal, &true_normal, &covariance) {
+                self.score.normal.push(angle, square);
+            }
+        }
+    }
+}
+
+impl std::fmt::Display for Score {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        writeln!(f, "             count        rms   NEES (expected)   inside 95 %")?;
+        let rows = [
+            ("position", &self.position, 3.0, CHI2_95_3, "m"),
+            ("velocity", &self.velocity, 3.0, CHI2_95_3, "m/s"),
+            ("normal", &self.normal, 2.0, CHI2_95_2, "rad"),
+        ];
+        for (name, errors, freedom, bound, unit) in rows {
+            writeln!(
+                f,
+                "{name:10} {:7} {:10.5} {unit:4} {:7.2} ({freedom})     {:8.1} %",
+                errors.count(),
+                errors.rms(),
+                errors.mean_normalized(),
+                100.0 * errors.share_within(bound)
+            )?;
+        }
+        write!(
+            f,
+            "swaps {}, strays {}, extra ids {}, misses {}, unusable {}",
+            self.swaps, self.strays, self.extra_ids, self.misses, self.unusable
+        )
+    }
+}
+
+/// A wire vector's numbers.
+pub fn vector(v: &v1::Vector3) -> Vector3<f64> {
+    Vector3::new(v.x, v.y, v.z)
+}
+
+/// eᵀ Σ⁻¹ e; `None` unless Σ is positive definite and all is finite.
+pub fn normalized3(error: &Vector3<f64>, covariance: &Matrix3<f64>) -> Option<f64> {
+    let square = error.dot(&covariance.cholesky()?.solve(error));
+    square.is_finite().then_some(square)
+}
+
+/// Angle between two unit normals and its normalized square under a rotation's covariance (left
+/// perturbation, same frame): only the two rotations perpendicular to the normal turn it.
+pub fn normal_error(
+    normal: &Vector3<f64>,
+    true_normal: &Vector3<f64>,
+    rotation: &Matrix3<f64>,
+) -> Option<(f64, f64)> {
+    let axis = normal.cross(true_normal);
+    let angle = axis.norm().atan2(normal.dot(true_normal));
+    let turn = axis.try_normalize(0.0).map_or(Vector3::zeros(), |unit| unit * angle);
+    let helper = if normal.x.abs() < 0.7 { Vector3::x() } else { Vector3::y() };
+    let across = normal.cross(&helper).normalize();
+    let along = normal.cross(&across);
+    let seen = |one: &Vector3<f64>, other: &Vector3<f64>| (one.transpose() * rotation * other)[0];
+    let covariance = Matrix2::new(
+        seen(&across, &across),
+        seen(&across, &along),
+        seen(&along, &across),
+        seen(&along, &along),
+    );
+    let error = Vector2::new(turn.dot(&across), turn.dot(&along));
+    let square = error.dot(&covariance.cholesky()?.solve(&error));
+    square.is_finite().then_some((angle, square))
+}
+
+/// Rows and columns `first`.. of three of a 6×6 matrix given by its upper triangle.
+fn block(triangle: &[f64], first: usize) -> Option<Matrix3<f64>> {
+    if triangle.len() != 21 {
+        return None;
+    }
+    let at = |row: usize, column: usize| {
+        let (row, column) = (row.min(column), row.max(column));
+        triangle[row * 6 - row * (row + 1) / 2 + column]
+    };
+    Some(Matrix3::from_fn(|row, column| at(first + row, first + column)))
+}
+
+fn position_block(triangle: &[f64]) -> Option<Matrix3<f64>> {
+    block(triangle, 0)
+}
+
+fn rotation_block(triangle: &[f64]) -> Option<Matrix3<f64>> {
+    block(triangle, 3)
+}
+
+fn triangle3(t: &[f64]) -> Option<Matrix3<f64>> {
+    let [a, b, c, d, e, f] = *t else { return None };
+    Some(Matrix3::new(a, b, c, b, d, e, c, e, f))
+}
+
+#[cfg(test)]
+mod tests {
+    use nalgebra::Isometry3;
+
+    use super::*;
+    use crate::normal::Random;
+
+    fn state(id: u64, position: Vector3<f64>, variance: f64) -> v1::ObjectState {
+        let mut covariance = vec![0.0; 21];
+        for (row, place) in [0, 6, 11, 15, 18, 20].into_iter().enumerate() {
+            covariance[place] = if row < 3 { variance } else { 1e-4 };
+        }
+        v1::ObjectState {
+            object_id: id,
+            stage: LifeStage::Tracked as i32,
+            position: Some(v1::Vector3 { x: position.x, y: position.y, z: position.z }),
+            orientation: Some(v1::Quaternion { x: 0.0, y: 0.0, z: 0.0, w: 1.0 }),
+            covariance,
+            ..Default::default()
+        }
+    }
+
+    fn truth(x: f64) -> Truth {
+        Truth { pose: Isometry3::translation(x, 0.0, 0.3), velocity_m_s: Vector3::zeros() }
+    }
+
+    fn judged(scale: f64) -> Score {
+        let mut random = Random::new(11, 0);
+        let mut judge = Judge::default();
+        for _ in 0..4000 {
+            let error = Vector3::from_fn(|_, _| 0.002 * scale * f64::from(random.normal()));
+            let objects = vec![state(1, Vector3::new(1.0, 0.0, 0.3) + error, 0.002 * 0.002)];
+            judge.take(&Snapshot { objects, ..Default::default() }, &[truth(1.0)]);
+        }
+        judge.finish()
+    }
+
+    #[test]
+    fn errors_as_stated_are_consistent_and_others_are_not() {
+        let right = judged(1.0);
+        assert!((right.position.share_within(CHI2_95_3) - 0.95).abs() < 0.01);
+        assert!((right.position.mean_normalized() - 3.0).abs() < 0.1);
+        assert!(judged(1.5).position.share_within(CHI2_95_3) < 0.85);
+        assert!(judged(0.5).position.share_within(CHI2_95_3) > 0.99);
+    }
+
+    #[test]
+    fn swaps_strays_and_misses_are_counted() {
+        let truths = [truth(0.0), truth(1.0)];
+        let at = |id, x| state(id, Vector3::new(x, 0.0, 0.3), 1e-6);
+        let mut judge = Judge::default();
+        judge.take(
+            &Snapshot { objects: vec![at(1, 0.0), at(2, 1.0)], ..Default::default() },
+            &truths,
+        );
+        judge.take(
+            &Snapshot { objects: vec![at(1, 1.0), at(2, 0.0)], ..Default::default() },
+            &truths,
+        );
+        judge.take(
+            &Snapshot { objects: vec![at(1, 1.0), at(7, 5.0)], ..Default::default() },
+            &truths,
+        );
+        judge.take(
+            &Snapshot { objects: vec![at(1, 1.0), at(3, 0.0)], ..Default::default() },
+            &truths,
+        );
+        let score = judge.finish();
+        assert_eq!((score.swaps, score.strays, score.misses, score.extra_ids), (2, 1, 1, 1));
+    }
+
+    #[test]
+    fn a_normal_ignores_the_turn_about_itself() {
+        let covariance = Matrix3::from_diagonal(&Vector3::new(1e-4, 4e-4, 3.3));
+        let tilted = UnitQuaternion::from_axis_angle(&Vector3::y_axis(), 0.02) * Vector3::z();
+        let (angle, square) = normal_error(&Vector3::z(), &tilted, &covariance).unwrap();
+        assert!((angle - 0.02).abs() < 1e-12);
+        assert!((square - 1.0).abs() < 1e-9);
+        assert!(block(&[0.0; 20], 0).is_none());
+    }
+}

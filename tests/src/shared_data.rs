@@ -1,0 +1,14 @@
+//! The recordings kept beside the repository, for tests that can do without them.
+
+use std::path::{Path, PathBuf};
+
+/// The folder `../shared/data/NAME` beside the workspace; `None`, with one line that says so, where
+/// it is not there.
+pub fn shared_data(test: &str, name: &str) -> Option<PathBuf> {
+    let folder = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../shared/data").join(name);
+    if folder.exists() {
+        return Some(folder);
+    }
+    println!("skipped: {test} needs ../shared");
+    None
+}

@@ -1,0 +1,215 @@
+//! Keeps the house: who depends on whom, what core must not do, and where core meets proto.
+
+use std::{
+    collections::BTreeMap,
+    fs,
+    path::{Path, PathBuf},
+    process::Command,
+};
+
+use roundel_tests::{
+    layering::{
+        forbidden_dependencies, impurities, misplaced_types, shipped_code, stray_names,
+        upward_imports,
+    },
+    process::workspace_root,
+};
+
+/// Every Rust source under a folder, with its path relative to it.
+fn sources(folder: &Path) -> Vec<(String, String)> {
+    fn collect(folder: &Path, found: &mut Vec<PathBuf>) {
+        for entry in fs::read_dir(folder).unwrap().map(Result::unwrap) {
+            let path = entry.path();
+            if path.is_dir() {
+                collect(&path, found);
+            } else if path.extension().is_some_and(|end| end == "rs") {
+                found.push(path);
+            }
+        }
+    }
+    let mut found = Vec::new();
+    collect(folder, &mut found);
+    found
+        .into_iter()
+        .map(|path| {
+            let name = path.strip_prefix(folder).unwrap().to_string_lossy().replace('\\', "/");
+            (name, fs::read_to_string(&path).unwrap())
+        })
+        // Files that are test modules as a whole (`#[cfg(test)] mod tests;`) do not ship.
+        .filter(|(name, _)| !name.ends_with("/tests.rs") && !name.contains("/tests/"))
+        .collect()
+}
+
+fn assert_clean(broken: &[String]) {
+    assert!(broken.is_empty(), "the house's rules are broken:\n{}", broken.join("\n"));
+}
+
+#[test]
+fn top_level_holds_the_rooms_and_nothing_else() {
+    let names: Vec<String> = fs::read_dir(workspace_root())
+        .unwrap()
+        .map(|entry| entry.unwrap().file_name().to_string_lossy().into_owned())
+        .collect();
+    assert_clean(&stray_names(&names));
+}
+
+#[test]
+fn crates_depend_one_way() {
+    let output = Command::new(std::env::var_os("CARGO").unwrap_or_else(|| "cargo".into()))
+        .args(["metadata", "--no-deps", "--offline", "--format-version", "1"])
+        .current_dir(workspace_root())
+        .output()
+        .unwrap();
+    assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
+    let metadata: serde_json::Value = serde_json::from_slice(&output.stdout).unwrap();
+    let (mut all, mut shipped) = (BTreeMap::new(), BTreeMap::new());
+    for package in metadata["packages"].as_array().unwrap() {
+        let name = package["name"].as_str().unwrap().to_owned();
+        let dependencies = package["dependencies"].as_array().unwrap();
+        let names = |development: bool| -> Vec<String> {
+            dependencies
+                .iter()
+                .filter(|dependency| development || dependency["kind"].as_str() != Some("dev"))
+                .map(|dependency| dependency["name"].as_str().unwrap().to_owned())
+                .collect()
+        };
+        all.insert(name.clone(), names(true));
+        shipped.insert(name, names(false));
+    }
+    assert_clean(&forbidden_dependencies(&all, &shipped));
+}
+
+#[test]
+fn core_is_pure_and_its_imports_run_down() {
+    let files = sources(&workspace_root().join("core/src"));
+    assert!(files.len() > 10, "expected core's sources, found {} files", files.len());
+    let mut broken = Vec::new();
+    for (path, source) in &files {
+        broken.extend(impurities(&format!("core/src/{path}"), source));
+        broken.extend(upward_imports(path, source));
+    }
+    assert_clean(&broken);
+}
+
+#[test]
+fn only_one_file_converts_between_core_and_proto() {
+    let files = sources(&workspace_root().join("server/src"));
+    assert!(!files.is_empty());
+    let broken: Vec<_> =
+        files.iter().flat_map(|(path, source)| misplaced_types(path, source)).collect();
+    assert_clean(&broken);
+}
+
+#[test]
+fn a_stray_folder_is_refused() {
+    let names = ["core", "README.md", ".ci", "scripts"].map(str::to_owned);
+    let broken = stray_names(&names);
+    assert_eq!(broken.len(), 1);
+    assert!(broken[0].contains("`scripts`"));
+}
+
+#[test]
+fn wrong_dependencies_are_refused() {
+    let crates = |core: &[&str], client: &[&str]| -> BTreeMap<String, Vec<String>> {
+        let own = |list: &[&str]| list.iter().map(|name| (*name).to_owned()).collect();
+        BTreeMap::from([
+            ("roundel-proto".to_owned(), own(&["prost"])),
+            ("roundel-core".to_owned(), own(core)),
+            ("roundel-client".to_owned(), own(client)),
+            ("roundel-server".to_owned(), own(&["roundel-core", "roundel-proto", "tokio"])),
+        ])
+    };
+    let broken = |core: &[&str], client: &[&str]| {
+        let all = crates(core, client);
+        forbidden_dependencies(&all, &all)
+    };
+    assert_clean(&broken(&["nalgebra"], &["roundel-proto", "tonic"]));
+    assert_eq!(broken(&["tokio"], &[]).len(), 1);
+    assert_eq!(broken(&["roundel-proto"], &[]).len(), 1);
+    assert_eq!(broken(&[], &["roundel-core"]).len(), 1);
+    assert_eq!(forbidden_dependencies(&BTreeMap::new(), &BTreeMap::new()).len(), 4);
+}
+
+#[test]
+fn impure_code_is_refused_and_talk_about_it_is_not() {
+    for bad in [
+        "fn now() -> f64 { std::time::Instant::now().elapsed().as_secs_f64() }",
+        "use std::time::SystemTime;",
+        "fn f() { println!(\"x\"); }",
+        "fn f() { let s = std::fs::read_to_string(\"x\"); }",
+        "use std::{fs, env};\nfn f() { std::net::TcpStream::connect(\"\"); }",
+        "use tracing::info;",
+        "fn f() { log::warn!(\"\") }",
+    ] {
+        assert!(!impurities("x.rs", bad).is_empty(), "{bad}");
+    }
+    for good in [
+        "//! No Instant here, no println! either.\nfn f(x: f64) -> f64 { x.log(2.0) }",
+        "/* std::fs */ const A: &str = \"SystemTime::now()\";",
+        "const A: &str = r#\"std::fs \" println!\"#; fn log(x: f64) -> f64 { x }",
+        "fn f() {}\n#[cfg(test)]\nmod tests { fn g() { println!(\"{}\", '{'); } }",
+        "struct InstantReplay; fn f<'a>(x: &'a str) -> &'a str { x }",
+    ] {
+        assert_clean(&impurities("x.rs", good));
+    }
+    // What follows a test item is checked again.
+    assert_eq!(impurities("x.rs", "#[cfg(test)]\nuse a::{b};\nfn f() { dbg!(1); }").len(), 1);
+}
+
+#[test]
+fn imports_that_run_up_are_refused() {
+    for (path, source, used) in [
+        ("segment.rs", "use crate::world::Snapshot;", "world"),
+        ("ellipse.rs", "use crate::{camera::{PixelPoint, Lens}, marker::Ring};", "marker"),
+        ("marker/tracker.rs", "use super::super::pose::Detection;", "pose"),
+        ("frame.rs", "fn f() -> super::segment::Segment { todo() }", "segment"),
+        ("world/mod.rs", "use crate::sim::Scenario;", "sim"),
+        ("plan.rs", "use crate::sim::Scenario;", "sim"),
+        ("time.rs", "use crate::rigid::Rigid;", "rigid"),
+    ] {
+        let broken = upward_imports(path, source);
+        assert_eq!(broken.len(), 1, "{path}: {source}");
+        assert!(broken[0].contains(&format!("`{used}`")), "{broken:?}");
+    }
+    for (path, source) in [
+        ("marker/tracker.rs", "use super::{Ring, detector::Detector}; use crate::{frame::Frame};"),
+        ("world/mod.rs", "use crate::{id::CameraId, pose::Detection, rigid::Covariance6};"),
+        ("sim/mod.rs", "use crate::world::Snapshot;"),
+        ("lib.rs", "pub mod camera;"),
+        (
+            "pose.rs",
+            "/// See [`crate::world::Fusion`].\n#[cfg(test)] mod tests { use crate::sim::A; }",
+        ),
+    ] {
+        assert_clean(&upward_imports(path, source));
+    }
+    assert!(upward_imports("gadget.rs", "")[0].contains("no place"));
+}
+
+#[test]
+fn conversions_elsewhere_are_refused() {
+    let both = "use roundel_core::world::Snapshot; use roundel_proto::v1;";
+    assert_clean(&misplaced_types("convert.rs", both));
+    assert_clean(&misplaced_types("api/grpc.rs", "use roundel_proto::v1;"));
+    assert_clean(&misplaced_types("worker.rs", "use roundel_core::frame::Frame;"));
+    assert_clean(&misplaced_types(
+        "worker.rs",
+        "// roundel_proto\nuse roundel_core::frame::Frame;",
+    ));
+    for (path, source) in [
+        ("record.rs", both),
+        ("api/rest.rs", "use roundel_core::time::Timestamp;"),
+        ("hub.rs", "fn f(x: roundel_core::id::ObjectId) {}"),
+        ("fusion/mod.rs", "use roundel_proto::v1::Snapshot;"),
+        ("source/images.rs", "use roundel_proto::v1::Camera;"),
+    ] {
+        assert_eq!(misplaced_types(path, source).len(), 1, "{path}");
+    }
+}
+
+#[test]
+fn shipped_code_keeps_what_ships() {
+    let code = shipped_code("fn a() {} // b\n#[cfg(test)]\nmod tests { fn c() {} }\nfn d() {}");
+    assert!(code.contains("fn a()") && code.contains("fn d()"));
+    assert!(!code.contains('b') && !code.contains("fn c"));
+}
