@@ -2,8 +2,7 @@
 
 use thiserror::Error;
 
-/// Largest width or height that is taken; beyond it the sums of moments could lose exactness.
-pub const MAX_SIDE_PX: usize = 16_384;
+pub use crate::camera::MAX_SIDE_PX;
 
 /// An 8-bit grey image, row by row from the top, `stride` bytes from one row to the next.
 #[derive(Clone, Copy, Debug)]

@@ -12,6 +12,9 @@ use thiserror::Error;
 
 pub use lens::Lens;
 
+/// Largest width or height of an image; beyond it the sums of moments could lose exactness.
+pub const MAX_SIDE_PX: usize = 16_384;
+
 /// A raw, distorted point of the image; see [`crate::conventions`].
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct PixelPoint {
@@ -60,7 +63,7 @@ pub struct Camera {
 #[derive(Clone, Debug, PartialEq, Error)]
 pub enum CameraError {
     /// A side is zero or too long for a frame.
-    #[error("{field}: expected 1 to {} pixels, found {found}", crate::frame::MAX_SIDE_PX)]
+    #[error("{field}: expected 1 to {MAX_SIDE_PX} pixels, found {found}")]
     Size {
         /// `width` or `height`.
         field: &'static str,
@@ -110,11 +113,11 @@ pub enum LensError {
 }
 
 impl Camera {
-    /// Checks intrinsics: sides of 1 to [`crate::frame::MAX_SIDE_PX`], positive finite focal lengths,
+    /// Checks intrinsics: sides of 1 to [`MAX_SIDE_PX`], positive finite focal lengths,
     /// the rest finite. The error names the field.
     pub fn new(intrinsics: Intrinsics) -> Result<Self, CameraError> {
         for (field, found) in [("width", intrinsics.width), ("height", intrinsics.height)] {
-            if found == 0 || found > crate::frame::MAX_SIDE_PX {
+            if found == 0 || found > MAX_SIDE_PX {
                 return Err(CameraError::Size { field, found });
             }
         }
