@@ -4,6 +4,8 @@
  */
 
 import assert from "node:assert/strict";
+import { readFile } from "node:fs/promises";
+import { createRequire } from "node:module";
 import { after, before, describe, test } from "node:test";
 
 import { launch, openDashboard, readObjects, startLine, target } from "./harness.mjs";
@@ -319,13 +321,16 @@ describe("the view", () => {
 
   test("says how far the uncertainty is exaggerated", async () => {
     await withPage({}, async (page) => {
-      const caption = page.locator("#arena-caption");
-      await page.locator("input[name=exaggeration][value='100']").check();
-      assert.match(await caption.textContent(), /95 % ellipses drawn 100× larger/);
-      await page.locator("input[name=exaggeration][value='1']").check();
-      assert.match(await caption.textContent(), /95 % ellipses to scale/);
+      for (const [value, words] of [
+        ["100", "95 % ellipses drawn 100× larger"],
+        ["1", "95 % ellipses to scale"],
+        ["10", "95 % ellipses drawn 10× larger"],
+      ]) {
+        await page.locator(`input[name=exaggeration][value='${value}']`).check();
+        await page.locator("#arena-caption", { hasText: words }).waitFor();
+      }
       await page.locator("input[name=exaggeration][value='0']").check();
-      assert.doesNotMatch(await caption.textContent(), /ellipses/);
+      await page.waitForFunction(() => !document.querySelector("#arena-caption").textContent.includes("ellipses"));
     });
   });
 });
@@ -385,6 +390,23 @@ describe("a lost connection", () => {
       await line.close();
     }
   });
+});
+
+describe("accessibility", () => {
+  for (const options of [{ colorScheme: "light" }, { colorScheme: "dark" }, { viewport: { width: 390, height: 844 } }]) {
+    test(`axe finds nothing serious with ${JSON.stringify(options)}`, async () => {
+      const axe = await readFile(createRequire(import.meta.url).resolve("axe-core/axe.min.js"), "utf8");
+      await withPage(options, async (page) => {
+        await page.locator("#object-rows button").first().click();
+        await page.locator("[data-camera-card]").first().waitFor();
+        await page.evaluate(axe);
+        const { violations, passes } = await page.evaluate(() => globalThis.axe.run());
+        assert.ok(passes.length > 0);
+        const grave = violations.filter(({ impact }) => impact === "serious" || impact === "critical");
+        assert.deepEqual(grave.map(({ help, nodes }) => [help, nodes.map((node) => node.html)]), []);
+      });
+    });
+  }
 });
 
 describe("light and dark", () => {

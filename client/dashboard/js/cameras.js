@@ -92,9 +92,9 @@ class Card {
     const image = new Image();
     image.alt = `What camera ${name} sees, with its detections drawn in`;
     this.picture = new Picture(image, name);
-    this.frame = element("button", { class: "frame", type: "button", "aria-label": `Enlarge the picture of camera ${name}` }, [
+    this.frame = element("button", { class: "frame", type: "button", title: "Enlarge" }, [
       image,
-      element("span", { class: "no-picture" }, ["No picture yet"]),
+      element("span", { class: "no-picture" }, [`No picture from ${name} yet`]),
     ]);
     this.frame.addEventListener("click", () => viewer.open(name, image));
     this.status = element("span", { class: "status" });
