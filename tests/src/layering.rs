@@ -140,23 +140,56 @@ pub fn upward_imports(path: &str, source: &str) -> Vec<String> {
         .collect()
 }
 
-/// A file of the server that names both core and proto without being the one that converts, or that
-/// names the wrong one of them. `path` is relative to `server/src`.
+/// Files of the server that convert between core and proto without being the one that does, or that
+/// name proto where only core's types belong. `path` is relative to `server/src`.
+///
+/// Converting means building one of the [`CONVERTED`] messages where core's types are at hand; to
+/// choose, address or pass on what `convert.rs` made is not.
 pub fn misplaced_types(path: &str, source: &str) -> Vec<String> {
     let code = shipped_code(source);
     let (core, proto) = (names(&code, "roundel_core"), names(&code, "roundel_proto"));
     let room = path.split(['/', '.']).next().unwrap_or_default();
     let mut broken = Vec::new();
     if path != "convert.rs" && core && proto {
-        broken.push(format!(
-            "server/src/{path} names roundel_core and roundel_proto: only convert.rs may"
-        ));
+        broken.extend(CONVERTED.iter().filter(|name| builds(&code, name)).map(|name| {
+            format!("server/src/{path} builds a {name} next to core's types: only convert.rs may")
+        }));
     }
     if matches!(room, "fusion" | "worker" | "source") && proto {
         broken
             .push(format!("server/src/{path} names roundel_proto: it works on core's types only"));
     }
     broken
+}
+
+/// Messages that say what core's types hold.
+const CONVERTED: [&str; 11] = [
+    "Camera",
+    "Detection",
+    "Ellipse",
+    "Event",
+    "FrameObservations",
+    "Intrinsics",
+    "Object",
+    "ObjectState",
+    "Pose",
+    "RoundelPose",
+    "Snapshot",
+];
+
+/// Whether code builds a message: `v1::Name {` or `Name {` imported from v1, but not as the type
+/// that a function returns or a block implements.
+fn builds(code: &str, name: &str) -> bool {
+    code.match_indices(name).any(|(at, _)| {
+        let whole =
+            !preceded_by_word(code, at) && code[at + name.len()..].trim_start().starts_with('{');
+        let before = code[..at].trim_end_matches("v1::").trim_end_matches("roundel_proto::");
+        let before = before.trim_end();
+        let of_proto = code[..at].ends_with("v1::") || !code[..at].ends_with("::");
+        let a_type =
+            ["->", "for", "impl", "struct", "enum", "::"].iter().any(|end| before.ends_with(end));
+        whole && of_proto && !a_type
+    })
 }
 
 fn rank(module: &str) -> Option<usize> {

@@ -190,21 +190,23 @@ fn imports_that_run_up_are_refused() {
 
 #[test]
 fn conversions_elsewhere_are_refused() {
-    let both = "use roundel_core::world::Snapshot; use roundel_proto::v1;";
-    assert_clean(&misplaced_types("convert.rs", both));
-    assert_clean(&misplaced_types("api/grpc.rs", "use roundel_proto::v1;"));
-    assert_clean(&misplaced_types("worker.rs", "use roundel_core::frame::Frame;"));
+    let both = "use roundel_core::world; use roundel_proto::v1;\n";
+    let convert = "fn f(s: &world::Snapshot) -> v1::Snapshot { v1::Snapshot { sequence: 1 } }";
+    let pass_on = "fn f(s: &world::Snapshot) -> v1::Snapshot { convert::snapshot(s) }";
+    assert_clean(&misplaced_types("convert.rs", &format!("{both}{convert}")));
+    assert_clean(&misplaced_types("api/grpc.rs", &format!("{both}{pass_on}")));
+    assert_clean(&misplaced_types("api/query.rs", "use roundel_proto::v1; f(v1::Pose { x })"));
     assert_clean(&misplaced_types(
         "worker.rs",
         "// roundel_proto\nuse roundel_core::frame::Frame;",
     ));
     for (path, source) in [
-        ("record.rs", both),
-        ("hub.rs", "fn f(x: roundel_core::id::ObjectId) -> roundel_proto::v1::Object { g(x) }"),
-        ("fusion/mod.rs", "use roundel_proto::v1::Snapshot;"),
-        ("source/images.rs", "use roundel_proto::v1::Camera;"),
+        ("record.rs", format!("{both}{convert}")),
+        ("hub.rs", format!("{both}use v1::Event; fn f() {{ let e = Event {{ time }}; }}")),
+        ("fusion/mod.rs", "use roundel_proto::v1::Snapshot;".to_owned()),
+        ("source/images.rs", "use roundel_proto::v1::Camera;".to_owned()),
     ] {
-        assert_eq!(misplaced_types(path, source).len(), 1, "{path}");
+        assert_eq!(misplaced_types(path, &source).len(), 1, "{path}");
     }
 }
 
