@@ -110,7 +110,7 @@ impl Attitude {
         for hypothesis in std::iter::once(&mut self.best).chain(self.rival.as_mut()) {
             let turn = UnitQuaternion::from_scaled_axis(hypothesis.kernel.rate * dt);
             hypothesis.orientation = turn * hypothesis.orientation;
-            hypothesis.kernel.predict(dt, model.angular_density_rad2_s3, model.systematic_time_s);
+            hypothesis.kernel.predict(dt, &model.angular_density(), model.systematic_time_s);
         }
         let prior = if self.rival.is_some() { self.prior(model) } else { 0.0 };
         self.log_odds = prior + (self.log_odds - prior) * (-dt.abs() / VERDICT_TIME_S).exp();

@@ -69,13 +69,15 @@ pub struct Spread {
 }
 
 impl Spread {
-    /// F P Fᵀ + Q over `dt` seconds (either sign; the noise grows with |dt|), density `q`.
-    pub fn predict(&mut self, dt: f64, q: f64) {
+    /// F P Fᵀ + Q over `dt` seconds (either sign; the noise grows with |dt|), with the noise's
+    /// density along each axis.
+    pub fn predict(&mut self, dt: f64, density: &Vector3<f64>) {
         let span = dt.abs();
         let sum = self.cross + self.cross.transpose();
         self.value += sum * dt + self.rate * (dt * dt);
         self.cross += self.rate * dt;
         for axis in 0..3 {
+            let q = density[axis];
             self.value[(axis, axis)] += q * span * span * span / 3.0;
             self.cross[(axis, axis)] += q * dt * span / 2.0;
             self.rate[(axis, axis)] += q * span;
@@ -109,6 +111,23 @@ pub struct Innovation {
     pub distance_squared: f64,
     /// ln det S.
     pub log_det: f64,
+    /// Of each component given the two others: squared length over variance, plus ln variance.
+    /// With Λ = S⁻¹ that is (Λν)ᵢ²/Λᵢᵢ - ln Λᵢᵢ.
+    pub conditional: Vector3<f64>,
+}
+
+impl Innovation {
+    fn new(
+        residual: &Vector3<f64>,
+        weighted: &Vector3<f64>,
+        inverse: &Matrix3<f64>,
+        log_det: f64,
+    ) -> Self {
+        let conditional = Vector3::from_fn(|axis, _| {
+            weighted[axis] * weighted[axis] / inverse[(axis, axis)] - inverse[(axis, axis)].ln()
+        });
+        Self { distance_squared: residual.dot(weighted), log_det, conditional }
+    }
 }
 
 /// Rate, covariance and systematic correlations; the value itself lies with the caller, who knows
@@ -141,7 +160,7 @@ impl Kernel {
     }
 
     /// Moves the covariance on by `dt` seconds; the caller moves the value by `rate` · dt.
-    pub fn predict(&mut self, dt: f64, density: f64, systematic_time_s: f64) {
+    pub fn predict(&mut self, dt: f64, density: &Vector3<f64>, systematic_time_s: f64) {
         self.spread.predict(dt, density);
         let kept = (-dt.abs() / systematic_time_s).exp();
         let mut live = 0;
@@ -169,7 +188,7 @@ impl Kernel {
         (noise, camera): (&Noise, CameraId),
     ) -> Option<Innovation> {
         let mut spread = self.spread;
-        spread.predict(dt, model.acceleration_density_m2_s3);
+        spread.predict(dt, &model.acceleration_density());
         let mut covariance = spread.value + noise.total;
         if let Some(index) = self.source(camera) {
             let source = &self.sources[index];
@@ -179,7 +198,7 @@ impl Kernel {
             covariance += shared + shared.transpose();
         }
         let (inverse, log_det) = invert_positive(&covariance)?;
-        Some(Innovation { distance_squared: residual.dot(&(inverse * residual)), log_det })
+        Some(Innovation::new(residual, &(inverse * residual), &inverse, log_det))
     }
 
     /// How far `residual` (measured less predicted value) is from zero, by a camera's noise.
@@ -196,7 +215,7 @@ impl Kernel {
         };
         let covariance = self.spread.value + shared + shared.transpose() + noise.total;
         let (inverse, log_det) = invert_positive(&covariance)?;
-        Some(Innovation { distance_squared: residual.dot(&(inverse * residual)), log_det })
+        Some(Innovation::new(residual, &(inverse * residual), &inverse, log_det))
     }
 
     /// Takes in a measurement; gives the correction of the value. A measurement whose innovation
@@ -215,11 +234,16 @@ impl Kernel {
         let rate_cov = self.spread.cross.transpose() + self.sources[own].rate * root_transposed;
         let covariance = value_cov + value_shared.transpose() + noise.total;
         let Some((inverse, log_det)) = invert_positive(&covariance) else {
-            let nothing = Innovation { distance_squared: f64::INFINITY, log_det: 0.0 };
+            let nothing = Innovation {
+                distance_squared: f64::INFINITY,
+                log_det: 0.0,
+                conditional: Vector3::zeros(),
+            };
             return (Vector3::zeros(), nothing);
         };
         let weighted = inverse * residual;
-        let distance_squared = residual.dot(&weighted);
+        let innovation = Innovation::new(residual, &weighted, &inverse, log_det);
+        let distance_squared = innovation.distance_squared;
         let weight = if distance_squared > robust_distance_squared {
             (robust_distance_squared / distance_squared).sqrt()
         } else {
@@ -243,7 +267,7 @@ impl Kernel {
             source.rate -= rate_gain * with_innovation;
         }
         self.rate += rate_cov * weighted * weight;
-        (value_cov * weighted * weight, Innovation { distance_squared, log_det })
+        (value_cov * weighted * weight, innovation)
     }
 
     fn source(&self, camera: CameraId) -> Option<usize> {

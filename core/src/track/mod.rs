@@ -1,9 +1,8 @@
 //! One object's motion over time: what measurements come in, the estimate that comes out.
 //!
-//! A track is the pair of two filters that share their measurements' times: where the roundel's
-//! centre is and how fast it moves ([`Kernel`] over position and velocity), and how it is turned
-//! ([`Attitude`], the same kernel over small rotations and angular velocity, with both normals that
-//! an ellipse allows). [`History`] keeps the measurements of a window, so that a late one is put in
+//! A track estimates apart where the roundel's centre is and how fast it moves ([`Motion`]), and how
+//! it is turned ([`Attitude`], with both normals that an ellipse allows). Both build on one filter of
+//! a value and its rate ([`Kernel`]). [`History`] keeps the measurements of a window, so that a late one is put in
 //! its place and the past is filtered again.
 //!
 //! Motion model: constant velocity, disturbed by white acceleration of spectral density q,
@@ -13,12 +12,14 @@
 mod attitude;
 mod history;
 mod kernel;
+mod motion;
 
 pub(crate) use attitude::without_yaw;
 pub use attitude::{Attitude, AttitudeEstimate, AttitudeMeasurement};
 pub use history::{History, Inserted};
 pub(crate) use kernel::positive_root;
 pub use kernel::{Innovation, Kernel, MAX_SOURCES, Noise, Spread};
+pub use motion::{Filter, Motion, MotionEstimate};
 
 use nalgebra::Vector3;
 
@@ -65,6 +66,18 @@ pub struct Measurement {
     pub attitude: AttitudeMeasurement,
 }
 
+impl MotionModel {
+    /// The acceleration's density along each axis of the world.
+    pub fn acceleration_density(&self) -> Vector3<f64> {
+        Vector3::repeat(self.acceleration_density_m2_s3)
+    }
+
+    /// The angular acceleration's density about each axis of the world.
+    pub fn angular_density(&self) -> Vector3<f64> {
+        Vector3::repeat(self.angular_density_rad2_s3)
+    }
+}
+
 impl Measurement {
     /// What orders measurements of one object, whatever the order in which they came.
     fn key(&self) -> (Timestamp, CameraId, u64, TrackNumber) {
@@ -77,11 +90,9 @@ impl Measurement {
 pub struct Estimate {
     /// The instant.
     pub time: Timestamp,
-    /// Roundel's centre, world frame, metres.
-    pub position_m: Vector3<f64>,
-    /// Velocity and covariance over (position, velocity).
-    pub motion: Kernel,
-    /// Orientation, angular velocity and their covariance.
+    /// Position and velocity of the roundel's centre.
+    pub motion: Motion,
+    /// Orientation and angular velocity.
     pub attitude: Attitude,
     /// Newest position innovation's squared Mahalanobis length over its 3 degrees of freedom.
     pub residual: f64,
@@ -92,12 +103,7 @@ impl Estimate {
     pub fn begin(measurement: &Measurement, model: &MotionModel) -> Self {
         Self {
             time: measurement.time,
-            position_m: measurement.position_m,
-            motion: Kernel::begin(
-                &measurement.position_noise,
-                measurement.camera,
-                model.speed_m_s.powi(2),
-            ),
+            motion: Motion::begin(measurement, model),
             attitude: Attitude::begin(&measurement.attitude, measurement.camera, model),
             residual: 1.0,
         }
@@ -111,22 +117,14 @@ impl Estimate {
             return;
         }
         self.time = time;
-        self.position_m += self.motion.rate * dt;
-        self.motion.predict(dt, model.acceleration_density_m2_s3, model.systematic_time_s);
+        self.motion.predict(dt, model);
         self.attitude.predict(dt, model);
     }
 
     /// Takes in a measurement made at or after this estimate's time.
     pub fn update(&mut self, measurement: &Measurement, model: &MotionModel) {
         self.predict(measurement.time, model);
-        let error_m = measurement.position_m - self.position_m;
-        let (correction_m, innovation) = self.motion.update(
-            &error_m,
-            &measurement.position_noise,
-            measurement.camera,
-            model.robust_distance_squared,
-        );
-        self.position_m += correction_m;
+        let innovation = self.motion.update(measurement, model);
         self.residual = innovation.distance_squared / 3.0;
         self.attitude.update(&measurement.attitude, measurement.camera, model);
     }

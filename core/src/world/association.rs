@@ -84,12 +84,13 @@ pub(super) fn associate(
     scratch.coarse.clear();
     scratch.coarse.extend(tracks.iter().map(|track| {
         let newest = track.history.newest();
+        let filter = newest.motion.agile();
         let dt = time.seconds_since(newest.time);
-        let mut spread = newest.motion.spread;
-        spread.predict(dt, model.acceleration_density_m2_s3);
+        let mut spread = filter.kernel.spread;
+        spread.predict(dt, &model.acceleration_density());
         Coarse {
-            position_m: newest.position_m + newest.motion.rate * dt,
-            velocity_m_s: newest.motion.rate,
+            position_m: filter.position_m + filter.kernel.rate * dt,
+            velocity_m_s: filter.kernel.rate,
             deviation_m: spread.value.trace().max(0.0).sqrt(),
         }
     }));
@@ -132,7 +133,7 @@ fn possible(
         }
         let newest = track.history.newest();
         let dt = seen.time.seconds_since(newest.time);
-        let Some(innovation) = newest.motion.innovation_after(
+        let Some(innovation) = newest.motion.agile().kernel.innovation_after(
             dt,
             model,
             &residual_m,

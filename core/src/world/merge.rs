@@ -26,7 +26,8 @@ pub(super) fn find(
         .iter()
         .map(|track| {
             let newest = track.history.newest();
-            newest.position_m + newest.motion.rate * now.seconds_since(newest.time)
+            let filter = newest.motion.agile();
+            filter.position_m + filter.kernel.rate * now.seconds_since(newest.time)
         })
         .collect();
     for older in 0..tracks.len() {
@@ -66,9 +67,9 @@ fn are_one(
 ) -> bool {
     let [of_a, of_b] = [a, b].map(|track| {
         let newest = track.history.newest();
-        let mut spread = newest.motion.spread;
+        let mut spread = newest.motion.agile().kernel.spread;
         let dt = now.seconds_since(newest.time);
-        spread.predict(dt, model.acceleration_density_m2_s3);
+        spread.predict(dt, &model.acceleration_density());
         spread.value
     });
     let both = of_a + of_b;

@@ -101,13 +101,13 @@ pub struct ObjectState {
 }
 
 /// What an object may do that constant velocity does not foresee: spectral densities of white
-/// acceleration and white angular acceleration.
+/// acceleration and white angular acceleration along the axes of the world.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct ProcessNoise {
     /// m²/s³.
-    pub acceleration_density_m2_s3: f64,
+    pub acceleration_density_m2_s3: Vector3<f64>,
     /// rad²/s³.
-    pub angular_density_rad2_s3: f64,
+    pub angular_density_rad2_s3: Vector3<f64>,
 }
 
 /// Every track at one instant.

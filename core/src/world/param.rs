@@ -53,7 +53,7 @@ impl Default for FusionParams {
     fn default() -> Self {
         Self {
             acceleration_m_s2: 1.5,
-            angular_acceleration_rad_s2: 4.0,
+            angular_acceleration_rad_s2: 3.0,
             speed_m_s: 3.0,
             angular_speed_rad_s: 3.0,
             late_window_ns: 300_000_000,

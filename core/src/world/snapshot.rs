@@ -41,9 +41,9 @@ impl ObjectState {
             nalgebra::UnitQuaternion::from_scaled_axis(self.angular_velocity_rad_s * seconds);
         self.orientation = turn * self.orientation;
         let mut motion = Spread::from_matrix(&self.motion_covariance);
-        motion.predict(seconds, self.process_noise.acceleration_density_m2_s3);
+        motion.predict(seconds, &self.process_noise.acceleration_density_m2_s3);
         let mut rotation = Spread::from_matrix(&self.rotation_covariance);
-        rotation.predict(seconds, self.process_noise.angular_density_rad2_s3);
+        rotation.predict(seconds, &self.process_noise.angular_density_rad2_s3);
         if !self.yaw_observed {
             let normal = self.orientation * Vector3::z();
             self.orientation = orientation_of_normal(&normal);
@@ -64,22 +64,23 @@ pub(super) fn state_of(
     model: &MotionModel,
 ) -> ObjectState {
     let estimate = track.history.at(time, model);
+    let motion = estimate.motion.estimate(model);
     let attitude = estimate.attitude.estimate();
     let mut state = ObjectState {
         id: track.id,
         kind: track.kind,
         stage: track.stage,
-        position_m: estimate.position_m,
+        position_m: motion.position_m,
         orientation: attitude.orientation,
         yaw_observed: attitude.yaw_observed,
-        velocity_m_s: estimate.motion.rate,
+        velocity_m_s: motion.velocity_m_s,
         angular_velocity_rad_s: attitude.angular_velocity_rad_s,
         covariance: Matrix6::zeros(),
-        motion_covariance: estimate.motion.spread.matrix(),
+        motion_covariance: motion.spread.matrix(),
         rotation_covariance: attitude.covariance,
         process_noise: ProcessNoise {
-            acceleration_density_m2_s3: model.acceleration_density_m2_s3,
-            angular_density_rad2_s3: model.angular_density_rad2_s3,
+            acceleration_density_m2_s3: motion.density_m2_s3,
+            angular_density_rad2_s3: model.angular_density(),
         },
         cameras: contributing(track, time),
         newest_observation: track.newest,

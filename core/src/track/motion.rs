@@ -1,0 +1,227 @@
+//! Where an object is and how it moves, with the process noise that suits what is seen of it.
+//!
+//! A robot that stands still deserves another density q of the white acceleration than one that
+//! dodges: with one q for both, the covariance of one of them is wrong. So three filters run side by
+//! side. Two of them, calm and lively, use q/2 and 2q; which one foresees the measurements better
+//! says where q should go. With s = (ln p_lively - ln p_calm)/ln 4, the slope of the log-likelihood
+//! over ln q, and v the variance of ln q,
+//!
+//! v ← 1/(1/v + s²), ln q ← ln q + v s
+//!
+//! (one step of stochastic Newton, the curvature taken as the slope's square), and v grows with
+//! time, so that what was learned long ago is forgotten. The estimate is the mean of the two, with
+//! the moments of their mixture.
+//!
+//! Level and upright motion have densities of their own, since robots on a floor never leave it: the
+//! slopes are those of the likelihoods of each component given the others (Besag's
+//! pseudo-likelihood, 1975), summed over x and y, and for z.
+//!
+//! The third filter, agile, always expects what objects are capable of. It decides which
+//! measurements can be the object's, it stands in when the object is not seen (it may have begun to
+//! move), and when it has foreseen the measurements better than the lively one by
+//! [`ALARM_LOG_RATIO`] (Page's cumulative sum, *Continuous inspection schemes*, 1954), a manoeuvre
+//! has begun: the others start again from it.
+
+use nalgebra::{Matrix3, Vector3};
+
+use super::{Innovation, Kernel, Measurement, MotionModel, Spread};
+
+/// The lively filter's density over the calm one's is e to this.
+const LOG_RATIO: f64 = 1.386_294_361_119_890_6;
+/// The density stays within these factors of the capability's, as logarithms.
+const LOG_FLOOR: f64 = -12.0;
+const LOG_CEILING: f64 = 2.8;
+/// Weight of the lively filter in the estimate: the velocity's variance goes as q to the 3/4, so this
+/// gives the mixture the variance that q would give.
+const LIVELY_SHARE: f64 = 0.38;
+/// Variance of ln q when nothing was learned yet, and its growth per second.
+const LOG_VARIANCE: f64 = 4.0;
+const LOG_DRIFT_PER_S: f64 = 0.1;
+/// A single measurement's say on the log-likelihood's difference.
+const LOG_LIMIT: f64 = 6.0;
+/// Evidence for a manoeuvre, e⁸ to one.
+const ALARM_LOG_RATIO: f64 = 8.0;
+/// Unseen for so long, the agile filter stands in.
+const UNSEEN_S: f64 = 0.15;
+
+/// Position with velocity and covariance.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Filter {
+    /// Roundel's centre, world frame, metres.
+    pub position_m: Vector3<f64>,
+    /// Velocity and covariance.
+    pub kernel: Kernel,
+}
+
+/// What is told about a motion.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct MotionEstimate {
+    /// Roundel's centre, world frame, metres.
+    pub position_m: Vector3<f64>,
+    /// World frame, m/s.
+    pub velocity_m_s: Vector3<f64>,
+    /// Over (position, velocity).
+    pub spread: Spread,
+    /// Spectral density of the white acceleration that it grows by, m²/s³.
+    pub density_m2_s3: Vector3<f64>,
+}
+
+/// What is known of ln q.
+#[derive(Clone, Copy, Debug, PartialEq)]
+struct LogDensity {
+    mean: f64,
+    variance: f64,
+}
+
+/// The three filters of one object.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Motion {
+    calm: Filter,
+    lively: Filter,
+    agile: Filter,
+    level: LogDensity,
+    upright: LogDensity,
+    alarm: f64,
+    unseen_s: f64,
+}
+
+impl Filter {
+    fn predict(&mut self, dt: f64, density: &Vector3<f64>, model: &MotionModel) {
+        self.position_m += self.kernel.rate * dt;
+        self.kernel.predict(dt, density, model.systematic_time_s);
+    }
+
+    fn update(&mut self, seen: &Measurement, model: &MotionModel) -> Innovation {
+        let (correction_m, innovation) = self.kernel.update(
+            &(seen.position_m - self.position_m),
+            &seen.position_noise,
+            seen.camera,
+            model.robust_distance_squared,
+        );
+        self.position_m += correction_m;
+        innovation
+    }
+}
+
+impl Motion {
+    /// What one measurement tells.
+    pub fn begin(seen: &Measurement, model: &MotionModel) -> Self {
+        let kernel = Kernel::begin(&seen.position_noise, seen.camera, model.speed_m_s.powi(2));
+        let filter = Filter { position_m: seen.position_m, kernel };
+        Self {
+            calm: filter,
+            lively: filter,
+            agile: filter,
+            level: LogDensity::begin(model),
+            upright: LogDensity::begin(model),
+            alarm: 0.0,
+            unseen_s: 0.0,
+        }
+    }
+
+    /// The filter that expects everything objects are capable of.
+    pub fn agile(&self) -> &Filter {
+        &self.agile
+    }
+
+    /// Moves on by `dt` seconds, either way.
+    pub fn predict(&mut self, dt: f64, model: &MotionModel) {
+        let lively = self.density(0.5 * LOG_RATIO);
+        self.calm.predict(dt, &(lively * (-LOG_RATIO).exp()), model);
+        self.lively.predict(dt, &lively, model);
+        self.agile.predict(dt, &lively.sup(&model.acceleration_density()), model);
+        self.level.forget(dt);
+        self.upright.forget(dt);
+        self.unseen_s += dt;
+    }
+
+    /// Takes in a measurement at the present time; gives how the lively filter had foreseen it.
+    pub fn update(&mut self, seen: &Measurement, model: &MotionModel) -> Innovation {
+        self.unseen_s = 0.0;
+        let calm = self.calm.update(seen, model);
+        let lively = self.lively.update(seen, model);
+        let agile = self.agile.update(seen, model);
+        let ratios = (calm.conditional - lively.conditional) * 0.5;
+        self.level.learn(ratios.x + ratios.y, model);
+        self.upright.learn(ratios.z, model);
+        self.alarm = (self.alarm + agile.log_ratio(&lively).min(LOG_LIMIT)).max(0.0);
+        if self.alarm > ALARM_LOG_RATIO {
+            self.alarm = 0.0;
+            self.calm = self.agile;
+            self.lively = self.agile;
+            self.level = LogDensity::begin(model);
+            self.upright = LogDensity::begin(model);
+        }
+        lively
+    }
+
+    /// The present estimate.
+    pub fn estimate(&self, model: &MotionModel) -> MotionEstimate {
+        if self.unseen_s > UNSEEN_S {
+            return MotionEstimate {
+                position_m: self.agile.position_m,
+                velocity_m_s: self.agile.kernel.rate,
+                spread: self.agile.kernel.spread,
+                density_m2_s3: self.density(0.0).sup(&model.acceleration_density()),
+            };
+        }
+        let (calm, lively) = (&self.calm, &self.lively);
+        let mixed = |calm: Vector3<f64>, lively: Vector3<f64>| calm.lerp(&lively, LIVELY_SHARE);
+        let apart_m = lively.position_m - calm.position_m;
+        let rate_apart = lively.kernel.rate - calm.kernel.rate;
+        let (a, b) = (&calm.kernel.spread, &lively.kernel.spread);
+        let between = LIVELY_SHARE * (1.0 - LIVELY_SHARE);
+        MotionEstimate {
+            position_m: mixed(calm.position_m, lively.position_m),
+            velocity_m_s: mixed(calm.kernel.rate, lively.kernel.rate),
+            spread: Spread {
+                value: blended(&a.value, &b.value) + apart_m * apart_m.transpose() * between,
+                cross: blended(&a.cross, &b.cross) + apart_m * rate_apart.transpose() * between,
+                rate: blended(&a.rate, &b.rate) + rate_apart * rate_apart.transpose() * between,
+            },
+            density_m2_s3: self.density(0.0),
+        }
+    }
+
+    /// Along each axis, e to `log_factor` above the present means.
+    fn density(&self, log_factor: f64) -> Vector3<f64> {
+        let level = (self.level.mean + log_factor).exp();
+        Vector3::new(level, level, (self.upright.mean + log_factor).exp())
+    }
+}
+
+fn blended(calm: &Matrix3<f64>, lively: &Matrix3<f64>) -> Matrix3<f64> {
+    calm + (lively - calm) * LIVELY_SHARE
+}
+
+impl LogDensity {
+    /// That of the capability.
+    fn begin(model: &MotionModel) -> Self {
+        Self { mean: model.acceleration_density_m2_s3.ln(), variance: LOG_VARIANCE }
+    }
+
+    fn forget(&mut self, dt: f64) {
+        self.variance = (self.variance + LOG_DRIFT_PER_S * dt.abs()).min(LOG_VARIANCE);
+    }
+
+    /// Learns from the lively filter's ln likelihood less the calm one's.
+    fn learn(&mut self, log_ratio: f64, model: &MotionModel) {
+        if !log_ratio.is_finite() {
+            return;
+        }
+        let slope = log_ratio.clamp(-LOG_LIMIT, LOG_LIMIT) / LOG_RATIO;
+        self.variance = 1.0 / (1.0 / self.variance + slope * slope);
+        let capability = model.acceleration_density_m2_s3.ln();
+        self.mean = (self.mean + self.variance * slope)
+            .clamp(capability + LOG_FLOOR, capability + LOG_CEILING);
+    }
+}
+
+impl Innovation {
+    /// ln of this one's likelihood over the other's. Infinite distances (no covariance) say nothing.
+    fn log_ratio(&self, other: &Innovation) -> f64 {
+        let ratio =
+            0.5 * (other.distance_squared + other.log_det - self.distance_squared - self.log_det);
+        if ratio.is_finite() { ratio } else { 0.0 }
+    }
+}
