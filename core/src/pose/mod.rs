@@ -145,6 +145,17 @@ pub fn locate(
     ring: &Ring,
     noise: &RimNoise,
 ) -> Result<RoundelPose, PoseError> {
+    let (local_from_camera, estimates) = estimate(camera, kind, ring, noise)?;
+    finish(&local_from_camera, &estimates).ok_or(PoseError::NoCircle)
+}
+
+/// Both poses, the likelier first, in a local frame along the line of sight.
+fn estimate(
+    camera: &Camera,
+    kind: &Kind,
+    ring: &Ring,
+    noise: &RimNoise,
+) -> Result<(Matrix3<f64>, [Estimate; 2]), PoseError> {
     check(kind, ring, noise)?;
     let lens = |rim| move |source| PoseError::Lens { rim, source };
     let axis = camera.bearing(ring.outer.center).map_err(lens("outer"))?;
@@ -158,14 +169,14 @@ pub fn locate(
     let conic = cone::fit(&rims[0].points).ok_or(PoseError::NoCircle)?;
     let circles = cone::circles(&conic, outer_m).ok_or(PoseError::NoCircle)?;
     let [a, b] = circles.map(|circle| refine::refine(&circle, &rims));
-    let (first, second) = match (a, b) {
-        (Some(a), Some(b)) if b.misfit < a.misfit => (b, a),
-        (Some(a), Some(b)) => (a, b),
+    let estimates = match (a, b) {
+        (Some(a), Some(b)) if b.misfit < a.misfit => [b, a],
+        (Some(a), Some(b)) => [a, b],
         // One of the two has left the space of circles in front of the camera: it is no candidate.
-        (Some(only), None) | (None, Some(only)) => (only.clone(), only),
+        (Some(only), None) | (None, Some(only)) => [only.clone(), only],
         (None, None) => return Err(PoseError::NoCircle),
     };
-    finish(&local_from_camera, &first, &second).ok_or(PoseError::NoCircle)
+    Ok((local_from_camera, estimates))
 }
 
 fn check(kind: &Kind, ring: &Ring, noise: &RimNoise) -> Result<(), PoseError> {
@@ -199,27 +210,31 @@ fn frame_along(axis: &Vector3<f64>) -> Matrix3<f64> {
     Matrix3::from_rows(&[x.transpose(), y.transpose(), axis.transpose()])
 }
 
-/// Turns the estimates into the camera frame.
+/// The first estimate in the camera frame, with what the second leaves in doubt.
 fn finish(
     local_from_camera: &Matrix3<f64>,
-    first: &Estimate,
-    second: &Estimate,
+    [first, second]: &[Estimate; 2],
 ) -> Option<RoundelPose> {
     let camera_from_local = local_from_camera.transpose();
     let normal = (camera_from_local * first.normal).normalize();
+    let normal_likelihood = 1.0 / (1.0 + (0.5 * (first.misfit - second.misfit)).exp());
+    let mut covariance = first.covariance;
+    // The two normals put the centre at slightly different places, and which is right is not known.
+    let apart = second.position_m - first.position_m;
+    let mut position = covariance.fixed_view_mut::<3, 3>(0, 0);
+    position += apart * apart.transpose() * (1.0 - normal_likelihood);
     let mut turn = Covariance6::zeros();
     turn.fixed_view_mut::<3, 3>(0, 0).copy_from(&camera_from_local);
     turn.fixed_view_mut::<3, 3>(3, 3).copy_from(&camera_from_local);
-    let mut covariance = turn * first.covariance * turn.transpose();
-    let about_normal = normal * normal.transpose() * UNKNOWN_ANGLE_VARIANCE_RAD2;
+    let mut covariance = turn * covariance * turn.transpose();
     let mut rotation = covariance.fixed_view_mut::<3, 3>(3, 3);
-    rotation += about_normal;
+    rotation += normal * normal.transpose() * UNKNOWN_ANGLE_VARIANCE_RAD2;
     let covariance = 0.5 * (covariance + covariance.transpose());
     covariance.cholesky()?;
     Some(RoundelPose {
         position_m: camera_from_local * first.position_m,
         normal,
-        normal_likelihood: 1.0 / (1.0 + (0.5 * (first.misfit - second.misfit)).exp()),
+        normal_likelihood,
         other_normal: (camera_from_local * second.normal).normalize(),
         yaw_rad: None,
         covariance,

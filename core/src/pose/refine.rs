@@ -5,7 +5,7 @@
 //! the line of q at q = (R - ρ)/(∂ρ/∂q). The five harmonics of q over each rim are the residuals, and
 //! Gauss and Newton's steps minimize their squares, weighted by the rims' information.
 
-use nalgebra::{Matrix2, SMatrix, SVector, Vector3};
+use nalgebra::{Matrix2, Matrix3, Matrix3x2, SMatrix, SVector, Vector3};
 
 use super::{
     cone::Circle,
@@ -28,8 +28,13 @@ pub struct Estimate {
 
 /// Steps at most; one or two are the rule, since the cone's circle is close.
 const MAX_STEPS: usize = 6;
-/// A step of this squared Mahalanobis length (a hundredth of a standard deviation) is the last one.
-const LAST_STEP: f64 = 1e-4;
+/// A step of this squared Mahalanobis length (a tenth of a standard deviation) is the last one: what
+/// it leaves is smaller by another factor of ten at least.
+const LAST_STEP: f64 = 1e-2;
+/// Variance that face-on adds to the tilt, in units of the elongation's standard deviation…
+const FACE_ON: f64 = 1.5;
+/// … up to an elongation of about so many standard deviations.
+const FACE_ON_END: f64 = 2.5;
 
 type Matrix5 = SMatrix<f64, 5, 5>;
 type Vector5 = SVector<f64, 5>;
@@ -47,9 +52,9 @@ pub fn refine(start: &Circle, rims: &[Rim; 2]) -> Option<Estimate> {
             information += weighted * jacobian;
             gradient -= weighted * harmonics;
         }
-        add_curvature(&mut information, rims);
-        let factor = information.cholesky()?;
-        let change = factor.solve(&gradient);
+        let elongation = rims.iter().map(Rim::elongation_information).sum();
+        let split = Split::new(&information, elongation)?;
+        let change = split.solve(&gradient)?;
         position_m += change.fixed_rows::<3>(0);
         let turn = axes[0] * change[3] + axes[1] * change[4];
         normal = (normal + turn.cross(&normal)).normalize();
@@ -63,12 +68,8 @@ pub fn refine(start: &Circle, rims: &[Rim; 2]) -> Option<Estimate> {
             let left = harmonics + jacobian * change;
             left.dot(&(rim.information * left))
         });
-        return Some(Estimate {
-            position_m,
-            normal,
-            misfit: misfit.sum(),
-            covariance: covariance(&factor.inverse(), &axes),
-        });
+        let misfit = misfit.sum();
+        return Some(Estimate { position_m, normal, misfit, covariance: split.covariance(&axes)? });
     }
     None
 }
@@ -118,24 +119,78 @@ fn linearize(
     (harmonics * mean, jacobian * mean)
 }
 
-/// Adds what the rims say of the tilt in second order.
-fn add_curvature(information: &mut Matrix5, rims: &[Rim; 2]) {
-    let elongation: f64 =
-        rims.iter().map(|rim| 0.5 * (rim.information[(3, 3)] + rim.information[(4, 4)])).sum();
-    let tilt: Matrix2<f64> = information.fixed_view::<2, 2>(3, 3).into_owned();
-    let mean = 0.5 * tilt.trace();
-    let smaller = mean - (0.5 * (tilt.m11 - tilt.m22)).hypot(tilt.m12);
-    let variance = 2.0 * ((smaller * smaller + elongation).sqrt() - smaller) / elongation;
-    let curvature = 0.25 * variance * elongation;
-    information[(3, 3)] += curvature;
-    information[(4, 4)] += curvature;
+/// Information about (position, tilt), split so that the tilt's own part can be mended.
+///
+/// A circle tilted by θ has an elongation that grows with θ², so that face-on the first derivative, and
+/// with it the information, vanishes, and the inverse would claim that nothing is known of the tilt.
+/// In truth an elongation known to ±σ bounds the tilt to about √σ.
+struct Split {
+    /// Inverse information of the position, the tilt being known.
+    position: Matrix3<f64>,
+    /// How the position follows the tilt.
+    follow: Matrix3x2<f64>,
+    /// Information of the tilt, the position being free, to first order.
+    tilt: Matrix2<f64>,
+    /// Its smaller eigenvalue.
+    least: f64,
+    /// Information of the elongation's two numbers, each.
+    elongation: f64,
 }
 
-/// From (position, two tilts) to (position, rotation).
-fn covariance(parameters: &Matrix5, axes: &[Vector3<f64>; 2]) -> Covariance6 {
-    let mut spread = SMatrix::<f64, 6, 5>::zeros();
-    spread.fixed_view_mut::<3, 3>(0, 0).fill_with_identity();
-    spread.fixed_view_mut::<3, 1>(3, 3).copy_from(&axes[0]);
-    spread.fixed_view_mut::<3, 1>(3, 4).copy_from(&axes[1]);
-    spread * parameters * spread.transpose()
+impl Split {
+    fn new(information: &Matrix5, elongation: f64) -> Option<Self> {
+        let position = information.fixed_view::<3, 3>(0, 0).into_owned().cholesky()?.inverse();
+        let coupling = information.fixed_view::<3, 2>(0, 3).into_owned();
+        let follow = -(position * coupling);
+        let tilt = information.fixed_view::<2, 2>(3, 3) + coupling.transpose() * follow;
+        let spread = (0.5 * (tilt.m11 - tilt.m22)).hypot(tilt.m12);
+        let least = (0.5 * tilt.trace() - spread).max(0.0);
+        Some(Self { position, follow, tilt, least, elongation })
+    }
+
+    /// The tilt's variance, each axis, in which its curvature is counted: a spread of variance s² sees
+    /// on average information s² E/4 more than the first derivative's l, so 1/s² = l + s² E/4.
+    fn curved_variance(&self) -> f64 {
+        let Self { least, elongation, .. } = *self;
+        // The difference of two nearly equal numbers where the tilt is large, hence its inverse.
+        2.0 / ((least * least + elongation).sqrt() + least)
+    }
+
+    /// The damped step: curvature keeps it finite face-on.
+    fn solve(&self, gradient: &Vector5) -> Option<Vector5> {
+        let (by_position, by_tilt) =
+            (gradient.fixed_rows::<3>(0).into_owned(), gradient.fixed_rows::<2>(3).into_owned());
+        let curvature = 0.25 * self.curved_variance() * self.elongation;
+        let information = self.tilt + Matrix2::from_diagonal_element(curvature);
+        let turn = information.try_inverse()? * (by_tilt + self.follow.transpose() * by_position);
+        let shift = self.position * by_position + self.follow * turn;
+        Some(Vector5::new(shift.x, shift.y, shift.z, turn.x, turn.y))
+    }
+
+    /// Over (position, rotation), with the tilt's variance as it is.
+    ///
+    /// Where elongation is no larger than its error, noise alone makes a roundel look tilted, and the
+    /// error of the tilt is that tilt itself: [`FACE_ON`] adds it. Its shape was fitted to the posterior
+    /// of a tilt of which nothing is known beforehand, and of an untilted roundel; the test
+    /// `covariance_is_that_of_the_errors` holds it.
+    fn covariance(&self, axes: &[Vector3<f64>; 2]) -> Option<Covariance6> {
+        let unit = (2.0 / self.elongation).sqrt();
+        // The elongation in its standard deviations.
+        let seen = self.least * unit;
+        let face_on = FACE_ON * (-(seen / FACE_ON_END).powi(4)).exp();
+        let curvature = 0.25 * self.curved_variance() * self.elongation;
+        let curved = (self.tilt + Matrix2::from_diagonal_element(curvature)).try_inverse()?;
+        // How the position follows an imagined tilt is as uncertain as the tilt: it takes part in the
+        // position's variance, but not in the covariance of the two.
+        let tilt = curved + Matrix2::from_diagonal_element(face_on * unit);
+        let cross = self.follow * curved;
+        let position = self.position + self.follow * tilt * self.follow.transpose();
+        let across = Matrix3x2::from_columns(axes);
+        let mut covariance = Covariance6::zeros();
+        covariance.fixed_view_mut::<3, 3>(0, 0).copy_from(&position);
+        covariance.fixed_view_mut::<3, 3>(0, 3).copy_from(&(cross * across.transpose()));
+        covariance.fixed_view_mut::<3, 3>(3, 0).copy_from(&(across * cross.transpose()));
+        covariance.fixed_view_mut::<3, 3>(3, 3).copy_from(&(across * tilt * across.transpose()));
+        Some(covariance)
+    }
 }

@@ -80,6 +80,11 @@ impl Rim {
         let information = information(ellipse, noise).ok_or(LensError::NotFinite)?;
         Ok(Self { radius_m, points, information })
     }
+
+    /// Information of the two numbers that tell a circle from an ellipse, their mean.
+    pub fn elongation_information(&self) -> f64 {
+        0.5 * (self.information[(3, 3)] + self.information[(4, 4)])
+    }
 }
 
 /// (cos t, sin t) of the points.

@@ -2,11 +2,13 @@
 
 use nalgebra::{SMatrix, SVector, SymmetricEigen, UnitQuaternion, Vector2, Vector3};
 use proptest::prelude::*;
+use rand::{RngExt, SeedableRng};
+use rand_distr::{Distribution, StandardNormal};
 
 use super::*;
 use crate::{
     camera::{Intrinsics, Lens, PixelPoint},
-    rigid::orientation_of_normal,
+    rigid::{mahalanobis_squared, orientation_of_normal},
 };
 
 fn camera(lens: Lens) -> Camera {
@@ -121,4 +123,205 @@ proptest! {
         prop_assert!(found.normal_likelihood >= 0.5 && found.normal_likelihood <= 1.0);
         prop_assert!(found.covariance.cholesky().is_some());
     }
+}
+
+/// An ellipse as found: its rim strays by white noise along its arc, of which an ellipse takes up the
+/// first harmonics, and by a floor on its numbers.
+fn stray(ellipse: &Ellipse, noise: &RimNoise, draw: &mut impl FnMut() -> f64) -> Ellipse {
+    const SAMPLES: usize = 48;
+    let (a, b) = (ellipse.semi_major_px, ellipse.semi_minor_px);
+    let step = std::f64::consts::TAU / SAMPLES as f64;
+    let basis = |k: usize| {
+        let (sin, cos) = (k as f64 * step).sin_cos();
+        let harmonics = [1.0, cos, sin, 2.0 * cos * cos - 1.0, 2.0 * sin * cos];
+        (sin, cos, SVector::<f64, 5>::from(harmonics))
+    };
+    let twice = SVector::<f64, 5>::new(1.0, 2.0, 2.0, 2.0, 2.0);
+    let mut numbers = SVector::<f64, 5>::zeros();
+    for k in 0..SAMPLES {
+        let (sin, cos, harmonics) = basis(k);
+        let g = (a * sin).hypot(b * cos);
+        let q = g * noise.edge_px / (g * step).sqrt() * draw() / (a * b);
+        numbers += harmonics.component_mul(&twice) * (q / SAMPLES as f64);
+    }
+    let [major, minor, along, across, turn] = [0.0; 5].map(|_: f64| noise.floor_px * draw());
+    numbers += SVector::<f64, 5>::new(
+        0.5 * (major / a + minor / b),
+        along / a,
+        across / b,
+        0.5 * (major / a - minor / b),
+        (0.5 / (a * b)).sqrt() * turn,
+    );
+    let (axis_sin, axis_cos) = ellipse.angle_rad.sin_cos();
+    let points: Vec<_> = (0..SAMPLES)
+        .map(|k| {
+            let (sin, cos, harmonics) = basis(k);
+            let q = harmonics.dot(&numbers);
+            let (x, y) = ((1.0 + q) * a * cos, (1.0 + q) * b * sin);
+            Vector2::new(
+                ellipse.center.u + axis_cos * x - axis_sin * y,
+                ellipse.center.v + axis_sin * x + axis_cos * y,
+            )
+        })
+        .collect();
+    fit_ellipse(&points)
+}
+
+/// What became of many roundels of one size and a range of tilts.
+#[derive(Debug, Default)]
+struct Tally {
+    runs: usize,
+    /// Whole error of the pose with the nearer normal within the 95 % ellipsoid of five dimensions.
+    whole_inside: usize,
+    /// Reported position within the 95 % ellipsoid, whichever normal was reported.
+    position_inside: usize,
+    /// Reported normals that are not the nearer one.
+    wrong: usize,
+    /// Sum of the likelihoods that they had of being so.
+    expected_wrong: f64,
+}
+
+fn tally(radius_px: f64, tilts_rad: std::ops::Range<f64>, runs: usize) -> Tally {
+    let camera = camera(Lens::PlumbBob([-0.08, 0.02, 0.0003, -0.0004, 0.0]));
+    let (kind, noise) = (kind(), RimNoise::default());
+    let mut random = rand_chacha::ChaCha8Rng::seed_from_u64(7);
+    let mut tally = Tally { runs, ..Tally::default() };
+    for _ in 0..runs {
+        // Normals spread evenly over their part of the sphere.
+        let cos = random.random_range(tilts_rad.end.cos()..tilts_rad.start.cos());
+        let pixel = PixelPoint {
+            u: random.random_range(200.0..1700.0),
+            v: random.random_range(150.0..900.0),
+        };
+        let distance_m = 0.5 * kind.outer_diameter_m * 1100.0 / radius_px;
+        let (position_m, normal) =
+            pose(&camera, pixel, distance_m, cos.acos(), random.random_range(-3.1..3.1));
+        let exact = ring(&camera, &position_m, &normal);
+        let mut draw = || -> f64 { StandardNormal.sample(&mut random) };
+        let outer = stray(&exact.outer, &noise, &mut draw);
+        let inner = stray(&exact.inner, &noise, &mut draw);
+        let found = Ring { outer, inner, ..exact };
+        let reported = locate(&camera, &kind, &found, &noise).unwrap();
+        let off_m = position_m - reported.position_m;
+        let spread = reported.covariance.fixed_view::<3, 3>(0, 0).into_owned();
+        tally.position_inside += usize::from(mahalanobis_squared(&off_m, &spread).unwrap() < 7.815);
+        let (local_from_camera, [first, second]) =
+            estimate(&camera, &kind, &found, &noise).unwrap();
+        let normal = local_from_camera * normal;
+        let right = (first.normal - normal).norm() <= (second.normal - normal).norm();
+        tally.wrong += usize::from(!right);
+        tally.expected_wrong += 1.0 - reported.normal_likelihood;
+        let nearer = if right { first } else { second };
+        let off_m = local_from_camera * position_m - nearer.position_m;
+        let turn = nearer.normal.cross(&normal);
+        let error = SVector::<f64, 6>::new(off_m.x, off_m.y, off_m.z, turn.x, turn.y, turn.z);
+        // The turn has nothing about the normal, whose variance is therefore of no matter.
+        let mut covariance = nearer.covariance;
+        let mut rotation = covariance.fixed_view_mut::<3, 3>(3, 3);
+        rotation += nearer.normal * nearer.normal.transpose();
+        tally.whole_inside +=
+            usize::from(mahalanobis_squared(&error, &covariance).unwrap() < 11.07);
+    }
+    tally
+}
+
+#[test]
+fn covariance_is_that_of_the_errors() {
+    let degrees = |range: std::ops::Range<f64>| range.start.to_radians()..range.end.to_radians();
+    for radius_px in [6.0, 10.0, 15.0, 30.0, 60.0] {
+        for tilts in [0.0..5.0, 5.0..15.0, 15.0..30.0, 30.0..60.0] {
+            let tally = tally(radius_px, degrees(tilts.clone()), 800);
+            let share = |count: usize| count as f64 / tally.runs as f64;
+            let name = format!("{radius_px} px, {tilts:?} degrees: {tally:?}");
+            assert!((0.92..0.98).contains(&share(tally.whole_inside)), "{name}");
+            assert!((0.92..0.98).contains(&share(tally.position_inside)), "{name}");
+            if tilts.start >= 5.0 {
+                let surprise = share(tally.wrong) - tally.expected_wrong / tally.runs as f64;
+                assert!(surprise.abs() < 0.06, "{name}");
+            }
+        }
+    }
+}
+
+#[test]
+fn a_plain_small_ring_does_not_pretend_to_know_its_normal() {
+    let camera = camera(Lens::PlumbBob([0.0; 5]));
+    let likelihood = |radius_px: f64| {
+        let pixel = PixelPoint { u: 900.0, v: 500.0 };
+        let (position_m, normal) = pose(&camera, pixel, 0.08 * 1100.0 / radius_px, 0.6, 0.4);
+        let ring = ring(&camera, &position_m, &normal);
+        locate(&camera, &kind(), &ring, &RimNoise::default()).unwrap().normal_likelihood
+    };
+    assert!((0.5..0.55).contains(&likelihood(6.0)), "{}", likelihood(6.0));
+    assert!(likelihood(60.0) > 0.999, "{}", likelihood(60.0));
+}
+
+#[test]
+fn a_face_on_roundel_has_a_finite_honest_tilt() {
+    let camera = camera(Lens::PlumbBob([0.0; 5]));
+    let axis = PixelPoint { u: 957.0, v: 541.0 };
+    let (position_m, normal) = pose(&camera, axis, 6.0, 0.0, 0.0);
+    let found =
+        locate(&camera, &kind(), &ring(&camera, &position_m, &normal), &RimNoise::default())
+            .unwrap();
+    assert!((found.position_m - position_m).norm() < 1e-5);
+    let sigma_rad = found.covariance[(3, 3)].sqrt();
+    assert!((0.05..0.2).contains(&sigma_rad), "{sigma_rad}");
+    // Along the normal, here -z, nothing is known.
+    assert!((found.covariance[(5, 5)] - UNKNOWN_ANGLE_VARIANCE_RAD2).abs() < 1e-6);
+}
+
+#[test]
+fn fisheyes_locate_beyond_ninety_degrees() {
+    let camera = Camera::new(Intrinsics {
+        width: 1280,
+        height: 1280,
+        fx_px: 300.0,
+        fy_px: 300.0,
+        cx_px: 640.0,
+        cy_px: 640.0,
+        lens: Lens::Equidistant([0.01, 0.0, 0.0, 0.0]),
+    })
+    .unwrap();
+    let bearing = Vector3::new((1.75f64).sin(), 0.0, (1.75f64).cos());
+    let position_m = bearing * 0.9;
+    let normal = -(UnitQuaternion::from_euler_angles(0.3, 0.4, 0.0) * bearing);
+    let ring = ring(&camera, &position_m, &normal);
+    let found = locate(&camera, &kind(), &ring, &RimNoise::default()).unwrap();
+    assert!(found.position_m.z < 0.0);
+    assert!((found.position_m - position_m).norm() < 1e-3, "{found:?}");
+    let off = found.normal.angle(&normal).min(found.other_normal.angle(&normal));
+    assert!(off < 5e-3, "{off}");
+}
+
+#[test]
+fn broken_input_is_a_typed_error() {
+    let camera = camera(Lens::PlumbBob([-0.3, 0.0, 0.0, 0.0, 0.0]));
+    let (position_m, normal) = pose(&camera, PixelPoint { u: 900.0, v: 500.0 }, 3.0, 0.5, 0.4);
+    let good = ring(&camera, &position_m, &normal);
+    let noise = RimNoise::default();
+    let refused = |ring: Ring, kind: Kind, noise: RimNoise| {
+        locate(&camera, &kind, &ring, &noise).unwrap_err()
+    };
+    let mut flat = good;
+    flat.inner.semi_minor_px = 1e-9;
+    assert!(matches!(refused(flat, kind(), noise), PoseError::Ellipse { rim: "inner", .. }));
+    let mut nowhere = good;
+    nowhere.outer.center.u = f64::NAN;
+    assert!(matches!(refused(nowhere, kind(), noise), PoseError::Ellipse { rim: "outer", .. }));
+    let mut swapped = kind();
+    std::mem::swap(&mut swapped.inner_diameter_m, &mut swapped.outer_diameter_m);
+    assert!(matches!(refused(good, swapped, noise), PoseError::Diameter { .. }));
+    let noiseless = RimNoise { edge_px: 0.0, floor_px: 0.0 };
+    assert!(matches!(refused(good, kind(), noiseless), PoseError::Noise { .. }));
+    // This lens ends 773 px from its middle, so that a rim around there is half outside.
+    let mut beyond = good;
+    beyond.outer.center = PixelPoint { u: 957.0 + 760.0, v: 541.0 };
+    beyond.inner.center = beyond.outer.center;
+    let error = refused(beyond, kind(), noise);
+    assert_eq!(error, PoseError::Lens { rim: "outer", source: LensError::Outside });
+    assert_eq!(
+        error.to_string(),
+        "outer rim: expected a point within the lens model's reach, found one outside"
+    );
 }
