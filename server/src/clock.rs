@@ -17,7 +17,18 @@ impl Clock {
     pub fn anchored_now() -> Self {
         let unix = SystemTime::now().duration_since(UNIX_EPOCH).unwrap_or_default();
         let ns = i64::try_from(unix.as_nanos()).unwrap_or(i64::MAX);
-        Self { anchor: Instant::now(), anchor_time: Timestamp::from_ns(ns) }
+        Self::anchored(Instant::now(), Timestamp::from_ns(ns))
+    }
+
+    /// A clock on which a monotonic reading stands for any instant, as playing a recording with its
+    /// own times needs.
+    pub fn anchored(anchor: Instant, anchor_time: Timestamp) -> Self {
+        Self { anchor, anchor_time }
+    }
+
+    /// The instant of the anchor, the earliest that this clock tells.
+    pub fn start(&self) -> Timestamp {
+        self.anchor_time
     }
 
     /// The instant now.

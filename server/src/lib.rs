@@ -5,19 +5,25 @@
 //! | [`config`], [`camera_file`], [`image_file`] | what people write, read with errors that name the place | the command line |
 //! | [`clock`] | the one clock: monotonic, anchored to Unix time once | shared |
 //! | [`source`] | frames with capture times, from a URL | the worker |
-//! | `worker` | newest frame → detections → observations; supervised restarts | one OS thread a camera |
-//! | `fusion` | drives `core::world`'s state machine; snapshots at a fixed rate | one OS thread |
+//! | [`worker`] | newest frame → detections → observations; supervised restarts | one OS thread a camera |
+//! | [`fusion`] | drives `core::world`'s state machine; snapshots at a fixed rate | one OS thread |
 //! | [`hub`] | the newest of everything, for whoever asks | shared |
 //! | [`convert`] | the only place where core's types become proto's | – |
 //! | [`api`] | gRPC, REST, WebSocket, metrics and the dashboard on one port | async tasks |
-//! | `serve` | puts the above together, and takes it apart on shutdown | – |
-//! | `cli` | the commands of `roundel` | main thread |
+//! | [`serve`] | puts the above together, and takes it apart on shutdown | – |
+//! | [`cli`] | the commands of `roundel` | main thread |
 
 pub mod api;
 pub mod camera_file;
+pub mod cli;
 pub mod clock;
 pub mod config;
 pub mod convert;
+mod drawing;
+pub mod fusion;
 pub mod hub;
 pub mod image_file;
+pub mod serve;
 pub mod source;
+pub mod stop;
+pub mod worker;

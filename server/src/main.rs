@@ -1,2 +1,7 @@
-//! x
-fn main() {}
+//! The `roundel` command; everything is in the library, so that tests can use it.
+
+use std::process::ExitCode;
+
+fn main() -> ExitCode {
+    roundel_server::cli::main()
+}

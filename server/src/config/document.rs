@@ -3,7 +3,7 @@
 use std::{collections::HashMap, net::SocketAddr, ops::Range, path::Path};
 
 use nalgebra::Vector3;
-use roundel_core::{id::KindId, marker::Kind};
+use roundel_core::{camera::Camera, id::KindId, marker::Kind};
 use toml::{Spanned, de::DeTable};
 
 use super::{
@@ -13,7 +13,10 @@ use super::{
     geometry,
     reader::{Allowed, Problems, Table, list, nearest},
 };
-use crate::{camera_file, source::SourceAddress};
+use crate::{
+    camera_file,
+    source::{SourceAddress, simulated_camera},
+};
 
 const ROOT_KEYS: [&str; 8] =
     ["name", "server", "roundel", "camera", "reference", "object", "fusion", "limits"];
@@ -259,18 +262,29 @@ fn cameras(root: &Table<'_, '_>, folder: &Path, no_references: bool) -> Vec<Came
 
 fn camera(table: &Table<'_, '_>, name: Option<&str>, folder: &Path) -> Option<CameraConfig> {
     let source = table.required_text("source", "\"images:frames/*.png?fps=30\"");
+    let report = |message: String| table.fail(&table.span_of("source"), message);
     let address = source.and_then(|source| {
-        SourceAddress::parse(source, folder)
-            .map_err(|error| table.fail(&table.span_of("source"), error.to_string()))
-            .ok()
+        SourceAddress::parse(source, folder).map_err(|error| report(error.to_string())).ok()
     });
-    let simulated = matches!(address, Some(SourceAddress::Sim(_)));
-    let calibration = calibration(table, folder, source.is_some() && !simulated);
-    let pose = camera_pose(table, source.is_some() && !simulated);
-    let line_time = Allowed::ZeroUpTo(MAX_LINE_TIME_US);
-    let line_time_us = match table.value("line_time_us") {
-        None if simulated => None,
-        _ => Some(table.number("line_time_us", line_time, 0.0)),
+    let simulated = match &address {
+        Some(SourceAddress::Sim(sim)) => {
+            simulated_camera(sim).map_err(|error| report(error.to_string())).ok()
+        }
+        _ => None,
+    };
+    // What a simulated camera does not know better must be written.
+    let required = simulated.is_none() && address.is_some();
+    let calibration = match (table.value("calibration"), &simulated) {
+        (None, Some(simulated)) => Some(simulated.camera.clone()),
+        _ => calibration(table, folder, required),
+    };
+    let pose = match (table.value("pose"), &simulated) {
+        (None, Some(simulated)) => Some(CameraPose::Known(simulated.world_from_camera)),
+        _ => camera_pose(table, required),
+    };
+    let line_time_s = match (table.value("line_time_us"), &simulated) {
+        (None, Some(simulated)) => simulated.line_time_s,
+        _ => table.number("line_time_us", Allowed::ZeroUpTo(MAX_LINE_TIME_US), 0.0) * 1e-6,
     };
     if table.is_broken() {
         return None;
@@ -279,17 +293,13 @@ fn camera(table: &Table<'_, '_>, name: Option<&str>, folder: &Path) -> Option<Ca
         name: name?.to_owned(),
         source: source?.to_owned(),
         address: address?,
-        calibration,
+        calibration: calibration?,
         pose: pose?,
-        line_time_s: line_time_us.map(|us| us * 1e-6),
+        line_time_s,
     })
 }
 
-fn calibration(
-    table: &Table<'_, '_>,
-    folder: &Path,
-    required: bool,
-) -> Option<roundel_core::camera::Camera> {
+fn calibration(table: &Table<'_, '_>, folder: &Path, required: bool) -> Option<Camera> {
     let file = if required {
         table.required_text("calibration", "\"north.yaml\"")
     } else {
@@ -308,11 +318,9 @@ fn camera_pose(table: &Table<'_, '_>, required: bool) -> Option<CameraPose> {
     const POSE_HELP: &str = "write { position_m = [x, y, z], orientation_xyzw = [x, y, z, w] }, or \
                              \"unknown\" to have it found from the reference roundels";
     let Some(value) = table.value("pose") else {
-        if !required {
-            return Some(CameraPose::Simulated);
+        if required {
+            table.report_missing("pose", "\"unknown\"");
         }
-        let span = table.span().clone();
-        table.fail_with_help(&span, "missing key `pose` in [[camera]]", POSE_HELP);
         return None;
     };
     if let Some(text) = value.get_ref().as_str() {

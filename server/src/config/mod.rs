@@ -62,13 +62,12 @@ pub struct CameraConfig {
     pub source: String,
     /// The same, read.
     pub address: SourceAddress,
-    /// From the camera file; `None` for a simulated camera that brings its own.
-    pub calibration: Option<Camera>,
+    /// From the camera file, or a simulated camera's own.
+    pub calibration: Camera,
     /// Where it stands.
     pub pose: CameraPose,
-    /// Time from one image row's exposure to the next, seconds; `None` for a simulated camera that
-    /// brings its own.
-    pub line_time_s: Option<f64>,
+    /// Time from one image row's exposure to the next, seconds.
+    pub line_time_s: f64,
 }
 
 /// Where a camera stands.
@@ -78,8 +77,6 @@ pub enum CameraPose {
     Known(Rigid),
     /// To be found from the reference roundels.
     Unknown,
-    /// A simulated camera brings its own.
-    Simulated,
 }
 
 /// `[[reference]]`.

@@ -192,7 +192,8 @@ impl<'t, 'i> Table<'t, 'i> {
         self.value(key).map_or_else(|| self.span.clone(), Spanned::span)
     }
 
-    fn report_missing(&self, key: &'static str, example: &str) {
+    /// Reports that a key is missing, unless a mistyped one probably was meant to be it.
+    pub(super) fn report_missing(&self, key: &'static str, example: &str) {
         if self.suspected.borrow().contains(&key) {
             return;
         }

@@ -1,0 +1,155 @@
+//! `roundel demo`: a simulated arena through the whole server, compared with the truth.
+
+use std::{
+    io::{self, Write as _},
+    net::SocketAddr,
+    process::ExitCode,
+    time::Duration,
+};
+
+use anyhow::Context;
+use clap::Args;
+use roundel_core::sim::Scenario;
+
+use super::{
+    serve::{Signals, announce, elapsed, seconds, shut_down},
+    truth::Score,
+};
+use crate::{
+    config::{CameraConfig, CameraPose, Config, FusionConfig, LimitsConfig, ServerConfig},
+    hub::CameraState,
+    serve::Server,
+    source::{SimAddress, SimPreset, SourceAddress, simulated_scenario},
+};
+
+/// Time after the origin in which tracks settle; it does not count.
+const SETTLING_S: f64 = 2.0;
+const REPORT_EVERY: Duration = Duration::from_secs(1);
+
+/// Try it without a camera: four simulated cameras, 24 robots, the dashboard.
+#[derive(Debug, Args)]
+#[command(after_help = "Example:\n  \
+    roundel demo --duration 20\n\n\
+    Prints the dashboard's address, and once a second how far the poses are off the truth (root\n\
+    mean square of the position's error).")]
+pub struct DemoArgs {
+    /// End after so many seconds
+    #[arg(long, value_name = "SECONDS", value_parser = seconds)]
+    duration: Option<Duration>,
+    /// Another seed is another world
+    #[arg(long, default_value_t = 1)]
+    seed: u64,
+    /// Robots in the arena [default: 24]
+    #[arg(long, value_name = "N")]
+    robots: Option<usize>,
+    /// Where to listen; port 0 takes a free one
+    #[arg(long, value_name = "ADDRESS", default_value = "127.0.0.1:7670")]
+    listen: SocketAddr,
+}
+
+/// Runs the demo until a signal or the end of `--duration`.
+pub(super) async fn run(arguments: DemoArgs) -> anyhow::Result<ExitCode> {
+    let address = SimAddress {
+        preset: SimPreset::R4Lite,
+        seed: arguments.seed,
+        robots: arguments.robots,
+        camera: 0,
+    };
+    let scenario = simulated_scenario(&address).context("cannot simulate this arena")?;
+    let config = config(&scenario, &address, arguments.listen);
+    let mut signals = Signals::listen()?;
+    let server = Server::start(config).await?;
+    announce(&server)?;
+    say(&format!("dashboard: http://{}/ (Ctrl-C ends the demo)", server.local_addr()))?;
+    let mut total = Score::default();
+    tokio::select! {
+        () = signals.next() => {}
+        () = elapsed(arguments.duration) => {}
+        // Whoever read the lines has gone.
+        _ = report(&server, &scenario, &mut total) => {}
+    }
+    let frames = frames(&server.hub().cameras());
+    shut_down(server, signals).await;
+    // Nobody may be left to read it.
+    let _ = say(&format!("in all: {}; {frames}", total.line()));
+    Ok(ExitCode::SUCCESS)
+}
+
+fn say(line: &str) -> io::Result<()> {
+    let mut stdout = io::stdout().lock();
+    writeln!(stdout, "{line}")?;
+    stdout.flush()
+}
+
+/// The scenario's cameras as an installation.
+fn config(scenario: &Scenario, address: &SimAddress, listen: SocketAddr) -> Config {
+    let cameras = scenario.cameras().iter().enumerate().map(|(index, camera)| {
+        let address = SimAddress { camera: index, ..address.clone() };
+        CameraConfig {
+            name: camera.name.clone(),
+            source: address.to_string(),
+            address: SourceAddress::Sim(address),
+            calibration: camera.camera.clone(),
+            pose: CameraPose::Known(camera.world_from_camera),
+            line_time_s: camera.line_time_s,
+        }
+    });
+    Config {
+        name: "demo".to_owned(),
+        server: ServerConfig { listen, snapshot_rate_hz: 60.0 },
+        kinds: scenario.params().kinds.clone(),
+        cameras: cameras.collect(),
+        references: Vec::new(),
+        objects: Vec::new(),
+        fusion: FusionConfig::default(),
+        limits: LimitsConfig::default(),
+    }
+}
+
+/// Compares every snapshot with the truth and prints a line each second, until nobody reads them.
+async fn report(server: &Server, scenario: &Scenario, total: &mut Score) -> io::Result<()> {
+    let origin = server.playback().origin;
+    let mut snapshots = server.hub().snapshots();
+    let mut ticks = tokio::time::interval(REPORT_EVERY);
+    ticks.tick().await;
+    let mut second = Score::default();
+    loop {
+        tokio::select! {
+            changed = snapshots.changed() => {
+                if changed.is_err() {
+                    // The hub is gone: the caller is taking the server apart.
+                    return std::future::pending().await;
+                }
+                let fused = snapshots.borrow_and_update().clone();
+                let time_s = fused.snapshot.pose_time.seconds_since(origin);
+                if time_s >= SETTLING_S {
+                    second.add(scenario, &fused.snapshot, time_s);
+                }
+            }
+            _ = ticks.tick() => {
+                let elapsed_s = server.clock().now().seconds_since(origin);
+                let cameras = cameras(&server.hub().cameras());
+                total.merge(&second);
+                say(&format!("{elapsed_s:6.1} s  {}; {cameras}", second.line()))?;
+                second = Score::default();
+            }
+        }
+    }
+}
+
+/// The cameras' rates, and the worst of their times.
+fn cameras(states: &[CameraState]) -> String {
+    let rates: Vec<String> = states.iter().map(|state| format!("{:.1}", state.rate_hz)).collect();
+    let worst = |value: fn(&CameraState) -> f64| states.iter().map(value).fold(0.0, f64::max);
+    format!(
+        "cameras {} Hz, detection {:.1} ms, latency {:.1} ms",
+        rates.join(" "),
+        worst(|state| state.detect_ms),
+        worst(|state| state.latency_ms),
+    )
+}
+
+fn frames(states: &[CameraState]) -> String {
+    let sum = |value: fn(&CameraState) -> u64| states.iter().map(value).sum::<u64>();
+    format!("{} frames, {} left out", sum(|state| state.frames), sum(|state| state.dropped))
+}

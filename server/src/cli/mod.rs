@@ -1,0 +1,75 @@
+//! The commands of `roundel`.
+
+mod demo;
+mod detect;
+mod serve;
+mod truth;
+
+use std::process::ExitCode;
+
+use clap::{Parser, Subcommand};
+use tracing_subscriber::EnvFilter;
+
+/// Async tasks only pass bytes on; detection and fusion have threads of their own.
+const ASYNC_THREADS: usize = 2;
+
+/// Localizes robots with printed roundels and cameras.
+#[derive(Debug, Parser)]
+#[command(name = "roundel", version, about, arg_required_else_help = true)]
+#[command(after_help = "Try it without a camera:\n  roundel demo")]
+struct Arguments {
+    #[command(subcommand)]
+    command: Command,
+}
+
+#[derive(Debug, Subcommand)]
+enum Command {
+    Demo(demo::DemoArgs),
+    Serve(serve::ServeArgs),
+    Detect(detect::DetectArgs),
+}
+
+/// Runs the command that the process was started with. Errors go to stderr; the code is 0 for
+/// success, 1 for failure, 2 for wrong arguments.
+pub fn main() -> ExitCode {
+    let arguments = Arguments::parse();
+    let filter = EnvFilter::try_from_default_env().unwrap_or_else(|_| EnvFilter::new("info"));
+    tracing_subscriber::fmt().with_env_filter(filter).with_writer(std::io::stderr).init();
+    let outcome = match arguments.command {
+        Command::Demo(arguments) => run_async(demo::run(arguments)),
+        Command::Serve(arguments) => run_async(serve::run(arguments)),
+        Command::Detect(arguments) => detect::run(&arguments),
+    };
+    outcome.unwrap_or_else(|error| {
+        eprintln!("error: {error:#}");
+        ExitCode::FAILURE
+    })
+}
+
+fn run_async(command: impl Future<Output = anyhow::Result<ExitCode>>) -> anyhow::Result<ExitCode> {
+    let runtime = tokio::runtime::Builder::new_multi_thread()
+        .worker_threads(ASYNC_THREADS)
+        .enable_all()
+        .build()?;
+    let outcome = runtime.block_on(command);
+    // What is left is blocking work of clients that did not end in time.
+    runtime.shutdown_background();
+    outcome
+}
+
+#[cfg(test)]
+mod tests {
+    use clap::CommandFactory;
+
+    use super::*;
+
+    #[test]
+    fn every_command_is_well_formed_and_has_an_example() {
+        let mut command = Arguments::command();
+        command.clone().debug_assert();
+        for command in command.get_subcommands_mut() {
+            let help = command.render_long_help().to_string();
+            assert!(help.contains("Example"), "{} has no example:\n{help}", command.get_name());
+        }
+    }
+}

@@ -1,0 +1,172 @@
+//! Draws what was found into a picture: outer rims green, inner rims cyan, centres of the outer rim
+//! red, tracks' numbers yellow on black.
+
+use roundel_core::{ellipse::Ellipse, id::TrackNumber, marker::Ring};
+
+const GREEN: [u8; 3] = [40, 230, 80];
+const CYAN: [u8; 3] = [30, 200, 255];
+const RED: [u8; 3] = [255, 50, 50];
+const YELLOW: [u8; 3] = [255, 230, 60];
+const BLACK: [u8; 3] = [0, 0, 0];
+/// Half the length of the cross at a centre, pixels.
+const CROSS_PX: i64 = 3;
+/// Edge of one dot of a digit, pixels.
+const DOT_PX: i64 = 2;
+/// Digits 0 to 9, five rows of three dots, the left one in the highest bit.
+const DIGITS: [[u8; 5]; 10] = [
+    [0b111, 0b101, 0b101, 0b101, 0b111],
+    [0b010, 0b110, 0b010, 0b010, 0b111],
+    [0b111, 0b001, 0b111, 0b100, 0b111],
+    [0b111, 0b001, 0b111, 0b001, 0b111],
+    [0b101, 0b101, 0b111, 0b001, 0b001],
+    [0b111, 0b100, 0b111, 0b001, 0b111],
+    [0b111, 0b100, 0b111, 0b101, 0b111],
+    [0b111, 0b001, 0b010, 0b010, 0b010],
+    [0b111, 0b101, 0b111, 0b101, 0b111],
+    [0b111, 0b101, 0b111, 0b001, 0b111],
+];
+const DIGIT_COLUMNS: i64 = 3;
+const DIGIT_ROWS: i64 = 5;
+
+/// A colour image to draw on; what lies outside is left out.
+pub(crate) struct Canvas {
+    width: i64,
+    height: i64,
+    rgb: Vec<u8>,
+}
+
+impl Canvas {
+    /// A grey image, row by row without gaps, to draw on.
+    pub(crate) fn of(width: usize, height: usize, grey: &[u8]) -> Self {
+        let rgb = grey.iter().flat_map(|&grey| [grey; 3]).collect();
+        Self { width: width as i64, height: height as i64, rgb }
+    }
+
+    /// Red, green and blue of each pixel, row by row without gaps.
+    pub(crate) fn rgb(&self) -> &[u8] {
+        &self.rgb
+    }
+
+    /// Draws a ring's rims, its centre, and its track's number beside it.
+    pub(crate) fn draw_ring(&mut self, ring: &Ring, track: Option<TrackNumber>) {
+        let outer = &ring.outer;
+        self.draw_ellipse(outer, GREEN);
+        self.draw_ellipse(&ring.inner, CYAN);
+        let (u, v) = (nearest(outer.center.u), nearest(outer.center.v));
+        for step in -CROSS_PX..=CROSS_PX {
+            self.set(u.saturating_add(step), v, RED);
+            self.set(u, v.saturating_add(step), RED);
+        }
+        let Some(track) = track else { return };
+        let right = u.saturating_add(nearest(outer.semi_major_px)).saturating_add(2 * DOT_PX);
+        self.draw_number(track.0, right, v.saturating_sub(DIGIT_ROWS * DOT_PX / 2));
+    }
+
+    fn draw_ellipse(&mut self, ellipse: &Ellipse, color: [u8; 3]) {
+        let (a, b) = (ellipse.semi_major_px, ellipse.semi_minor_px);
+        // Rims that reach far beyond the picture are wrong, and would take long to draw.
+        let is_drawable = a.is_finite() && b.is_finite() && a < (self.width + self.height) as f64;
+        if !is_drawable {
+            return;
+        }
+        let (sin, cos) = ellipse.angle_rad.sin_cos();
+        // Steps of less than a pixel, for 2π a is at least the rim's length.
+        let steps = (std::f64::consts::TAU * a * 1.2).ceil().max(8.0) as usize;
+        for step in 0..steps {
+            let (y, x) = (std::f64::consts::TAU * step as f64 / steps as f64).sin_cos();
+            let u = ellipse.center.u + a * x * cos - b * y * sin;
+            let v = ellipse.center.v + a * x * sin + b * y * cos;
+            self.set(nearest(u), nearest(v), color);
+        }
+    }
+
+    /// Writes a number with its top left corner there, on a black ground with a margin of one dot.
+    fn draw_number(&mut self, number: u64, left: i64, top: i64) {
+        let digits = number.to_string().into_bytes();
+        let columns = digits.len() as i64 * (DIGIT_COLUMNS + 1) - 1;
+        self.fill_dots(left, top, (-1..=columns, -1..=DIGIT_ROWS), BLACK);
+        for (place, digit) in (0..).zip(digits) {
+            let rows = DIGITS[usize::from(digit - b'0')];
+            for (row, dots) in (0..).zip(rows) {
+                for column in 0..DIGIT_COLUMNS {
+                    if dots >> (DIGIT_COLUMNS - 1 - column) & 1 == 1 {
+                        let column = place * (DIGIT_COLUMNS + 1) + column;
+                        self.fill_dots(left, top, (column..=column, row..=row), YELLOW);
+                    }
+                }
+            }
+        }
+    }
+
+    fn fill_dots(
+        &mut self,
+        left: i64,
+        top: i64,
+        (columns, rows): (std::ops::RangeInclusive<i64>, std::ops::RangeInclusive<i64>),
+        color: [u8; 3],
+    ) {
+        for v in rows.start() * DOT_PX..(rows.end() + 1) * DOT_PX {
+            for u in columns.start() * DOT_PX..(columns.end() + 1) * DOT_PX {
+                self.set(left.saturating_add(u), top.saturating_add(v), color);
+            }
+        }
+    }
+
+    fn set(&mut self, u: i64, v: i64, color: [u8; 3]) {
+        if (0..self.width).contains(&u) && (0..self.height).contains(&v) {
+            let place = 3 * (v * self.width + u) as usize;
+            self.rgb[place..place + 3].copy_from_slice(&color);
+        }
+    }
+}
+
+/// The pixel that a coordinate lies in; NaN counts as 0, and what is too far as very far.
+fn nearest(coordinate_px: f64) -> i64 {
+    coordinate_px.round() as i64
+}
+
+#[cfg(test)]
+mod tests {
+    use roundel_core::camera::PixelPoint;
+
+    use super::*;
+
+    fn ring(u: f64, v: f64, size_px: f64) -> Ring {
+        let center = PixelPoint { u, v };
+        let outer = Ellipse {
+            center,
+            semi_major_px: size_px,
+            semi_minor_px: size_px / 2.0,
+            angle_rad: 0.0,
+        };
+        let inner = Ellipse { semi_major_px: size_px / 2.0, semi_minor_px: size_px / 4.0, ..outer };
+        Ring { outer, inner, kind: None, threshold: 128, black: 10.0, white: 200.0 }
+    }
+
+    fn color(canvas: &Canvas, u: usize, v: usize) -> [u8; 3] {
+        let place = 3 * (v * 64 + u);
+        [canvas.rgb()[place], canvas.rgb()[place + 1], canvas.rgb()[place + 2]]
+    }
+
+    #[test]
+    fn rims_and_centre_stand_where_they_are() {
+        let mut canvas = Canvas::of(64, 48, &[90; 64 * 48]);
+        canvas.draw_ring(&ring(20.0, 24.0, 10.0), None);
+        assert_eq!(color(&canvas, 30, 24), GREEN);
+        assert_eq!(color(&canvas, 20, 29), GREEN);
+        assert_eq!(color(&canvas, 15, 24), CYAN);
+        assert_eq!(color(&canvas, 20, 24), RED);
+        assert_eq!(color(&canvas, 40, 24), [90; 3]);
+    }
+
+    #[test]
+    fn what_lies_outside_is_left_out() {
+        let mut canvas = Canvas::of(64, 48, &[90; 64 * 48]);
+        for (u, v, size_px) in
+            [(-5.0, 60.0, 12.0), (1e300, 0.0, 5.0), (3.0, 3.0, f64::NAN), (0.0, 0.0, 1e9)]
+        {
+            canvas.draw_ring(&ring(u, v, size_px), Some(TrackNumber(u64::MAX)));
+        }
+        assert_eq!(canvas.rgb().len(), 3 * 64 * 48);
+    }
+}

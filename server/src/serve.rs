@@ -1,0 +1,289 @@
+//! Puts a server together, and takes it apart on shutdown: cameras first, then fusion, then clients.
+
+use std::{
+    collections::BTreeMap,
+    io,
+    net::SocketAddr,
+    sync::{Arc, mpsc::sync_channel},
+    thread::{self, JoinHandle},
+    time::{Duration, Instant},
+};
+
+use roundel_core::{
+    id::CameraId,
+    marker::DetectorError,
+    rigid::Covariance6,
+    time::Timestamp,
+    world::{CameraPlacement, Fusion, FusionParams, reference::Reference},
+};
+use thiserror::Error;
+use tokio::net::TcpListener;
+use tokio_util::sync::CancellationToken;
+
+use crate::{
+    api,
+    clock::Clock,
+    config::{CameraConfig, CameraPose, Config},
+    fusion::{FusionTask, QUEUE_FRAMES},
+    hub::{CameraInfo, Hub, Installation},
+    source::{Playback, SourceOpener, TimesError},
+    stop::Stop,
+    worker::{self, Place, Sighted, Worker, WorkerParts, pipeline::Pipeline},
+};
+
+/// Time that shutdown may take in all.
+pub const GRACE: Duration = Duration::from_secs(5);
+/// Of it, for clients; the rest is for cameras and fusion, which need far less.
+const CLIENT_GRACE: Duration = Duration::from_secs(2);
+
+/// Why a server does not start.
+#[derive(Debug, Error)]
+pub enum ServeError {
+    /// The port is taken, or not ours to take.
+    #[error("cannot listen on {address}: {source}; {}", remedy(.source))]
+    Listen {
+        /// What was to be bound.
+        address: SocketAddr,
+        /// What the system says.
+        source: io::Error,
+    },
+    /// The clock cannot follow a file of times.
+    #[error(transparent)]
+    Times(#[from] TimesError),
+    /// The kinds of roundel cannot be searched for.
+    #[error("kinds of roundel: {0}")]
+    Detector(#[from] DetectorError),
+    /// The system gives no thread.
+    #[error("cannot start the thread `{name}`: {source}")]
+    Thread {
+        /// Which thread.
+        name: String,
+        /// What the system says.
+        source: io::Error,
+    },
+}
+
+fn remedy(error: &io::Error) -> &'static str {
+    match error.kind() {
+        io::ErrorKind::AddrInUse => {
+            "another program, perhaps another roundel, has this port: stop it, or choose another \
+             `listen` (port 0 takes a free one)"
+        }
+        io::ErrorKind::PermissionDenied => "ports below 1024 need privileges: choose a higher one",
+        io::ErrorKind::AddrNotAvailable => "this machine has no such address: correct `listen`",
+        _ => "correct `listen`",
+    }
+}
+
+/// A running server. Dropping it without [`Server::shutdown`] ends its threads too, but does not
+/// wait for them.
+pub struct Server {
+    address: SocketAddr,
+    hub: Arc<Hub>,
+    clock: Clock,
+    playback: Playback,
+    stop_cameras: Stop,
+    stop_fusion: Stop,
+    cancel_clients: CancellationToken,
+    cameras: Vec<JoinHandle<()>>,
+    fusion: Option<JoinHandle<()>>,
+    api: Option<tokio::task::JoinHandle<()>>,
+}
+
+impl Server {
+    /// Binds the port and starts cameras, fusion and APIs. To be called within a tokio runtime.
+    ///
+    /// A camera whose source cannot be opened is no error: it is shown as failed and tried again.
+    pub async fn start(config: Config) -> Result<Self, ServeError> {
+        let address = config.server.listen;
+        let listening = |source| ServeError::Listen { address, source };
+        let listener = TcpListener::bind(address).await.map_err(listening)?;
+        let address = listener.local_addr().map_err(listening)?;
+        let (clock, playback) = Playback::begin(config.cameras.iter().map(|c| &c.address))?;
+        let hub = Arc::new(Hub::new(installation(&config, clock.now())));
+        let mut server = Self {
+            address,
+            hub: hub.clone(),
+            clock,
+            playback,
+            stop_cameras: Stop::default(),
+            stop_fusion: Stop::default(),
+            cancel_clients: CancellationToken::new(),
+            cameras: Vec::new(),
+            fusion: None,
+            api: None,
+        };
+        server.start_threads(&config)?;
+        let limits = api::Limits { max_clients: config.limits.max_clients, grace: CLIENT_GRACE };
+        let cancel = server.cancel_clients.clone();
+        server.api = Some(tokio::spawn(api::serve(listener, hub, clock, limits, cancel)));
+        Ok(server)
+    }
+
+    /// Where it listens; the port is a real one even if 0 was asked for.
+    pub fn local_addr(&self) -> SocketAddr {
+        self.address
+    }
+
+    /// The newest of everything.
+    pub fn hub(&self) -> &Arc<Hub> {
+        &self.hub
+    }
+
+    /// The server's clock.
+    pub fn clock(&self) -> Clock {
+        self.clock
+    }
+
+    /// The time line of its recorded and simulated sources.
+    pub fn playback(&self) -> Playback {
+        self.playback
+    }
+
+    fn start_threads(&mut self, config: &Config) -> Result<(), ServeError> {
+        // Full: observations are dropped and counted, see `worker`.
+        let (to_fusion, from_workers) = sync_channel::<Sighted>(QUEUE_FRAMES);
+        let task = FusionTask::new(fusion(config), self.hub.clone(), self.clock, from_workers);
+        let period = Duration::from_secs_f64(1.0 / config.server.snapshot_rate_hz);
+        let stop = self.stop_fusion.clone();
+        self.fusion = Some(spawn("fusion".to_owned(), move || task.run(period, &stop))?);
+        for (index, camera) in config.cameras.iter().enumerate() {
+            let worker = Worker::new(WorkerParts {
+                id: camera_id(index),
+                name: camera.name.clone(),
+                opener: SourceOpener::new(
+                    camera.address.clone(),
+                    (camera.calibration.width(), camera.calibration.height()),
+                    self.clock,
+                    self.playback,
+                    self.stop_cameras.clone(),
+                ),
+                pipeline: Pipeline::new(
+                    config.kinds.clone(),
+                    config.limits.max_roundels_per_camera,
+                    camera.calibration.clone(),
+                    camera.line_time_s,
+                )?,
+                place: place(camera, config),
+                hub: self.hub.clone(),
+                fusion: to_fusion.clone(),
+                clock: self.clock,
+            });
+            let stop = self.stop_cameras.clone();
+            let name = format!("camera {}", camera.name);
+            self.cameras.push(spawn(name, move || worker::run(worker, &stop))?);
+        }
+        Ok(())
+    }
+
+    /// Ends cameras, then fusion, then clients; at most [`GRACE`] long. What does not end in time is
+    /// left behind with a warning.
+    pub async fn shutdown(mut self) {
+        let deadline = Instant::now() + (GRACE - CLIENT_GRACE);
+        self.stop_cameras.stop();
+        for camera in std::mem::take(&mut self.cameras) {
+            join(camera, deadline).await;
+        }
+        self.stop_fusion.stop();
+        if let Some(fusion) = self.fusion.take() {
+            join(fusion, deadline).await;
+        }
+        self.cancel_clients.cancel();
+        if let Some(api) = self.api.take()
+            && let Err(error) = api.await
+        {
+            tracing::error!(%error, "the APIs ended badly");
+        }
+    }
+}
+
+impl Drop for Server {
+    fn drop(&mut self) {
+        self.stop_cameras.stop();
+        self.stop_fusion.stop();
+        self.cancel_clients.cancel();
+    }
+}
+
+fn spawn(name: String, run: impl FnOnce() + Send + 'static) -> Result<JoinHandle<()>, ServeError> {
+    let builder = thread::Builder::new().name(name.clone());
+    builder.spawn(run).map_err(|source| ServeError::Thread { name, source })
+}
+
+/// Waits for a thread without holding up the runtime.
+async fn join(thread: JoinHandle<()>, deadline: Instant) {
+    const LOOK_EVERY: Duration = Duration::from_millis(5);
+    while !thread.is_finished() {
+        if Instant::now() >= deadline {
+            let name = thread.thread().name().unwrap_or_default();
+            tracing::warn!(thread = name, "did not end within the grace time");
+            return;
+        }
+        tokio::time::sleep(LOOK_EVERY).await;
+    }
+    if thread.join().is_err() {
+        tracing::error!("a thread ended with a panic");
+    }
+}
+
+fn camera_id(index: usize) -> CameraId {
+    CameraId(u32::try_from(index).unwrap_or(u32::MAX))
+}
+
+fn installation(config: &Config, started: Timestamp) -> Installation {
+    let unique = started.as_ns() as u64 ^ (u64::from(std::process::id()) << 32).rotate_left(16);
+    Installation {
+        name: config.name.clone(),
+        source_id: format!("{}-{unique:016x}", config.name),
+        started,
+        snapshot_rate_hz: config.server.snapshot_rate_hz,
+        cameras: config
+            .cameras
+            .iter()
+            .map(|camera| CameraInfo { name: camera.name.clone(), source: camera.source.clone() })
+            .collect(),
+        kinds: config.kinds.iter().map(|kind| kind.name.clone()).collect(),
+        object_names: config
+            .objects
+            .iter()
+            .map(|object| (object.kind, object.name.clone()))
+            .collect::<BTreeMap<_, _>>(),
+    }
+}
+
+fn fusion(config: &Config) -> Fusion {
+    let ns = |seconds: f64| (seconds * 1e9).round() as i64;
+    let mut fusion = Fusion::new(FusionParams {
+        acceleration_m_s2: config.fusion.acceleration_m_s2,
+        late_window_ns: ns(config.fusion.late_window_s),
+        predicted_after_ns: ns(config.fusion.predicted_after_s),
+        lost_after_ns: ns(config.fusion.lost_after_s),
+        max_objects: config.limits.max_objects,
+        ..FusionParams::default()
+    });
+    for object in &config.objects {
+        fusion.set_offset(object.kind, object.offset_m);
+    }
+    for (index, camera) in config.cameras.iter().enumerate() {
+        if let CameraPose::Known(world_from_camera) = camera.pose {
+            let covariance = Covariance6::zeros();
+            let placement = CameraPlacement { world_from_camera, covariance };
+            fusion.set_camera(camera_id(index), Some(placement));
+        }
+    }
+    fusion
+}
+
+fn place(camera: &CameraConfig, config: &Config) -> Place {
+    match camera.pose {
+        CameraPose::Known(pose) => Place::Known(pose),
+        CameraPose::Unknown => Place::Unknown {
+            references: config
+                .references
+                .iter()
+                .map(|reference| Reference { position_m: reference.position_m, normal: None })
+                .collect(),
+            kinds: config.references.iter().map(|reference| reference.kind).collect(),
+        },
+    }
+}

@@ -1,0 +1,93 @@
+//! `sim:` – one camera of a simulated arena, rendered in the worker's own thread.
+
+use rand::{RngExt, SeedableRng};
+use rand_chacha::ChaCha8Rng;
+use roundel_core::{
+    sim::{Renderer, Scenario, ScenarioError, ScenarioParams, SimCamera},
+    time::Timestamp,
+};
+
+use super::{FrameInfo, FrameSource, SimAddress, SimPreset, SourceError};
+use crate::{clock::Clock, stop::Stop};
+
+/// From the middle of the exposure until the worker has the frame: at least and at most.
+pub const SIM_LATENCY_S: [f64; 2] = [0.015, 0.025];
+
+/// The simulated world of an address.
+pub fn simulated_scenario(address: &SimAddress) -> Result<Scenario, ScenarioError> {
+    let mut params = match address.preset {
+        SimPreset::R4Lite => ScenarioParams::r4_lite(address.seed),
+    };
+    if let Some(robots) = address.robots {
+        // As many of the fewer stand still as of the preset's.
+        params.still = (params.still * robots).div_ceil(params.robots.max(1)).min(params.still);
+        params.robots = robots;
+        params.still = params.still.min(robots - params.flying().min(robots));
+    }
+    Scenario::new(params)
+}
+
+/// The simulated camera of an address: its lens, place and timing.
+pub fn simulated_camera(address: &SimAddress) -> Result<SimCamera, ScenarioError> {
+    let scenario = simulated_scenario(address)?;
+    let cameras = scenario.cameras();
+    cameras.get(address.camera).cloned().ok_or(ScenarioError::NoSuchCamera {
+        last: cameras.len().saturating_sub(1),
+        found: address.camera,
+    })
+}
+
+/// Renders frames when they are due.
+pub(super) struct SimSource {
+    renderer: Renderer,
+    camera: SimCamera,
+    origin: Timestamp,
+    clock: Clock,
+    stop: Stop,
+    latency: ChaCha8Rng,
+    next: Option<u64>,
+}
+
+impl SimSource {
+    /// The scenario's start is at `origin`, for every camera of it.
+    pub(super) fn open(
+        address: &SimAddress,
+        origin: Timestamp,
+        clock: Clock,
+        stop: Stop,
+    ) -> Result<Self, SourceError> {
+        let failed = |error: ScenarioError| SourceError::Failed(error.to_string());
+        let scenario = simulated_scenario(address).map_err(failed)?;
+        let renderer = Renderer::new(&scenario, address.camera).map_err(failed)?;
+        let camera = renderer.camera().clone();
+        let latency = ChaCha8Rng::seed_from_u64(address.seed ^ address.camera as u64);
+        Ok(Self { renderer, camera, origin, clock, stop, latency, next: None })
+    }
+
+    /// The newest frame that was taken by now; 0 before the first.
+    fn newest_taken(&self) -> u64 {
+        let now_s = self.clock.now().seconds_since(self.origin) - SIM_LATENCY_S[0];
+        ((now_s - self.camera.phase_s) * self.camera.rate_hz).floor().max(0.0) as u64
+    }
+}
+
+impl FrameSource for SimSource {
+    fn next_frame(&mut self, pixels: &mut Vec<u8>) -> Result<FrameInfo, SourceError> {
+        let newest = self.newest_taken();
+        let frame = self.next.map_or(newest, |next| next.max(newest));
+        let skipped = self.next.map_or(0, |next| frame - next);
+        let (width, height) = (self.camera.camera.width(), self.camera.camera.height());
+        pixels.resize(width * height, 0);
+        let time_s = self
+            .renderer
+            .render(frame, pixels)
+            .map_err(|error| SourceError::Failed(error.to_string()))?;
+        let capture_time = self.origin.plus_seconds(time_s);
+        let latency_s = self.latency.random_range(SIM_LATENCY_S[0]..SIM_LATENCY_S[1]);
+        if self.stop.wait(self.clock.until(capture_time.plus_seconds(latency_s))) {
+            return Err(SourceError::Stopped);
+        }
+        self.next = Some(frame + 1);
+        Ok(FrameInfo { capture_time, width, height, skipped })
+    }
+}

@@ -1,0 +1,256 @@
+//! One camera's worker: newest frame → detections → observations, on a thread of its own.
+//!
+//! | module | what it does |
+//! | --- | --- |
+//! | `supervisor` | runs the worker again after a failure, with growing pauses |
+//! | [`pipeline`] | pixels → detections with poses and times |
+//! | `placing` | finds the place of a camera whose pose is unknown |
+//! | [`meter`] | rates and medians over the newest frames |
+//!
+//! Nothing here waits for anybody but the source: the hub's publishing never blocks, and what
+//! fusion has no room for is dropped and counted.
+
+pub mod meter;
+pub mod pipeline;
+mod placing;
+mod supervisor;
+
+use std::{
+    sync::{
+        Arc,
+        mpsc::{SyncSender, TrySendError},
+    },
+    time::Instant,
+};
+
+use roundel_core::{
+    id::{CameraId, KindId},
+    rigid::Rigid,
+    time::Timestamp,
+    world::{CameraPlacement, FrameObservations, reference::Reference},
+};
+
+pub use supervisor::{Pauses, run};
+
+use crate::{
+    clock::Clock,
+    hub::{CameraStatus, Happening, Hub, Picture},
+    source::{FrameInfo, SourceError, SourceOpener},
+};
+use meter::{Median, Rate};
+use pipeline::Pipeline;
+use placing::{Placing, Progress};
+
+/// What workers hand to fusion.
+#[derive(Clone, Debug)]
+pub struct Sighted {
+    /// What was seen in one frame.
+    pub observations: Arc<FrameObservations>,
+    /// The camera's place, the first time that it is known.
+    pub placement: Option<CameraPlacement>,
+}
+
+/// Where a worker's camera stands.
+#[derive(Clone, Debug)]
+pub enum Place {
+    /// As configured.
+    Known(Rigid),
+    /// To be found from roundels of these kinds at these places.
+    Unknown {
+        /// The references.
+        references: Vec<Reference>,
+        /// Their kinds of roundel.
+        kinds: Vec<KindId>,
+    },
+}
+
+/// What a worker is made of.
+pub struct WorkerParts {
+    /// Which camera.
+    pub id: CameraId,
+    /// Its name, for messages.
+    pub name: String,
+    /// Where its frames come from.
+    pub opener: SourceOpener,
+    /// What is done with them.
+    pub pipeline: Pipeline,
+    /// Where it stands.
+    pub place: Place,
+    /// Where the results go.
+    pub hub: Arc<Hub>,
+    /// To fusion; when it is full, the observations are dropped and counted.
+    pub fusion: SyncSender<Sighted>,
+    /// The server's clock.
+    pub clock: Clock,
+}
+
+/// One camera's worker.
+pub struct Worker {
+    parts: WorkerParts,
+    placing: Option<Placing>,
+    /// Found and not yet taken by fusion.
+    placement: Option<CameraPlacement>,
+    frames: u64,
+    dropped: u64,
+    rate: Rate,
+    detect_ms: Median,
+    pixels: Vec<u8>,
+    /// Since when frames arrive.
+    running_since: Option<Instant>,
+}
+
+/// Why a worker stopped taking frames.
+#[derive(Clone, Debug, PartialEq, Eq)]
+enum End {
+    Stopped,
+    Finished,
+    Failed(String),
+}
+
+impl Worker {
+    /// A worker that has not begun.
+    pub fn new(parts: WorkerParts) -> Self {
+        let placing = match &parts.place {
+            Place::Known(_) => None,
+            Place::Unknown { references, kinds } => {
+                Some(Placing::new(references.clone(), kinds.clone()))
+            }
+        };
+        let world_from_camera = match &parts.place {
+            Place::Known(pose) => Some(*pose),
+            Place::Unknown { .. } => None,
+        };
+        let camera = parts.pipeline.camera().clone();
+        parts.hub.update_camera(parts.id, |state| {
+            state.world_from_camera = world_from_camera;
+            state.camera = Some(camera);
+            state.calibration_version = pipeline::CALIBRATION_VERSION;
+        });
+        Self {
+            parts,
+            placing,
+            placement: None,
+            frames: 0,
+            dropped: 0,
+            rate: Rate::default(),
+            detect_ms: Median::default(),
+            pixels: Vec::new(),
+            running_since: None,
+        }
+    }
+
+    /// Opens the source and works until it ends.
+    fn play(&mut self) -> End {
+        self.running_since = None;
+        self.rate = Rate::default();
+        self.parts.pipeline.reset();
+        let mut source = match self.parts.opener.open() {
+            Ok(source) => source,
+            Err(error) => return end(error),
+        };
+        loop {
+            match source.next_frame(&mut self.pixels) {
+                Ok(info) => self.take(&info),
+                Err(error) => return end(error),
+            }
+        }
+    }
+
+    fn take(&mut self, info: &FrameInfo) {
+        let received = self.parts.clock.now();
+        self.frames += 1;
+        self.dropped += info.skipped;
+        let begun = Instant::now();
+        let result =
+            self.parts.pipeline.process(&self.pixels, info, self.frames, received, self.parts.id);
+        self.detect_ms.add(begun.elapsed().as_secs_f64() * 1e3);
+        let observations = match result {
+            Ok(observations) => Arc::new(observations),
+            Err(error) => {
+                // Sources promise the size of their frames, so this is a bug of theirs.
+                tracing::error!(camera = self.parts.name, %error, "frame refused");
+                return;
+            }
+        };
+        self.rate.add(received);
+        if self.running_since.is_none() {
+            self.running_since = Some(begun);
+            self.report_running(info, received);
+        }
+        self.find_place(&observations, received);
+        self.hand_to_fusion(observations.clone());
+        self.publish(info, observations);
+    }
+
+    fn report_running(&self, info: &FrameInfo, now: Timestamp) {
+        let (id, name) = (self.parts.id, &self.parts.name);
+        tracing::info!(camera = name, width = info.width, height = info.height, "frames arrive");
+        self.parts.hub.update_camera(id, |state| {
+            state.status = CameraStatus::Running;
+            state.error.clear();
+            (state.width, state.height) = (info.width, info.height);
+        });
+        let happening = Happening::Camera(id, CameraStatus::Running);
+        self.parts.hub.publish_event(now, happening, format!("Camera {name} is running."));
+    }
+
+    fn find_place(&mut self, observations: &FrameObservations, now: Timestamp) {
+        let Some(placing) = &mut self.placing else { return };
+        let (id, name, hub) = (self.parts.id, &self.parts.name, &self.parts.hub);
+        match placing.observe(observations) {
+            Progress::Waiting => {}
+            Progress::Failed(reason) => {
+                hub.update_camera(id, |state| state.error = format!("no pose: {reason}"));
+            }
+            Progress::Found { placement, references, rms_m } => {
+                self.placing = None;
+                self.placement = Some(*placement);
+                hub.update_camera(id, |state| {
+                    state.error.clear();
+                    state.world_from_camera = Some(placement.world_from_camera);
+                });
+                let millimetres = rms_m * 1e3;
+                let message = format!(
+                    "Camera {name} found its place from {references} references, which fit to \
+                     {millimetres:.1} mm."
+                );
+                tracing::info!(camera = name, "{message}");
+                hub.publish_event(now, Happening::Camera(id, CameraStatus::Running), message);
+            }
+        }
+    }
+
+    fn hand_to_fusion(&mut self, observations: Arc<FrameObservations>) {
+        let sighted = Sighted { observations, placement: self.placement };
+        match self.parts.fusion.try_send(sighted) {
+            Ok(()) => self.placement = None,
+            // Fusion gone means shutdown, which the source's next wait notices.
+            Err(TrySendError::Full(_) | TrySendError::Disconnected(_)) => self.dropped += 1,
+        }
+    }
+
+    fn publish(&mut self, info: &FrameInfo, observations: Arc<FrameObservations>) {
+        let (id, hub) = (self.parts.id, &self.parts.hub);
+        if hub.take_picture_request(id) {
+            let (width, height) = (info.width, info.height);
+            let (pixels, observations) = (self.pixels.clone(), observations.clone());
+            hub.publish_picture(id, Picture { width, height, pixels, observations });
+        }
+        hub.update_camera(id, |state| {
+            state.frames = self.frames;
+            state.dropped = self.dropped;
+            state.rate_hz = self.rate.hz();
+            state.detections = observations.detections.len();
+            state.detect_ms = self.detect_ms.value();
+        });
+        hub.publish_observations(observations);
+    }
+}
+
+fn end(error: SourceError) -> End {
+    match error {
+        SourceError::Stopped => End::Stopped,
+        SourceError::Finished => End::Finished,
+        SourceError::Failed(message) => End::Failed(message),
+    }
+}

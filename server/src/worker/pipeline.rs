@@ -1,0 +1,89 @@
+//! Pixels → detections with poses and times: what a worker does with each frame.
+
+use roundel_core::{
+    camera::Camera,
+    frame::{Frame, FrameError},
+    id::CameraId,
+    marker::{Detector, DetectorError, Kind, Params, Tracker},
+    pose::{Detection, RimNoise, locate},
+    time::Timestamp,
+    world::FrameObservations,
+};
+
+use crate::source::FrameInfo;
+
+/// Calibrations do not change while this version of the server runs: all are the first.
+pub const CALIBRATION_VERSION: u64 = 1;
+
+/// Follows the roundels of one camera and locates them.
+pub struct Pipeline {
+    tracker: Tracker,
+    camera: Camera,
+    line_time_s: f64,
+    noise: RimNoise,
+}
+
+impl Pipeline {
+    /// A pipeline for one camera that follows `max_roundels` of the given kinds; `line_time_s` lies
+    /// between the exposures of two image rows.
+    pub fn new(
+        kinds: Vec<Kind>,
+        max_roundels: usize,
+        camera: Camera,
+        line_time_s: f64,
+    ) -> Result<Self, DetectorError> {
+        let params = Params { max_roundels, ..Params::default() };
+        let tracker = Tracker::new(Detector::new(kinds, params)?);
+        Ok(Self { tracker, camera, line_time_s, noise: RimNoise::default() })
+    }
+
+    /// The camera's model.
+    pub fn camera(&self) -> &Camera {
+        &self.camera
+    }
+
+    /// Forgets all tracks, as after a gap in the frames.
+    pub fn reset(&mut self) {
+        self.tracker.reset();
+    }
+
+    /// What is seen in one frame, each detection with the capture time of its own row. Pixels are
+    /// row by row without gaps; too few of them are an error. A ring whose pose cannot be computed
+    /// is a detection without a pose.
+    pub fn process(
+        &mut self,
+        pixels: &[u8],
+        info: &FrameInfo,
+        frame: u64,
+        received_time: Timestamp,
+        camera: CameraId,
+    ) -> Result<FrameObservations, FrameError> {
+        let view = Frame::new(pixels, info.width, info.height, info.width)?;
+        let rings = self.tracker.process(&view);
+        let middle_row = (info.height as f64 - 1.0) / 2.0;
+        let mut detections = Vec::with_capacity(rings.len());
+        for tracked in rings {
+            let row_time_s = (tracked.ring.outer.center.v - middle_row) * self.line_time_s;
+            detections.push(Detection {
+                track: tracked.track,
+                ring: tracked.ring,
+                capture_time: info.capture_time.plus_seconds(row_time_s),
+                pose: None,
+            });
+        }
+        let kinds = self.tracker.detector().kinds();
+        for detection in &mut detections {
+            let kind = detection.ring.kind.and_then(|kind| kinds.get(usize::from(kind.0)));
+            detection.pose =
+                kind.and_then(|kind| locate(&self.camera, kind, &detection.ring, &self.noise).ok());
+        }
+        Ok(FrameObservations {
+            camera,
+            frame,
+            capture_time: info.capture_time,
+            received_time,
+            calibration_version: CALIBRATION_VERSION,
+            detections,
+        })
+    }
+}

@@ -1,0 +1,128 @@
+//! Runs a camera's worker, and runs it again after a failure, with growing pauses.
+
+use std::{
+    any::Any,
+    panic::{AssertUnwindSafe, catch_unwind},
+    time::Duration,
+};
+
+use rand::{RngExt, SeedableRng};
+use rand_chacha::ChaCha8Rng;
+
+use super::{End, Worker};
+use crate::{
+    hub::{CameraStatus, Happening},
+    stop::Stop,
+};
+
+const FIRST_PAUSE: Duration = Duration::from_millis(500);
+const LONGEST_PAUSE: Duration = Duration::from_secs(30);
+/// Frames for so long, and the next failure is a new one, with a short pause.
+const HEALTHY_AFTER: Duration = Duration::from_secs(10);
+/// A pause is off its nominal length by up to this share, so that cameras of one broken switch do
+/// not all come back in the same instant.
+const JITTER: f64 = 0.2;
+
+/// The pauses between attempts: doubling, capped, with jitter.
+#[derive(Debug)]
+pub struct Pauses {
+    next: Duration,
+    jitter: ChaCha8Rng,
+}
+
+impl Pauses {
+    /// Pauses that begin short; the seed decides the jitter.
+    pub fn new(seed: u64) -> Self {
+        Self { next: FIRST_PAUSE, jitter: ChaCha8Rng::seed_from_u64(seed) }
+    }
+
+    /// The pause to make now; the one after it is longer.
+    pub fn take(&mut self) -> Duration {
+        let pause = self.next;
+        self.next = (pause * 2).min(LONGEST_PAUSE);
+        pause.mul_f64(1.0 + self.jitter.random_range(-JITTER..JITTER))
+    }
+
+    /// Begins again with a short one.
+    pub fn reset(&mut self) {
+        self.next = FIRST_PAUSE;
+    }
+}
+
+/// Runs a worker until its source is finished or the signal comes; every failure, panics included,
+/// is shown as the camera's state and tried again.
+pub fn run(mut worker: Worker, stop: &Stop) {
+    let mut pauses = Pauses::new(u64::from(worker.parts.id.0));
+    while !stop.is_stopped() {
+        // A worker begins each play by putting its state in order, so a panic leaves nothing behind
+        // that could do harm.
+        let outcome = catch_unwind(AssertUnwindSafe(|| worker.play()));
+        let failure = match outcome {
+            Ok(End::Stopped) => return,
+            Ok(End::Finished) => {
+                let message = format!("Camera {} has no more frames.", worker.parts.name);
+                report(&worker, CameraStatus::Finished, "", message);
+                return;
+            }
+            Ok(End::Failed(message)) => message,
+            Err(panic) => format!("internal error, please report it: {}", panic_message(&*panic)),
+        };
+        if worker.running_since.is_some_and(|since| since.elapsed() >= HEALTHY_AFTER) {
+            pauses.reset();
+        }
+        let pause = pauses.take();
+        let message = format!("Camera {} failed: {failure}", worker.parts.name);
+        report(&worker, CameraStatus::Failed, &failure, message);
+        tracing::info!(camera = worker.parts.name, pause_s = pause.as_secs_f64(), "trying again");
+        if stop.wait(pause) {
+            return;
+        }
+        worker.parts.hub.update_camera(worker.parts.id, |state| state.restarts += 1);
+    }
+}
+
+/// Shows the new status; what was shown already is no event again.
+fn report(worker: &Worker, status: CameraStatus, error: &str, message: String) {
+    let mut changed = false;
+    worker.parts.hub.update_camera(worker.parts.id, |state| {
+        changed = state.status != status || state.error != error;
+        state.status = status;
+        error.clone_into(&mut state.error);
+        state.rate_hz = 0.0;
+        state.detections = 0;
+    });
+    if changed {
+        match status {
+            CameraStatus::Failed => tracing::warn!("{message}"),
+            _ => tracing::info!("{message}"),
+        }
+        let happening = Happening::Camera(worker.parts.id, status);
+        worker.parts.hub.publish_event(worker.parts.clock.now(), happening, message);
+    }
+}
+
+fn panic_message(panic: &(dyn Any + Send)) -> &str {
+    panic
+        .downcast_ref::<&str>()
+        .copied()
+        .or_else(|| panic.downcast_ref::<String>().map(String::as_str))
+        .unwrap_or("a panic without a message")
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn pauses_double_up_to_the_cap_and_begin_again() {
+        let mut pauses = Pauses::new(1);
+        let nominal = [0.5, 1.0, 2.0, 4.0, 8.0, 16.0, 30.0, 30.0];
+        for expected in nominal {
+            let pause = pauses.take().as_secs_f64();
+            assert!((pause / expected - 1.0).abs() <= JITTER, "{pause} for {expected}");
+        }
+        pauses.reset();
+        assert!(pauses.take() < Duration::from_secs(1));
+        assert_ne!(Pauses::new(1).take(), Pauses::new(2).take());
+    }
+}
