@@ -1,0 +1,9 @@
+//! Fusion in virtual time: whole scenarios against their truth, and every fault of a stream.
+
+mod arena;
+mod consistency;
+mod fault;
+mod life;
+mod normal;
+mod order;
+mod score;
