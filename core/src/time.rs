@@ -45,6 +45,12 @@ impl fmt::Display for Timestamp {
     }
 }
 
+/// When row `v_px` of an image of `height` rows was exposed, the middle of its exposure, if the middle
+/// row was at `frame` and each row follows the one above it by `line_time_s` (0 for a global shutter).
+pub fn row_time(frame: Timestamp, v_px: f64, height: usize, line_time_s: f64) -> Timestamp {
+    frame.plus_seconds((v_px - 0.5 * (height as f64 - 1.0)) * line_time_s)
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;

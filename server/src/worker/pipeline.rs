@@ -6,7 +6,7 @@ use roundel_core::{
     id::CameraId,
     marker::{Detector, DetectorError, Kind, Params, Tracker},
     pose::{Detection, RimNoise, locate},
-    time::Timestamp,
+    time::{Timestamp, row_time},
     world::FrameObservations,
 };
 
@@ -60,14 +60,13 @@ impl Pipeline {
     ) -> Result<FrameObservations, FrameError> {
         let view = Frame::new(pixels, info.width, info.height, info.width)?;
         let rings = self.tracker.process(&view);
-        let middle_row = (info.height as f64 - 1.0) / 2.0;
         let mut detections = Vec::with_capacity(rings.len());
         for tracked in rings {
-            let row_time_s = (tracked.ring.outer.center.v - middle_row) * self.line_time_s;
+            let row_px = tracked.ring.outer.center.v;
             detections.push(Detection {
                 track: tracked.track,
                 ring: tracked.ring,
-                capture_time: info.capture_time.plus_seconds(row_time_s),
+                capture_time: row_time(info.capture_time, row_px, info.height, self.line_time_s),
                 pose: None,
             });
         }
