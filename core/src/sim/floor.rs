@@ -6,7 +6,7 @@ use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 
 use super::{
-    light::{FALLOFF, Light},
+    light::{Light, falloff},
     noise::{STEPS_PER_LEVEL, smooth_noise},
     params::ScenarioParams,
     ray::{RayGrid, RayRow},
@@ -92,7 +92,7 @@ impl Floor {
                 let ray = camera.world_from_camera.rotation * Vector3::new(x, y, 1.0);
                 let level = self.look(&eye, &ray, pixel_m, &marks, light);
                 let scale = 255.0 * f64::from(STEPS_PER_LEVEL);
-                (scale * (level / (1.0 + FALLOFF * (x * x + y * y))).clamp(0.0, 1.0)) as f32
+                (scale * (level * falloff(x, y)).clamp(0.0, 1.0)) as f32
             }));
         }
         blur(&mut picture, width, blur_px);

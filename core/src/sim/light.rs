@@ -2,8 +2,10 @@
 
 use super::{noise::mix, params::ScenarioParams};
 
-/// Loss of light towards the image's corners: 1 / (1 + FALLOFF r²), r on the plane z = 1.
-pub(super) const FALLOFF: f64 = 0.16;
+/// Share of the light that reaches the image along a ray (x, y, 1): less towards the corners.
+pub(super) fn falloff(x: f64, y: f64) -> f64 {
+    1.0 / (1.0 + 0.16 * (x * x + y * y))
+}
 
 /// Light over the arena: a gradient and the pools of a few lamps.
 #[derive(Clone, Debug)]

@@ -19,6 +19,9 @@
 //! # Ok::<(), Box<dyn std::error::Error>>(())
 //! ```
 
+mod canvas;
+#[cfg(test)]
+mod contour;
 mod floor;
 mod jet;
 mod layout;

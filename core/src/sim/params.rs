@@ -174,7 +174,7 @@ impl ScenarioParams {
             image: ImageParams {
                 blur_px: 0.7,
                 noise_levels: 2.0,
-                light: 0.82,
+                light: 0.85,
                 light_gradient: 0.15,
             },
             booms: 2,

@@ -11,13 +11,9 @@
 //! square, and m the motion during the exposure in pixels. Coverage is one half on the true outline:
 //! the inward shift σ² / 2r that a real lens gives a small disc is left out on purpose.
 
-use nalgebra::{Isometry3, Matrix2, Matrix3, Vector2, Vector3};
+use nalgebra::{Isometry3, Matrix2, Matrix3, Point3, Vector2, Vector3};
 
-use super::{
-    light::FALLOFF,
-    noise::STEPS_PER_LEVEL,
-    ray::{RayGrid, RayRow},
-};
+use super::{light::falloff, noise::STEPS_PER_LEVEL, ray::RayRow};
 use crate::camera::{Camera, PixelPoint};
 
 /// Coverage beyond so many standard deviations of an edge is left out.
@@ -28,23 +24,14 @@ const FULL_SCALE: f32 = 255.0 * STEPS_PER_LEVEL as f32;
 /// What a patch looks like, in its own plane, metres.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(super) enum Shape {
-    /// One tone within a circle.
-    Disc { radius_m: f32, tone: Tone },
-    /// One tone within a rectangle.
-    Bar { half_m: [f32; 2], tone: Tone },
+    /// One albedo within a circle.
+    Disc { radius_m: f32, albedo: f32 },
+    /// A shadow: darkest in its middle, (1 - r² / radius²)² of it away from there.
+    Shadow { radius_m: f32, opacity: f32 },
+    /// One albedo within a rectangle.
+    Bar { half_m: [f32; 2], albedo: f32 },
     /// Black ring, white disc, on a white sheet.
     Roundel { outer_radius_m: f32, inner_radius_m: f32, sheet: Sheet },
-}
-
-/// A tone with its soft edge.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub(super) struct Tone {
-    /// Share of the light given back.
-    pub albedo: f32,
-    /// 1 hides what lies beneath.
-    pub opacity: f32,
-    /// Standard deviation of the edge within the plane (a shadow's), metres.
-    pub softness_m: f32,
 }
 
 /// The white sheet round a roundel.
@@ -71,7 +58,7 @@ pub(super) struct Patch {
     by_pixel: [[f32; 2]; 3],
     /// Motion during the exposure, pixels.
     motion_px: [f32; 2],
-    /// Light at the origin, and its slope along X and Y, per metre.
+    /// Light that reaches the image from the origin, and its slope along X and Y, per metre.
     light: [f32; 3],
     /// Blur's and pixel's variance, pixels².
     variance_px2: f32,
@@ -126,18 +113,18 @@ impl Patch {
             to_plane: [0, 1, 2].map(|i| [0, 1, 2].map(|j| relative[(i, j)] as f32)),
             by_pixel: [0, 1, 2].map(|i| [0, 1].map(|j| by_pixel[(i, j)] as f32)),
             motion_px,
-            light: setting.light.map(|x| x as f32),
+            light: dim(setting.light, &camera_from_plane).map(|x| x as f32),
             variance_px2: (setting.blur_px * setting.blur_px + 1.0 / 12.0) as f32,
             camera_from_plane,
             metres_per_px: plane_by_pixel.norm(),
         })
     }
 
-    /// How far beyond an outline with this softness the shape still shows, metres in the plane.
-    fn reach_m(&self, softness_m: f32) -> f64 {
+    /// How far beyond its outline a shape still shows, metres in the plane.
+    fn reach_m(&self) -> f64 {
         let motion_px2 = f64::from(self.motion_px[0].hypot(self.motion_px[1])).powi(2) / 12.0;
         let edge_m = (f64::from(self.variance_px2) + motion_px2).sqrt() * self.metres_per_px;
-        REACH_SIGMA * edge_m.hypot(f64::from(softness_m)) + self.metres_per_px
+        REACH_SIGMA * edge_m + self.metres_per_px
     }
 
     /// Points of the plane round all that the shape touches, metres.
@@ -169,18 +156,15 @@ impl Patch {
                 })
                 .collect()
         };
+        let reach_m = self.reach_m();
         match *shape {
-            Shape::Disc { radius_m, tone } => {
-                circle(f64::from(radius_m) + self.reach_m(tone.softness_m))
+            Shape::Shadow { radius_m, .. } => circle(f64::from(radius_m)),
+            Shape::Disc { radius_m, .. } | Shape::Roundel { sheet: Sheet::Disc(radius_m), .. } => {
+                circle(f64::from(radius_m) + reach_m)
             }
-            Shape::Bar { half_m, tone } => {
-                rectangle(half_m.map(|half| f64::from(half) + self.reach_m(tone.softness_m)))
-            }
+            Shape::Bar { half_m, .. } => rectangle(half_m.map(|half| f64::from(half) + reach_m)),
             Shape::Roundel { sheet: Sheet::Square(half_m), .. } => {
-                rectangle([f64::from(half_m) + self.reach_m(0.0); 2])
-            }
-            Shape::Roundel { sheet: Sheet::Disc(radius_m), .. } => {
-                circle(f64::from(radius_m) + self.reach_m(0.0))
+                rectangle([f64::from(half_m) + reach_m; 2])
             }
         }
     }
@@ -190,7 +174,7 @@ impl Patch {
         self.outline_m(shape)
             .into_iter()
             .map(|[x, y]| {
-                let point = self.camera_from_plane * nalgebra::Point3::new(x, y, 0.0);
+                let point = self.camera_from_plane * Point3::new(x, y, 0.0);
                 camera.project(&point.coords).ok()
             })
             .collect()
@@ -199,27 +183,28 @@ impl Patch {
     /// Paints the shape over a row of the working image whose pixels have these rays.
     pub fn paint(&self, shape: &Shape, rays: &RayRow, row: &mut [i16]) {
         match *shape {
-            Shape::Disc { radius_m, tone } => self.paint_with(rays, row, |at| {
-                let edge = at.radial(tone.softness_m);
-                (
-                    tone.opacity * normal_cdf((radius_m - edge.radius_m) * edge.sharpness),
-                    tone.albedo,
-                )
+            Shape::Shadow { radius_m, opacity } => self.paint_with(rays, row, |at| {
+                let share = 1.0 - (at.x_m * at.x_m + at.y_m * at.y_m) / (radius_m * radius_m);
+                let share = share.max(0.0);
+                (opacity * share * share, 0.0)
             }),
-            Shape::Bar { half_m, tone } => self.paint_with(rays, row, |at| {
-                (tone.opacity * at.within(half_m, tone.softness_m), tone.albedo)
-            }),
+            Shape::Disc { radius_m, albedo } => {
+                self.paint_with(rays, row, |at| (at.radial().inside(radius_m), albedo));
+            }
+            Shape::Bar { half_m, albedo } => {
+                self.paint_with(rays, row, |at| (at.within(half_m), albedo));
+            }
             Shape::Roundel { outer_radius_m, inner_radius_m, sheet: Sheet::Square(half_m) } => {
                 self.paint_with(rays, row, |at| {
-                    let albedo = ring_albedo(&at.radial(0.0), outer_radius_m, inner_radius_m);
-                    (at.within([half_m; 2], 0.0), albedo)
+                    let albedo = at.radial().ring_albedo(outer_radius_m, inner_radius_m);
+                    (at.within([half_m; 2]), albedo)
                 });
             }
             Shape::Roundel { outer_radius_m, inner_radius_m, sheet: Sheet::Disc(radius_m) } => {
                 self.paint_with(rays, row, |at| {
-                    let edge = at.radial(0.0);
-                    let albedo = ring_albedo(&edge, outer_radius_m, inner_radius_m);
-                    (normal_cdf((radius_m - edge.radius_m) * edge.sharpness), albedo)
+                    let edge = at.radial();
+                    let albedo = edge.ring_albedo(outer_radius_m, inner_radius_m);
+                    (edge.inside(radius_m), albedo)
                 });
             }
         }
@@ -246,14 +231,24 @@ impl Patch {
                 variance_px2: self.variance_px2,
             };
             let (coverage, albedo) = look(&at);
-            let falloff = 1.0 / (1.0 + FALLOFF as f32 * (ray_x * ray_x + ray_y * ray_y));
             let light = self.light[0] + self.light[1] * x_m + self.light[2] * y_m;
-            let level = (albedo * light * falloff * FULL_SCALE).min(FULL_SCALE);
+            let level = (albedo * light).clamp(0.0, 1.0) * FULL_SCALE;
             let before = f32::from(*pixel);
             let after = before + coverage * (level - before);
             *pixel = (after + ROUNDER).to_bits() as i16;
         }
     }
+}
+
+/// Light on a plane, less what is lost towards the image's corners.
+fn dim(light: [f64; 3], camera_from_plane: &Isometry3<f64>) -> [f64; 3] {
+    const STEP_M: f64 = 0.05;
+    let at = |x_m: f64, y_m: f64| {
+        let point = camera_from_plane * Point3::new(x_m, y_m, 0.0);
+        (light[0] + light[1] * x_m + light[2] * y_m) * falloff(point.x / point.z, point.y / point.z)
+    };
+    let here = at(0.0, 0.0);
+    [here, (at(STEP_M, 0.0) - here) / STEP_M, (at(0.0, STEP_M) - here) / STEP_M]
 }
 
 /// A pixel's point of the plane, with its derivatives by u and v.
@@ -275,37 +270,44 @@ struct Radial {
 impl PlanePoint {
     /// 1 / standard deviation, in the plane, of an edge whose distance has this gradient.
     #[inline(always)]
-    fn sharpness(&self, gradient: [f32; 2], softness_m: f32) -> f32 {
+    fn sharpness(&self, gradient: [f32; 2]) -> f32 {
         let along = self.motion_px[0] * gradient[0] + self.motion_px[1] * gradient[1];
         let slope = gradient[0] * gradient[0] + gradient[1] * gradient[1];
-        let variance =
-            self.variance_px2 * slope + along * along * (1.0 / 12.0) + softness_m * softness_m;
-        1.0 / (variance + 1e-20).sqrt()
+        let variance = self.variance_px2 * slope + along * along * (1.0 / 12.0);
+        1.0 / (variance + 1e-24).sqrt()
     }
 
     #[inline(always)]
-    fn radial(&self, softness_m: f32) -> Radial {
-        let radius_m = (self.x_m * self.x_m + self.y_m * self.y_m + 1e-12).sqrt();
-        let (cosine, sine) = (self.x_m / radius_m, self.y_m / radius_m);
-        let gradient = [0, 1].map(|axis| cosine * self.x_by_px[axis] + sine * self.y_by_px[axis]);
-        Radial { radius_m, sharpness: self.sharpness(gradient, softness_m) }
+    fn radial(&self) -> Radial {
+        let squared = self.x_m * self.x_m + self.y_m * self.y_m + 1e-12;
+        let radius_m = squared.sqrt();
+        // Times the radius: dividing by it once is enough.
+        let gradient =
+            [0, 1].map(|axis| self.x_m * self.x_by_px[axis] + self.y_m * self.y_by_px[axis]);
+        Radial { radius_m, sharpness: radius_m * self.sharpness(gradient) }
     }
 
     /// Coverage of a rectangle.
     #[inline(always)]
-    fn within(&self, half_m: [f32; 2], softness_m: f32) -> f32 {
-        let across = self.sharpness(self.x_by_px, softness_m);
-        let along = self.sharpness(self.y_by_px, softness_m);
+    fn within(&self, half_m: [f32; 2]) -> f32 {
+        let across = self.sharpness(self.x_by_px);
+        let along = self.sharpness(self.y_by_px);
         normal_cdf((half_m[0] - self.x_m.abs()) * across)
             * normal_cdf((half_m[1] - self.y_m.abs()) * along)
     }
 }
 
-#[inline(always)]
-fn ring_albedo(edge: &Radial, outer_radius_m: f32, inner_radius_m: f32) -> f32 {
-    let outer = normal_cdf((outer_radius_m - edge.radius_m) * edge.sharpness);
-    let inner = normal_cdf((inner_radius_m - edge.radius_m) * edge.sharpness);
-    WHITE - (WHITE - BLACK) * (outer - inner)
+impl Radial {
+    /// Coverage of a disc.
+    #[inline(always)]
+    fn inside(&self, radius_m: f32) -> f32 {
+        normal_cdf((radius_m - self.radius_m) * self.sharpness)
+    }
+
+    #[inline(always)]
+    fn ring_albedo(&self, outer_radius_m: f32, inner_radius_m: f32) -> f32 {
+        WHITE - (WHITE - BLACK) * (self.inside(outer_radius_m) - self.inside(inner_radius_m))
+    }
 }
 
 /// Standard normal distribution, to 2e-7 (Abramowitz and Stegun 7.1.28, without a branch).
@@ -325,89 +327,17 @@ fn normal_cdf(x: f32) -> f32 {
     0.5 + (0.5 - half_tail).copysign(x)
 }
 
-/// The working image: levels in steps of 1 / 64, painted over a background that can be restored.
-pub(super) struct Canvas {
-    width: usize,
-    pixels: Vec<i16>,
-    background: Vec<i16>,
-    painted: Vec<Span>,
-    rays: RayRow,
-    rows: Vec<[f64; 2]>,
-}
+#[cfg(test)]
+mod tests {
+    use super::*;
 
-/// Pixels `from..to` of row `v`.
-struct Span {
-    v: usize,
-    from: usize,
-    to: usize,
-}
-
-impl Canvas {
-    /// A canvas over a background of whole rows.
-    pub fn new(width: usize, background: Vec<i16>) -> Self {
-        Self {
-            width,
-            pixels: background.clone(),
-            background,
-            painted: Vec::new(),
-            rays: RayRow::default(),
-            rows: Vec::new(),
+    #[test]
+    fn normal_cdf_agrees_with_tabled_values() {
+        let table = [(0.0, 0.5), (0.5, 0.691_462_5), (1.0, 0.841_344_7), (2.0, 0.977_249_9)];
+        for (x, expected) in table {
+            assert!((normal_cdf(x) - expected).abs() < 1e-6, "at {x}: {}", normal_cdf(x));
+            assert!((normal_cdf(-x) - (1.0 - expected)).abs() < 1e-6, "at -{x}");
         }
+        assert!(normal_cdf(50.0) == 1.0 && normal_cdf(-50.0) < 1e-6);
     }
-
-    /// Row `v` as painted.
-    pub fn row(&self, v: usize) -> &[i16] {
-        &self.pixels[v * self.width..(v + 1) * self.width]
-    }
-
-    /// Takes away all that was painted since.
-    pub fn restore(&mut self) {
-        for span in self.painted.drain(..) {
-            let range = span.v * self.width + span.from..span.v * self.width + span.to;
-            self.pixels[range.clone()].copy_from_slice(&self.background[range]);
-        }
-    }
-
-    /// Paints a shape on a patch, as far as it lies in the image.
-    pub fn paint(&mut self, camera: &Camera, grid: &RayGrid, patch: &Patch, shape: &Shape) {
-        let Some(outline) = patch.outline_px(camera, shape) else { return };
-        let height = self.pixels.len() / self.width;
-        let (top, bottom) = fill_rows(&outline, height, &mut self.rows);
-        for v in top..bottom {
-            let [left, right] = self.rows[v - top];
-            let from = left.ceil().clamp(0.0, self.width as f64) as usize;
-            let to = (right.floor() + 1.0).clamp(0.0, self.width as f64) as usize;
-            if from < to {
-                grid.row(v, from, to, &mut self.rays);
-                let start = v * self.width;
-                patch.paint(shape, &self.rays, &mut self.pixels[start + from..start + to]);
-                self.painted.push(Span { v, from, to });
-            }
-        }
-    }
-}
-
-/// Leftmost and rightmost place of a polygon in each image row that it meets; gives the first row
-/// and the one after the last.
-fn fill_rows(polygon: &[PixelPoint], height: usize, rows: &mut Vec<[f64; 2]>) -> (usize, usize) {
-    let (low, high) = polygon
-        .iter()
-        .fold((f64::INFINITY, f64::NEG_INFINITY), |(low, high), p| (low.min(p.v), high.max(p.v)));
-    let top = low.ceil().clamp(0.0, height as f64) as usize;
-    let bottom = (high.floor() + 1.0).clamp(0.0, height as f64) as usize;
-    rows.clear();
-    rows.resize(bottom.saturating_sub(top), [f64::INFINITY, f64::NEG_INFINITY]);
-    for (i, from) in polygon.iter().enumerate() {
-        let to = &polygon[(i + 1) % polygon.len()];
-        let (upper, lower) = if from.v <= to.v { (from, to) } else { (to, from) };
-        let slope = (lower.u - upper.u) / (lower.v - upper.v).max(1e-12);
-        let first = (upper.v.ceil().max(top as f64)) as usize;
-        let last = (lower.v.floor() + 1.0).clamp(0.0, bottom as f64) as usize;
-        for v in first..last {
-            let u = upper.u + slope * (v as f64 - upper.v);
-            let row = &mut rows[v - top];
-            *row = [row[0].min(u), row[1].max(u)];
-        }
-    }
-    (top, bottom)
 }

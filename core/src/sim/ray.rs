@@ -7,7 +7,7 @@
 use crate::camera::{Camera, LensError, PixelPoint};
 
 /// Between nodes, pixels.
-const STEP_PX: usize = 4;
+pub(super) const STEP_PX: usize = 4;
 
 /// Points on the plane z = 1 for the pixels of one camera.
 pub(super) struct RayGrid {
@@ -38,33 +38,33 @@ impl RayGrid {
         Ok(Self { columns, nodes })
     }
 
-    /// Rays of the pixels `from..to` of row `v`, all within the image.
+    /// Rays of the pixels `from..to` of row `v`, all within the image; `from` must be a node's column.
     pub fn row(&self, v: usize, from: usize, to: usize, rays: &mut RayRow) {
-        let (upper_row, below) = (v / STEP_PX, (v % STEP_PX) as f32 / STEP_PX as f32);
-        let first = from / STEP_PX;
-        let start = upper_row * self.columns;
-        let upper = &self.nodes[start..start + self.columns];
-        let lower = &self.nodes[start + self.columns..start + 2 * self.columns];
-        let node = |i: usize| {
-            [0, 1].map(|axis| upper[i][axis] + below * (lower[i][axis] - upper[i][axis]))
+        debug_assert!(from.is_multiple_of(STEP_PX), "column {from} is not a node's");
+        let below = (v % STEP_PX) as f32 / STEP_PX as f32;
+        let (first, last) = (from / STEP_PX, to.div_ceil(STEP_PX));
+        let start = v / STEP_PX * self.columns;
+        let upper = &self.nodes[start + first..=start + last];
+        let lower = &self.nodes[start + self.columns + first..=start + self.columns + last];
+        let node = |upper: &[f32; 2], lower: &[f32; 2]| {
+            [0, 1].map(|axis| upper[axis] + below * (lower[axis] - upper[axis]))
         };
-        rays.x.clear();
-        rays.y.clear();
-        let mut left = node(first);
-        for cell in first..to.div_ceil(STEP_PX) {
-            let right = node(cell + 1);
+        let room = (last - first) * STEP_PX;
+        rays.x.resize(room, 0.0);
+        rays.y.resize(room, 0.0);
+        let cells = rays.x.chunks_exact_mut(STEP_PX).zip(rays.y.chunks_exact_mut(STEP_PX));
+        let mut left = node(&upper[0], &lower[0]);
+        for ((xs, ys), (upper, lower)) in cells.zip(upper.iter().zip(lower).skip(1)) {
+            let right = node(upper, lower);
             let step = [0, 1].map(|axis| (right[axis] - left[axis]) / STEP_PX as f32);
-            for i in 0..STEP_PX {
-                rays.x.push(left[0] + step[0] * i as f32);
-                rays.y.push(left[1] + step[1] * i as f32);
+            for (i, (x, y)) in xs.iter_mut().zip(ys).enumerate() {
+                *x = left[0] + step[0] * i as f32;
+                *y = left[1] + step[1] * i as f32;
             }
             left = right;
         }
-        let skipped = from - first * STEP_PX;
-        for rays in [&mut rays.x, &mut rays.y] {
-            rays.copy_within(skipped.., 0);
-            rays.truncate(to - from);
-        }
+        rays.x.truncate(to - from);
+        rays.y.truncate(to - from);
     }
 }
 
@@ -80,7 +80,7 @@ mod tests {
         let camera = &scenario.cameras()[0].camera;
         let grid = RayGrid::new(camera).unwrap();
         let mut rays = RayRow::default();
-        for (v, from, to) in [(0, 0, 1280), (719, 1, 2), (333, 637, 1280), (718, 1279, 1280)] {
+        for (v, from, to) in [(0, 0, 1280), (719, 4, 6), (333, 636, 1279), (718, 1276, 1280)] {
             grid.row(v, from, to, &mut rays);
             assert_eq!((rays.x.len(), rays.y.len()), (to - from, to - from));
             for (i, (&x, &y)) in rays.x.iter().zip(&rays.y).enumerate() {

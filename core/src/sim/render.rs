@@ -9,11 +9,12 @@ use nalgebra::{Point3, Translation3, UnitQuaternion, Vector3};
 use thiserror::Error;
 
 use super::{
+    canvas::Canvas,
     floor::Floor,
     light::Light,
     noise::{SensorNoise, mix},
     params::ScenarioError,
-    patch::{Canvas, Patch, Setting, Shape, Sheet, Tone},
+    patch::{Patch, Setting, Shape, Sheet},
     ray::RayGrid,
     rig::SimCamera,
     scenario::{RobotTruth, Scenario},
@@ -127,50 +128,37 @@ impl Renderer {
         let on_floor =
             Vector3::new(position.x + 0.12 * position.z, position.y - 0.08 * position.z, 0.0);
         let plane = Rigid::from_parts(Translation3::from(on_floor), UnitQuaternion::identity());
-        let tone = Tone {
-            albedo: 0.0,
-            opacity: 0.5 / (1.0 + 0.8 * height_m),
-            softness_m: 0.015 + 0.04 * height_m,
+        let shadow = Shape::Shadow {
+            radius_m: 0.22 + 0.07 * height_m,
+            opacity: 0.6 / (1.0 + 0.5 * height_m),
         };
-        let velocity = Vector3::new(robot.velocity_m_s.x, robot.velocity_m_s.y, 0.0);
-        self.paint_on(&plane, &velocity, &[Shape::Disc { radius_m: 0.16, tone }]);
+        self.paint_on(&plane, &Vector3::zeros(), &[shadow]);
     }
 
     fn paint_body(&mut self, robot: &RobotTruth) {
-        let albedo =
-            0.08 + 0.14 * (mix(self.scenario.params().seed, robot.index as u64) % 8) as f32 / 8.0;
-        let solid = |albedo: f32| Tone { albedo, opacity: 1.0, softness_m: 0.0 };
+        let shade = mix(self.scenario.params().seed, robot.index as u64) % 8;
+        let albedo = 0.08 + 0.02 * shade as f32;
         let place = |x_m: f64, y_m: f64, z_m: f64| {
             robot.world_from_roundel * Rigid::translation(x_m, y_m, z_m)
         };
         let velocity = robot.velocity_m_s;
         if robot.flying {
-            for angle_rad in
-                [0.25, 0.75, 1.25, 1.75].map(|half_turns| half_turns * std::f64::consts::PI)
-            {
-                let (sine, cosine) = f64::sin_cos(angle_rad);
-                let arm = place(0.12 * cosine, 0.12 * sine, -0.04)
+            for quarter in [0.5, 1.5, 2.5, 3.5] {
+                let angle_rad = quarter * std::f64::consts::FRAC_PI_2;
+                let (sine, cosine) = angle_rad.sin_cos();
+                let arm = place(0.14 * cosine, 0.14 * sine, -0.04)
                     * Rigid::rotation(Vector3::z() * angle_rad);
-                self.paint_on(
-                    &arm,
-                    &velocity,
-                    &[Shape::Bar { half_m: [0.08, 0.012], tone: solid(albedo) }],
-                );
-                let rotor = place(0.2 * cosine, 0.2 * sine, -0.02);
-                let blades = Tone { albedo: 0.12, opacity: 0.45, softness_m: 0.004 };
-                let hub = Shape::Disc { radius_m: 0.018, tone: solid(albedo) };
-                self.paint_on(
-                    &rotor,
-                    &velocity,
-                    &[Shape::Disc { radius_m: 0.075, tone: blades }, hub],
-                );
+                let bar = Shape::Bar { half_m: [0.07, 0.012], albedo };
+                self.paint_on(&arm, &velocity, &[bar]);
+                let blades = Shape::Shadow { radius_m: 0.1, opacity: 0.6 };
+                self.paint_on(&place(0.2 * cosine, 0.2 * sine, -0.02), &velocity, &[blades]);
             }
         } else {
-            let base = Shape::Disc { radius_m: 0.175, tone: solid(albedo) };
+            let base = Shape::Disc { radius_m: 0.175, albedo };
             self.paint_on(&place(0.0, 0.0, -0.06), &velocity, &[base]);
             // Headlights show where the front is.
             for side in [-1.0, 1.0] {
-                let lamp = Shape::Disc { radius_m: 0.014, tone: solid(0.8) };
+                let lamp = Shape::Disc { radius_m: 0.014, albedo: 0.8 };
                 self.paint_on(&place(0.148, 0.045 * side, -0.06), &velocity, &[lamp]);
             }
         }
@@ -192,14 +180,8 @@ impl Renderer {
 
     fn paint_booms(&mut self, time_s: f64) {
         for boom in self.scenario.booms_at(time_s) {
-            let half_m = boom.half_m.map(|half| half as f32);
-            let tone = Tone { albedo: 0.3, opacity: 1.0, softness_m: 0.0 };
-            let stripe = Tone { albedo: 0.5, ..tone };
-            let shapes = [
-                Shape::Bar { half_m, tone },
-                Shape::Bar { half_m: [half_m[0], 0.3 * half_m[1]], tone: stripe },
-            ];
-            self.paint_on(&boom.world_from_boom, &Vector3::zeros(), &shapes);
+            let bar = Shape::Bar { half_m: boom.half_m.map(|half| half as f32), albedo: 0.3 };
+            self.paint_on(&boom.world_from_boom, &Vector3::zeros(), &[bar]);
         }
     }
 
@@ -234,5 +216,64 @@ impl Renderer {
         };
         let here = at(0.0, 0.0);
         [here, (at(STEP_M, 0.0) - here) / STEP_M, (at(0.0, STEP_M) - here) / STEP_M]
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::sim::ScenarioParams;
+
+    #[test]
+    fn frames_repeat_bit_by_bit_in_any_order() {
+        let scenario = Scenario::r4_lite(4);
+        let (mut first, mut second) =
+            (Renderer::new(&scenario, 1).unwrap(), Renderer::new(&scenario, 1).unwrap());
+        let mut painted = [vec![0; 1280 * 720], vec![0; 1280 * 720], vec![0; 1280 * 720]];
+        let [one, other, fresh] = &mut painted;
+        first.render(500, one).unwrap();
+        first.render(3, other).unwrap();
+        first.render(500, other).unwrap();
+        second.render(500, fresh).unwrap();
+        assert!(one == other, "the frame between left traces");
+        assert!(one == fresh, "two renderers differ");
+        second.render(501, fresh).unwrap();
+        assert!(one != fresh, "consecutive frames are the same");
+        let elsewhere = Scenario::r4_lite(5);
+        Renderer::new(&elsewhere, 1).unwrap().render(500, fresh).unwrap();
+        assert!(one != fresh, "two seeds give the same frame");
+    }
+
+    #[test]
+    fn pixels_use_the_range_without_clipping() {
+        let mut params = ScenarioParams::r4_lite(6);
+        // Brightest corners included.
+        params.image.light_gradient = 0.2;
+        let scenario = Scenario::new(params).unwrap();
+        for camera in 0..4 {
+            let mut pixels = vec![0; 1280 * 720];
+            Renderer::new(&scenario, camera).unwrap().render(9, &mut pixels).unwrap();
+            let share = |from: u8, to: u8| {
+                let count = pixels.iter().filter(|pixel| (from..=to).contains(pixel)).count();
+                count as f64 / pixels.len() as f64
+            };
+            assert_eq!(share(255, 255), 0.0, "camera {camera} clips");
+            assert_eq!(share(0, 0), 0.0, "camera {camera} is black somewhere");
+            assert!(share(60, 140) > 0.7, "camera {camera}: the floor is grey");
+            assert!(share(150, 254) > 0.005, "camera {camera}: sheets are white");
+            assert!(share(1, 35) > 0.002, "camera {camera}: rings are black");
+        }
+    }
+
+    #[test]
+    fn wrong_buffers_and_cameras_are_refused() {
+        let scenario = Scenario::r4_lite(1);
+        let missing = Renderer::new(&scenario, 4).err().unwrap();
+        assert_eq!(missing.to_string(), "scenario: expected a camera from 0 to 3, found 4");
+        let mut renderer = Renderer::new(&scenario, 3).unwrap();
+        assert_eq!(
+            renderer.render(0, &mut [0; 10]),
+            Err(BufferError { expected: 921_600, found: 10 })
+        );
     }
 }
