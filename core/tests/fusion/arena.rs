@@ -44,6 +44,10 @@ pub struct Setting {
     /// Accelerations change at random (held together by a spring), instead of sines.
     pub random: bool,
     pub noise_px: f64,
+    /// Until then everything stands still where its path begins, and then sets off on it.
+    pub starts_s: f64,
+    /// Neighbours go round the same place and pass each other at 0.25 m.
+    pub passing: bool,
 }
 
 impl Default for Setting {
@@ -64,6 +68,8 @@ impl Default for Setting {
             greatest_acceleration_m_s2: 2.0,
             random: false,
             noise_px: 0.1,
+            starts_s: 0.0,
+            passing: false,
         }
     }
 }
@@ -84,6 +90,7 @@ struct Path {
     /// Instead of waves: position, velocity, acceleration every [`GRID_S`], from the start.
     grid: Vec<[Vector3<f64>; 3]>,
     tilting: bool,
+    starts_s: f64,
 }
 
 /// A random path's acceleration is constant for so long.
@@ -138,7 +145,12 @@ impl Path {
     }
 
     fn truth(&self, t: f64) -> Truth {
-        let (position_m, velocity_m_s, acceleration) = self.at(t);
+        let (position_m, mut velocity_m_s, mut acceleration) =
+            self.at((t - self.starts_s).max(0.0));
+        if t < self.starts_s {
+            velocity_m_s = Vector3::zeros();
+            acceleration = Vector3::zeros();
+        }
         // A flying robot leans into its acceleration.
         let lean = if self.tilting { acceleration } else { Vector3::zeros() };
         Truth { position_m, velocity_m_s, normal: (Vector3::new(0., 0., 9.81) + lean).normalize() }
@@ -174,11 +186,26 @@ impl Arena {
                     -2.2 + cell.1 * ((index / columns) as f64 + 0.5),
                     if flying { 1.2 } else { 0.3 },
                 );
+                let center_m = if setting.passing {
+                    let (pair, columns) = (index / 2, 4);
+                    Vector3::new(
+                        -2.1 + 1.4 * (pair % columns) as f64,
+                        -1.5 + 1.2 * (pair / columns) as f64 + 0.25 * (index % 2) as f64,
+                        0.3,
+                    )
+                } else {
+                    center_m
+                };
                 let (mut waves, mut grid) = (Vec::new(), Vec::new());
                 let most = setting.greatest_acceleration_m_s2;
                 if setting.random && !still {
                     let axes = Vector3::new(1.0, 1.0, if flying { 0.6 } else { 0.0 });
                     grid = random_grid(&mut rng, &axes, most);
+                } else if setting.passing {
+                    // To and fro on neighbouring lines, each pair in opposite ways.
+                    let amplitude = 0.45;
+                    let phase = if index % 2 == 0 { 0.0 } else { PI };
+                    waves.push((Vector3::x() * amplitude, (most * 0.8 / amplitude).sqrt(), phase));
                 } else if !still {
                     for (axis, share) in
                         [(Vector3::x(), 0.6), (Vector3::y(), 0.6), (Vector3::z(), 0.3)]
@@ -192,7 +219,13 @@ impl Arena {
                     }
                 }
                 // A lean that jumps as a random acceleration does is nothing that a robot can do.
-                Path { center_m, waves, tilting: flying && grid.is_empty(), grid }
+                Path {
+                    center_m,
+                    waves,
+                    tilting: flying && !setting.passing && grid.is_empty(),
+                    grid,
+                    starts_s: setting.starts_s,
+                }
             })
             .collect();
         let placements = (0..setting.cameras).map(placement);

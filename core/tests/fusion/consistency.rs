@@ -113,3 +113,20 @@ fn predicted_snapshot_equals_a_later_one() {
     }
     assert_eq!(soon.predicted(f64::NAN), soon);
 }
+
+/// Robots that stood for seconds, and of which fusion has learned it, set off.
+#[test]
+fn setting_off_after_a_long_stand() {
+    let setting = Setting { starts_s: 4.0, ..Setting::default() };
+    let score = scored("setting off", setting, FusionParams::default(), 8.0);
+    assert!(score.shares()[0] >= 0.92, "{}", score.summary());
+    assert!(score.rms_mm() < 3.0, "{}", score.summary());
+}
+
+/// Pairs of plain roundels that pass each other at a quarter of a metre.
+#[test]
+fn passing_each_other() {
+    let setting = Setting { passing: true, random: false, dropout: 0.1, ..Setting::default() };
+    let score = scored("passing", setting, FusionParams::default(), 20.0);
+    assert!(score.shares()[0] >= 0.92, "{}", score.summary());
+}

@@ -17,7 +17,7 @@ const CHI3: f64 = 7.815;
 const CHI2: f64 = 5.991;
 
 /// A state further than this from its object is none of it.
-const NEAR_M: f64 = 0.5;
+const NEAR_M: f64 = 0.12;
 
 /// What snapshots were worth.
 #[derive(Clone, Debug, Default)]
