@@ -7,7 +7,7 @@
 //! the area and the difference of the covariance's eigenvalues ([`Shape::ellipse`]), which blur does
 //! not change either.
 //!
-//! Seven ellipses, parallel to the coarse rims, cut the plane into zones; one pass over the rows sums
+//! Eight ellipses, parallel to the coarse rims, cut the plane into zones; one pass over the rows sums
 //! grey levels and pixels of each zone, and the levels enter afterwards:
 //!
 //! | zone | between | the disc counts | the roundel counts | level from it |
@@ -15,8 +15,8 @@
 //! | 0 | – , inner - d | 1 | 1 | white of the disc |
 //! | 1, 2 | , inner + g | by grey level | 1 | black (2) |
 //! | 3 | , outer - g | 0 | 1 | black |
-//! | 4, 5 | , outer + m | 0 | by grey level | black (4) |
-//! | 6 | , outer + m | 0 | by grey level | white of the margin |
+//! | 4, 5 | , outer + 1.4 px | 0 | by grey level | black (4) |
+//! | 6, 7 | , outer + m | 0 | by grey level | white of the margin |
 //!
 //! Where the ring is thin, g is half its width: what the disc's blur loses to the other side, the
 //! ring's blur gives back. Pixels further off count 0 or 1, so noise comes from the rims alone.
@@ -35,23 +35,36 @@ use crate::{
     segment::powers,
 };
 
-/// How far from a rim grey levels count, pixels: four times a blur of 0.6.
+/// How far from a rim grey levels count, pixels: beyond it, a blur of 1 px has moved 0.002 px.
 const REACH_PX: f64 = 2.5;
-/// Where the margin's level begins, pixels beyond the rim.
+/// The margin's level is taken from here to [`REACH_PX`] beyond the rim, in two shells parted at
+/// [`MIDDLE_SHELL_PX`].
 const SHELL_PX: f64 = 1.4;
-/// The margin that is sure to be there, as a share of the outer semiaxis.
-const MARGIN_SHARE: f64 = 0.15;
-/// The margin is taken for white if its grey levels' deviation is below this share of the contrast.
-const MARGIN_DEVIATION: f64 = 0.16;
+/// See [`SHELL_PX`].
+const MIDDLE_SHELL_PX: f64 = 1.95;
+/// The margin that is sure to be there, as a share of the outer semiaxis …
+const SURE_MARGIN_SHARE: f64 = 0.15;
+/// … of which so many pixels are left to the blur of its own edge, but never all of it.
+const MARGIN_EDGE_PX: f64 = 0.8;
+/// Least reach beyond the outer rim, pixels.
+const LEAST_REACH_PX: f64 = 0.6;
+/// The margin is white where its level does not fall outwards by more than this share of the contrast
+/// and so many grey levels …
+const MARGIN_FALL: (f64, f64) = (0.012, 0.4);
+/// … and does not vary by more than this.
+const MARGIN_DEVIATION: (f64, f64) = (0.1, 3.0);
+/// Deviation of the blurred edge, pixels, where the measured one is out of this range.
+const BLUR_LIMITS_PX: (f64, f64) = (0.4, 1.6);
+/// Turns in which levels and blur are found.
+const BLUR_TURNS: usize = 2;
+/// Turns in which they and the rims are found.
+const RIM_TURNS: usize = 2;
 /// Least distance of the outer rim from the frame's edge, pixels.
 const EDGE_PX: f64 = 1.0;
 /// Rims may move by this much from where counted pixels had them, pixels and share of the radius.
 const MOVE_TOLERANCE: (f64, f64) = (0.7, 0.03);
-
 /// Difference of the two rims' normalized shapes, and what a disc of r pixels adds to it as 1/r.
 const SIMILARITY_TOLERANCE: (f64, f64) = (0.1, 0.35);
-
-const ZONES: usize = 7;
 
 /// A ring's rims, and the levels next to them.
 #[derive(Clone, Copy, Debug)]
@@ -64,22 +77,19 @@ pub(crate) struct Fine {
 
 /// Places both rims by grey levels.
 pub(crate) fn refine(frame: &Frame, coarse: &Coarse) -> Result<Fine, Reject> {
-    let reach_px = reach_to_edge(frame, &coarse.outer).min(REACH_PX);
-    if reach_px < EDGE_PX {
+    let to_edge_px = reach_to_edge(frame, &coarse.outer);
+    if to_edge_px < EDGE_PX {
         return Err(Reject::FrameEdge);
     }
-    let sure_px = (MARGIN_SHARE * coarse.outer.semi_minor_px).max(EDGE_PX).min(reach_px);
-    let mut zones = Zones::collect(frame, coarse, reach_px);
-    let mut levels = Levels::of(&zones);
-    if zones.reach_px < SHELL_PX + 0.5 || !levels.margin_is_white {
-        if sure_px < reach_px {
-            zones = Zones::collect(frame, coarse, sure_px);
-            levels = Levels::of(&zones);
-        }
-        levels.margin = levels.disc;
-        levels.gradient = (0.0, 0.0);
-    }
-    let fine = place(&zones, &levels).ok_or(Reject::Profile)?;
+    let sure_px = SURE_MARGIN_SHARE * coarse.outer.semi_minor_px - MARGIN_EDGE_PX;
+    let sure_px = sure_px.clamp(LEAST_REACH_PX, REACH_PX.min(to_edge_px));
+    let wide = to_edge_px >= REACH_PX;
+    let zones = Zones::collect(frame, coarse, if wide { REACH_PX } else { sure_px });
+    let fine = match solve(&zones, wide) {
+        None if wide => solve(&Zones::collect(frame, coarse, sure_px), false),
+        solved => solved,
+    };
+    let fine = fine.ok_or(Reject::Profile)?;
     check_moves(coarse, &fine)?;
     check_similarity(&fine.outer, &fine.inner, SIMILARITY_TOLERANCE)?;
     Ok(fine)
@@ -109,27 +119,87 @@ impl Zone {
     }
 }
 
+const ZONES: usize = 8;
+
+/// Distances of the cuts from the rims, pixels.
+#[derive(Clone, Copy, Debug)]
+struct Cuts {
+    /// d: the disc's core begins this far inside its rim.
+    core_px: f64,
+    /// g: grey levels count so far into the black, from the inner and from the outer rim.
+    grey_px: (f64, f64),
+    /// The black's level is taken so far from the inner and the outer rim.
+    black_px: (f64, f64),
+    /// The margin's level is taken from the first of these on, in two shells parted by the second.
+    shells_px: (f64, f64),
+    /// m: grey levels count so far into the margin.
+    reach_px: f64,
+    /// Width of the black ring.
+    ring_px: f64,
+}
+
+impl Cuts {
+    fn new(outer: &Ellipse, inner: &Ellipse, reach_px: f64) -> Self {
+        let ring_px = (outer.semi_minor_px - inner.semi_minor_px).max(0.1);
+        let grey_px = (0.5 * ring_px).min(REACH_PX);
+        let black_px = grey_px - 0.5 * grey_px.min(1.0);
+        Self {
+            core_px: (0.55 * inner.semi_minor_px).min(2.0),
+            grey_px: (grey_px, grey_px),
+            black_px: (black_px, black_px),
+            shells_px: (SHELL_PX.min(reach_px), MIDDLE_SHELL_PX.min(reach_px)),
+            reach_px,
+            ring_px,
+        }
+    }
+
+    /// The same cuts, measured from rims further out by (inner, outer) pixels.
+    fn seen_from(&self, (inner, outer): (f64, f64)) -> Self {
+        Self {
+            core_px: self.core_px + inner,
+            grey_px: (self.grey_px.0 - inner, self.grey_px.1 + outer),
+            black_px: (self.black_px.0 - inner, self.black_px.1 + outer),
+            shells_px: (self.shells_px.0 - outer, self.shells_px.1 - outer),
+            reach_px: self.reach_px - outer,
+            ring_px: self.ring_px + outer - inner,
+        }
+    }
+
+    /// Share of the disc's spread, σ², that lies between the cuts: on either side of the rim the
+    /// edge holds σ²/4, of which ∫ x Φ(-x/σ) dx from the cut on is beyond it.
+    fn spread_share(&self, blur_px: f64) -> f64 {
+        if blur_px <= 0.0 {
+            return 1.0;
+        }
+        let beyond = |distance_px: f64| {
+            let z = distance_px / blur_px;
+            let density = (-0.5 * z * z).exp() / std::f64::consts::TAU.sqrt();
+            0.5 * ((1.0 - z * z) * upper_tail(z) + z * density).max(0.0)
+        };
+        (1.0 - 2.0 * (beyond(self.grey_px.0) + beyond(self.core_px))).max(0.3)
+    }
+}
+
 struct Zones {
     zones: [Zone; ZONES],
     origin: (usize, usize),
-    reach_px: f64,
+    cuts: Cuts,
+    outer: Ellipse,
+    inner: Ellipse,
 }
 
 impl Zones {
     fn collect(frame: &Frame, coarse: &Coarse, reach_px: f64) -> Self {
-        let (outer, inner) = (&coarse.outer, &coarse.inner);
-        let half_ring_px = 0.5 * (outer.semi_minor_px - inner.semi_minor_px);
-        let g = half_ring_px.min(REACH_PX);
-        let q = 0.5 * g.min(1.0);
-        let core_px = (0.55 * inner.semi_minor_px).min(2.0);
-        let shell_px = SHELL_PX.min(0.6 * reach_px);
-        let cuts = [
-            Chords::new(&inner.grown(-core_px)),
-            Chords::new(&inner.grown(g - q)),
-            Chords::new(&inner.grown(g)),
-            Chords::new(&outer.grown(-g)),
-            Chords::new(&outer.grown(q - g)),
-            Chords::new(&outer.grown(shell_px)),
+        let (outer, inner) = (coarse.outer, coarse.inner);
+        let cuts = Cuts::new(&outer, &inner, reach_px);
+        let chords = [
+            Chords::new(&inner.grown(-cuts.core_px)),
+            Chords::new(&inner.grown(cuts.black_px.0)),
+            Chords::new(&inner.grown(cuts.grey_px.0)),
+            Chords::new(&outer.grown(-cuts.grey_px.1)),
+            Chords::new(&outer.grown(-cuts.black_px.1)),
+            Chords::new(&outer.grown(cuts.shells_px.0)),
+            Chords::new(&outer.grown(cuts.shells_px.1)),
             Chords::new(&outer.grown(reach_px)),
         ];
         let origin = (outer.center.u as usize, outer.center.v as usize);
@@ -138,9 +208,9 @@ impl Zones {
         let bottom = ((outer.center.v + half_v) as usize + 1).min(frame.height());
         let mut zones = [Zone::default(); ZONES];
         for v in top..bottom {
-            add_row(&mut zones, &cuts, frame.row(v), v, origin);
+            add_row(&mut zones, &chords, frame.row(v), v, origin);
         }
-        Self { zones, origin, reach_px }
+        Self { zones, origin, cuts, outer, inner }
     }
 
     fn pixels(&self, range: std::ops::RangeInclusive<usize>) -> Moments {
@@ -159,7 +229,7 @@ impl Zones {
 /// Adds one row's pixels to their zones.
 fn add_row(
     zones: &mut [Zone; ZONES],
-    cuts: &[Chords; ZONES],
+    chords: &[Chords; ZONES],
     row: &[u8],
     v: usize,
     origin: (usize, usize),
@@ -169,7 +239,7 @@ fn add_row(
     let (mut first, mut end) = ([0usize; ZONES], [0usize; ZONES]);
     let (mut left, mut right) = (0, row.len());
     for zone in (0..ZONES).rev() {
-        let (a, b) = cuts[zone].columns(v as f64);
+        let (a, b) = chords[zone].columns(v as f64);
         left = (a.max(0) as usize).clamp(left, right);
         right = (b.max(0) as usize).clamp(left, right);
         (first[zone], end[zone]) = (left, right);
@@ -214,41 +284,95 @@ fn add_sums(moments: &mut Moments, (n, u, uu): (f64, f64, f64), dv: f64) {
 }
 
 /// Grey levels next to the rims.
+#[derive(Clone, Copy, Debug)]
 struct Levels {
     black: f64,
     disc: f64,
     margin: f64,
-    margin_is_white: bool,
-    /// Change of the grey level by pixel along u and v, mean of black and white.
-    gradient: (f64, f64),
 }
 
 impl Levels {
-    fn of(zones: &Zones) -> Self {
-        let (black_pixels, black_grey) = (zones.pixels(2..=4), zones.grey(2..=4));
-        let black = black_grey.n / black_pixels.n;
+    /// Black and the disc's white, with the deviation of the blurred edge, pixels. The blur follows
+    /// from the levels (by the disc's spread) and the levels from the blur (which mixes them), so
+    /// both are found by turns. The margin is taken to be as white as the disc.
+    fn of_disc(zones: &Zones, cuts: &Cuts, blur_px: f64) -> Option<(Self, f64)> {
+        let black = zones.grey(2..=4).n / zones.pixels(2..=4).n;
         let disc = zones.zones[0].mean();
-        let shell = &zones.zones[6];
-        let margin = shell.mean();
-        let gradient = {
-            let black = slope(&black_pixels, &black_grey);
-            let white = slope(&shell.pixels, &shell.grey);
-            (0.5 * (black.0 + white.0), 0.5 * (black.1 + white.1))
-        };
-        // What the gradient explains is no deviation.
-        let explained = {
-            let g = slope(&shell.pixels, &shell.grey);
-            let n = shell.pixels.n;
-            (shell.pixels.uu * g.0 * g.0
-                + 2.0 * shell.pixels.uv * g.0 * g.1
-                + shell.pixels.vv * g.1 * g.1)
-                / n
-        };
-        let variance = shell.grey_squared / shell.pixels.n - margin * margin - explained;
-        let deviation = variance.max(0.0).sqrt();
-        let margin_is_white = deviation < MARGIN_DEVIATION * (margin - black);
-        Self { black, disc, margin, margin_is_white, gradient }
+        let measured = Self { black, disc, margin: disc };
+        let (mut levels, mut blur_px) = (measured.unmixed(zones, cuts, blur_px), blur_px);
+        for _ in 0..BLUR_TURNS {
+            let seen = disc_shape(zones, &levels)?.spread_px2() / cuts.spread_share(blur_px);
+            blur_px = seen.max(0.0).sqrt().clamp(BLUR_LIMITS_PX.0, BLUR_LIMITS_PX.1);
+            levels = measured.unmixed(zones, cuts, blur_px);
+        }
+        Some((levels, blur_px))
     }
+
+    /// The levels without the blur that mixes black into white and white into black.
+    fn unmixed(&self, zones: &Zones, cuts: &Cuts, blur_px: f64) -> Self {
+        let between = |from_px: f64, to_px: f64| {
+            (moved_px(from_px, blur_px) - moved_px(to_px, blur_px)) / (to_px - from_px)
+        };
+        let (near_inner, near_outer) = cuts.black_px;
+        let of_black = between(near_inner, cuts.ring_px - near_outer)
+            + between(near_outer, cuts.ring_px - near_inner);
+        let core = zones.inner.grown(-zones.cuts.core_px).mean_radius_px();
+        let rim = core + cuts.core_px;
+        let of_disc = 2.0 * rim * moved_px(cuts.core_px, blur_px) / (core * core);
+        let (of_black, of_disc) = (of_black.clamp(0.0, 0.4), of_disc.clamp(0.0, 0.4));
+        // Measured black = black + share × (white - black), and the same of white, solved for both.
+        let contrast = (self.disc - self.black) / (1.0 - of_black - of_disc);
+        let disc = self.disc + of_disc * contrast;
+        Self { black: self.black - of_black * contrast, disc, margin: disc }
+    }
+
+    /// These levels with the margin's own, or `None` if what surrounds the ring up to [`REACH_PX`]
+    /// is not white margin alone.
+    fn margin(&self, zones: &Zones, cuts: &Cuts, blur_px: f64) -> Option<Self> {
+        let (near, far) = (&zones.zones[6], &zones.zones[7]);
+        let unmixed = |zone: &Zone, from_px: f64, to_px: f64| {
+            let of_margin =
+                (moved_px(from_px, blur_px) - moved_px(to_px, blur_px)) / (to_px - from_px);
+            (zone.mean() - of_margin * self.black) / (1.0 - of_margin)
+        };
+        let near_level = unmixed(near, cuts.shells_px.0, cuts.shells_px.1);
+        let far_level = unmixed(far, cuts.shells_px.1, cuts.reach_px);
+        let contrast = far_level - self.black;
+        let falls = near_level - far_level > MARGIN_FALL.0 * contrast + MARGIN_FALL.1;
+        // What a gradient of the lighting explains is no deviation.
+        let g = slope(&far.pixels, &far.grey);
+        let explained = (far.pixels.uu * g.0 * g.0
+            + 2.0 * far.pixels.uv * g.0 * g.1
+            + far.pixels.vv * g.1 * g.1)
+            / far.pixels.n;
+        let variance = far.grey_squared / far.pixels.n - far.mean().powi(2) - explained;
+        let limit = (MARGIN_DEVIATION.0 * contrast).powi(2) + MARGIN_DEVIATION.1.powi(2);
+        if contrast > 0.0 && !falls && variance <= limit {
+            let (n, m) = (near.pixels.n, far.pixels.n);
+            Some(Self { margin: (n * near_level + m * far_level) / (n + m), ..*self })
+        } else {
+            None
+        }
+    }
+}
+
+/// ∫ Φ(-x/σ) dx from `distance_px` to infinity: how far a blur of the deviation σ moves an edge's
+/// light past a line at this distance, pixels. With z = distance/σ that is σ (φ(z) - z Φ(-z)).
+fn moved_px(distance_px: f64, blur_px: f64) -> f64 {
+    if distance_px > 6.0 * blur_px {
+        return 0.0;
+    }
+    let z = distance_px / blur_px;
+    let density = (-0.5 * z * z).exp() / std::f64::consts::TAU.sqrt();
+    (blur_px * (density - z * upper_tail(z))).max(0.0)
+}
+
+/// Φ(-z), to 1e-5 (Abramowitz and Stegun, 26.2.16).
+fn upper_tail(z: f64) -> f64 {
+    let t = 1.0 / (1.0 + 0.33267 * z.abs());
+    let density = (-0.5 * z * z).exp() / std::f64::consts::TAU.sqrt();
+    let tail = density * t * (0.436_183_6 + t * (-0.120_167_6 + t * 0.937_298_0));
+    if z < 0.0 { 1.0 - tail } else { tail }
 }
 
 /// Least-squares gradient of the grey level over a zone.
@@ -266,35 +390,94 @@ fn slope(pixels: &Moments, grey: &Moments) -> (f64, f64) {
     ((vv * gu - uv * gv) / determinant, (uu * gv - uv * gu) / determinant)
 }
 
-/// Both rims from the zones' sums and the levels.
-fn place(zones: &Zones, levels: &Levels) -> Option<Fine> {
-    let (to_disc, to_margin) = (levels.disc - levels.black, levels.margin - levels.black);
-    if to_disc.is_nan() || to_margin.is_nan() || to_disc <= 0.0 || to_margin <= 0.0 {
-        return None;
+/// Levels, blur and rims, found by turns: how the blur mixes the levels depends on the distances
+/// between the cuts and the rims. `None` if the rims cannot be placed, or if the margin's level is
+/// asked for and is not there.
+fn solve(zones: &Zones, with_margin: bool) -> Option<Fine> {
+    let mut cuts = zones.cuts;
+    let mut blur_px = 0.0;
+    let mut fine = None;
+    for _ in 0..RIM_TURNS {
+        let (levels, blur) = Levels::of_disc(zones, &cuts, blur_px)?;
+        blur_px = blur;
+        let placed = if with_margin {
+            let levels = levels.margin(zones, &cuts, blur_px)?;
+            place(zones, &cuts, &levels, (blur_px, gradient(zones)))?
+        } else {
+            place(zones, &cuts, &levels, (blur_px, (0.0, 0.0)))?
+        };
+        let moved = |to: &Ellipse, from: &Ellipse| {
+            (to.mean_radius_px() - from.mean_radius_px()).clamp(-0.4, 0.4)
+        };
+        cuts = zones
+            .cuts
+            .seen_from((moved(&placed.inner, &zones.inner), moved(&placed.outer, &zones.outer)));
+        fine = Some(placed);
     }
-    let disc_band = zones.pixels(1..=2);
-    let mut disc = zones.zones[0].pixels;
-    disc.add(&zones.grey(1..=2), 1.0 / to_disc);
-    disc.add(&disc_band, -levels.black / to_disc);
+    fine
+}
 
-    let roundel_band = zones.pixels(4..=6);
-    let mut roundel = zones.pixels(0..=3);
-    roundel.add(&roundel_band, levels.margin / to_margin);
-    roundel.add(&zones.grey(4..=6), -1.0 / to_margin);
+/// Both rims from the zones' sums and the levels, with what the blur carries past the cuts brought
+/// back.
+fn place(
+    zones: &Zones,
+    cuts: &Cuts,
+    levels: &Levels,
+    (blur_px, gradient): (f64, (f64, f64)),
+) -> Option<Fine> {
+    let to_disc = levels.disc - levels.black;
+    let to_margin = levels.margin - levels.black;
 
     // Light brighter by γ·x on one side adds γ·x / (W - B) to the disc's weights there, and takes
     // as much from the roundel's.
-    let inner = undisturbed(disc.shape(zones.origin)?, &disc_band, levels.gradient, to_disc);
-    let outer =
-        undisturbed(roundel.shape(zones.origin)?, &roundel_band, levels.gradient, -to_margin);
-    let (outer, inner) = (outer.ellipse(), inner.ellipse());
-    let white = levels.disc;
-    (outer.is_valid() && inner.is_valid()).then_some(Fine {
-        outer,
-        inner,
-        black: levels.black,
-        white,
-    })
+    let disc = disc_shape(zones, levels)?;
+    let disc = undisturbed(disc, &zones.pixels(1..=2), gradient, to_disc);
+    let roundel = roundel_shape(zones, levels)?;
+    let roundel = undisturbed(roundel, &zones.pixels(4..=7), gradient, -to_margin);
+    let (inner, outer) = (disc.ellipse(), roundel.ellipse());
+
+    let beyond = |distance_px: f64| moved_px(distance_px, blur_px);
+    let share = inner.mean_radius_px() / outer.mean_radius_px();
+    let outer = outer.grown(
+        beyond(cuts.reach_px) - beyond(cuts.grey_px.1)
+            + share * beyond(cuts.ring_px - cuts.grey_px.1),
+    );
+    let inner = inner.grown(
+        beyond(cuts.grey_px.0)
+            - beyond(cuts.core_px)
+            - beyond(cuts.ring_px - cuts.grey_px.0) / share,
+    );
+    let (black, white) = (levels.black, levels.disc);
+    (outer.is_valid() && inner.is_valid()).then_some(Fine { outer, inner, black, white })
+}
+
+fn disc_shape(zones: &Zones, levels: &Levels) -> Option<Shape> {
+    let contrast = levels.disc - levels.black;
+    if contrast.is_nan() || contrast <= 0.0 {
+        return None;
+    }
+    let mut disc = zones.zones[0].pixels;
+    disc.add(&zones.grey(1..=2), 1.0 / contrast);
+    disc.add(&zones.pixels(1..=2), -levels.black / contrast);
+    disc.shape(zones.origin)
+}
+
+fn roundel_shape(zones: &Zones, levels: &Levels) -> Option<Shape> {
+    let contrast = levels.margin - levels.black;
+    if contrast.is_nan() || contrast <= 0.0 {
+        return None;
+    }
+    let mut roundel = zones.pixels(0..=3);
+    roundel.add(&zones.pixels(4..=7), levels.margin / contrast);
+    roundel.add(&zones.grey(4..=7), -1.0 / contrast);
+    roundel.shape(zones.origin)
+}
+
+/// Change of the grey level by pixel along u and v, mean of black and white.
+fn gradient(zones: &Zones) -> (f64, f64) {
+    let black = slope(&zones.pixels(2..=4), &zones.grey(2..=4));
+    let white = slope(&zones.pixels(6..=7), &zones.grey(6..=7));
+    (0.5 * (black.0 + white.0), 0.5 * (black.1 + white.1))
 }
 
 /// The shape with its centre moved back by what a gradient of the lighting has moved it.
