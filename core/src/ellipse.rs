@@ -208,7 +208,7 @@ impl Shape {
     }
 }
 
-/// Rows of an ellipse: which pixel centres of row v lie inside.
+/// Rows of an ellipse.
 #[derive(Clone, Copy, Debug)]
 pub struct Chords {
     center: PixelPoint,
@@ -229,18 +229,12 @@ impl Chords {
         }
     }
 
-    /// First and end column (possibly equal) of the pixel centres inside, in row `v`.
-    pub fn columns(&self, v: f64) -> (i64, i64) {
+    /// Where row `v` enters and leaves the ellipse; twice the same place if it misses it.
+    pub fn span(&self, v: f64) -> (f64, f64) {
         let dv = v - self.center.v;
-        let rest = 1.0 - dv * dv * self.inverse_vv;
+        let half = self.half_max * (1.0 - dv * dv * self.inverse_vv).max(0.0).sqrt();
         let middle = self.center.u + self.slope * dv;
-        if rest < 0.0 {
-            let nearest = middle.round() as i64;
-            return (nearest, nearest);
-        }
-        let half = self.half_max * rest.sqrt();
-        let first = (middle - half).ceil() as i64;
-        (first, first.max((middle + half).floor() as i64 + 1))
+        (middle - half, middle + half)
     }
 }
 
@@ -254,8 +248,8 @@ mod tests {
         let chords = Chords::new(ellipse);
         let mut sums = Sums::default();
         for v in 0..200 {
-            let (first, end) = chords.columns(f64::from(v));
-            sums.add_run(i64::from(v) - 100, first - 100, end - 100);
+            let (from, to) = chords.span(f64::from(v));
+            sums.add_run(i64::from(v) - 100, from.ceil() as i64 - 100, to.ceil() as i64 - 100);
         }
         Moments::from(&sums).shape((100, 100)).unwrap()
     }

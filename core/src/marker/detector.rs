@@ -12,7 +12,7 @@ use crate::{
         examine::{Probe, Rules, examine},
         kind::{Kind, RATIO_LIMITS, nearest_kind},
         param::{self, DetectorError, Params},
-        refine::refine,
+        refine::{RowScratch, refine},
         reject::{Reject, RejectCounts},
         scan::{Candidate, Peak, ROW_STEP, cross, find_peaks, pair_of_rows},
         threshold::BinarySearch,
@@ -24,7 +24,7 @@ use crate::{
 /// share of the contrast.
 const RETHRESHOLD_SHARE: f64 = 0.03;
 /// Depth of the binary search that a promising candidate is given.
-const SEARCH_DEPTH: u32 = 3;
+const SEARCH_DEPTH: u32 = 2;
 
 /// Finds rings of the given kinds.
 #[derive(Clone, Debug)]
@@ -37,13 +37,20 @@ pub struct Detector {
 /// Memory of detection, kept from frame to frame; nothing is allocated once it has grown.
 #[derive(Debug, Default)]
 pub struct Scratch {
-    pub(crate) fill: FillScratch,
+    pub(crate) measure: MeasureScratch,
     pub(crate) line: Vec<u8>,
     pub(crate) peaks: Vec<Peak>,
     pub(crate) found: Vec<Ring>,
     pub(crate) claims: Vec<Claim>,
     pub(crate) in_row: Vec<usize>,
     pub(crate) rejects: RejectCounts,
+}
+
+/// Memory of measuring one ring.
+#[derive(Debug, Default)]
+pub(crate) struct MeasureScratch {
+    fill: FillScratch,
+    row: RowScratch,
 }
 
 impl Scratch {
@@ -188,7 +195,7 @@ impl Detector {
             threshold,
             bounds: Window::around(frame, center, (half.0 * scale + 3.0, half.1 * scale + 3.0)),
         };
-        self.measure(frame, &probe, &mut scratch.fill)
+        self.measure(frame, &probe, &mut scratch.measure)
     }
 
     /// The ring at a probe: all tests, both rims to a fraction of a pixel, its kind, and the rims
@@ -197,15 +204,16 @@ impl Detector {
         &self,
         frame: &Frame,
         probe: &Probe,
-        fill: &mut FillScratch,
+        scratch: &mut MeasureScratch,
     ) -> Result<Ring, Reject> {
-        let mut coarse = examine(frame, probe, &self.rules, fill)?;
+        let mut coarse = examine(frame, probe, &self.rules, &mut scratch.fill)?;
         let threshold = coarse.threshold();
         let off = f64::from(threshold.abs_diff(probe.threshold));
         if off > RETHRESHOLD_SHARE * (coarse.white - coarse.black) {
-            coarse = examine(frame, &Probe { threshold, ..*probe }, &self.rules, fill)?;
+            coarse =
+                examine(frame, &Probe { threshold, ..*probe }, &self.rules, &mut scratch.fill)?;
         }
-        let fine = refine(frame, &coarse)?;
+        let fine = refine(frame, &coarse, &mut scratch.row)?;
         let (kind, outer, inner) = if self.kinds.is_empty() {
             let ratio = fine.inner.mean_radius_px() / fine.outer.mean_radius_px();
             if ratio < RATIO_LIMITS.0 || ratio > RATIO_LIMITS.1 {

@@ -241,7 +241,9 @@ mod tests {
         let empty = Window { left: 999, top: 999, right: 0, bottom: 0 };
         let mut boxes = [empty; 2];
         for v in 0..120 {
-            let (o, i) = (outer.columns(f64::from(v)), inner.columns(f64::from(v)));
+            let columns = |(from, to): (f64, f64)| (from.ceil() as i64, to.ceil() as i64);
+            let o = columns(outer.span(f64::from(v)));
+            let i = columns(inner.span(f64::from(v)));
             black.add_run(v.into(), o.0, i.0.clamp(o.0, o.1));
             black.add_run(v.into(), i.1.clamp(o.0, o.1), o.1);
             white.add_run(v.into(), i.0, i.1);

@@ -32,7 +32,6 @@ use crate::{
         examine::{Coarse, check_similarity},
         reject::Reject,
     },
-    segment::powers,
 };
 
 /// How far from a rim grey levels count, pixels: beyond it, a blur of 1 px has moved 0.002 px.
@@ -55,6 +54,8 @@ const MARGIN_FALL: (f64, f64) = (0.012, 0.4);
 const MARGIN_DEVIATION: (f64, f64) = (0.1, 3.0);
 /// Deviation of the blurred edge, pixels, where the measured one is out of this range.
 const BLUR_LIMITS_PX: (f64, f64) = (0.4, 1.6);
+/// Variance that a cut through pixels adds to an edge: 1/12 along u, nothing along v.
+const CUT_SPREAD_PX2: f64 = 1.0 / 24.0;
 /// Turns in which levels and blur are found.
 const BLUR_TURNS: usize = 2;
 /// Turns in which they and the rims are found.
@@ -76,7 +77,11 @@ pub(crate) struct Fine {
 }
 
 /// Places both rims by grey levels.
-pub(crate) fn refine(frame: &Frame, coarse: &Coarse) -> Result<Fine, Reject> {
+pub(crate) fn refine(
+    frame: &Frame,
+    coarse: &Coarse,
+    scratch: &mut RowScratch,
+) -> Result<Fine, Reject> {
     let to_edge_px = reach_to_edge(frame, &coarse.outer);
     if to_edge_px < EDGE_PX {
         return Err(Reject::FrameEdge);
@@ -84,9 +89,9 @@ pub(crate) fn refine(frame: &Frame, coarse: &Coarse) -> Result<Fine, Reject> {
     let sure_px = SURE_MARGIN_SHARE * coarse.outer.semi_minor_px - MARGIN_EDGE_PX;
     let sure_px = sure_px.clamp(LEAST_REACH_PX, REACH_PX.min(to_edge_px));
     let wide = to_edge_px >= REACH_PX;
-    let zones = Zones::collect(frame, coarse, if wide { REACH_PX } else { sure_px });
+    let zones = Zones::collect(frame, coarse, if wide { REACH_PX } else { sure_px }, scratch);
     let fine = match solve(&zones, wide) {
-        None if wide => solve(&Zones::collect(frame, coarse, sure_px), false),
+        None if wide => solve(&Zones::collect(frame, coarse, sure_px, scratch), false),
         solved => solved,
     };
     let fine = fine.ok_or(Reject::Profile)?;
@@ -189,7 +194,7 @@ struct Zones {
 }
 
 impl Zones {
-    fn collect(frame: &Frame, coarse: &Coarse, reach_px: f64) -> Self {
+    fn collect(frame: &Frame, coarse: &Coarse, reach_px: f64, scratch: &mut RowScratch) -> Self {
         let (outer, inner) = (coarse.outer, coarse.inner);
         let cuts = Cuts::new(&outer, &inner, reach_px);
         let chords = [
@@ -208,7 +213,14 @@ impl Zones {
         let bottom = ((outer.center.v + half_v) as usize + 1).min(frame.height());
         let mut zones = [Zone::default(); ZONES];
         for v in top..bottom {
-            add_row(&mut zones, &chords, frame.row(v), v, origin);
+            add_row(&mut zones, &chords, frame, (v, origin), scratch);
+        }
+        // What lies inside a cut, less what lies inside the next one, is the zone between them.
+        for zone in (1..ZONES).rev() {
+            let within = zones[zone - 1];
+            zones[zone].pixels.add(&within.pixels, -1.0);
+            zones[zone].grey.add(&within.grey, -1.0);
+            zones[zone].grey_squared -= within.grey_squared;
         }
         Self { zones, origin, cuts, outer, inner }
     }
@@ -226,55 +238,99 @@ impl Zones {
     }
 }
 
-/// Adds one row's pixels to their zones.
+/// Σ I, Σ I u, Σ I u², Σ I² of a row's pixels before one of them.
+#[derive(Clone, Copy, Debug, Default)]
+pub(crate) struct Prefix {
+    s: i64,
+    su: i64,
+    suu: i64,
+    squares: i64,
+}
+
+/// Memory of [`refine`]: one row's prefix sums.
+pub(crate) type RowScratch = Vec<Prefix>;
+
+/// A stretch of a row of the frame, columns from `start` on, with its prefix sums; u is counted from
+/// the origin and `dv` is the row's distance from it.
+struct Line<'a> {
+    row: &'a [u8],
+    prefix: &'a [Prefix],
+    start: usize,
+    origin: f64,
+    dv: f64,
+}
+
+/// Sums of the row before a place, as [n, u, u², I, I u, I u², I²]; pixel u reaches from u - 1/2 to
+/// u + 1/2. A pixel that a cut goes through belongs to both sides, by the share of its width: whole
+/// pixels would make the sums jump as the rims move.
+fn before(line: &Line, place: f64) -> [f64; 7] {
+    let whole = ((place + 0.5) as usize - line.start).min(line.row.len() - 1);
+    let share = place + 0.5 - (line.start + whole) as f64;
+    let n = whole as f64;
+    let first = line.start as f64 - line.origin;
+    let du = first + n;
+    // Σ k = n (n - 1) / 2 and Σ k² = n (n - 1) (2 n - 1) / 6 over 0 ≤ k < n.
+    let k = 0.5 * n * (n - 1.0);
+    let kk = k * (2.0 * n - 1.0) * (1.0 / 3.0);
+    let prefix = &line.prefix[whole];
+    let grey = f64::from(line.row[whole]) * share;
+    [
+        n + share,
+        n * first + k + share * du,
+        n * first * first + 2.0 * first * k + kk + share * du * du,
+        prefix.s as f64 + grey,
+        prefix.su as f64 + grey * du,
+        prefix.suu as f64 + grey * du * du,
+        prefix.squares as f64 + grey * f64::from(line.row[whole]),
+    ]
+}
+
+/// Adds one row to the sums over what lies inside each cut.
 fn add_row(
-    zones: &mut [Zone; ZONES],
+    inside: &mut [Zone; ZONES],
     chords: &[Chords; ZONES],
-    row: &[u8],
-    v: usize,
-    origin: (usize, usize),
+    frame: &Frame,
+    (v, origin): (usize, (usize, usize)),
+    scratch: &mut RowScratch,
 ) {
+    let width = frame.width();
     // From the outside in, so that each chord stays inside the one round it even where the coarse
     // rims are not quite concentric.
-    let (mut first, mut end) = ([0usize; ZONES], [0usize; ZONES]);
-    let (mut left, mut right) = (0, row.len());
+    let mut spans = [(0.0, 0.0); ZONES];
+    let (mut left, mut right) = (-0.5, width as f64 - 0.5);
     for zone in (0..ZONES).rev() {
-        let (a, b) = chords[zone].columns(v as f64);
-        left = (a.max(0) as usize).clamp(left, right);
-        right = (b.max(0) as usize).clamp(left, right);
-        (first[zone], end[zone]) = (left, right);
+        let (from, to) = chords[zone].span(v as f64);
+        (left, right) = (from.clamp(left, right), to.clamp(left, right));
+        spans[zone] = (left, right);
+    }
+    let (left, right) = spans[ZONES - 1];
+    let start = ((left + 0.5) as usize).min(width - 1);
+    let end = ((right + 0.5) as usize + 1).min(width);
+    let row = &frame.row(v)[start..end];
+    scratch.clear();
+    let mut sum = Prefix::default();
+    for (u, &grey) in (start as i64 - origin.0 as i64..).zip(row) {
+        scratch.push(sum);
+        let grey = i64::from(grey);
+        sum.s += grey;
+        sum.su += grey * u;
+        sum.suu += grey * u * u;
+        sum.squares += grey * grey;
     }
     let dv = v as f64 - origin.1 as f64;
-    for zone in 0..ZONES {
-        if zone == 0 || first[zone - 1] == end[zone - 1] {
-            add_piece(&mut zones[zone], row, (first[zone], end[zone]), origin.0, dv);
-        } else {
-            add_piece(&mut zones[zone], row, (first[zone], first[zone - 1]), origin.0, dv);
-            add_piece(&mut zones[zone], row, (end[zone - 1], end[zone]), origin.0, dv);
+    let line = Line { row, prefix: scratch, start, origin: origin.0 as f64, dv };
+    for (zone, (left, right)) in inside.iter_mut().zip(spans) {
+        if left < right {
+            let (from, to) = (before(&line, left), before(&line, right));
+            let sums: [f64; 7] = std::array::from_fn(|i| to[i] - from[i]);
+            add_sums(&mut zone.pixels, [sums[0], sums[1], sums[2]], line.dv);
+            add_sums(&mut zone.grey, [sums[3], sums[4], sums[5]], line.dv);
+            zone.grey_squared += sums[6];
         }
     }
 }
 
-fn add_piece(zone: &mut Zone, row: &[u8], (first, end): (usize, usize), origin: usize, dv: f64) {
-    if first >= end {
-        return;
-    }
-    let start = first as i64 - origin as i64;
-    let (mut s, mut su, mut suu, mut squares) = (0i64, 0i64, 0i64, 0i64);
-    for (u, &grey) in (start..).zip(&row[first..end]) {
-        let grey = i64::from(grey);
-        s += grey;
-        su += grey * u;
-        suu += grey * u * u;
-        squares += grey * grey;
-    }
-    let (n, u, uu) = powers(start, end as i64 - origin as i64);
-    add_sums(&mut zone.pixels, (n as f64, u as f64, uu as f64), dv);
-    add_sums(&mut zone.grey, (s as f64, su as f64, suu as f64), dv);
-    zone.grey_squared += squares as f64;
-}
-
-fn add_sums(moments: &mut Moments, (n, u, uu): (f64, f64, f64), dv: f64) {
+fn add_sums(moments: &mut Moments, [n, u, uu]: [f64; 3], dv: f64) {
     moments.n += n;
     moments.u += u;
     moments.v += n * dv;
@@ -357,8 +413,10 @@ impl Levels {
 }
 
 /// ∫ Φ(-x/σ) dx from `distance_px` to infinity: how far a blur of the deviation σ moves an edge's
-/// light past a line at this distance, pixels. With z = distance/σ that is σ (φ(z) - z Φ(-z)).
+/// light past a cut at this distance, pixels. With z = distance/σ that is σ (φ(z) - z Φ(-z)).
+/// Sharing a pixel between the sides of the cut blurs it once more, by the pixel's width along u.
 fn moved_px(distance_px: f64, blur_px: f64) -> f64 {
+    let blur_px = (blur_px * blur_px + CUT_SPREAD_PX2).sqrt();
     if distance_px > 6.0 * blur_px {
         return 0.0;
     }

@@ -19,6 +19,11 @@ use crate::{
 /// Rows are looked at in pairs, as their mean: less noise, and half the work.
 pub(crate) const ROW_STEP: usize = 2;
 
+/// White's share of two chords through the centre may differ by this much …
+const RATIO_SLACK: f64 = 0.1;
+/// … and by a pixel and a half of the shorter half chord.
+const RATIO_SLACK_PX: f64 = 1.5;
+
 /// A peak of a row between two valleys.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(crate) struct Peak {
@@ -93,6 +98,11 @@ impl Chord {
         (self.inner.0 + self.inner.1 - 1) / 2
     }
 
+    /// Share of white.
+    fn ratio(&self) -> f64 {
+        (self.inner.1 - self.inner.0) as f64 / (self.outer.1 - self.outer.0) as f64
+    }
+
     fn half_px(&self) -> f64 {
         0.5 * (self.outer.1 - self.outer.0) as f64
     }
@@ -146,6 +156,22 @@ pub(crate) fn cross(
         .ok_or(Reject::Chord)?;
     let v = column.middle();
     let row = along_row(u, v, limit)?;
+    let u = row.middle();
+    // Through the centre, white has the same share of every chord; both diagonals tell squares and
+    // letters from rings.
+    let white = |u: usize, v: usize| frame.row(v)[u] >= threshold;
+    let (left, up, down) = (u.min(v), v.min(frame.width() - 1 - u), frame.height() - 1 - v);
+    let falling = left + (frame.width() - 1 - u).min(down) + 1;
+    let falling = chord(falling, left, limit, |x| white(u + x - left, v + x - left));
+    let rising = up + u.min(down) + 1;
+    let rising = chord(rising, up, limit, |x| white(u + up - x, v + x - up));
+    let slack = RATIO_SLACK + RATIO_SLACK_PX / row.half_px().min(column.half_px());
+    for diagonal in [falling, rising] {
+        let diagonal = diagonal.filter(Chord::is_even).ok_or(Reject::Chord)?;
+        if (diagonal.ratio() - row.ratio()).abs() > slack {
+            return Err(Reject::Chord);
+        }
+    }
     Ok(Candidate {
         center: (row.middle(), v),
         black: ((row.outer.0 + row.inner.0) / 2, v),

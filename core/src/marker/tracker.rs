@@ -163,7 +163,7 @@ impl Tracker {
         for track in &mut self.tracks {
             let scratch = &mut self.scratch;
             let measured = probe(frame, track)
-                .and_then(|probe| self.detector.measure(frame, &probe, &mut scratch.fill))
+                .and_then(|probe| self.detector.measure(frame, &probe, &mut scratch.measure))
                 .and_then(|ring| {
                     if scratch.claims.iter().any(|claim| claim.covers(&ring)) {
                         return Err(Reject::Claimed);

@@ -96,6 +96,13 @@ impl Drawing {
         }
     }
 
+    /// Adds light by pixel, unblurred.
+    pub fn stripe(&mut self, light: impl Fn(usize, usize) -> f64) {
+        for (v, row) in self.light.chunks_exact_mut(self.width).enumerate() {
+            row.iter_mut().enumerate().for_each(|(u, value)| *value += light(u, v));
+        }
+    }
+
     /// Multiplies the light by 1 + (u - middle) × `share` / width.
     pub fn shade(&mut self, share: f64) {
         let middle = 0.5 * self.width as f64;

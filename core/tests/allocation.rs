@@ -1,0 +1,59 @@
+//! Nothing is allocated per frame once detector and tracker are warm.
+
+mod drawing;
+
+use drawing::{Drawing, Roundel, ellipse, frame};
+use roundel_core::marker::{Detector, Params, Scratch, Tracker};
+
+const SIDE: usize = 300;
+
+/// Nine roundels, moved by `shift` pixels, one of them missing in each third frame.
+fn picture(shift: f64, frame: u64) -> Vec<u8> {
+    let mut drawing = Drawing::new(SIDE, SIDE, 90.0, 0.7);
+    for place in 0..9u32 {
+        if u64::from(place) == frame % 3 * 4 {
+            continue;
+        }
+        let at = (
+            50.0 + 95.0 * f64::from(place % 3) + shift,
+            50.0 + 95.0 * f64::from(place / 3) - shift,
+        );
+        let outer = ellipse(at, (12.0 + f64::from(place), 11.0), 0.3);
+        let roundel = Roundel { outer, ratio: 0.5, margin: 1.4, black: 40.0, white: 200.0 };
+        drawing.add(&roundel, 90.0);
+    }
+    drawing.picture(2.0, frame)
+}
+
+#[test]
+fn a_warm_detector_allocates_nothing() {
+    let detector = Detector::new(Vec::new(), Params::default()).unwrap();
+    let pictures: Vec<Vec<u8>> = (0..6).map(|i| picture(i as f64, i)).collect();
+    let mut scratch = Scratch::default();
+    for picture in &pictures {
+        assert_eq!(detector.detect(&frame(picture, SIDE), &mut scratch).len(), 8);
+    }
+    let spent = allocation_counter::measure(|| {
+        for picture in &pictures {
+            detector.detect(&frame(picture, SIDE), &mut scratch);
+        }
+    });
+    assert_eq!(spent.count_total, 0);
+}
+
+#[test]
+fn a_warm_tracker_allocates_nothing() {
+    let detector = Detector::new(Vec::new(), Params::default()).unwrap();
+    let pictures: Vec<Vec<u8>> = (0..12).map(|i| picture(i as f64, i)).collect();
+    let mut tracker = Tracker::new(detector);
+    for picture in &pictures {
+        tracker.process(&frame(picture, SIDE));
+    }
+    let spent = allocation_counter::measure(|| {
+        for picture in pictures.iter().rev() {
+            tracker.process(&frame(picture, SIDE));
+        }
+    });
+    assert_eq!(spent.count_total, 0);
+    assert_eq!(tracker.process(&frame(&pictures[0], SIDE)).len(), 8);
+}

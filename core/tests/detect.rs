@@ -1,0 +1,288 @@
+//! Detection and tracking on drawn frames: symmetries, lighting, edges, identity.
+
+mod drawing;
+
+use drawing::{Drawing, Roundel, ellipse, frame};
+use proptest::prelude::*;
+use roundel_core::{
+    ellipse::Ellipse,
+    frame::Frame,
+    id::KindId,
+    marker::{Detector, Kind, Params, Reject, Ring, Scratch, TrackedRing, Tracker},
+};
+
+const WIDTH: usize = 200;
+const HEIGHT: usize = 160;
+
+fn kind(name: &str, ratio: f64) -> Kind {
+    Kind { name: name.into(), outer_diameter_m: 0.16, inner_diameter_m: 0.16 * ratio }
+}
+
+fn any_ring() -> Detector {
+    Detector::new(Vec::new(), Params::default()).unwrap()
+}
+
+fn roundel(at: (f64, f64), radius: f64, ratio: f64) -> Roundel {
+    let outer = ellipse(at, (radius, radius), 0.0);
+    Roundel { outer, ratio, margin: 1.4, black: 40.0, white: 200.0 }
+}
+
+fn drawn(roundels: &[Roundel], noise: f64, seed: u64) -> Vec<u8> {
+    let mut drawing = Drawing::new(WIDTH, HEIGHT, 90.0, 0.7);
+    roundels.iter().for_each(|roundel| drawing.add(roundel, 90.0));
+    drawing.picture(noise, seed)
+}
+
+fn detect(detector: &Detector, picture: &[u8], width: usize) -> Vec<Ring> {
+    detector.detect(&frame(picture, width), &mut Scratch::default()).to_vec()
+}
+
+fn distance(rim: &Ellipse, (u, v): (f64, f64)) -> f64 {
+    (rim.center.u - u).hypot(rim.center.v - v)
+}
+
+/// The picture and a point of it, turned by quarter turns and then mirrored.
+fn turned(picture: &[u8], width: usize, quarters: usize, mirror: bool) -> (Vec<u8>, usize) {
+    let (mut picture, mut width) = (picture.to_vec(), width);
+    for _ in 0..quarters {
+        let height = picture.len() / width;
+        // (u, v) goes to (height - 1 - v, u).
+        let at = |u: usize, v: usize| picture[(height - 1 - u) * width + v];
+        picture = (0..width).flat_map(|v| (0..height).map(move |u| at(u, v))).collect();
+        width = height;
+    }
+    if mirror {
+        picture.chunks_exact_mut(width).for_each(<[u8]>::reverse);
+    }
+    (picture, width)
+}
+
+fn turned_point(at: (f64, f64), quarters: usize, mirror: bool) -> (f64, f64) {
+    let (mut at, mut size) = (at, (WIDTH as f64, HEIGHT as f64));
+    for _ in 0..quarters {
+        at = (size.1 - 1.0 - at.1, at.0);
+        size = (size.1, size.0);
+    }
+    if mirror { (size.0 - 1.0 - at.0, at.1) } else { at }
+}
+
+proptest! {
+    #![proptest_config(ProptestConfig { failure_persistence: None, ..ProptestConfig::with_cases(48) })]
+
+    #[test]
+    fn quarter_turns_and_mirrors_move_the_rims_along(
+        u in 60.0..140.0f64,
+        v in 60.0..100.0f64,
+        radius in 10.0..30.0f64,
+        tilt in 0.7..1.0f64,
+        angle in -1.5..1.5f64,
+        quarters in 0usize..4,
+        mirror: bool,
+    ) {
+        let mut roundel = roundel((u, v), radius, 0.45);
+        // Wide enough that the same path is taken in every orientation.
+        roundel.margin = 1.6;
+        roundel.outer = ellipse((u, v), (radius, radius * tilt), angle);
+        let picture = drawn(&[roundel], 0.0, 1);
+        let upright = detect(&any_ring(), &picture, WIDTH);
+        let (picture, width) = turned(&picture, WIDTH, quarters, mirror);
+        let rings = detect(&any_ring(), &picture, width);
+        prop_assert_eq!(upright.len(), 1);
+        prop_assert_eq!(rings.len(), 1);
+        for (rim, before) in [(rings[0].outer, upright[0].outer), (rings[0].inner, upright[0].inner)] {
+            let at = turned_point((before.center.u, before.center.v), quarters, mirror);
+            prop_assert!(distance(&rim, at) < 0.03, "{:?} {:?}", rim, at);
+            prop_assert!((rim.semi_major_px - before.semi_major_px).abs() < 0.05);
+            prop_assert!((rim.semi_minor_px - before.semi_minor_px).abs() < 0.05);
+        }
+    }
+
+    #[test]
+    fn brighter_pixels_leave_the_rims_where_they_are(
+        u in 60.0..140.0f64,
+        v in 60.0..100.0f64,
+        radius in 8.0..30.0f64,
+        offset in 1u8..40,
+    ) {
+        let picture = drawn(&[roundel((u, v), radius, 0.45)], 2.0, 3);
+        let brighter: Vec<u8> = picture.iter().map(|&grey| grey + offset).collect();
+        let (before, after) =
+            (detect(&any_ring(), &picture, WIDTH), detect(&any_ring(), &brighter, WIDTH));
+        prop_assert_eq!(before.len(), 1);
+        prop_assert_eq!(after.len(), 1);
+        let (before, after) = (before[0], after[0]);
+        prop_assert!(distance(&after.outer, (before.outer.center.u, before.outer.center.v)) < 1e-9);
+        prop_assert!((after.outer.semi_major_px - before.outer.semi_major_px).abs() < 1e-9);
+        prop_assert!((after.inner.semi_minor_px - before.inner.semi_minor_px).abs() < 1e-9);
+        prop_assert_eq!(u16::from(after.threshold), u16::from(before.threshold) + u16::from(offset));
+    }
+
+    #[test]
+    fn no_picture_panics(
+        width in 1usize..40,
+        height in 1usize..40,
+        values in proptest::collection::vec(0usize..4, 1600),
+    ) {
+        let greys = [0, 60, 130, 255];
+        let picture: Vec<u8> = values.iter().map(|&value| greys[value]).collect();
+        let picture = &picture[..width * height];
+        let mut tracker = Tracker::new(any_ring());
+        for _ in 0..2 {
+            for tracked in tracker.process(&frame(picture, width)) {
+                prop_assert!(tracked.ring.outer.is_valid() && tracked.ring.inner.is_valid());
+            }
+        }
+    }
+}
+
+#[test]
+fn a_gradient_of_the_light_moves_no_centre() {
+    let roundel = roundel((100.3, 80.6), 20.0, 0.4);
+    let mut drawing = Drawing::new(WIDTH, HEIGHT, 90.0, 0.7);
+    drawing.add(&roundel, 90.0);
+    // From 0.7 to 1.3 of the light over the frame: a tenth of it over the roundel.
+    drawing.shade(0.3);
+    let rings = detect(&any_ring(), &drawing.picture(0.0, 1), WIDTH);
+    assert_eq!(rings.len(), 1);
+    let off = distance(&rings[0].outer, (100.3, 80.6));
+    assert!(off < 0.05, "{off}");
+    assert!((rings[0].outer.semi_major_px - 20.0).abs() < 0.04, "{:?}", rings[0]);
+}
+
+#[test]
+fn a_ring_cut_by_the_edge_is_refused_and_counted() {
+    for at in [(5.0, 80.0), (100.0, 5.0), (195.0, 80.0), (100.0, 155.0), (14.7, 80.0)] {
+        let picture = drawn(&[roundel(at, 15.0, 0.5)], 1.0, 1);
+        let mut scratch = Scratch::default();
+        let rings = any_ring().detect(&frame(&picture, WIDTH), &mut scratch);
+        assert!(rings.is_empty(), "{at:?} {rings:?}");
+    }
+    let picture = drawn(&[roundel((14.7, 80.0), 15.0, 0.5)], 1.0, 1);
+    let mut scratch = Scratch::default();
+    any_ring().detect(&frame(&picture, WIDTH), &mut scratch);
+    assert!(scratch.rejects().count(Reject::FrameEdge) > 0, "{:?}", scratch.rejects());
+}
+
+#[test]
+fn kinds_are_told_apart_and_others_refused() {
+    let detector =
+        Detector::new(vec![kind("robot", 0.4), kind("reference", 0.6)], Params::default()).unwrap();
+    let roundels = [
+        roundel((40.0, 40.0), 15.0, 0.6),
+        roundel((110.0, 50.0), 20.0, 0.4),
+        roundel((150.0, 110.0), 15.0, 0.25),
+    ];
+    let rings = detect(&detector, &drawn(&roundels, 2.0, 5), WIDTH);
+    assert_eq!(rings.len(), 2);
+    for (ring, (truth, kind)) in rings.iter().zip([(roundels[0], 1), (roundels[1], 0)]) {
+        assert!(distance(&ring.outer, (truth.outer.center.u, truth.outer.center.v)) < 0.05);
+        assert_eq!(ring.kind, Some(KindId(kind)));
+    }
+}
+
+#[test]
+fn no_more_than_the_limit_are_found() {
+    let roundels: Vec<Roundel> =
+        (0..3).map(|i| roundel((35.0 + 60.0 * f64::from(i), 80.0), 15.0, 0.5)).collect();
+    let picture = drawn(&roundels, 1.0, 1);
+    let detector =
+        Detector::new(Vec::new(), Params { max_roundels: 2, ..Params::default() }).unwrap();
+    assert_eq!(detect(&detector, &picture, WIDTH).len(), 2);
+    let mut tracker = Tracker::new(detector);
+    for _ in 0..8 {
+        assert_eq!(tracker.process(&frame(&picture, WIDTH)).len(), 2);
+    }
+}
+
+/// Feeds frames of moving roundels to a tracker; gives what it says of each frame.
+fn follow(tracker: &mut Tracker, frames: &[Vec<Roundel>]) -> Vec<Vec<TrackedRing>> {
+    let pictures = (0..).zip(frames).map(|(seed, roundels)| drawn(roundels, 2.0, seed));
+    pictures.map(|picture| tracker.process(&frame(&picture, WIDTH)).to_vec()).collect()
+}
+
+fn numbers(tracked: &[TrackedRing]) -> Vec<u64> {
+    tracked.iter().map(|ring| ring.track.0).collect()
+}
+
+#[test]
+fn numbers_stay_with_their_roundels() {
+    // Two roundels pass each other, one of them speeding up to 6 px a frame.
+    let frames: Vec<Vec<Roundel>> = (0..24)
+        .map(|i| {
+            let t = f64::from(i);
+            vec![
+                roundel((30.0 + 0.26 * t * t, 50.0), 14.0, 0.5),
+                roundel((160.0 - 3.0 * t, 105.0 - 0.3 * t), 17.0, 0.4),
+            ]
+        })
+        .collect();
+    let mut tracker = Tracker::new(any_ring());
+    for (tracked, truth) in follow(&mut tracker, &frames).iter().zip(&frames) {
+        assert_eq!(numbers(tracked), [1, 2]);
+        for (tracked, truth) in tracked.iter().zip(truth) {
+            let at = (truth.outer.center.u, truth.outer.center.v);
+            assert!(distance(&tracked.ring.outer, at) < 0.1);
+        }
+    }
+}
+
+#[test]
+fn a_hidden_roundel_keeps_its_number_for_a_while() {
+    let at = |i: u32| roundel((30.0 + 2.0 * f64::from(i), 80.0), 14.0, 0.5);
+    for (hidden, after) in [(3, 1), (5, 1), (6, 2)] {
+        let frames: Vec<Vec<Roundel>> = (0..20)
+            .map(|i| if (8..8 + hidden).contains(&i) { Vec::new() } else { vec![at(i)] })
+            .collect();
+        let tracked = follow(&mut Tracker::new(any_ring()), &frames);
+        assert_eq!(numbers(&tracked[7]), [1]);
+        assert_eq!(numbers(&tracked[8]), [0u64; 0]);
+        assert_eq!(numbers(&tracked[19]), [after], "hidden for {hidden} frames");
+    }
+}
+
+#[test]
+fn a_roundel_elsewhere_is_another_one() {
+    let mut frames = vec![vec![roundel((40.0, 40.0), 14.0, 0.5)]; 3];
+    frames.extend(vec![vec![roundel((150.0, 110.0), 14.0, 0.5)]; 9]);
+    let tracked = follow(&mut Tracker::new(any_ring()), &frames);
+    assert_eq!(numbers(&tracked[2]), [1]);
+    assert_eq!(numbers(tracked.last().unwrap()), [2]);
+}
+
+#[test]
+fn a_new_roundel_is_found_while_another_is_followed() {
+    let (first, second) = (roundel((40.0, 40.0), 14.0, 0.5), roundel((150.0, 120.0), 9.0, 0.5));
+    let mut frames = vec![vec![first]; 2];
+    frames.extend(vec![vec![first, second]; 5]);
+    let tracked = follow(&mut Tracker::new(any_ring()), &frames);
+    assert!(tracked.iter().all(|tracked| tracked[0].track.0 == 1));
+    let found_after = Params::default().search_frames as usize + 1;
+    assert_eq!(numbers(&tracked[1 + found_after]), [1, 2]);
+}
+
+#[test]
+fn a_sudden_change_of_light_loses_nobody() {
+    let mut tracker = Tracker::new(any_ring());
+    for (light, seed) in [(1.0, 1), (0.4, 2), (1.2, 3), (0.3, 4)] {
+        let mut drawing = Drawing::new(WIDTH, HEIGHT, 90.0, 0.7);
+        drawing.add(&roundel((90.0, 70.0), 14.0, 0.5), 90.0);
+        let picture: Vec<u8> = drawing
+            .picture(1.0, seed)
+            .iter()
+            .map(|&grey| (f64::from(grey) * light).round() as u8)
+            .collect();
+        assert_eq!(numbers(tracker.process(&frame(&picture, WIDTH))), [1], "light {light}");
+    }
+}
+
+#[test]
+fn another_size_of_frame_starts_afresh() {
+    let picture = drawn(&[roundel((60.0, 60.0), 14.0, 0.5)], 1.0, 1);
+    let mut tracker = Tracker::new(any_ring());
+    assert_eq!(numbers(tracker.process(&frame(&picture, WIDTH))), [1]);
+    let smaller = Frame::new(&picture, WIDTH - 40, HEIGHT - 30, WIDTH).unwrap();
+    assert_eq!(numbers(tracker.process(&smaller)), [2]);
+    let one = Frame::new(&[0], 1, 1, 1).unwrap();
+    assert!(tracker.process(&one).is_empty());
+    assert_eq!(numbers(tracker.process(&frame(&picture, WIDTH))), [3]);
+}
