@@ -13,6 +13,8 @@ import { TRAIL_MS } from "./store.js";
 const FLYING_M = 0.5;
 /** The line of the velocity ends where the object will be after this time, s. */
 const LEAD_S = 0.5;
+/** Ellipses are filled up to this part of the arena's smaller side. */
+const LARGEST_FILL = 0.25;
 /** Trails fade in so many steps; each step is one stroke for all objects of a stage. */
 const TRAIL_BANDS = 4;
 /** A trail is not drawn across a gap in time longer than this, ms. */
@@ -134,9 +136,12 @@ function drawEllipse(context, view, palette, { state }, options) {
     2 * Math.PI,
   );
   const color = palette.stage[state.stage];
-  context.fillStyle = color;
-  context.globalAlpha = 0.12;
-  context.fill();
+  // A new object may be known to metres only; filled, it would tint the whole arena.
+  if (ellipse.majorM * stretch < LARGEST_FILL * Math.min(view.width, view.height)) {
+    context.fillStyle = color;
+    context.globalAlpha = 0.12;
+    context.fill();
+  }
   context.globalAlpha = 0.75;
   context.strokeStyle = color;
   context.lineWidth = 1;
