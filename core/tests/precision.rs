@@ -152,7 +152,7 @@ fn bounds(case: &Case) -> (f64, f64) {
         (_, t) if t > 50.0 => 0.0025,
         _ => 0.0015,
     };
-    let center = 0.9 / case.diameter_px;
+    let center = 1.2 / case.diameter_px;
     if sharp { (0.5 * bias, 0.5 * center) } else { (bias, center) }
 }
 
