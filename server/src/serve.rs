@@ -114,7 +114,11 @@ impl Server {
             api: None,
         };
         server.start_threads(&config)?;
-        let limits = api::Limits { max_clients: config.limits.max_clients, grace: CLIENT_GRACE };
+        let limits = api::Limits {
+            max_clients: config.limits.max_clients,
+            grace: CLIENT_GRACE,
+            ..api::Limits::default()
+        };
         let cancel = server.cancel_clients.clone();
         server.api = Some(tokio::spawn(api::serve(listener, hub, clock, limits, cancel)));
         Ok(server)

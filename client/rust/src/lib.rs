@@ -1,1 +1,38 @@
-//! x
+//! Async client for Roundel servers: where every robot is, live.
+//!
+//! ```no_run
+//! use futures::StreamExt;
+//! use roundel_client::{Client, Subscription, Update};
+//!
+//! # async fn example() -> Result<(), roundel_client::Error> {
+//! let client = Client::connect("http://127.0.0.1:7670").await?;
+//! let mut snapshots = client.snapshots(Subscription::default().ids([1]));
+//! while let Some(update) = snapshots.next().await {
+//!     match update? {
+//!         Update::Snapshot(snapshot) => println!("{:?}", snapshot.objects),
+//!         Update::Disconnected { reason, .. } => eprintln!("lost the server: {reason}"),
+//!         Update::Reconnected { missed } => eprintln!("back, {missed:?} snapshots later"),
+//!     }
+//! }
+//! # Ok(())
+//! # }
+//! ```
+//!
+//! Messages are those of [`v1`], whose `.proto` files say what each field means, in which unit and
+//! frame. [`Snapshots`] go on by themselves when the server comes back; everything else is one call
+//! or one stream, and ends with an error that says what to do.
+
+mod address;
+mod backoff;
+mod client;
+mod error;
+mod snapshot;
+mod state;
+mod subscription;
+
+pub use client::{Client, Messages};
+pub use error::Error;
+pub use roundel_proto::v1;
+pub use snapshot::{Snapshots, Update};
+pub use state::{position_sigma_m, speed_m_s};
+pub use subscription::Subscription;

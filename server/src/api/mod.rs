@@ -50,11 +50,17 @@ pub struct Limits {
     pub max_clients: usize,
     /// How long clients may take to end after the shutdown's begin, before they are cut off.
     pub grace: Duration,
+    /// How long a WebSocket client may take no bytes before it is cut off.
+    pub send_timeout: Duration,
 }
 
 impl Default for Limits {
     fn default() -> Self {
-        Self { max_clients: 1000, grace: Duration::from_secs(2) }
+        Self {
+            max_clients: 1000,
+            grace: Duration::from_secs(2),
+            send_timeout: Duration::from_secs(10),
+        }
     }
 }
 
@@ -81,6 +87,8 @@ pub struct Api {
     pub clock: Clock,
     /// Set when the server goes down.
     pub cancel: CancellationToken,
+    /// What the port allows.
+    pub limits: Limits,
     /// What the port has done so far.
     pub counters: Counters,
     pictures: picture::Gallery,
@@ -100,11 +108,11 @@ pub async fn serve(
 ) {
     let pictures = picture::Gallery::new(hub.installation().cameras.len());
     let counters = Counters::default();
-    let api = Arc::new(Api { hub, clock, cancel: cancel.clone(), counters, pictures });
+    let api = Arc::new(Api { hub, clock, cancel, limits, counters, pictures });
     let (grpc_router, health) = grpc::router(&api);
     let http_router = rest::router(api.clone());
     let readiness = tokio::spawn(metrics::report_readiness(api.clone(), health));
-    port::run(listener, port::Dispatch { grpc_router, http_router }, limits, api).await;
+    port::run(listener, port::Dispatch { grpc_router, http_router }, api).await;
     // It watches the same token, so it has ended.
     let _ = readiness.await;
 }

@@ -31,7 +31,7 @@ use tokio::{
 use tonic::Status;
 use tower::ServiceExt;
 
-use super::{Api, Limits, error::ApiError};
+use super::{Api, error::ApiError};
 
 /// Bytes that the kernel may hold unsent for a client. More would be stale snapshots: a slow client
 /// is to find the newest one when it comes back.
@@ -76,8 +76,8 @@ fn is_grpc<B>(request: &Request<B>) -> bool {
 }
 
 /// Accepts until cancellation, then waits for the last client within the grace time.
-pub(super) async fn run(listener: TcpListener, dispatch: Dispatch, limits: Limits, api: Arc<Api>) {
-    let max_clients = limits.max_clients.clamp(1, u32::MAX as usize >> 4);
+pub(super) async fn run(listener: TcpListener, dispatch: Dispatch, api: Arc<Api>) {
+    let max_clients = api.limits.max_clients.clamp(1, u32::MAX as usize >> 4);
     let slots = Arc::new(Semaphore::new(max_clients));
     let refusals = Arc::new(Semaphore::new(MAX_REFUSALS));
     let mut connections = JoinSet::new();
@@ -112,7 +112,7 @@ pub(super) async fn run(listener: TcpListener, dispatch: Dispatch, limits: Limit
         while connections.join_next().await.is_some() {}
         let _ = slots.acquire_many(max_clients as u32).await;
     };
-    if timeout(limits.grace, all_gone).await.is_err() {
+    if timeout(api.limits.grace, all_gone).await.is_err() {
         tracing::info!("cutting off the clients that did not end within the grace time");
         connections.shutdown().await;
     }

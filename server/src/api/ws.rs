@@ -32,8 +32,6 @@ use crate::{convert, hub};
 
 /// Largest message that a client may send; it is read and forgotten.
 const MAX_INCOMING_BYTES: usize = 64 * 1024;
-/// A client that takes no bytes for this long is cut off.
-const SEND_TIMEOUT: Duration = Duration::from_secs(10);
 /// How often a client is asked whether it lives.
 const PING_INTERVAL: Duration = Duration::from_secs(5);
 /// A client that answers no ping for this long is cut off.
@@ -221,7 +219,7 @@ impl Session {
     /// Sends, unless the client does not read or the server goes down meanwhile.
     async fn transmit(&self, socket: &mut WebSocket, message: Message) -> Result<(), End> {
         tokio::select! {
-            sent = timeout(SEND_TIMEOUT, socket.send(message)) => match sent {
+            sent = timeout(self.api.limits.send_timeout, socket.send(message)) => match sent {
                 Ok(Ok(())) => Ok(()),
                 Ok(Err(_)) | Err(_) => Err(End::Gone),
             },

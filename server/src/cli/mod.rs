@@ -4,6 +4,7 @@ mod demo;
 mod detect;
 mod serve;
 mod truth;
+mod watch;
 
 use std::process::ExitCode;
 
@@ -27,6 +28,7 @@ enum Command {
     Demo(demo::DemoArgs),
     Serve(serve::ServeArgs),
     Detect(detect::DetectArgs),
+    Watch(watch::WatchArgs),
 }
 
 /// Runs the command that the process was started with. Errors go to stderr; the code is 0 for
@@ -39,6 +41,7 @@ pub fn main() -> ExitCode {
         Command::Demo(arguments) => run_async(demo::run(arguments)),
         Command::Serve(arguments) => run_async(serve::run(arguments)),
         Command::Detect(arguments) => detect::run(&arguments),
+        Command::Watch(arguments) => run_async(watch::run(arguments)),
     };
     outcome.unwrap_or_else(|error| {
         eprintln!("error: {error:#}");

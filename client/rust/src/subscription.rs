@@ -1,0 +1,61 @@
+//! Which snapshots, and what of them.
+
+use std::time::Duration;
+
+use crate::v1;
+
+/// Which snapshots a client wants; all of everything by default.
+///
+/// ```
+/// use roundel_client::Subscription;
+///
+/// let wanted = Subscription::default()
+///     .ids([3, 4])
+///     .max_rate_hz(30.0)
+///     .horizon(std::time::Duration::from_millis(20))
+///     .without_covariance();
+/// # let _ = wanted;
+/// ```
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct Subscription {
+    request: v1::SubscribeSnapshotsRequest,
+}
+
+impl Subscription {
+    /// Only these objects, by `object_id`.
+    pub fn ids(mut self, ids: impl IntoIterator<Item = u64>) -> Self {
+        self.request.object_ids = ids.into_iter().collect();
+        self
+    }
+
+    /// Only objects within the box between two corners of the world frame, metres. A side may be
+    /// infinite.
+    pub fn region(mut self, min_m: [f64; 3], max_m: [f64; 3]) -> Self {
+        let corner = |[x, y, z]: [f64; 3]| Some(v1::Vector3 { x, y, z });
+        self.request.region = Some(v1::Box { min: corner(min_m), max: corner(max_m) });
+        self
+    }
+
+    /// At most this many snapshots a second.
+    pub fn max_rate_hz(mut self, rate_hz: f64) -> Self {
+        self.request.max_rate_hz = Some(rate_hz);
+        self
+    }
+
+    /// Every pose predicted this far past the server's pose time, up to a second.
+    pub fn horizon(mut self, horizon: Duration) -> Self {
+        self.request.horizon_ms = Some(horizon.as_secs_f64() * 1e3);
+        self
+    }
+
+    /// Without covariances: less than half the bytes.
+    pub fn without_covariance(mut self) -> Self {
+        self.request.omit_covariance = true;
+        self
+    }
+
+    /// The message that asks for it.
+    pub fn into_request(self) -> v1::SubscribeSnapshotsRequest {
+        self.request
+    }
+}

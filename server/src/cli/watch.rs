@@ -1,0 +1,390 @@
+//! `roundel watch`: the stream of snapshots as a live table, or as lines of JSON.
+
+use std::{
+    fmt::Write as _,
+    io::{self, IsTerminal, Write},
+    process::ExitCode,
+    time::Duration,
+};
+
+use clap::{Args, ValueEnum};
+use futures::StreamExt;
+use roundel_client::{Client, Subscription, Update, position_sigma_m, speed_m_s};
+use roundel_proto::{json, v1};
+
+use super::serve::Signals;
+
+/// Rate of the table if nobody asks for one: quick enough to the eye.
+const TABLE_RATE_HZ: f64 = 10.0;
+/// Rows of a terminal that does not say how many it has.
+const DEFAULT_ROWS: u16 = 24;
+/// Rows above the first object.
+const HEADER_ROWS: usize = 3;
+
+/// Watch where every object is.
+#[derive(Debug, Args)]
+#[command(after_help = "Examples:\n  \
+    roundel watch\n  \
+    roundel watch --server http://arena:7670 --id 3 --id 4\n  \
+    roundel watch --format json --count 600 > run.jsonl\n\n\
+    Columns: position in metres (world frame); speed in m/s; sigma: standard deviation of the\n\
+    position, root mean square over the axes, in millimetres; age: of the newest observation, at\n\
+    the pose's time; residual: about 1 when the covariances are right.")]
+pub struct WatchArgs {
+    /// Address of the server
+    #[arg(long, value_name = "URL", default_value = "http://127.0.0.1:7670")]
+    server: String,
+    /// At most so many snapshots a second [default: 10 for the table, all for json]
+    #[arg(long, value_name = "HZ")]
+    rate: Option<f64>,
+    /// Only this object; may be repeated
+    #[arg(long = "id", value_name = "N")]
+    ids: Vec<u64>,
+    /// How to print
+    #[arg(long, value_enum, default_value_t = WatchFormat::Table)]
+    format: WatchFormat,
+    /// End after so many snapshots
+    #[arg(long, value_name = "N")]
+    count: Option<u64>,
+}
+
+/// How snapshots are printed.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
+pub enum WatchFormat {
+    /// A table, refreshed in place on a terminal
+    Table,
+    /// One snapshot a line, as REST gives it
+    Json,
+}
+
+/// Prints snapshots until `--count`, a signal, or a reader that hangs up.
+///
+/// # Errors
+/// If no server is there at the start, or if it refuses what was asked for. A server that goes away
+/// later is waited for.
+pub(super) async fn run(args: WatchArgs) -> anyhow::Result<ExitCode> {
+    let mut signals = Signals::listen()?;
+    let client = Client::connect(&args.server).await?;
+    let info = client.info().await?;
+    let stdout = io::stdout();
+    let screen = match args.format {
+        WatchFormat::Json => Screen::Lines,
+        WatchFormat::Table if stdout.is_terminal() => Screen::open_terminal()?,
+        WatchFormat::Table => Screen::Blocks,
+    };
+    let mut watch = Watch { view: View::new(client.address(), info), screen, count: args.count };
+    let ended = tokio::select! {
+        ended = watch.follow(&client, subscription(&args)) => ended,
+        () = signals.next() => Ok(()),
+    };
+    // Before an error is printed, the terminal is what it was.
+    drop(watch);
+    match ended {
+        Err(error) if is_broken_pipe(&error) => Ok(ExitCode::SUCCESS),
+        ended => ended.map(|()| ExitCode::SUCCESS),
+    }
+}
+
+fn subscription(args: &WatchArgs) -> Subscription {
+    let mut wanted = Subscription::default().ids(args.ids.iter().copied());
+    let default_rate_hz = match args.format {
+        WatchFormat::Table => Some(TABLE_RATE_HZ),
+        WatchFormat::Json => None,
+    };
+    if let Some(rate_hz) = args.rate.or(default_rate_hz) {
+        wanted = wanted.max_rate_hz(rate_hz);
+    }
+    wanted
+}
+
+/// Whoever read the output has enough of it.
+fn is_broken_pipe(error: &anyhow::Error) -> bool {
+    let cause = error.downcast_ref::<io::Error>();
+    cause.is_some_and(|error| error.kind() == io::ErrorKind::BrokenPipe)
+}
+
+struct Watch {
+    view: View,
+    screen: Screen,
+    count: Option<u64>,
+}
+
+impl Watch {
+    async fn follow(&mut self, client: &Client, wanted: Subscription) -> anyhow::Result<()> {
+        let mut snapshots = client.snapshots(wanted);
+        let mut printed = 0;
+        while self.count.is_none_or(|count| printed < count) {
+            let Some(update) = snapshots.next().await else { break };
+            match update? {
+                Update::Snapshot(snapshot) => {
+                    self.view.take(snapshot, snapshots.missed());
+                    self.screen.show(&self.view)?;
+                    printed += 1;
+                }
+                Update::Disconnected { reason, retry_in, .. } => {
+                    self.view.tell_loss(&reason, retry_in);
+                    self.screen.tell(&self.view)?;
+                }
+                Update::Reconnected { missed } => {
+                    self.view.tell_return(missed);
+                    self.screen.tell(&self.view)?;
+                    // A server that was started anew may be another version, or have another name.
+                    if let Ok(info) = client.info().await {
+                        self.view.info = info;
+                    }
+                }
+                _ => {}
+            }
+        }
+        Ok(())
+    }
+}
+
+/// What is shown.
+struct View {
+    address: String,
+    info: v1::ServerInfo,
+    snapshot: v1::Snapshot,
+    /// Snapshots a second that the server makes, over those received so far.
+    rate_hz: Option<f64>,
+    missed: u64,
+    /// Of the connection; empty while there is nothing to say.
+    notice: String,
+}
+
+impl View {
+    fn new(address: &str, info: v1::ServerInfo) -> Self {
+        Self {
+            address: address.to_owned(),
+            info,
+            snapshot: v1::Snapshot::default(),
+            rate_hz: None,
+            missed: 0,
+            notice: String::new(),
+        }
+    }
+
+    fn take(&mut self, snapshot: v1::Snapshot, missed: u64) {
+        let before = &self.snapshot;
+        let elapsed_ns = snapshot.fused_time_ns.saturating_sub(before.fused_time_ns);
+        self.rate_hz = if snapshot.source_id == before.source_id && elapsed_ns > 0 {
+            let made = snapshot.sequence.saturating_sub(before.sequence) as f64;
+            let newest_hz = made / (elapsed_ns as f64 * 1e-9);
+            // Smoothed, so that the digits can be read.
+            Some(self.rate_hz.map_or(newest_hz, |rate_hz| 0.9 * rate_hz + 0.1 * newest_hz))
+        } else {
+            None
+        };
+        self.snapshot = snapshot;
+        self.missed = missed;
+    }
+
+    fn tell_loss(&mut self, reason: &str, retry_in: Duration) {
+        self.notice =
+            format!("connection lost ({reason}); next try in {:.1} s", retry_in.as_secs_f64());
+    }
+
+    fn tell_return(&mut self, missed: Option<u64>) {
+        self.notice = match missed {
+            Some(missed) => format!("connection is back; {missed} snapshots were made meanwhile"),
+            None => "connection is back; the server was started anew".to_owned(),
+        };
+    }
+
+    fn header(&self) -> String {
+        let snapshot = &self.snapshot;
+        let name = if self.info.name.is_empty() { "roundel" } else { &self.info.name };
+        let mut header = format!("{name} at {} (version {})", self.address, self.info.version);
+        if let Some(rate_hz) = self.rate_hz {
+            let _ = write!(header, "  {rate_hz:.1} snapshots/s");
+        }
+        if snapshot.capture_time_ns != 0 {
+            let age_ms = milliseconds(snapshot.sent_time_ns - snapshot.capture_time_ns);
+            let _ = write!(header, "  {age_ms:.0} ms from capture to here");
+        }
+        let _ = write!(header, "  {} objects", snapshot.objects.len());
+        if self.missed > 0 {
+            let _ = write!(header, "  {} missed", self.missed);
+        }
+        header
+    }
+
+    /// Header, notice (perhaps empty), column titles, and at most `rows` objects.
+    fn lines(&self, rows: usize) -> Vec<String> {
+        let mut lines = vec![self.header(), self.notice.clone()];
+        let objects = &self.snapshot.objects;
+        let name_width = objects.iter().map(|o| o.name.chars().count()).max().unwrap_or(0).max(4);
+        lines.push(format!(
+            "{:>5}  {:name_width$}  {:9}  {:>8} {:>8} {:>8}  {:>6}  {:>6}  {:>7}  {:>8}  cameras",
+            "id", "name", "stage", "x m", "y m", "z m", "m/s", "sig mm", "age ms", "residual"
+        ));
+        let is_cut = objects.len() > rows;
+        let shown = if is_cut { rows.saturating_sub(1) } else { objects.len() };
+        lines.extend(objects[..shown].iter().map(|state| row(state, name_width)));
+        if is_cut {
+            lines.push(format!("{:>5}  and {} more", "", objects.len() - shown));
+        }
+        lines
+    }
+}
+
+fn row(state: &v1::ObjectState, name_width: usize) -> String {
+    let position = state.position.unwrap_or_default();
+    let sigma = position_sigma_m(state).map_or("-".to_owned(), |[x, y, z]| {
+        format!("{:.1}", ((x * x + y * y + z * z) / 3.0).sqrt() * 1e3)
+    });
+    format!(
+        "{:>5}  {:name_width$}  {:9}  {:8.3} {:8.3} {:8.3}  {:6.2}  {:>6}  {:7.0}  {:8.2}  {}",
+        state.object_id,
+        state.name,
+        json::life_stage::word(state.stage),
+        position.x,
+        position.y,
+        position.z,
+        speed_m_s(state),
+        sigma,
+        milliseconds(state.observation_age_ns),
+        state.residual,
+        state.cameras.join(","),
+    )
+}
+
+fn milliseconds(ns: i64) -> f64 {
+    ns as f64 * 1e-6
+}
+
+/// Where it is shown.
+enum Screen {
+    /// A terminal's second screen, drawn over in place.
+    Terminal,
+    /// One table after the other.
+    Blocks,
+    /// One snapshot a line.
+    Lines,
+}
+
+impl Screen {
+    /// Takes the terminal's second screen, without cursor and without breaking long lines.
+    fn open_terminal() -> io::Result<Self> {
+        let mut stdout = io::stdout().lock();
+        stdout.write_all(b"\x1b[?1049h\x1b[?25l\x1b[?7l")?;
+        stdout.flush()?;
+        Ok(Self::Terminal)
+    }
+
+    fn show(&self, view: &View) -> anyhow::Result<()> {
+        let mut text = String::new();
+        match self {
+            Self::Terminal => {
+                let rows = terminal_size::terminal_size().map_or(DEFAULT_ROWS, |(_, rows)| rows.0);
+                let lines = view.lines(usize::from(rows).saturating_sub(HEADER_ROWS));
+                text.push_str("\x1b[H");
+                text.push_str(&lines.join("\x1b[K\r\n"));
+                text.push_str("\x1b[K\x1b[J");
+            }
+            Self::Blocks => {
+                let lines = view.lines(usize::MAX);
+                let told = lines.iter().filter(|line| !line.is_empty());
+                told.for_each(|line| {
+                    text.push_str(line.trim_end());
+                    text.push('\n');
+                });
+                text.push('\n');
+            }
+            Self::Lines => {
+                text = serde_json::to_string(&view.snapshot)?;
+                text.push('\n');
+            }
+        }
+        let mut stdout = io::stdout().lock();
+        stdout.write_all(text.as_bytes())?;
+        stdout.flush()?;
+        Ok(())
+    }
+
+    /// Shows what happened to the connection.
+    fn tell(&self, view: &View) -> anyhow::Result<()> {
+        match self {
+            Self::Terminal => self.show(view),
+            Self::Blocks | Self::Lines => {
+                writeln!(io::stderr(), "{}: {}", view.address, view.notice)?;
+                Ok(())
+            }
+        }
+    }
+}
+
+impl Drop for Screen {
+    fn drop(&mut self) {
+        if let Self::Terminal = self {
+            // Nothing more can be done for a terminal that has gone.
+            let _ = io::stdout().write_all(b"\x1b[?7h\x1b[?25h\x1b[?1049l");
+            let _ = io::stdout().flush();
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn snapshot(sequence: u64, source_id: &str) -> v1::Snapshot {
+        let state = |object_id, name: &str| v1::ObjectState {
+            object_id,
+            name: name.to_owned(),
+            stage: v1::LifeStage::Tracked as i32,
+            position: Some(v1::Vector3 { x: 1.25, y: -2.5, z: 0.3 }),
+            velocity: Some(v1::Vector3 { x: 0.6, y: 0.8, z: 0.0 }),
+            cameras: vec!["north".into(), "east".into()],
+            observation_age_ns: 12_400_000,
+            residual: 1.07,
+            ..Default::default()
+        };
+        v1::Snapshot {
+            sequence,
+            source_id: source_id.to_owned(),
+            fused_time_ns: sequence as i64 * 20_000_000,
+            capture_time_ns: 1_000_000,
+            sent_time_ns: 31_000_000,
+            objects: (1..=5).map(|id| state(id, if id == 1 { "robot one" } else { "" })).collect(),
+            ..Default::default()
+        }
+    }
+
+    fn view() -> View {
+        let info = v1::ServerInfo { name: "lab".into(), version: "9".into(), ..Default::default() };
+        let mut view = View::new("http://127.0.0.1:1", info);
+        view.take(snapshot(10, "a"), 0);
+        view
+    }
+
+    #[test]
+    fn a_row_holds_every_number_in_its_column() {
+        let lines = view().lines(10);
+        assert_eq!(lines.len(), HEADER_ROWS + 5);
+        assert_eq!(
+            lines[HEADER_ROWS],
+            "    1  robot one  tracked       1.250   -2.500    0.300    1.00       -       12      1.07  north,east"
+        );
+        let titles: Vec<&str> = lines[2].split_whitespace().collect();
+        assert_eq!(&titles[..3], ["id", "name", "stage"]);
+        assert!(lines[0].contains("30 ms from capture"), "{}", lines[0]);
+    }
+
+    #[test]
+    fn a_small_terminal_says_how_many_rows_it_hides() {
+        let lines = view().lines(3);
+        assert_eq!(lines.len(), HEADER_ROWS + 3);
+        assert!(lines.last().unwrap().contains("and 3 more"));
+    }
+
+    #[test]
+    fn the_rate_is_the_servers_and_begins_anew_with_it() {
+        let mut view = view();
+        // Five snapshots in a tenth of a second, of which one was wanted.
+        view.take(snapshot(15, "a"), 0);
+        assert!((view.rate_hz.unwrap() - 50.0).abs() < 1e-9);
+        view.take(snapshot(1, "b"), 0);
+        assert_eq!(view.rate_hz, None);
+    }
+}

@@ -1,0 +1,148 @@
+//! The Rust client against this server.
+
+use std::time::Duration;
+
+use futures::StreamExt;
+use roundel_client::{Client, Error, Snapshots, Subscription, Update};
+use roundel_server::api::Limits;
+use tokio::{
+    io::{AsyncReadExt, AsyncWriteExt},
+    net::TcpListener,
+    time::timeout,
+};
+
+use crate::rig::{self, HANG, Rig, objects};
+
+async fn next(snapshots: &mut Snapshots) -> Update {
+    timeout(HANG, snapshots.next()).await.expect("no update comes").unwrap().unwrap()
+}
+
+/// Skips failed tries.
+async fn next_but_tries(snapshots: &mut Snapshots) -> Update {
+    loop {
+        match next(snapshots).await {
+            Update::Disconnected { .. } => {}
+            update => return update,
+        }
+    }
+}
+
+fn sequence(update: &Update) -> u64 {
+    match update {
+        Update::Snapshot(snapshot) => snapshot.sequence,
+        other => panic!("expected a snapshot, found {other:?}"),
+    }
+}
+
+#[tokio::test]
+async fn calls_give_what_the_server_has() {
+    let rig = Rig::start().await;
+    rig.publish(objects(3));
+    // The scheme may be left out.
+    let client = Client::connect(&rig.address).await.unwrap();
+    assert_eq!(client.address(), rig.url());
+    assert_eq!(client.info().await.unwrap().name, "lab");
+    assert_eq!(client.objects().await.unwrap().len(), 3);
+    assert_eq!(client.cameras().await.unwrap()[0].name, "north");
+    assert_eq!(client.snapshot().await.unwrap().objects.len(), 3);
+
+    let wanted = Subscription::default()
+        .ids([1, 2])
+        .region([1.5, -9.0, 0.0], [9.0, 9.0, f64::INFINITY])
+        .horizon(Duration::from_millis(100))
+        .without_covariance();
+    let Update::Snapshot(snapshot) = next(&mut client.snapshots(wanted)).await else { panic!() };
+    assert_eq!(snapshot.objects.len(), 1);
+    assert_eq!(snapshot.objects[0].position.unwrap().x, 2.1);
+    assert!(snapshot.objects[0].covariance.is_empty());
+
+    let refused = client.snapshots(Subscription::default().max_rate_hz(-1.0)).next().await;
+    let Some(Err(error)) = refused else { panic!("{refused:?}") };
+    assert!(matches!(error, Error::Refused { .. }) && !error.is_temporary());
+    assert!(error.to_string().contains("max_rate_hz: expected a rate above 0"), "{error}");
+    let error = client.observations(&["east"]).await.unwrap_err();
+    assert!(error.to_string().contains("no camera \"east\"; there are: north"), "{error}");
+    assert!(client.events(5000).await.is_err());
+    rig.stop().await;
+}
+
+#[tokio::test]
+async fn a_lost_connection_comes_back_and_the_gap_is_told() {
+    let hub = rig::hub("run");
+    let rig = Rig::start_with(hub.clone(), Limits::default(), "127.0.0.1:0").await;
+    let address = rig.address.clone();
+    rig.publish(objects(1));
+    let client = Client::connect(&address).await.unwrap();
+    let mut snapshots = client.snapshots(Subscription::default());
+    assert_eq!(sequence(&next(&mut snapshots).await), 1);
+    rig.publish(objects(1));
+    assert_eq!(sequence(&next(&mut snapshots).await), 2);
+    let mut events = client.events(0).await.unwrap();
+
+    rig.stop().await;
+    let lost = next(&mut snapshots).await;
+    let Update::Disconnected { reason, tries: 0, .. } = &lost else { panic!("{lost:?}") };
+    assert!(reason.contains("shutting down"), "{reason}");
+    assert!(events.next().await.unwrap().is_err(), "events end with the connection");
+    let failed = next(&mut snapshots).await;
+    let Update::Disconnected { reason, tries: 1, .. } = &failed else { panic!("{failed:?}") };
+    assert!(reason.contains("refused"), "{reason}");
+
+    // The same run of the server, as after a broken network: three snapshots were made meanwhile.
+    let rig = Rig::start_with(hub, Limits::default(), &address).await;
+    (0..4).for_each(|_| rig.publish(objects(1)));
+    assert_eq!(next_but_tries(&mut snapshots).await, Update::Reconnected { missed: Some(3) });
+    assert_eq!(sequence(&next(&mut snapshots).await), 6);
+    assert_eq!(snapshots.missed(), 3);
+    rig.stop().await;
+
+    // Another run: its sequence begins anew, so nobody knows.
+    let rig = Rig::start_with(rig::hub("next run"), Limits::default(), &address).await;
+    rig.publish(objects(1));
+    assert_eq!(next_but_tries(&mut snapshots).await, Update::Reconnected { missed: None });
+    assert_eq!(sequence(&next(&mut snapshots).await), 1);
+    rig.publish(objects(1));
+    assert_eq!(sequence(&next(&mut snapshots).await), 2);
+    rig.stop().await;
+}
+
+#[tokio::test]
+async fn wrong_addresses_are_told_apart() {
+    let error = Client::connect("https://127.0.0.1:7670").await.unwrap_err();
+    assert!(matches!(error, Error::InvalidAddress { .. }), "{error}");
+
+    let listener = TcpListener::bind("127.0.0.1:0").await.unwrap();
+    let address = listener.local_addr().unwrap().to_string();
+    drop(listener);
+    let error = Client::connect(&address).await.unwrap_err();
+    assert!(matches!(error, Error::Unreachable { .. }), "{error:?}");
+    let text = error.to_string();
+    assert!(text.contains("refused") && text.contains("roundel serve"), "{text}");
+
+    // A web server that knows HTTP/1.1 only.
+    let listener = TcpListener::bind("127.0.0.1:0").await.unwrap();
+    let address = listener.local_addr().unwrap().to_string();
+    let web = tokio::spawn(async move {
+        while let Ok((mut stream, _)) = listener.accept().await {
+            let mut request = [0; 1024];
+            let _ = stream.read(&mut request).await;
+            let _ =
+                stream.write_all(b"HTTP/1.1 400 Bad Request\r\nContent-Length: 0\r\n\r\n").await;
+        }
+    });
+    let error = timeout(HANG, Client::connect(&address)).await.unwrap().unwrap_err();
+    assert!(matches!(error, Error::NotRoundel { .. }), "{error:?}");
+    web.abort();
+}
+
+#[tokio::test]
+async fn another_grpc_server_is_no_roundel() {
+    let listener = TcpListener::bind("127.0.0.1:0").await.unwrap();
+    let address = listener.local_addr().unwrap().to_string();
+    let (_, health) = tonic_health::server::health_reporter();
+    let routes = tonic::service::Routes::new(health).into_axum_router();
+    let other = tokio::spawn(async move { axum::serve(listener, routes).await });
+    let error = timeout(HANG, Client::connect(&address)).await.unwrap().unwrap_err();
+    assert!(matches!(error, Error::NotRoundel { .. }), "{error:?}");
+    other.abort();
+}

@@ -1,0 +1,322 @@
+//! REST, its description, metrics and the page.
+
+use std::collections::BTreeSet;
+
+use axum::{
+    body::Body,
+    http::{Request, StatusCode},
+};
+use roundel_core::id::CameraId;
+use roundel_proto::v1;
+use roundel_server::hub::{CameraStatus, Happening};
+
+use crate::rig::{Rig, objects};
+
+#[tokio::test]
+async fn the_snapshot_is_grpcs_in_json() {
+    let rig = Rig::start().await;
+    rig.publish(objects(6));
+    let json = rig.get("/api/v1/snapshot").await.json();
+    assert_eq!(json["objects"][1]["name"], "cart \"one\"");
+    assert_eq!(json["objects"][1]["stage"], "predicted");
+    assert_eq!(json["objects"][0]["covariance"].as_array().unwrap().len(), 21);
+    assert!(json["pose_time_ns"].is_string());
+    let mut rest: v1::Snapshot = serde_json::from_value(json).unwrap();
+    let mut grpc = crate::grpc::connect(&rig)
+        .await
+        .get_snapshot(v1::GetSnapshotRequest {})
+        .await
+        .unwrap()
+        .into_inner();
+    (rest.sent_time_ns, grpc.sent_time_ns) = (0, 0);
+    assert_eq!(rest, grpc);
+
+    let path =
+        "/api/v1/snapshot?ids=5,2,1&min=1.5,-9,0&max=9,9,inf&horizon_ms=250&omit_covariance=true";
+    let some: v1::Snapshot = serde_json::from_value(rig.get(path).await.json()).unwrap();
+    let ids: Vec<u64> = some.objects.iter().map(|object| object.object_id).collect();
+    assert_eq!(ids, [2, 5]);
+    assert_eq!(some.objects[0].position, Some(v1::Vector3 { x: 2.25, y: -1.5, z: 1.0 }));
+    assert!(some.objects[0].covariance.is_empty());
+    assert_eq!(some.pose_time_ns - grpc.pose_time_ns, 250_000_000);
+    rig.stop().await;
+}
+
+#[tokio::test]
+async fn lists_and_single_things_are_readable() {
+    let rig = Rig::start().await;
+    rig.publish(objects(2));
+    rig.publish(objects(1));
+    rig.hub.publish_event(
+        rig.clock.now(),
+        Happening::Camera(CameraId(1), CameraStatus::Running),
+        "camera runs".into(),
+    );
+    let objects = rig.get("/api/v1/objects").await.json();
+    assert_eq!(objects["objects"].as_array().unwrap().len(), 2);
+    assert_eq!(objects["objects"][1]["stage"], "lost");
+    let object = rig.get("/api/v1/objects/1").await.json();
+    assert_eq!(object["object"]["object_id"], 1);
+    assert_eq!(object["state"]["position"]["x"], 1.0);
+    let lost = rig.get("/api/v1/objects/2").await.json();
+    assert_eq!((&lost["object"]["stage"], lost["state"].is_null()), (&"lost".into(), true));
+    let cameras = rig.get("/api/v1/cameras").await.json();
+    assert_eq!(cameras["cameras"][1]["name"], "south side");
+    let camera = rig.get("/api/v1/cameras/south%20side").await.json();
+    assert_eq!(
+        (&camera["status"], &camera["source"]),
+        (&"starting".into(), &"sim:?of=south side".into())
+    );
+    let events = rig.get("/api/v1/events?backlog=5").await.json();
+    assert_eq!(events["events"][0]["kind"], "camera_running");
+    assert_eq!(rig.get("/api/v1/events?backlog=0").await.json()["events"], serde_json::json!([]));
+    let info = rig.get("/api/v1/info").await.json();
+    assert_eq!((&info["name"], &info["source_id"]), (&"lab".into(), &"run".into()));
+    rig.stop().await;
+}
+
+#[tokio::test]
+async fn wrong_requests_are_answered_with_what_was_expected() {
+    let rig = Rig::start().await;
+    let early = rig.get("/api/v1/snapshot").await;
+    assert_eq!(early.status, StatusCode::SERVICE_UNAVAILABLE);
+    assert_eq!(early.error().0, "unavailable");
+    rig.publish(objects(1));
+    for (path, status, message) in [
+        (
+            "/api/v1/snapshot?ids=1,x",
+            400,
+            "ids: expected ids with commas between, such as 1,2, found \"x\"",
+        ),
+        (
+            "/api/v1/snapshot?ids=0",
+            400,
+            "ids: expected ids of objects, which count from 1, found 0",
+        ),
+        ("/api/v1/snapshot?ids=-1", 400, "found \"-1\""),
+        (
+            "/api/v1/snapshot?min=0,0,0",
+            400,
+            "max: expected a corner of the box, metres, found nothing",
+        ),
+        (
+            "/api/v1/snapshot?min=0,0&max=1,1,1",
+            400,
+            "min: expected three numbers of metres, such as -1,0,2.5, found 2 numbers",
+        ),
+        (
+            "/api/v1/snapshot?min=0,2,0&max=1,1,1",
+            400,
+            "max.y: expected at least 2 (min.y), found 1",
+        ),
+        ("/api/v1/snapshot?min=nan,2,0&max=1,1,1", 400, "min.x: expected metres, found NaN"),
+        (
+            "/api/v1/snapshot?horizon_ms=soon",
+            400,
+            "horizon_ms: expected a number of milliseconds, found \"soon\"",
+        ),
+        (
+            "/api/v1/snapshot?horizon_ms=2000",
+            400,
+            "horizon_ms: expected milliseconds from 0 to 1000, found 2000",
+        ),
+        (
+            "/api/v1/snapshot?omit_covariance=yes",
+            400,
+            "omit_covariance: expected true or false, found \"yes\"",
+        ),
+        (
+            "/api/v1/snapshot?omit_covarianze=true",
+            400,
+            "(perhaps omit_covariance?), found \"omit_covarianze\"",
+        ),
+        ("/api/v1/snapshot?ids=1&ids=2", 400, "ids: expected one value"),
+        ("/api/v1/events?backlog=1001", 400, "backlog: expected at most 1000 events, found 1001"),
+        ("/api/v1/events?backlog=-1", 400, "backlog: expected a number of events, found \"-1\""),
+        (
+            "/api/v1/objects/seven",
+            400,
+            "id: expected the number of an object (object_id), found \"seven\"",
+        ),
+        ("/api/v1/objects/7", 404, "no object \"7\"; /api/v1/objects lists"),
+        ("/api/v1/cameras/east", 404, "no camera \"east\"; there are: north, south side"),
+        ("/api/v1/cameras/east/frame.jpg", 404, "no camera \"east\"; there are: north, south side"),
+        ("/api/v1/nothing", 404, "no path \"/api/v1/nothing\""),
+        ("/nothing.html", 404, "described at /openapi.json"),
+        ("/../Cargo.toml", 404, "no path"),
+        ("/api/v1/stream", 426, "expected a WebSocket handshake"),
+        (
+            "/api/v1/stream?include=all",
+            400,
+            "include: expected any of snapshots,cameras,events, found \"all\"",
+        ),
+        ("/api/v1/stream?max_rate_hz=0", 400, "max_rate_hz: expected a rate above 0"),
+        ("/api/v1/stream?rate=3", 400, "(perhaps max_rate_hz?), found \"rate\""),
+    ] {
+        let answer = rig.get(path).await;
+        let (code, found) = answer.error();
+        assert_eq!(answer.status.as_u16(), status, "{path}: {found}");
+        assert!(found.contains(message), "{path}: {found}");
+        let expected = match status {
+            400 => "invalid_argument",
+            404 => "not_found",
+            _ => "upgrade_required",
+        };
+        assert_eq!(code, expected, "{path}");
+    }
+    for path in ["/api/v1/snapshot", "/api/v1/stream", "/"] {
+        let request = Request::post(format!("{}{path}", rig.url())).body(Body::from("x")).unwrap();
+        let answer = rig.request(request).await;
+        assert_eq!(answer.status, StatusCode::METHOD_NOT_ALLOWED, "{path}");
+        assert_eq!(answer.error().0, "method_not_allowed");
+    }
+    rig.stop().await;
+}
+
+#[tokio::test]
+async fn every_route_is_described_and_every_description_answers() {
+    let rig = Rig::start().await;
+    rig.publish(objects(1));
+    let document = rig.get("/openapi.json").await.json();
+    let described: BTreeSet<&str> =
+        document["paths"].as_object().unwrap().keys().map(String::as_str).collect();
+    let expected = BTreeSet::from([
+        "/api/v1/cameras",
+        "/api/v1/cameras/{name}",
+        "/api/v1/cameras/{name}/frame.jpg",
+        "/api/v1/events",
+        "/api/v1/info",
+        "/api/v1/objects",
+        "/api/v1/objects/{id}",
+        "/api/v1/snapshot",
+        "/api/v1/stream",
+        "/healthz",
+        "/metrics",
+        "/openapi.json",
+        "/readyz",
+    ]);
+    assert_eq!(described, expected);
+    let schemas = document["components"]["schemas"].as_object().unwrap();
+    for name in ["Snapshot", "ObjectState", "Camera", "Event", "ServerInfo", "ErrorBody"] {
+        assert!(schemas.contains_key(name), "{name} is not described");
+    }
+    assert_eq!(schemas["Snapshot"]["properties"]["pose_time_ns"]["type"], "string");
+    for path in described {
+        let answer = rig.get(&path.replace("{name}", "north").replace("{id}", "1")).await;
+        let responses = &document["paths"][path]["get"]["responses"];
+        let status = answer.status.as_u16().to_string();
+        assert!(
+            responses.get(&status).is_some(),
+            "{path} answered {status}, which is not described"
+        );
+        assert_ne!(status, "404", "{path}");
+    }
+    rig.stop().await;
+}
+
+#[tokio::test]
+async fn readiness_says_what_is_missing() {
+    let rig = Rig::start().await;
+    assert_eq!(rig.get("/healthz").await.status, StatusCode::OK);
+    let answer = rig.get("/readyz").await;
+    assert_eq!(answer.status, StatusCode::SERVICE_UNAVAILABLE);
+    let missing = answer.json()["missing"].clone();
+    assert_eq!(missing[0], "fusion has not published a snapshot yet");
+    assert_eq!(missing[1], "no camera runs: north is starting, south side is starting");
+
+    rig.set_camera_status(CameraStatus::Running);
+    let stale = rig.clock.now().plus_seconds(-60.0);
+    rig.hub.publish_snapshot(roundel_core::world::Snapshot::default(), stale);
+    let missing = rig.get("/readyz").await.json()["missing"].clone();
+    assert!(missing[0].as_str().unwrap().starts_with("fusion's newest snapshot is 6"), "{missing}");
+    assert_eq!(missing.as_array().unwrap().len(), 1);
+
+    // Published by another task all the time, so that a slow machine finds no stale one.
+    let (hub, clock) = (rig.hub.clone(), rig.clock);
+    let fusion = tokio::spawn(async move {
+        loop {
+            hub.publish_snapshot(roundel_core::world::Snapshot::default(), clock.now());
+            tokio::time::sleep(std::time::Duration::from_millis(10)).await;
+        }
+    });
+    let ready = async { while rig.get("/readyz").await.status != StatusCode::OK {} };
+    tokio::time::timeout(crate::rig::HANG, ready).await.expect("never ready");
+    fusion.abort();
+    rig.stop().await;
+}
+
+#[tokio::test]
+async fn metrics_tell_of_cameras_objects_and_clients() {
+    let rig = Rig::start().await;
+    rig.publish(objects(3));
+    rig.hub.update_camera(CameraId(0), |camera| {
+        camera.status = CameraStatus::Running;
+        camera.frames = 1234;
+        camera.detect_ms = 2.5;
+    });
+    let mut client = crate::grpc::connect(&rig).await;
+    let request = v1::SubscribeSnapshotsRequest::default();
+    let mut snapshots = client.subscribe_snapshots(request).await.unwrap().into_inner();
+    crate::grpc::next(&mut snapshots).await;
+
+    let answer = rig.get("/metrics").await;
+    assert!(answer.header("content-type").starts_with("text/plain; version=0.0.4"));
+    let text = answer.text();
+    for line in [
+        "# TYPE roundel_camera_frames_total counter",
+        "roundel_camera_frames_total{camera=\"north\"} 1234",
+        "roundel_camera_frames_total{camera=\"south side\"} 0",
+        "roundel_camera_up{camera=\"north\"} 1",
+        "roundel_camera_up{camera=\"south side\"} 0",
+        "roundel_camera_detect_seconds{camera=\"north\"} 0.0025",
+        "roundel_objects{stage=\"tracked\"} 2",
+        "roundel_objects{stage=\"predicted\"} 1",
+        "roundel_objects{stage=\"lost\"} 0",
+        "roundel_snapshots_total 1",
+        "roundel_subscribers 1",
+        "roundel_snapshots_sent_total 1",
+        "roundel_snapshots_missed_total 0",
+        "roundel_connections_refused_total 0",
+        "roundel_info{version=\"0.1.0\",name=\"lab\",source_id=\"run\"} 1",
+    ] {
+        assert!(text.lines().any(|found| found == line), "{line} is not in\n{text}");
+    }
+    // Each family is announced once, before its samples.
+    for line in text.lines().filter(|line| !line.starts_with('#')) {
+        let name = line.split(['{', ' ']).next().unwrap();
+        assert_eq!(text.matches(&format!("# TYPE {name} ")).count(), 1, "{name}");
+        assert!(line.rsplit(' ').next().unwrap().parse::<f64>().is_ok(), "{line}");
+    }
+    drop(snapshots);
+    let gone =
+        async { while !rig.get("/metrics").await.text().contains("\nroundel_subscribers 0\n") {} };
+    tokio::time::timeout(crate::rig::HANG, gone).await.expect("a subscriber that left is counted");
+    rig.stop().await;
+}
+
+#[tokio::test]
+async fn the_page_is_served_with_a_strict_policy_and_a_tag() {
+    let rig = Rig::start().await;
+    let page = rig.get("/").await;
+    assert_eq!(page.status, StatusCode::OK);
+    assert_eq!(page.header("content-type"), "text/html; charset=utf-8");
+    assert_eq!(
+        page.header("content-security-policy"),
+        "default-src 'self'; img-src 'self' data: blob:; connect-src 'self' ws: wss:; style-src 'self'; script-src 'self'; frame-ancestors 'none'; base-uri 'none'"
+    );
+    assert_eq!(page.header("x-content-type-options"), "nosniff");
+    assert_eq!(page.header("cache-control"), "no-cache");
+    let script = rig.get("/js/main.js").await;
+    assert_eq!(script.header("content-type"), "text/javascript; charset=utf-8");
+    assert_eq!(rig.get("/app.css").await.header("content-type"), "text/css; charset=utf-8");
+
+    let tag = page.header("etag").to_owned();
+    let ask = |tag: &str| {
+        let request = Request::get(rig.url()).header("if-none-match", tag);
+        rig.request(request.body(Body::empty()).unwrap())
+    };
+    let known = ask(&tag).await;
+    assert_eq!((known.status, known.body.len()), (StatusCode::NOT_MODIFIED, 0));
+    assert_eq!(ask("\"other\"").await.status, StatusCode::OK);
+    rig.stop().await;
+}

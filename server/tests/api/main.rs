@@ -1,0 +1,9 @@
+//! The APIs over real sockets on loopback, with a hub that the test feeds: no cameras, no fusion.
+
+mod client;
+mod grpc;
+mod http;
+mod picture;
+mod port;
+mod rig;
+mod websocket;

@@ -1,0 +1,157 @@
+//! `/api/v1/cameras/{name}/frame.jpg`.
+
+use std::{sync::Arc, time::Duration};
+
+use axum::http::StatusCode;
+use roundel_core::{
+    camera::PixelPoint,
+    ellipse::Ellipse,
+    id::{CameraId, TrackNumber},
+    marker::Ring,
+    pose::Detection,
+    time::Timestamp,
+    world::FrameObservations,
+};
+use roundel_server::hub::{CameraStatus, Picture};
+use zune_core::{bytestream::ZCursor, colorspace::ColorSpace, options::DecoderOptions};
+use zune_jpeg::JpegDecoder;
+
+use crate::rig::{Answer, Rig};
+
+const WIDTH: usize = 160;
+const HEIGHT: usize = 120;
+const CAPTURE_NS: i64 = 1_700_000_000_000_000_001;
+
+fn picture(frame: u64, outer: Ellipse) -> Picture {
+    let inner = Ellipse {
+        semi_major_px: outer.semi_major_px / 2.0,
+        semi_minor_px: outer.semi_minor_px / 2.0,
+        ..outer
+    };
+    let ring = Ring { outer, inner, kind: None, threshold: 100, black: 50.0, white: 200.0 };
+    let time = Timestamp::from_ns(CAPTURE_NS);
+    let detection = Detection { track: TrackNumber(42), ring, capture_time: time, pose: None };
+    Picture {
+        width: WIDTH,
+        height: HEIGHT,
+        pixels: vec![128; WIDTH * HEIGHT],
+        observations: Arc::new(FrameObservations {
+            camera: CameraId(0),
+            frame,
+            capture_time: time,
+            received_time: time,
+            calibration_version: 1,
+            detections: vec![detection],
+        }),
+    }
+}
+
+fn ellipse(u: f64, v: f64, semi_major_px: f64, semi_minor_px: f64) -> Ellipse {
+    Ellipse { center: PixelPoint { u, v }, semi_major_px, semi_minor_px, angle_rad: 0.0 }
+}
+
+/// Stands in for a worker: gives a picture once it is asked for one.
+async fn with_worker(rig: &Rig, picture: Picture) -> Answer {
+    let worker = async {
+        while !rig.hub.take_picture_request(CameraId(0)) {
+            tokio::time::sleep(Duration::from_millis(1)).await;
+        }
+        rig.hub.publish_picture(CameraId(0), picture);
+    };
+    let (answer, ()) = tokio::join!(rig.get("/api/v1/cameras/north/frame.jpg"), worker);
+    answer
+}
+
+fn decoded(answer: &Answer) -> Vec<u8> {
+    let options = DecoderOptions::default().jpeg_set_out_colorspace(ColorSpace::RGB);
+    let mut decoder = JpegDecoder::new_with_options(ZCursor::new(&answer.body), options);
+    let pixels = decoder.decode().unwrap();
+    assert_eq!(decoder.dimensions(), Some((WIDTH, HEIGHT)));
+    pixels
+}
+
+/// Red, green and blue, at most over the 3 x 3 pixels round a place: the encoder smears colours.
+fn strongest(pixels: &[u8], u: usize, v: usize) -> [i32; 3] {
+    let mut found = [0; 3];
+    for v in v - 1..=v + 1 {
+        for u in u - 1..=u + 1 {
+            for (channel, best) in found.iter_mut().enumerate() {
+                *best = (*best).max(i32::from(pixels[3 * (v * WIDTH + u) + channel]));
+            }
+        }
+    }
+    found
+}
+
+#[tokio::test]
+async fn the_picture_shows_frame_and_detections() {
+    let rig = Rig::start().await;
+    let answer = with_worker(&rig, picture(1, ellipse(60.0, 50.0, 40.0, 20.0))).await;
+    assert_eq!(answer.status, StatusCode::OK);
+    assert_eq!(answer.header("content-type"), "image/jpeg");
+    assert_eq!(answer.header("cache-control"), "no-store");
+    assert_eq!(answer.header("roundel-capture-time-ns"), CAPTURE_NS.to_string());
+    let pixels = decoded(&answer);
+    let [red, green, blue] = strongest(&pixels, 20, 50);
+    assert!(
+        green > red + 40 && green > blue + 40,
+        "left end of the outer rim: {red} {green} {blue}"
+    );
+    let [red, green, blue] = strongest(&pixels, 60, 60);
+    assert!(blue > red + 20 && green > red, "lower end of the inner rim: {red} {green} {blue}");
+    let [red, green, blue] = strongest(&pixels, 60, 50);
+    assert!(red > green + 40 && red > blue + 40, "centre: {red} {green} {blue}");
+    let number = (104..118).flat_map(|u| (46..55).map(move |v| (u, v)));
+    let yellow = number.filter(|&(u, v)| {
+        let [red, green, blue] = strongest(&pixels, u, v);
+        red > 180 && green > 160 && blue < 160
+    });
+    assert!(yellow.count() > 20, "the track's number");
+    let [red, green, blue] = strongest(&pixels, 130, 100);
+    assert!(
+        [red, green, blue].iter().all(|c| (c - 128).abs() < 6),
+        "elsewhere the frame is itself"
+    );
+    rig.stop().await;
+}
+
+#[tokio::test]
+async fn odd_detections_do_not_hurt() {
+    let rig = Rig::start().await;
+    for (u, v, a, b) in [
+        (f64::NAN, 10.0, 5.0, 5.0),
+        (10.0, f64::INFINITY, f64::INFINITY, 5.0),
+        (-1e300, 1e300, 1e300, 0.0),
+        (0.0, 0.0, 200.0, -3.0),
+        (159.0, 119.0, 30.0, 30.0),
+    ] {
+        let answer = with_worker(&rig, picture(1, ellipse(u, v, a, b))).await;
+        assert_eq!(answer.status, StatusCode::OK);
+        decoded(&answer);
+    }
+    let mut short = picture(1, ellipse(1.0, 1.0, 1.0, 1.0));
+    short.pixels.pop();
+    let answer = with_worker(&rig, short).await;
+    assert_eq!(answer.status, StatusCode::INTERNAL_SERVER_ERROR);
+    assert!(answer.error().1.contains("expected 19200 pixels for 160 x 120, found 19199"));
+    rig.stop().await;
+}
+
+#[tokio::test]
+async fn without_frames_the_camera_says_why() {
+    let rig = Rig::start().await;
+    rig.hub.update_camera(CameraId(0), |camera| {
+        camera.status = CameraStatus::Failed;
+        camera.error = "no such folder".into();
+    });
+    let answer = rig.get("/api/v1/cameras/north/frame.jpg").await;
+    assert_eq!(answer.status, StatusCode::SERVICE_UNAVAILABLE);
+    assert_eq!(
+        answer.error().1,
+        "no picture from camera \"north\" within a second: it is failed (no such folder)"
+    );
+    // The last one there was is better than none, and its header says how old it is.
+    rig.hub.publish_picture(CameraId(0), picture(1, ellipse(60.0, 50.0, 40.0, 20.0)));
+    assert_eq!(rig.get("/api/v1/cameras/north/frame.jpg").await.status, StatusCode::OK);
+    rig.stop().await;
+}

@@ -1,0 +1,116 @@
+//! The limit on connections, and shutdown with clients attached.
+
+use std::time::Duration;
+
+use futures::StreamExt;
+use roundel_proto::v1;
+use roundel_server::api::Limits;
+use tokio::{
+    io::{AsyncReadExt, AsyncWriteExt},
+    net::TcpStream,
+    time::timeout,
+};
+use tokio_tungstenite::tungstenite::{Message, protocol::frame::coding::CloseCode};
+use tonic::Code;
+
+use crate::{
+    grpc, rig,
+    rig::{HANG, Rig, objects},
+    websocket,
+};
+
+#[tokio::test]
+async fn shutdown_tells_every_client() {
+    let rig = Rig::start().await;
+    rig.publish(objects(1));
+    let mut client = grpc::connect(&rig).await;
+    let request = v1::SubscribeSnapshotsRequest::default();
+    let mut snapshots = client.subscribe_snapshots(request).await.unwrap().into_inner();
+    let events = v1::SubscribeEventsRequest::default();
+    let mut events = client.subscribe_events(events).await.unwrap().into_inner();
+    let observations = v1::SubscribeObservationsRequest::default();
+    let mut observations = client.subscribe_observations(observations).await.unwrap().into_inner();
+    let mut socket = websocket::open(&rig, "?include=events").await;
+    grpc::next(&mut snapshots).await;
+
+    rig.cancel.cancel();
+    let ends = [
+        timeout(HANG, snapshots.message()).await.unwrap().unwrap_err(),
+        timeout(HANG, events.message()).await.unwrap().unwrap_err(),
+        timeout(HANG, observations.message()).await.unwrap().unwrap_err(),
+    ];
+    for end in ends {
+        assert_eq!((end.code(), end.message()), (Code::Unavailable, "server is shutting down"));
+    }
+    let Message::Close(Some(frame)) = timeout(HANG, socket.next()).await.unwrap().unwrap().unwrap()
+    else {
+        panic!("expected a close frame")
+    };
+    assert_eq!((frame.code, frame.reason.as_str()), (CloseCode::Away, "server is shutting down"));
+    rig.stop().await;
+}
+
+#[tokio::test]
+async fn shutdown_does_not_wait_for_stuck_clients() {
+    let limits = Limits { grace: Duration::from_millis(300), ..Limits::default() };
+    let rig = Rig::start_with(rig::hub("run"), limits, "127.0.0.1:0").await;
+    // One that says nothing, one in the middle of a request, one that never reads its stream.
+    let silent = TcpStream::connect(&rig.address).await.unwrap();
+    let mut slow = TcpStream::connect(&rig.address).await.unwrap();
+    slow.write_all(b"GET /api/v1/info HTTP/1.1\r\nHost:").await.unwrap();
+    let stuck = websocket::open(&rig, "").await;
+    let mut client = grpc::connect(&rig).await;
+    let request = v1::SubscribeSnapshotsRequest::default();
+    let unread = client.subscribe_snapshots(request).await.unwrap().into_inner();
+    for _ in 0..100 {
+        rig.publish(objects(200));
+        tokio::time::sleep(Duration::from_millis(2)).await;
+    }
+    rig.stop().await;
+    drop((silent, slow, stuck, unread));
+}
+
+#[tokio::test]
+async fn connections_beyond_the_limit_are_told_so() {
+    let limits = Limits { max_clients: 2, ..Limits::default() };
+    let rig = Rig::start_with(rig::hub("run"), limits, "127.0.0.1:0").await;
+    rig.publish(objects(1));
+    let mut client = grpc::connect(&rig).await;
+    client.get_server_info(v1::GetServerInfoRequest {}).await.unwrap();
+    // A WebSocket keeps its place after its upgrade.
+    let socket = websocket::open(&rig, "").await;
+
+    let refused = rig.get("/api/v1/info").await;
+    assert_eq!(refused.status, 503);
+    let (code, message) = refused.error();
+    assert_eq!(code, "resource_exhausted");
+    assert!(message.contains("all 2 connections") && message.contains("limits.max_clients"));
+    let mut late = grpc::connect(&rig).await;
+    let status = late.get_server_info(v1::GetServerInfoRequest {}).await.unwrap_err();
+    assert_eq!(status.code(), Code::ResourceExhausted, "{status}");
+    assert_eq!(status.message(), message);
+    // Those who are in are not disturbed, and a place that is given up is free again.
+    client.get_server_info(v1::GetServerInfoRequest {}).await.unwrap();
+    drop(socket);
+    let free = async { while rig.get("/api/v1/info").await.status != 200 {} };
+    timeout(HANG, free).await.expect("a place that was given up is not free");
+    rig.stop().await;
+}
+
+#[tokio::test]
+async fn bytes_of_another_protocol_do_no_harm() {
+    let rig = Rig::start().await;
+    for bytes in [
+        &b"\x16\x03\x01\x02\x00\x01\x00\x01\xfc\x03\x03"[..],
+        b"\0\0\0\0\0\0\0\0\0\0\0\0\0\0\0\0\0\0\0\0\0\0\0\0\0\0\0\0",
+    ] {
+        let mut stream = TcpStream::connect(&rig.address).await.unwrap();
+        stream.write_all(bytes).await.unwrap();
+        let mut answer = Vec::new();
+        // Closed, with an error in HTTP or without a word.
+        timeout(HANG, stream.read_to_end(&mut answer)).await.expect("still open").ok();
+        assert!(answer.is_empty() || answer.starts_with(b"HTTP/1.1 400"), "{answer:?}");
+    }
+    assert_eq!(rig.get("/healthz").await.status, 200);
+    rig.stop().await;
+}
