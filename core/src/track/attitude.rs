@@ -49,8 +49,30 @@ pub struct AttitudeMeasurement {
     pub likelihood: f64,
     /// Whether the rotation about the normal is measured.
     pub yaw_observed: bool,
-    /// Error of the small rotation.
-    pub noise: Noise,
+    /// Errors of the small rotation, of each candidate.
+    pub noises: [Noise; 2],
+}
+
+impl AttitudeMeasurement {
+    /// `noise` belongs to the first candidate; the second one's is the same, turned along.
+    pub fn new(
+        candidates: [UnitQuaternion<f64>; 2],
+        likelihood: f64,
+        yaw_observed: bool,
+        noise: Noise,
+    ) -> Self {
+        let normals = candidates.map(|candidate| candidate * Vector3::z());
+        let turn = UnitQuaternion::from_scaled_axis(smallest_turn(&normals[0], &normals[1]))
+            .to_rotation_matrix()
+            .into_inner();
+        let turned = Noise {
+            total: turn * noise.total * turn.transpose(),
+            // Turned from both sides, so that the same part of the systematic error goes on meaning
+            // nearly the same direction when the candidates change places.
+            systematic_root: turn * noise.systematic_root * turn.transpose(),
+        };
+        Self { candidates, likelihood, yaw_observed, noises: [noise, turned] }
+    }
 }
 
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -87,11 +109,7 @@ impl Attitude {
     pub fn begin(seen: &AttitudeMeasurement, camera: CameraId, model: &MotionModel) -> Self {
         let hypothesis = |index: usize| Hypothesis {
             orientation: completed(seen, index),
-            kernel: Kernel::begin(
-                &turned_noise(seen, index),
-                camera,
-                model.angular_speed_rad_s.powi(2),
-            ),
+            kernel: Kernel::begin(&seen.noises[index], camera, model.angular_speed_rad_s.powi(2)),
         };
         let mut attitude = Self {
             best: hypothesis(0),
@@ -178,8 +196,7 @@ impl Attitude {
         camera: CameraId,
         model: &MotionModel,
     ) {
-        let kernel =
-            Kernel::begin(&turned_noise(seen, index), camera, model.angular_speed_rad_s.powi(2));
+        let kernel = Kernel::begin(&seen.noises[index], camera, model.angular_speed_rad_s.powi(2));
         self.rival = Some(Hypothesis { orientation: completed(seen, index), kernel });
     }
 
@@ -230,23 +247,23 @@ impl Hypothesis {
         camera: CameraId,
         model: &MotionModel,
     ) -> (Fit, usize) {
-        let mut chosen: Option<(Fit, usize, Vector3<f64>, Noise)> = None;
+        let mut chosen: Option<(Fit, usize, Vector3<f64>)> = None;
         for index in 0..2 {
             let turn = self.turn_to(seen, index);
-            let noise = turned_noise(seen, index);
-            let Some(innovation) = self.kernel.innovation(&turn, &noise, camera) else { continue };
+            let noise = &seen.noises[index];
+            let Some(innovation) = self.kernel.innovation(&turn, noise, camera) else { continue };
             let evidence = log_likelihood(seen, index)
-                - 0.5 * (innovation.distance_squared + innovation.log_det);
+                - 0.5 * (innovation.distance_squared + innovation.log_det());
             if chosen.is_none_or(|(fit, ..)| evidence > fit.evidence) {
                 let fit = Fit { evidence, distance_squared: innovation.distance_squared };
-                chosen = Some((fit, index, turn, noise));
+                chosen = Some((fit, index, turn));
             }
         }
-        let Some((fit, index, turn, noise)) = chosen else {
+        let Some((fit, index, turn)) = chosen else {
             return (Fit { evidence: 0.0, distance_squared: 0.0 }, 0);
         };
         let robust = model.robust_distance_squared;
-        let (correction, _) = self.kernel.update(&turn, &noise, camera, robust);
+        let (correction, _) = self.kernel.update(&turn, &seen.noises[index], camera, robust);
         self.orientation = UnitQuaternion::from_scaled_axis(correction) * self.orientation;
         (fit, index)
     }
@@ -285,21 +302,6 @@ fn completed(seen: &AttitudeMeasurement, index: usize) -> UnitQuaternion<f64> {
         seen.candidates[index]
     } else {
         orientation_of_normal(&(seen.candidates[index] * Vector3::z()))
-    }
-}
-
-/// The noise belongs to the first candidate; the second one's is the same, turned along.
-fn turned_noise(seen: &AttitudeMeasurement, index: usize) -> Noise {
-    if index == 0 {
-        return seen.noise;
-    }
-    let normals = seen.candidates.map(|candidate| candidate * Vector3::z());
-    let turn = UnitQuaternion::from_scaled_axis(smallest_turn(&normals[0], &normals[1]))
-        .to_rotation_matrix()
-        .into_inner();
-    Noise {
-        total: turn * seen.noise.total * turn.transpose(),
-        systematic_root: turn * seen.noise.systematic_root * turn.transpose(),
     }
 }
 

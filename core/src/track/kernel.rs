@@ -104,16 +104,18 @@ impl Spread {
     }
 }
 
-/// How far a measurement lies from what was predicted.
+/// How far a measurement lies from what was predicted. No logarithms here: who compares two takes
+/// one of their ratio.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Innovation {
     /// Squared Mahalanobis length.
     pub distance_squared: f64,
-    /// ln det S.
-    pub log_det: f64,
-    /// Of each component given the two others: squared length over variance, plus ln variance.
-    /// With Λ = S⁻¹ that is (Λν)ᵢ²/Λᵢᵢ - ln Λᵢᵢ.
-    pub conditional: Vector3<f64>,
+    /// det S.
+    pub determinant: f64,
+    /// Of each component given the two others: squared length over variance, (Λν)ᵢ²/Λᵢᵢ, Λ = S⁻¹.
+    pub conditional_squared: Vector3<f64>,
+    /// And the reciprocal of that variance, Λᵢᵢ.
+    pub conditional_precision: Vector3<f64>,
 }
 
 impl Innovation {
@@ -121,12 +123,20 @@ impl Innovation {
         residual: &Vector3<f64>,
         weighted: &Vector3<f64>,
         inverse: &Matrix3<f64>,
-        log_det: f64,
+        determinant: f64,
     ) -> Self {
-        let conditional = Vector3::from_fn(|axis, _| {
-            weighted[axis] * weighted[axis] / inverse[(axis, axis)] - inverse[(axis, axis)].ln()
-        });
-        Self { distance_squared: residual.dot(weighted), log_det, conditional }
+        let precision = inverse.diagonal();
+        Self {
+            distance_squared: residual.dot(weighted),
+            determinant,
+            conditional_squared: weighted.component_mul(weighted).component_div(&precision),
+            conditional_precision: precision,
+        }
+    }
+
+    /// ln det S.
+    pub fn log_det(&self) -> f64 {
+        self.determinant.ln()
     }
 }
 
@@ -197,8 +207,8 @@ impl Kernel {
                 (source.value + source.rate * dt) * noise.systematic_root.transpose() * kept;
             covariance += shared + shared.transpose();
         }
-        let (inverse, log_det) = invert_positive(&covariance)?;
-        Some(Innovation::new(residual, &(inverse * residual), &inverse, log_det))
+        let (inverse, determinant) = invert_positive(&covariance)?;
+        Some(Innovation::new(residual, &(inverse * residual), &inverse, determinant))
     }
 
     /// How far `residual` (measured less predicted value) is from zero, by a camera's noise.
@@ -214,8 +224,8 @@ impl Kernel {
             None => Matrix3::zeros(),
         };
         let covariance = self.spread.value + shared + shared.transpose() + noise.total;
-        let (inverse, log_det) = invert_positive(&covariance)?;
-        Some(Innovation::new(residual, &(inverse * residual), &inverse, log_det))
+        let (inverse, determinant) = invert_positive(&covariance)?;
+        Some(Innovation::new(residual, &(inverse * residual), &inverse, determinant))
     }
 
     /// Takes in a measurement; gives the correction of the value. A measurement whose innovation
@@ -233,16 +243,17 @@ impl Kernel {
         let value_cov = self.spread.value + value_shared;
         let rate_cov = self.spread.cross.transpose() + self.sources[own].rate * root_transposed;
         let covariance = value_cov + value_shared.transpose() + noise.total;
-        let Some((inverse, log_det)) = invert_positive(&covariance) else {
+        let Some((inverse, determinant)) = invert_positive(&covariance) else {
             let nothing = Innovation {
                 distance_squared: f64::INFINITY,
-                log_det: 0.0,
-                conditional: Vector3::zeros(),
+                determinant: 1.0,
+                conditional_squared: Vector3::zeros(),
+                conditional_precision: Vector3::repeat(1.0),
             };
             return (Vector3::zeros(), nothing);
         };
         let weighted = inverse * residual;
-        let innovation = Innovation::new(residual, &weighted, &inverse, log_det);
+        let innovation = Innovation::new(residual, &weighted, &inverse, determinant);
         let distance_squared = innovation.distance_squared;
         let weight = if distance_squared > robust_distance_squared {
             (robust_distance_squared / distance_squared).sqrt()
@@ -311,7 +322,7 @@ pub(crate) fn positive_root(matrix: &Matrix3<f64>) -> Option<Matrix3<f64>> {
     Some(Matrix3::new(l00, 0., 0., l10, l11, 0., l20, l21, l22))
 }
 
-/// Inverse and ln det of a symmetric positive definite matrix, by its Cholesky factor.
+/// Inverse and determinant of a symmetric positive definite matrix, by its Cholesky factor.
 fn invert_positive(matrix: &Matrix3<f64>) -> Option<(Matrix3<f64>, f64)> {
     let l = positive_root(matrix)?;
     let (i00, i11, i22) = (1.0 / l[(0, 0)], 1.0 / l[(1, 1)], 1.0 / l[(2, 2)]);
@@ -330,7 +341,7 @@ fn invert_positive(matrix: &Matrix3<f64>) -> Option<(Matrix3<f64>, f64)> {
         m12,
         i22 * i22,
     );
-    Some((inverse, 2.0 * (l[(0, 0)] * l[(1, 1)] * l[(2, 2)]).ln()))
+    Some((inverse, (l[(0, 0)] * l[(1, 1)] * l[(2, 2)]).powi(2)))
 }
 
 #[cfg(test)]

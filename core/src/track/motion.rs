@@ -142,9 +142,10 @@ impl Motion {
         let calm = self.calm.update(seen, model);
         let lively = self.lively.update(seen, model);
         let agile = self.agile.update(seen, model);
-        let ratios = (calm.conditional - lively.conditional) * 0.5;
-        self.level.learn(ratios.x + ratios.y, model);
-        self.upright.learn(ratios.z, model);
+        let squared = calm.conditional_squared - lively.conditional_squared;
+        let precision = lively.conditional_precision.component_div(&calm.conditional_precision);
+        self.level.learn(0.5 * (squared.x + squared.y + (precision.x * precision.y).ln()), model);
+        self.upright.learn(0.5 * (squared.z + precision.z.ln()), model);
         self.alarm = (self.alarm + agile.log_ratio(&lively).min(LOG_LIMIT)).max(0.0);
         if self.alarm > ALARM_LOG_RATIO {
             self.alarm = 0.0;
@@ -221,8 +222,9 @@ impl LogDensity {
 impl Innovation {
     /// ln of this one's likelihood over the other's. Infinite distances (no covariance) say nothing.
     fn log_ratio(&self, other: &Innovation) -> f64 {
-        let ratio =
-            0.5 * (other.distance_squared + other.log_det - self.distance_squared - self.log_det);
+        let ratio = 0.5
+            * (other.distance_squared - self.distance_squared
+                + (other.determinant / self.determinant).ln());
         if ratio.is_finite() { ratio } else { 0.0 }
     }
 }

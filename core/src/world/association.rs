@@ -147,7 +147,7 @@ fn possible(
             out_of_gate |= continued;
             continue;
         }
-        let cost = innovation.distance_squared + innovation.log_det
+        let cost = innovation.distance_squared + innovation.log_det()
             - noise_det
             - if continued { CONTINUITY_BONUS } else { 0.0 }
             + if track.is_tentative() { TENTATIVE_COST } else { 0.0 };

@@ -187,8 +187,8 @@ impl Fusion {
         self.advance(self.timeline.newest().map_or(pose_time, |newest| newest.max(pose_time)));
         let mut objects: Vec<_> = self
             .tracks
-            .iter()
-            .chain(&self.lost)
+            .iter_mut()
+            .chain(&mut self.lost)
             .map(|track| {
                 let offset = track.kind.and_then(|kind| self.offsets_m.get(&kind));
                 let offset_m = offset.copied().unwrap_or_else(Vector3::zeros);

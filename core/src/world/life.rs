@@ -107,7 +107,7 @@ impl Track {
             LifeStage::Tentative => {
                 self.score += CLUTTER_SCORE
                     - GAUSS_CONSTANT
-                    - 0.5 * (innovation.distance_squared + innovation.log_det);
+                    - 0.5 * (innovation.distance_squared + innovation.log_det());
                 let trusted =
                     self.score >= TRUSTED_SCORE && self.observations >= params.confirm_hits;
                 trusted.then_some(EventKind::Appeared)

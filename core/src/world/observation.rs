@@ -76,13 +76,13 @@ pub(super) fn measure(
         number: detection.track,
         position_m: arm_m + place.translation.vector,
         position_noise,
-        attitude: AttitudeMeasurement {
-            candidates: [pose.normal, pose.other_normal]
+        attitude: AttitudeMeasurement::new(
+            [pose.normal, pose.other_normal]
                 .map(|normal| place.rotation * orientation(&normal, pose.yaw_rad)),
-            likelihood: pose.normal_likelihood,
-            yaw_observed: pose.yaw_rad.is_some(),
-            noise: rotation_noise,
-        },
+            pose.normal_likelihood,
+            pose.yaw_rad.is_some(),
+            rotation_noise,
+        ),
     })
 }
 

@@ -58,7 +58,7 @@ impl ObjectState {
 
 /// A track's state at `time`; `offset_m` is the tracked point in the roundel's frame.
 pub(super) fn state_of(
-    track: &Track,
+    track: &mut Track,
     time: Timestamp,
     offset_m: &Vector3<f64>,
     model: &MotionModel,
