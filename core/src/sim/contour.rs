@@ -98,48 +98,52 @@ fn rims_m(white_m: f64) -> [[f64; 4]; 2] {
     [[0.0, INNER_M, black_m, white_m], [black_m, OUTER_M, 1.17 * OUTER_M, white_m]]
 }
 
-#[test]
-fn half_levels_lie_on_the_projected_rims() {
-    let scenario = Scenario::new(ScenarioParams::r4_lite(1)).unwrap();
-    let camera = &scenario.cameras()[0].camera;
-    let grid = RayGrid::new(camera).unwrap();
+/// A roundel on the ray (x, y, 1), turned from facing along the axis by `tilt_rad` about an axis in
+/// the image plane.
+fn posed([x, y]: [f64; 2], depth_m: f64, tilt_rad: f64, axis_rad: f64) -> Rigid {
+    let axis = Vector3::new(axis_rad.cos(), axis_rad.sin(), 0.0);
+    let flip = UnitQuaternion::from_axis_angle(&Vector3::x_axis(), std::f64::consts::PI);
+    let turn = UnitQuaternion::from_scaled_axis(axis * tilt_rad) * flip;
+    Rigid::from_parts(Vector3::new(x * depth_m, y * depth_m, depth_m).into(), turn)
+}
+
+/// Paints a roundel on an even page; gives the working image.
+fn painted(camera: &Camera, camera_from_roundel: Rigid, sheet: Sheet) -> Canvas {
     let setting = Setting {
         light: [0.8, 0.05, -0.03],
         motion_m: Vector3::new(0.003, -0.001, 0.0),
         blur_px: 0.7,
     };
+    let (outer_radius_m, inner_radius_m) = (OUTER_M as f32, INNER_M as f32);
+    let shape = Shape::Roundel { outer_radius_m, inner_radius_m, sheet };
+    let patch = Patch::new(camera, camera_from_roundel, &setting).expect("seen from the front");
+    let page = vec![150 * STEPS_PER_LEVEL; camera.width() * camera.height()];
+    let mut canvas = Canvas::new(camera.width(), page);
+    canvas.paint(camera, &RayGrid::new(camera).unwrap(), &patch, &shape);
+    canvas
+}
+
+#[test]
+fn half_levels_lie_on_the_projected_rims() {
+    let scenario = Scenario::new(ScenarioParams::r4_lite(1)).unwrap();
+    let camera = &scenario.cameras()[0].camera;
+    let width = camera.width();
     let sheets = [Sheet::Disc(1.5 * OUTER_M as f32), Sheet::Square(1.5 * OUTER_M as f32)];
     let mut checked = 0;
     // Depths for outer diameters of 16 to 110 px, places from the middle to the corner.
     for (depth_m, sheet) in [7.0, 5.0, 3.0, 1.1].into_iter().zip(sheets.into_iter().cycle()) {
-        for (x, y) in [(0.0, 0.0), (0.31, -0.22), (-0.75, 0.38)] {
-            for (tilt_rad, towards_rad) in [(0.0, 0.0f64), (0.5, 0.7), (0.9, 2.9)] {
-                let towards = Vector3::new(towards_rad.cos(), towards_rad.sin(), 0.0);
-                let flip =
-                    UnitQuaternion::from_axis_angle(&Vector3::x_axis(), std::f64::consts::PI);
-                let turn = UnitQuaternion::from_scaled_axis(towards * tilt_rad) * flip;
-                let place = Vector3::new(x * depth_m, y * depth_m, depth_m);
-                let camera_from_roundel = Rigid::from_parts(place.into(), turn);
+        for place in [[0.0, 0.0], [0.31, -0.22], [-0.75, 0.38]] {
+            for (tilt_rad, axis_rad) in [(0.0, 0.0), (0.5, 0.7), (0.9, 2.9)] {
+                let camera_from_roundel = posed(place, depth_m, tilt_rad, axis_rad);
                 // The disc's image is bent most sharply with a radius of b² / a; where that comes
                 // down to the blur, the levels between pixels cannot be told well enough.
-                let facing = (camera_from_roundel.rotation * Vector3::z()).dot(&place.normalize());
+                let sight = camera_from_roundel.translation.vector.normalize();
+                let facing = (camera_from_roundel.rotation * Vector3::z()).dot(&sight);
                 if INNER_M * 733.0 / depth_m * facing * facing < 2.2 {
                     continue;
                 }
                 checked += 1;
-                let shape = Shape::Roundel {
-                    outer_radius_m: OUTER_M as f32,
-                    inner_radius_m: INNER_M as f32,
-                    sheet,
-                };
-                let Some(patch) = Patch::new(camera, camera_from_roundel, &setting) else {
-                    panic!("seen from behind at {x}, {y}, tilt {tilt_rad}");
-                };
-                // A white page, so that the sheet's own edge does not disturb.
-                let page = vec![150 * STEPS_PER_LEVEL; camera.width() * camera.height()];
-                let mut canvas = Canvas::new(camera.width(), page);
-                canvas.paint(camera, &grid, &patch, &shape);
-                let width = camera.width();
+                let canvas = painted(camera, camera_from_roundel, sheet);
                 let level = |i: usize| f64::from(canvas.row(i / width)[i % width]);
                 let picture = Picture { width, level: &level };
                 for radii_m in rims_m(1.25 * OUTER_M) {
@@ -147,7 +151,7 @@ fn half_levels_lie_on_the_projected_rims() {
                         picture.rim_error_px(camera, &camera_from_roundel, radii_m);
                     assert!(
                         largest < 0.03 && mean.abs() < 0.01,
-                        "rim {} m at {depth_m} m, {x}, {y}, tilt {tilt_rad}: \
+                        "rim {} m at {depth_m} m, {place:?}, tilt {tilt_rad}: \
                          {largest} px, mean {mean} px",
                         radii_m[1]
                     );

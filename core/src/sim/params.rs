@@ -199,72 +199,69 @@ impl ScenarioParams {
 
     /// Checks each number on its own; [`super::Scenario::new`] also checks that robots have room.
     pub fn validate(&self) -> Result<(), ScenarioError> {
-        let optics = &self.optics;
-        within("arena_m[0]", self.arena_m[0], 2.0, 1000.0, "2 to 1000 m")?;
-        within("arena_m[1]", self.arena_m[1], 2.0, 1000.0, "2 to 1000 m")?;
-        within("flying_share", self.flying_share, 0.0, 1.0, "0 to 1")?;
-        within(
-            "still",
-            self.still as f64,
-            0.0,
-            (self.robots - self.flying().min(self.robots)) as f64,
-            "0 to the number of robots that do not fly",
-        )?;
-        within("kinds", self.kinds.len() as f64, 1.0, 65_536.0, "1 to 65536 kinds")?;
-        for kind in &self.kinds {
-            let (outer, inner) = (kind.outer_diameter_m, kind.inner_diameter_m);
-            within("kinds' outer_diameter_m", outer, 0.01, 0.25, "0.01 to 0.25 m")?;
-            within(
-                "kinds' inner_diameter_m over the outer",
-                inner / outer,
-                0.1,
-                0.9,
-                "0.1 to 0.9",
-            )?;
-        }
-        within("roundel_height_m", self.roundel_height_m, 0.05, 0.6, "0.05 to 0.6 m")?;
-        within("flying_top_m", self.flying_top_m, 1.5, 100.0, "1.5 to 100 m")?;
-        within(
-            "acceleration_limit_m_s2",
-            self.acceleration_limit_m_s2,
-            0.01,
-            2.5,
-            "0.01 to 2.5 m/s²",
-        )?;
-        within("mounts", self.mounts.len() as f64, 1.0, 1000.0, "1 to 1000 cameras")?;
+        within("arena_m[0]", self.arena_m[0], [2.0, 1000.0], "2 to 1000 m")?;
+        within("arena_m[1]", self.arena_m[1], [2.0, 1000.0], "2 to 1000 m")?;
+        within("booms", self.booms as f64, [0.0, 16.0], "0 to 16")?;
+        within("mounts", self.mounts.len() as f64, [1.0, 1000.0], "1 to 1000 cameras")?;
         for mount in &self.mounts {
             let clear_m = mount.position_m[2] - self.flying_top_m;
-            within("mounts' height above flying_top_m", clear_m, 1.0, 100.0, "1 to 100 m")?;
+            within("mounts' height above flying_top_m", clear_m, [1.0, 100.0], "1 to 100 m")?;
         }
+        self.validate_robots()?;
+        self.optics.validate()?;
+        self.image.validate()
+    }
+
+    fn validate_robots(&self) -> Result<(), ScenarioError> {
+        within("flying_share", self.flying_share, [0.0, 1.0], "0 to 1")?;
+        let most_still = (self.robots - self.flying().min(self.robots)) as f64;
+        let role = "0 to the number of robots that do not fly";
+        within("still", self.still as f64, [0.0, most_still], role)?;
+        within("kinds", self.kinds.len() as f64, [1.0, 65_536.0], "1 to 65536 kinds")?;
+        for kind in &self.kinds {
+            let outer_m = kind.outer_diameter_m;
+            within("kinds' outer_diameter_m", outer_m, [0.01, 0.25], "0.01 to 0.25 m")?;
+            let ratio = kind.inner_diameter_m / outer_m;
+            within("kinds' inner over outer diameter", ratio, [0.1, 0.9], "0.1 to 0.9")?;
+        }
+        within("roundel_height_m", self.roundel_height_m, [0.05, 0.6], "0.05 to 0.6 m")?;
+        within("flying_top_m", self.flying_top_m, [1.5, 100.0], "1.5 to 100 m")?;
+        let limit_m_s2 = self.acceleration_limit_m_s2;
+        within("acceleration_limit_m_s2", limit_m_s2, [0.01, 2.5], "0.01 to 2.5 m/s²")
+    }
+}
+
+impl Optics {
+    fn validate(&self) -> Result<(), ScenarioError> {
         let side = MAX_SIDE_PX as f64;
-        within("optics.width", optics.width as f64, 64.0, side, "64 to 16384 px")?;
-        within("optics.height", optics.height as f64, 64.0, side, "64 to 16384 px")?;
-        within("optics.focal_px", optics.focal_px, 10.0, 1e5, "10 to 100000 px")?;
-        within(
-            "optics.center_offset_px",
-            optics.center_offset_px,
-            0.0,
-            0.2 * side,
-            "0 or more px",
-        )?;
-        within("optics.rate_hz", optics.rate_hz, 0.1, 1000.0, "0.1 to 1000 Hz")?;
-        within("optics.phase_range_s", optics.phase_range_s, 0.0, 10.0, "0 to 10 s")?;
-        within("optics.rate_error", optics.rate_error, 0.0, 0.1, "0 to 0.1")?;
-        within("optics.exposure_s", optics.exposure_s, 0.0, 0.05, "0 to 0.05 s")?;
-        within("optics.line_time_s", optics.line_time_s, 0.0, 1e-3, "0 to 0.001 s")?;
-        within("image.blur_px", self.image.blur_px, 0.0, 3.0, "0 to 3 px")?;
-        within("image.noise_levels", self.image.noise_levels, 0.0, 30.0, "0 to 30 levels")?;
-        within("image.light", self.image.light, 0.1, 1.0, "0.1 to 1")?;
-        within("image.light_gradient", self.image.light_gradient, 0.0, 0.8, "0 to 0.8")?;
-        within("booms", self.booms as f64, 0.0, 16.0, "0 to 16")
+        let (width, height) = (self.width as f64, self.height as f64);
+        within("optics.width", width, [64.0, side], "64 to 16384 px")?;
+        within("optics.height", height, [64.0, side], "64 to 16384 px")?;
+        within("optics.focal_px", self.focal_px, [10.0, 1e5], "10 to 100000 px")?;
+        let center_px = [0.0, 0.2 * width.min(height)];
+        let share = "0 to a fifth of the image's smaller side";
+        within("optics.center_offset_px", self.center_offset_px, center_px, share)?;
+        within("optics.rate_hz", self.rate_hz, [0.1, 1000.0], "0.1 to 1000 Hz")?;
+        within("optics.phase_range_s", self.phase_range_s, [0.0, 10.0], "0 to 10 s")?;
+        within("optics.rate_error", self.rate_error, [0.0, 0.1], "0 to 0.1")?;
+        within("optics.exposure_s", self.exposure_s, [0.0, 0.05], "0 to 0.05 s")?;
+        within("optics.line_time_s", self.line_time_s, [0.0, 1e-3], "0 to 0.001 s")
+    }
+}
+
+impl ImageParams {
+    fn validate(&self) -> Result<(), ScenarioError> {
+        within("image.blur_px", self.blur_px, [0.0, 3.0], "0 to 3 px")?;
+        within("image.noise_levels", self.noise_levels, [0.0, 30.0], "0 to 30 levels")?;
+        within("image.light", self.light, [0.1, 1.0], "0.1 to 1")?;
+        within("image.light_gradient", self.light_gradient, [0.0, 0.8], "0 to 0.8")
     }
 }
 
 fn within(
     field: &'static str,
     found: f64,
-    low: f64,
-    high: f64,
+    [low, high]: [f64; 2],
     expected: &'static str,
 ) -> Result<(), ScenarioError> {
     // Also false for NaN.

@@ -234,7 +234,7 @@ fn booms(params: &ScenarioParams, rng: &mut ChaCha8Rng) -> Vec<Boom> {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::rigid::Rigid;
+    use crate::sim::CameraMount;
 
     /// Instants over ten minutes, and one a month later.
     fn instants() -> impl Iterator<Item = f64> {
@@ -264,40 +264,82 @@ mod tests {
         }
     }
 
+    /// Checks limits and distances of all robots at one time.
+    fn check_traffic(scenario: &Scenario, time_s: f64) {
+        let params = scenario.params();
+        let robots = scenario.truth(time_s);
+        for (i, robot) in robots.iter().enumerate() {
+            let seed = params.seed;
+            let place = robot.world_from_roundel.translation.vector;
+            let half_m = params.arena_m.map(|side| side / 2.0);
+            let inside = place.x.abs() < half_m[0] && place.y.abs() < half_m[1];
+            assert!(inside, "seed {seed}, {time_s} s: {robot:?}");
+            let acceleration = robot.acceleration_m_s2.norm();
+            assert!(acceleration <= params.acceleration_limit_m_s2, "{robot:?}");
+            let up = (robot.world_from_roundel.rotation * Vector3::z()).z;
+            if robot.flying {
+                assert!((1.0..=params.flying_top_m).contains(&place.z), "{robot:?}");
+                assert!(up > 15f64.to_radians().cos(), "{robot:?}");
+            } else {
+                assert_eq!(place.z, params.roundel_height_m);
+                assert!((up - 1.0).abs() < 1e-12);
+            }
+            for other in &robots[..i] {
+                let gap_m = (other.world_from_roundel.translation.vector - place).norm();
+                assert!(
+                    gap_m > 0.4,
+                    "seed {seed}, {time_s} s: {} and {} are {gap_m} m apart",
+                    other.index,
+                    robot.index
+                );
+            }
+        }
+    }
+
     #[test]
     fn robots_keep_their_limits_and_their_distance() {
         for seed in 1..=6 {
             let scenario = Scenario::r4_lite(seed);
-            let params = scenario.params();
-            for time_s in instants() {
-                let robots = scenario.truth(time_s);
-                for (i, robot) in robots.iter().enumerate() {
-                    let place = robot.world_from_roundel.translation.vector;
-                    let inside = place.x.abs() < params.arena_m[0] / 2.0
-                        && place.y.abs() < params.arena_m[1] / 2.0;
-                    assert!(inside, "seed {seed}, {time_s} s: {robot:?}");
-                    let acceleration = robot.acceleration_m_s2.norm();
-                    assert!(acceleration <= params.acceleration_limit_m_s2, "{robot:?}");
-                    let up = (robot.world_from_roundel.rotation * Vector3::z()).z;
-                    if robot.flying {
-                        assert!((1.0..=params.flying_top_m).contains(&place.z), "{robot:?}");
-                        assert!(up > 15f64.to_radians().cos(), "{robot:?}");
-                    } else {
-                        assert_eq!(place.z, params.roundel_height_m);
-                        assert!((up - 1.0).abs() < 1e-12);
-                    }
-                    for other in &robots[..i] {
-                        let gap_m = (other.world_from_roundel.translation.vector - place).norm();
-                        assert!(
-                            gap_m > 0.4,
-                            "seed {seed}, {time_s} s: {} and {} are {gap_m} m apart",
-                            other.index,
-                            robot.index
-                        );
-                    }
-                }
+            instants().for_each(|time_s| check_traffic(&scenario, time_s));
+        }
+    }
+
+    #[test]
+    fn a_large_arena_takes_two_hundred_robots() {
+        let mut params = ScenarioParams::r4(1);
+        params.arena_m = [24.0, 18.0];
+        let rows = [-6.75, -2.25, 2.25, 6.75];
+        params.mounts = [-9.0, -3.0, 3.0, 9.0]
+            .into_iter()
+            .flat_map(|x| rows.map(|y| [x, y]))
+            .map(|[x, y]| CameraMount {
+                position_m: [x, y, 8.0],
+                target_m: [0.9 * x, 0.9 * y, 0.0],
+            })
+            .collect();
+        (params.robots, params.still) = (200, 20);
+        let scenario = Scenario::new(params).unwrap();
+        for time_s in instants().step_by(50) {
+            check_traffic(&scenario, time_s);
+            for robot in scenario.truth(time_s) {
+                let seen = scenario.cameras().iter().any(|camera| scenario.in_view(camera, &robot));
+                assert!(seen, "{time_s} s: {robot:?}");
             }
         }
+    }
+
+    #[test]
+    fn a_dense_crowd_still_keeps_its_distance() {
+        let mut params = ScenarioParams::r4_lite(5);
+        // As many as there is room for.
+        (params.flying_share, params.still, params.acceleration_limit_m_s2) = (0.0, 8, 0.2);
+        params.robots = 400;
+        let Err(ScenarioError::Crowded { most, .. }) = Scenario::new(params.clone()) else {
+            panic!("400 robots have no room")
+        };
+        params.robots = most + params.still;
+        let scenario = Scenario::new(params).unwrap();
+        instants().step_by(3).for_each(|time_s| check_traffic(&scenario, time_s));
     }
 
     #[test]
