@@ -26,7 +26,7 @@ use crate::{
     config::{CameraConfig, CameraPose, Config},
     fusion::{FusionTask, QUEUE_FRAMES},
     hub::{CameraInfo, Hub, Installation},
-    source::{Playback, SourceOpener, TimesError},
+    source::{OpenSource, Playback, SourceOpener, TimesError},
     stop::Stop,
     worker::{self, Place, Sighted, Worker, WorkerParts, pipeline::Pipeline},
 };
@@ -75,6 +75,20 @@ fn remedy(error: &io::Error) -> &'static str {
     }
 }
 
+/// What a source has to fit into.
+pub struct CameraSetting<'a> {
+    /// The camera's place in the configuration.
+    pub index: usize,
+    /// Its configuration.
+    pub camera: &'a CameraConfig,
+    /// The server's clock.
+    pub clock: Clock,
+    /// The time line of recorded and simulated frames.
+    pub playback: Playback,
+    /// Ends every wait of the source.
+    pub stop: Stop,
+}
+
 /// A running server. Dropping it without [`Server::shutdown`] ends its threads too, but does not
 /// wait for them.
 pub struct Server {
@@ -95,6 +109,21 @@ impl Server {
     ///
     /// A camera whose source cannot be opened is no error: it is shown as failed and tried again.
     pub async fn start(config: Config) -> Result<Self, ServeError> {
+        Self::start_with_sources(config, |setting| {
+            let CameraSetting { camera, clock, playback, stop, .. } = setting;
+            let size = (camera.calibration.width(), camera.calibration.height());
+            Box::new(SourceOpener::new(camera.address.clone(), size, clock, playback, stop))
+        })
+        .await
+    }
+
+    /// The same with frames of the caller's own: `source` is asked once for each camera. Its
+    /// sources give frames of the size of the camera's calibration, with capture times on the
+    /// setting's clock, and end their waits on its stop signal.
+    pub async fn start_with_sources(
+        config: Config,
+        mut source: impl FnMut(CameraSetting<'_>) -> Box<dyn OpenSource>,
+    ) -> Result<Self, ServeError> {
         let address = config.server.listen;
         let listening = |source| ServeError::Listen { address, source };
         let listener = TcpListener::bind(address).await.map_err(listening)?;
@@ -113,7 +142,7 @@ impl Server {
             fusion: None,
             api: None,
         };
-        server.start_threads(&config)?;
+        server.start_threads(&config, &mut source)?;
         let limits = api::Limits {
             max_clients: config.limits.max_clients,
             grace: CLIENT_GRACE,
@@ -144,7 +173,11 @@ impl Server {
         self.playback
     }
 
-    fn start_threads(&mut self, config: &Config) -> Result<(), ServeError> {
+    fn start_threads(
+        &mut self,
+        config: &Config,
+        source: &mut dyn FnMut(CameraSetting<'_>) -> Box<dyn OpenSource>,
+    ) -> Result<(), ServeError> {
         // Full: observations are dropped and counted, see `worker`.
         let (to_fusion, from_workers) = sync_channel::<Sighted>(QUEUE_FRAMES);
         let task = FusionTask::new(fusion(config), self.hub.clone(), self.clock, from_workers);
@@ -155,13 +188,13 @@ impl Server {
             let worker = Worker::new(WorkerParts {
                 id: camera_id(index),
                 name: camera.name.clone(),
-                opener: SourceOpener::new(
-                    camera.address.clone(),
-                    (camera.calibration.width(), camera.calibration.height()),
-                    self.clock,
-                    self.playback,
-                    self.stop_cameras.clone(),
-                ),
+                opener: source(CameraSetting {
+                    index,
+                    camera,
+                    clock: self.clock,
+                    playback: self.playback,
+                    stop: self.stop_cameras.clone(),
+                }),
                 pipeline: Pipeline::new(
                     config.kinds.clone(),
                     config.limits.max_roundels_per_camera,

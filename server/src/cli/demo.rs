@@ -22,7 +22,7 @@ use crate::{
     source::{SimAddress, SimPreset, SourceAddress, simulated_scenario},
 };
 
-/// Time after the origin in which tracks settle; it does not count.
+/// Time from the first tracked object in which tracks settle; it does not count.
 const SETTLING_S: f64 = 2.0;
 const REPORT_EVERY: Duration = Duration::from_secs(1);
 
@@ -69,7 +69,7 @@ pub(super) async fn run(arguments: DemoArgs) -> anyhow::Result<ExitCode> {
         _ = report(&server, &scenario, &mut total) => {}
     }
     let frames = frames(&server.hub().cameras());
-    shut_down(server, signals).await;
+    shut_down(server).await;
     // Nobody may be left to read it.
     let _ = say(&format!("in all: {}; {frames}", total.line()));
     Ok(ExitCode::SUCCESS)
@@ -113,6 +113,7 @@ async fn report(server: &Server, scenario: &Scenario, total: &mut Score) -> io::
     let mut ticks = tokio::time::interval(REPORT_EVERY);
     ticks.tick().await;
     let mut second = Score::default();
+    let mut settled_s = f64::INFINITY;
     loop {
         tokio::select! {
             changed = snapshots.changed() => {
@@ -122,7 +123,10 @@ async fn report(server: &Server, scenario: &Scenario, total: &mut Score) -> io::
                 }
                 let fused = snapshots.borrow_and_update().clone();
                 let time_s = fused.snapshot.pose_time.seconds_since(origin);
-                if time_s >= SETTLING_S {
+                if settled_s.is_infinite() && !fused.snapshot.objects.is_empty() {
+                    settled_s = time_s + SETTLING_S;
+                }
+                if time_s >= settled_s {
                     second.add(scenario, &fused.snapshot, time_s);
                 }
             }

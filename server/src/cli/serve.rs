@@ -10,6 +10,9 @@ use crate::{config::Config, serve::Server};
 
 /// Exit code of a process that a second signal ended.
 const ENDED_BY_SIGNAL: i32 = 130;
+/// Signals within this time count as one: a terminal or a supervisor may well send one to the
+/// process and to its group.
+const ONE_SIGNAL: Duration = Duration::from_millis(300);
 
 /// Run an installation: cameras in, world poses out.
 #[derive(Debug, Args)]
@@ -46,7 +49,7 @@ pub(super) async fn run(arguments: ServeArgs) -> anyhow::Result<ExitCode> {
         () = signals.next() => tracing::info!("ending on a signal"),
         () = elapsed(arguments.duration) => {}
     }
-    shut_down(server, signals).await;
+    shut_down(server).await;
     Ok(ExitCode::SUCCESS)
 }
 
@@ -67,10 +70,18 @@ pub(super) async fn elapsed(duration: Option<Duration>) {
 }
 
 /// Takes the server apart; a further signal meanwhile ends the process at once.
-pub(super) async fn shut_down(server: Server, mut signals: Signals) {
+pub(super) async fn shut_down(server: Server) {
+    let second_signal = async {
+        tokio::time::sleep(ONE_SIGNAL).await;
+        match Signals::listen() {
+            // Hears what comes from now on.
+            Ok(mut signals) => signals.next().await,
+            Err(_) => pending().await,
+        }
+    };
     tokio::select! {
         () = server.shutdown() => {}
-        () = signals.next() => {
+        () = second_signal => {
             tracing::warn!("ending at once on a second signal");
             std::process::exit(ENDED_BY_SIGNAL);
         }

@@ -146,9 +146,8 @@ impl<'t, 'i> Table<'t, 'i> {
     fn report_unknown(&self, name: &str, span: &Range<usize>, known: &[&'static str]) {
         let place =
             if self.title.is_empty() { String::new() } else { format!(" in {}", self.title) };
-        let unused = known.iter().copied().filter(|key| self.value(key).is_none());
         let mut message = format!("unknown key `{name}`{place}");
-        if let Some(meant) = nearest(name, unused) {
+        if let Some(meant) = nearest(name, known.iter().copied()) {
             message.push_str(&format!("; did you mean `{meant}`?"));
             self.suspected.borrow_mut().push(meant);
         }

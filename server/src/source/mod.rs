@@ -58,7 +58,13 @@ pub trait FrameSource: Send {
     fn next_frame(&mut self, pixels: &mut Vec<u8>) -> Result<FrameInfo, SourceError>;
 }
 
-/// Opens one camera's source, and opens it again after a failure.
+/// What a worker opens its source with, and opens it again after a failure.
+pub trait OpenSource: Send {
+    /// Opens the source.
+    fn open(&mut self) -> Result<Box<dyn FrameSource>, SourceError>;
+}
+
+/// Opens the source of a [`SourceAddress`].
 #[derive(Debug)]
 pub struct SourceOpener {
     address: SourceAddress,
@@ -82,9 +88,11 @@ impl SourceOpener {
     ) -> Self {
         Self { address, size, clock, playback, stop, began: None }
     }
+}
 
-    /// Opens the source. A source that is opened again goes on where it would be by now.
-    pub fn open(&mut self) -> Result<Box<dyn FrameSource>, SourceError> {
+impl OpenSource for SourceOpener {
+    /// A source that is opened again goes on where it would be by now.
+    fn open(&mut self) -> Result<Box<dyn FrameSource>, SourceError> {
         match &self.address {
             SourceAddress::Images(address) => {
                 let start = self.began.unwrap_or(self.playback.origin.max(self.clock.now()));

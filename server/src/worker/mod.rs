@@ -35,7 +35,7 @@ pub use supervisor::{Pauses, run};
 use crate::{
     clock::Clock,
     hub::{CameraStatus, Happening, Hub, Picture},
-    source::{FrameInfo, SourceError, SourceOpener},
+    source::{FrameInfo, OpenSource, SourceError},
 };
 use meter::{Median, Rate};
 use pipeline::Pipeline;
@@ -71,7 +71,7 @@ pub struct WorkerParts {
     /// Its name, for messages.
     pub name: String,
     /// Where its frames come from.
-    pub opener: SourceOpener,
+    pub opener: Box<dyn OpenSource>,
     /// What is done with them.
     pub pipeline: Pipeline,
     /// Where it stands.

@@ -111,7 +111,24 @@ fn panic_message(panic: &(dyn Any + Send)) -> &str {
 
 #[cfg(test)]
 mod tests {
+    use std::{
+        collections::{BTreeMap, VecDeque},
+        sync::{Arc, mpsc::sync_channel},
+    };
+
+    use roundel_core::{
+        camera::{Camera, Intrinsics, Lens},
+        id::CameraId,
+        rigid::Rigid,
+    };
+
     use super::*;
+    use crate::{
+        clock::Clock,
+        hub::{CameraInfo, Hub, Installation},
+        source::{FrameInfo, FrameSource, OpenSource, SourceError},
+        worker::{Place, WorkerParts, pipeline::Pipeline},
+    };
 
     #[test]
     fn pauses_double_up_to_the_cap_and_begin_again() {
@@ -124,5 +141,104 @@ mod tests {
         pauses.reset();
         assert!(pauses.take() < Duration::from_secs(1));
         assert_ne!(Pauses::new(1).take(), Pauses::new(2).take());
+    }
+
+    /// What a source of the test does, call by call.
+    enum Act {
+        Frame,
+        Panic,
+        Fail,
+        Finish,
+    }
+
+    struct Actor {
+        acts: VecDeque<Act>,
+        clock: Clock,
+    }
+
+    impl FrameSource for Actor {
+        fn next_frame(&mut self, pixels: &mut Vec<u8>) -> Result<FrameInfo, SourceError> {
+            match self.acts.pop_front() {
+                Some(Act::Frame) => {
+                    pixels.clear();
+                    pixels.resize(64 * 48, 200);
+                    let capture_time = self.clock.now();
+                    Ok(FrameInfo { capture_time, width: 64, height: 48, skipped: 2 })
+                }
+                Some(Act::Panic) => panic!("the cable bit me"),
+                Some(Act::Fail) => Err(SourceError::Failed("unplugged".into())),
+                Some(Act::Finish) | None => Err(SourceError::Finished),
+            }
+        }
+    }
+
+    /// One source after the other.
+    struct Stage(VecDeque<Actor>);
+
+    impl OpenSource for Stage {
+        fn open(&mut self) -> Result<Box<dyn FrameSource>, SourceError> {
+            let actor = self.0.pop_front();
+            actor.map(|actor| Box::new(actor) as Box<dyn FrameSource>).ok_or(SourceError::Finished)
+        }
+    }
+
+    fn camera() -> Camera {
+        Camera::new(Intrinsics {
+            width: 64,
+            height: 48,
+            fx_px: 60.0,
+            fy_px: 60.0,
+            cx_px: 31.5,
+            cy_px: 23.5,
+            lens: Lens::PlumbBob([0.0; 5]),
+        })
+        .unwrap()
+    }
+
+    #[test]
+    fn a_panic_and_a_failure_are_shown_and_the_camera_comes_back() {
+        let clock = Clock::anchored_now();
+        let hub = Arc::new(Hub::new(Installation {
+            name: "lab".into(),
+            source_id: "s".into(),
+            started: clock.now(),
+            snapshot_rate_hz: 60.0,
+            cameras: vec![CameraInfo { name: "north".into(), source: "test".into() }],
+            kinds: Vec::new(),
+            object_names: BTreeMap::new(),
+        }));
+        let actor = |acts| Actor { acts: VecDeque::from(acts), clock };
+        let stage = Stage(VecDeque::from([
+            actor(vec![Act::Frame, Act::Panic]),
+            actor(vec![Act::Fail]),
+            actor(vec![Act::Frame, Act::Frame, Act::Finish]),
+        ]));
+        let (fusion, from_worker) = sync_channel(1);
+        let worker = Worker::new(WorkerParts {
+            id: CameraId(0),
+            name: "north".into(),
+            opener: Box::new(stage),
+            pipeline: Pipeline::new(Vec::new(), 10, camera(), 0.0).unwrap(),
+            place: Place::Known(Rigid::identity()),
+            hub: hub.clone(),
+            fusion,
+            clock,
+        });
+        run(worker, &Stop::default());
+
+        let (events, _) = hub.events(10);
+        let happened: Vec<Happening> = events.iter().map(|event| event.happening).collect();
+        let [running, failed, finished] =
+            [CameraStatus::Running, CameraStatus::Failed, CameraStatus::Finished]
+                .map(|status| Happening::Camera(CameraId(0), status));
+        assert_eq!(happened, [running, failed, failed, running, finished]);
+        assert!(events[1].message.contains("internal error"), "{}", events[1].message);
+        assert!(events[1].message.contains("the cable bit me"), "{}", events[1].message);
+        assert!(events[2].message.contains("unplugged"), "{}", events[2].message);
+        let state = &hub.cameras()[0];
+        assert_eq!((state.status, state.restarts, state.frames), (CameraStatus::Finished, 2, 3));
+        // Two left out by the source before each frame, and two that fusion had no room for.
+        assert_eq!(state.dropped, 3 * 2 + 2);
+        assert_eq!(from_worker.try_iter().map(|sighted| sighted.observations.frame).max(), Some(1));
     }
 }

@@ -1,0 +1,401 @@
+//! Broken, missing and mistyped input: each ends in an error that names file, line or field, and the
+//! remedy. The tables below are what people get wrong.
+
+use std::{
+    fs,
+    path::{Path, PathBuf},
+    process::{Command, Output},
+};
+
+use roundel_core::camera::{Camera, Intrinsics, Lens};
+use roundel_server::{camera_file, config::Config};
+
+const EXAMPLE: &str = include_str!("../../deploy/roundel.example.toml");
+
+/// A folder with the example's camera files.
+fn lab() -> tempfile::TempDir {
+    let folder = tempfile::tempdir().unwrap();
+    for name in ["north", "south"] {
+        fs::write(folder.path().join(format!("{name}.yaml")), camera_yaml()).unwrap();
+    }
+    folder
+}
+
+fn camera_yaml() -> String {
+    let camera = Camera::new(Intrinsics {
+        width: 64,
+        height: 48,
+        fx_px: 60.0,
+        fy_px: 61.0,
+        cx_px: 31.5,
+        cy_px: 23.5,
+        lens: Lens::PlumbBob([-0.1, 0.01, 0.0, 0.0, 0.0]),
+    });
+    camera_file::write("north", &camera.unwrap())
+}
+
+/// Everything that is wrong with a configuration, as one text.
+fn problems(text: &str, folder: &Path) -> String {
+    let path = folder.join("lab.toml");
+    fs::write(&path, text).unwrap();
+    Config::load(&path).expect_err("a wrong configuration was taken").to_string()
+}
+
+fn run(arguments: &[&str]) -> Output {
+    Command::new(env!("CARGO_BIN_EXE_roundel")).args(arguments).output().unwrap()
+}
+
+fn stderr(output: &Output) -> String {
+    String::from_utf8_lossy(&output.stderr).into_owned()
+}
+
+#[test]
+fn the_example_is_a_configuration() {
+    let folder = lab();
+    let config = Config::parse(EXAMPLE, folder.path()).map_err(|p| format!("{p:#?}")).unwrap();
+    assert_eq!(config.name, "lab");
+    assert_eq!((config.kinds.len(), config.cameras.len(), config.references.len()), (2, 2, 4));
+    // What stands in the example as a default is one: a file without it reads the same.
+    let sections = ["[server]", "[fusion]", "[limits]"];
+    let mut kept = String::new();
+    let mut skipping = false;
+    for line in EXAMPLE.lines() {
+        if line.starts_with('[') {
+            skipping = sections.contains(&line);
+        }
+        if !skipping {
+            kept.push_str(line);
+            kept.push('\n');
+        }
+    }
+    let bare = Config::parse(&kept, folder.path()).unwrap();
+    assert_eq!(bare.server, config.server);
+    assert_eq!(bare.fusion, config.fusion);
+    assert_eq!(bare.limits, config.limits);
+}
+
+/// The keys of a line of TOML, tables' names and inline tables' keys included, with their columns.
+fn keys(line: &str) -> Vec<(usize, &str)> {
+    if line.starts_with('#') {
+        return Vec::new();
+    }
+    if line.starts_with('[') {
+        let name = line.trim_matches(['[', ']']);
+        return vec![(line.find(name).unwrap(), name)];
+    }
+    // Options inside quoted texts are no keys.
+    let outside: String = line
+        .split('"')
+        .enumerate()
+        .map(|(part, text)| if part % 2 == 0 { text.to_owned() } else { " ".repeat(text.len()) })
+        .collect::<Vec<_>>()
+        .join(" ");
+    outside
+        .match_indices('=')
+        .map(|(equals, _)| {
+            let before = outside[..equals].trim_end();
+            let start = before.rfind([' ', '{', ',']).map_or(0, |at| at + 1);
+            (start, &line[start..before.len()])
+        })
+        .collect()
+}
+
+#[test]
+fn every_mistyped_key_is_named_with_its_place_and_the_right_one() {
+    let folder = lab();
+    let lines: Vec<&str> = EXAMPLE.lines().collect();
+    let mut checked = 0;
+    for (number, line) in lines.iter().enumerate() {
+        for (column, key) in keys(line) {
+            // The last letter but one typed twice.
+            let at = key.len() - 1;
+            let typed = format!("{}{}{}", &key[..at], &key[at - 1..at], &key[at..]);
+            let mut broken: Vec<String> = lines.iter().map(ToString::to_string).collect();
+            broken[number].replace_range(column..column + key.len(), &typed);
+            let text = problems(&broken.join("\n"), folder.path());
+            let place = format!("lab.toml:{}:{}: unknown key `{typed}`", number + 1, column + 1);
+            assert!(text.contains(&place), "no \"{place}\" in\n{text}");
+            assert!(text.contains(&format!("did you mean `{key}`?")), "{key}:\n{text}");
+            assert!(!text.contains(&format!("missing key `{key}`")), "{key}:\n{text}");
+            checked += 1;
+        }
+    }
+    assert!(checked > 45, "only {checked} keys were found in the example");
+}
+
+#[test]
+fn wrong_values_are_named_with_their_line() {
+    let folder = lab();
+    let yaml = camera_yaml();
+    fs::write(folder.path().join("short.yaml"), yaml.replace("31.5, ", "")).unwrap();
+    for (from, to, expected) in [
+        ("outer_mm = 160.0", "outer_mm = 0", "`outer_mm` must be a number above 0"),
+        ("outer_mm = 160.0", "outer_mm = -160.0", "found -160.0"),
+        ("outer_mm = 160.0", "outer_mm = nan", "found nan"),
+        ("outer_mm = 160.0", "outer_mm = \"160\"", "found the text \"160\""),
+        ("outer_mm = 160.0\n", "", "missing key `outer_mm` in [[roundel]]"),
+        ("inner_mm = 64.0", "inner_mm = 160", "`inner_mm` must be below `outer_mm` = 160"),
+        (
+            "inner_mm = 64.0",
+            "inner_mm = 92.0",
+            "cannot be told apart: inner to outer diameter 0.575 and 0.600",
+        ),
+        ("name = \"reference\"", "name = \"robot\"", "two kinds of roundel are named \"robot\""),
+        ("name = \"south\"", "name = \"north\"", "cameras 1 and 2 are both named \"north\""),
+        ("name = \"south\"", "name = \" \"", "`name` must be a text in quotes that is not empty"),
+        (
+            "\"images:frames/south",
+            "\"video:frames/south",
+            "no source begins with `video:`: expected `images:`, `sim:`",
+        ),
+        ("\"images:frames/south", "\"image:frames/south", "did you mean `images:`?"),
+        ("fps=30&loop=true\"\n# ROS", "fsp=30&loop=true\"\n# ROS", "unknown option `fsp`"),
+        ("calibration = \"south.yaml\"", "calibration = \"sth.yaml\"", "sth.yaml"),
+        (
+            "calibration = \"south.yaml\"",
+            "calibration = \"short.yaml\"",
+            "short.yaml:7: `camera_matrix.data` must have 9 numbers, found 8",
+        ),
+        ("calibration = \"south.yaml\"\n", "", "missing key `calibration` in [[camera]]"),
+        (
+            "pose = \"unknown\"",
+            "pose = \"unkown\"",
+            "`pose` must be a table or \"unknown\", found the text \"unkown\"",
+        ),
+        ("pose = \"unknown\"", "pose = 3", "`pose` must be a table or \"unknown\""),
+        ("pose = \"unknown\"\n", "", "missing key `pose` in [[camera]]"),
+        ("0.921, -0.364", "0.5, -0.364", "must be a quaternion of length 1, found length 0.6"),
+        (
+            "0.921, -0.364, 0.052, -0.131",
+            "0.921, -0.364, 0.052",
+            "a list of 4 finite numbers, found 3",
+        ),
+        (
+            "line_time_us = 0.0",
+            "line_time_us = -1",
+            "`line_time_us` must be a number from 0 to 10000, found -1",
+        ),
+        (
+            "position_m = [2.0, 0.0, 0.0]",
+            "position_m = [0.0, 0.0, 0.0]",
+            "references 1 and 2 have the same place",
+        ),
+        (
+            "position_m = [2.0, 0.0, 0.0]",
+            "position_m = [2.0, inf, 0.0]",
+            "`position_m` must be a list of 3 finite numbers",
+        ),
+        (
+            "roundel = \"robot\"",
+            "roundel = \"robto\"",
+            "no [[roundel]] is named \"robto\"; did you mean \"robot\"?",
+        ),
+        (
+            "[fusion]",
+            "[[object]]\nname = \"two\"\nroundel = \"robot\"\n[fusion]",
+            "carry the same kind of roundel",
+        ),
+        (
+            "listen = \"127.0.0.1:7670\"",
+            "listen = \"localhost\"",
+            "`listen` must be an IP address with a port, found \"localhost\"",
+        ),
+        (
+            "snapshot_rate_hz = 60.0",
+            "snapshot_rate_hz = 1e6",
+            "`snapshot_rate_hz` must be a number above 0, at most 1000",
+        ),
+        (
+            "acceleration_m_s2 = 1.5",
+            "acceleration_m_s2 = 0",
+            "`acceleration_m_s2` must be a number above 0",
+        ),
+        (
+            "lost_after_ms = 2000.0",
+            "lost_after_ms = 100.0",
+            "`lost_after_ms` must be above `predicted_after_ms` = 150",
+        ),
+        ("max_objects = 1000", "max_objects = 0", "`max_objects` must be a whole number from 1"),
+        ("max_clients = 1000", "max_clients = 1.5", "`max_clients` must be a whole number from 1"),
+        ("[limits]", "[limits", "not valid TOML"),
+        ("[server]", "server = 3\n[sever]", "`server` must be a table"),
+        ("name = \"lab\"", "name = \"lab\"\nname = \"b\"", "not valid TOML: duplicate key"),
+    ] {
+        assert!(EXAMPLE.contains(from), "the example has no {from:?} any more");
+        // The last occurrence for what the first camera has too.
+        let broken = match EXAMPLE.rfind(from) {
+            Some(at) if from.starts_with("pose") => {
+                format!("{}{to}{}", &EXAMPLE[..at], &EXAMPLE[at + from.len()..])
+            }
+            _ => EXAMPLE.replacen(from, to, 1),
+        };
+        let text = problems(&broken, folder.path());
+        assert!(text.contains(expected), "{to:?} gives no \"{expected}\" but\n{text}");
+        let file = folder.path().join("lab.toml").display().to_string();
+        for line in text.lines().filter(|line| line.starts_with('/')) {
+            let place = line.strip_prefix(&file).unwrap_or(line);
+            let number = place.split(':').nth(1).and_then(|number| number.parse::<usize>().ok());
+            assert!(number.is_some_and(|number| number > 0), "no line in {line}");
+        }
+    }
+}
+
+#[test]
+fn what_is_missing_altogether_is_said() {
+    let folder = lab();
+    let text = problems("", folder.path());
+    assert!(text.contains("no kind of roundel is configured"), "{text}");
+    assert!(text.contains("no camera is configured"), "{text}");
+
+    let cut = |text: &str, begin: usize| {
+        let end = text.find("# Names for objects").unwrap();
+        format!("{}{}", &text[..begin], &text[end..])
+    };
+    let three = cut(EXAMPLE, EXAMPLE.rfind("[[reference]]").unwrap());
+    let two = cut(&three, three.rfind("[[reference]]").unwrap());
+    assert!(Config::parse(&three, folder.path()).is_ok());
+    let text = problems(&two, folder.path());
+    assert!(text.contains("expected at least 3 reference roundels, found 2"), "{text}");
+
+    let line = three.replacen("[0.0, 1.5, 0.0]", "[4.0, 0.0, 0.0]", 1);
+    let text = problems(&line, folder.path());
+    assert!(text.contains("all reference roundels lie in one line"), "{text}");
+
+    let none = cut(EXAMPLE, EXAMPLE.find("[[reference]]").unwrap());
+    let text = problems(&none, folder.path());
+    assert!(text.contains("`pose = \"unknown\"` needs reference roundels"), "{text}");
+}
+
+#[test]
+fn all_problems_are_told_at_once() {
+    let folder = lab();
+    let broken = EXAMPLE
+        .replacen("listen =", "listne =", 1)
+        .replacen("outer_mm = 160.0", "outer_mm = true", 1)
+        .replacen("max_objects = 1000", "max_objects = -1", 1);
+    let text = problems(&broken, folder.path());
+    let places: Vec<usize> = ["listne", "`outer_mm` must be", "`max_objects` must be"]
+        .map(|part| text.find(part).unwrap_or_else(|| panic!("no {part} in\n{text}")))
+        .to_vec();
+    assert!(places.is_sorted(), "not in the order of the lines:\n{text}");
+}
+
+#[test]
+fn serve_refuses_wrong_configurations() {
+    let folder = lab();
+    let path = folder.path().join("lab.toml");
+    let file = path.to_str().unwrap();
+    for (content, expected) in [
+        (None, "cannot read the configuration"),
+        (
+            Some(b"name = \"\xFF\"".as_slice()),
+            "expected UTF-8 text, found other bytes after byte 8",
+        ),
+        (Some(b"nane = \"lab\""), "lab.toml:1:1: unknown key `nane`; did you mean `name`?"),
+    ] {
+        match content {
+            Some(content) => fs::write(&path, content).unwrap(),
+            None => assert!(!path.exists()),
+        }
+        let output = run(&["serve", "--config", file]);
+        assert_eq!(output.status.code(), Some(1));
+        assert!(stderr(&output).contains(expected), "no {expected} in {}", stderr(&output));
+        assert!(output.stdout.is_empty());
+    }
+}
+
+#[test]
+fn a_taken_port_is_named() {
+    let folder = lab();
+    let taken = std::net::TcpListener::bind("127.0.0.1:0").unwrap();
+    let address = taken.local_addr().unwrap().to_string();
+    let path = folder.path().join("lab.toml");
+    fs::write(&path, EXAMPLE.replacen("127.0.0.1:7670", &address, 1)).unwrap();
+    let output = run(&["serve", "--config", path.to_str().unwrap()]);
+    let text = stderr(&output);
+    assert_eq!(output.status.code(), Some(1), "{text}");
+    assert!(text.contains(&format!("cannot listen on {address}")), "{text}");
+    assert!(text.contains("stop it, or choose another `listen`"), "{text}");
+}
+
+/// A grey PNG of one level.
+fn png(path: &Path, width: u32, height: u32) {
+    let mut encoder = png::Encoder::new(fs::File::create(path).unwrap(), width, height);
+    encoder.set_color(png::ColorType::Grayscale);
+    let pixels = vec![180; (width * height) as usize];
+    encoder.write_header().unwrap().write_image_data(&pixels).unwrap();
+}
+
+#[test]
+fn detect_names_each_bad_image_and_goes_on() {
+    let folder = lab();
+    let at = |name: &str| -> PathBuf { folder.path().join(name) };
+    png(&at("good.png"), 64, 48);
+    png(&at("large.png"), 65, 48);
+    fs::write(at("empty.png"), "").unwrap();
+    fs::write(at("text.jpg"), "not an image at all").unwrap();
+    let good = fs::read(at("good.png")).unwrap();
+    fs::write(at("cut.png"), &good[..good.len() - 30]).unwrap();
+    fs::write(at("cut.jpg"), [0xFF, 0xD8, 0xFF, 0xE0, 0x00, 0x10]).unwrap();
+    let images = [
+        "good.png",
+        "gone.png",
+        "empty.png",
+        "text.jpg",
+        "cut.png",
+        "cut.jpg",
+        "large.png",
+        "good.png",
+    ]
+    .map(|name| at(name).to_str().unwrap().to_owned());
+    let mut arguments = vec!["detect", "--format", "json"];
+    let camera = at("north.yaml");
+    arguments.extend(["--camera", camera.to_str().unwrap()]);
+    arguments.extend(images.iter().map(String::as_str));
+    let output = run(&arguments);
+    let text = stderr(&output);
+    assert_eq!(output.status.code(), Some(1), "{text}");
+    for expected in [
+        "gone.png: cannot read the image",
+        "empty.png: expected an image, found an empty file",
+        "text.jpg: expected a PNG, JPEG, PGM or BMP image, found text that begins with",
+        "cut.png: broken or truncated PNG image",
+        "cut.jpg: broken or truncated JPEG image",
+        "large.png: expected an image of 64 x 48 pixels as the camera file says, found 65 x 48",
+    ] {
+        assert!(text.contains(expected), "no {expected} in\n{text}");
+    }
+    let stdout = String::from_utf8(output.stdout).unwrap();
+    let lines: Vec<serde_json::Value> =
+        stdout.lines().map(|line| serde_json::from_str(line).unwrap()).collect();
+    let named: Vec<&str> = lines.iter().map(|line| line["image"].as_str().unwrap()).collect();
+    assert_eq!(named, images, "one line for each image, in their order");
+    for (line, image) in lines.iter().zip(&images) {
+        assert_eq!(line["error"].is_null(), image.ends_with("good.png"), "{line}");
+    }
+    assert_eq!(lines[0]["width"], 64);
+}
+
+#[test]
+fn wrong_arguments_of_detect_are_named() {
+    let folder = lab();
+    let image = folder.path().join("good.png");
+    png(&image, 64, 48);
+    let image = image.to_str().unwrap();
+    for (arguments, code, expected) in [
+        (vec!["detect"], 2, "IMAGE"),
+        (vec!["detect", "--marker", "64:160", image], 2, "the inner diameter must be below"),
+        (vec!["detect", "--format", "xml", image], 2, "possible values: table, json"),
+        (
+            vec!["detect", "--camera", "/no/such.yaml", image],
+            1,
+            "cannot read camera file /no/such.yaml",
+        ),
+        (vec!["detect", "--camera", image, image], 1, "cannot read camera file"),
+        (vec!["detekt", image], 2, "detect"),
+    ] {
+        let output = run(&arguments);
+        assert_eq!(output.status.code(), Some(code), "{arguments:?}: {}", stderr(&output));
+        assert!(stderr(&output).contains(expected), "{arguments:?}: {}", stderr(&output));
+    }
+}
