@@ -19,13 +19,16 @@ pub struct Clutter {
     pub lines: usize,
     /// Discs and ellipses of one grey.
     pub discs: usize,
-    /// Lines of letter-like strokes.
+    /// Lines of letter-like strokes and dots.
     pub words: usize,
+    /// Dark rings on pale labels whose discs are too large for the roundels here (0.6 to 0.8 of the
+    /// ring), from the size of a letter o to that of a roundel.
+    pub rings: usize,
 }
 
 impl Clutter {
     /// A lab's floor with things standing about.
-    pub const LAB: Clutter = Clutter { boxes: 25, lines: 12, discs: 25, words: 8 };
+    pub const LAB: Clutter = Clutter { boxes: 25, lines: 12, discs: 25, words: 8, rings: 0 };
 }
 
 /// An even floor of grey level `floor` with `clutter` on it.
@@ -57,6 +60,9 @@ pub fn background(
     }
     for _ in 0..clutter.words {
         painter.word();
+    }
+    for _ in 0..clutter.rings {
+        painter.ring();
     }
     painter.canvas
 }
@@ -96,14 +102,26 @@ impl Painter<'_> {
     }
 
     fn disc(&mut self, center: Vector2<f64>, semiaxes: [f64; 2], grey: f64) {
+        let contour = self.ellipse(center, semiaxes);
+        self.fill(contour, grey);
+    }
+
+    fn ellipse(&mut self, center: Vector2<f64>, semiaxes: [f64; 2]) -> Option<Contour> {
         let angle = self.random.uniform(0.0, std::f64::consts::PI);
         let (sin, cos) = angle.sin_cos();
         let count = (std::f64::consts::TAU * semiaxes[0] / 0.6).ceil().max(48.0) as usize;
-        let contour = Contour::smooth(count, |t| {
+        Contour::smooth(count, |t| {
             let (x, y) = (semiaxes[0] * t.cos(), semiaxes[1] * t.sin());
             Some(center + Vector2::new(x * cos - y * sin, x * sin + y * cos))
-        });
-        self.fill(contour, grey);
+        })
+    }
+
+    fn ring(&mut self) {
+        let (center, radius) = (self.place(), self.random.uniform(4.0, 20.0));
+        let inner = radius * self.random.uniform(0.6, 0.8);
+        for (radius, grey) in [(1.6 * radius, 215.0), (radius, 45.0), (inner, 215.0)] {
+            self.disc(center, [radius; 2], grey);
+        }
     }
 
     /// Dark strokes of two heights on a pale label, as from a printed page.
@@ -116,8 +134,7 @@ impl Painter<'_> {
         for letter in 0..letters {
             let center = start + Vector2::new((letter as f64 + 0.5) * size, 0.0);
             if self.random.next_u64().is_multiple_of(3) {
-                self.disc(center, [size * 0.3; 2], 45.0);
-                self.disc(center, [size * 0.15; 2], 215.0);
+                self.disc(center, [size * 0.25; 2], 45.0);
             } else {
                 let tall = self.random.uniform(0.4, 0.8) * size;
                 let lean = self.random.uniform(1.2, 1.9);

@@ -126,7 +126,8 @@ impl Export {
             let q = site.world_from_camera.rotation;
             let times = folder.join(format!("{}-times.txt", site.name));
             let pattern = folder.join(&site.name).join("*.png");
-            let source = format!("images:{}?times={}", pattern.display(), times.display());
+            let source =
+                format!("images:{}?times={}&clock=file", pattern.display(), times.display());
             let _ = write!(
                 text,
                 "\n[[camera]]\nname = \"{name}\"\nsource = '{source}'\n\

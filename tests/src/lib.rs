@@ -12,6 +12,7 @@
 //! | [`clutter`] | seeded backgrounds that hold no roundel |
 //! | [`arena`] | cameras and robots on smooth paths, with the truth at any time |
 //! | [`export`] | such an arena as an installation on disk, for `roundel serve` |
+//! | [`pipeline`] | core's own way from such frames to detections and world poses, without a server |
 //! | [`score`] | snapshots against the truth: normalized errors, swaps, rms |
 //! | [`process`] | a real server process: built, started, read, ended |
 //! | [`layering`] | the house's rules of who may use whom, checked on source text |
@@ -24,6 +25,7 @@ pub mod export;
 pub mod layering;
 pub mod normal;
 pub mod optics;
+pub mod pipeline;
 pub mod process;
 pub mod render;
 pub mod score;

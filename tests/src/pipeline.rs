@@ -1,0 +1,153 @@
+//! Core's way from rendered frames to detections and to fused objects, without a server: what is
+//! judged, put together as the server does it. Types of core are used here at the border only.
+
+use anyhow::Context;
+use nalgebra::Vector3;
+use roundel_core::{
+    camera::{Camera, Intrinsics, Lens},
+    frame::Frame,
+    id::{CameraId, KindId},
+    marker::{Detector, Kind, Params, Ring, Tracker},
+    pose::{self, Detection, RimNoise, RoundelPose},
+    rigid::{self, Covariance6},
+    time::Timestamp,
+    world::{self, CameraPlacement, FrameObservations, Fusion, FusionParams},
+};
+use roundel_proto::v1;
+
+use crate::{
+    arena::{self, Arena},
+    optics::{Distortion, Pinhole},
+    render::Image,
+};
+
+/// A camera as core takes it.
+pub fn core_camera(optics: &Pinhole) -> anyhow::Result<Camera> {
+    let lens = match optics.distortion {
+        Distortion::PlumbBob(d) => Lens::PlumbBob(d),
+        Distortion::Equidistant(d) => Lens::Equidistant(d),
+    };
+    let intrinsics = Intrinsics {
+        width: optics.width,
+        height: optics.height,
+        fx_px: optics.focal_px[0],
+        fy_px: optics.focal_px[1],
+        cx_px: optics.center_px[0],
+        cy_px: optics.center_px[1],
+        lens,
+    };
+    Camera::new(intrinsics).context("core refuses the camera")
+}
+
+/// Kinds of roundel as core takes them.
+pub fn core_kinds(kinds: &[arena::Kind]) -> Vec<Kind> {
+    let kind = |kind: &arena::Kind| Kind {
+        name: kind.name.clone(),
+        outer_diameter_m: kind.outer_diameter_m,
+        inner_diameter_m: kind.inner_diameter_m,
+    };
+    kinds.iter().map(kind).collect()
+}
+
+/// One camera's detector, tracker and poses.
+pub struct Observer {
+    camera: Camera,
+    kinds: Vec<Kind>,
+    tracker: Tracker,
+    line_time_s: f64,
+    /// How exactly the detector finds rims, as the server takes it.
+    pub noise: RimNoise,
+}
+
+impl Observer {
+    /// For a camera of this lens and shutter that looks for these kinds.
+    pub fn new(optics: &Pinhole, kinds: &[arena::Kind], line_time_s: f64) -> anyhow::Result<Self> {
+        let kinds = core_kinds(kinds);
+        let detector = Detector::new(kinds.clone(), Params::default())?;
+        let tracker = Tracker::new(detector);
+        Ok(Self {
+            camera: core_camera(optics)?,
+            kinds,
+            tracker,
+            line_time_s,
+            noise: RimNoise::default(),
+        })
+    }
+
+    /// What is seen in the next frame, whose middle row was exposed at `capture_ns`.
+    pub fn observe(&mut self, image: &Image, capture_ns: i64) -> anyhow::Result<Vec<Detection>> {
+        let frame = Frame::new(&image.pixels, image.width, image.height, image.width)?;
+        let middle = (image.height as f64 - 1.0) / 2.0;
+        let tracked = self.tracker.process(&frame).to_vec();
+        let detection = |tracked: &roundel_core::marker::TrackedRing| Detection {
+            track: tracked.track,
+            ring: tracked.ring,
+            capture_time: Timestamp::from_ns(capture_ns)
+                .plus_seconds((tracked.ring.outer.center.v - middle) * self.line_time_s),
+            pose: self.locate(&tracked.ring),
+        };
+        Ok(tracked.iter().map(detection).collect())
+    }
+
+    fn locate(&self, ring: &Ring) -> Option<RoundelPose> {
+        let kind = &self.kinds[usize::from(ring.kind.unwrap_or(KindId(0)).0)];
+        pose::locate(&self.camera, kind, ring, &self.noise).ok()
+    }
+}
+
+/// Fusion of an arena's cameras, whose places are exactly known.
+pub fn fusion(arena: &Arena, params: FusionParams) -> Fusion {
+    let mut fusion = Fusion::new(params);
+    for (index, site) in arena.sites.iter().enumerate() {
+        let world_from_camera = site.world_from_camera;
+        let placement = CameraPlacement { world_from_camera, covariance: Covariance6::zeros() };
+        fusion.set_camera(CameraId(index as u32), Some(placement));
+    }
+    fusion
+}
+
+/// A frame's detections as fusion takes them, received when they were captured.
+pub fn observations(
+    camera: usize,
+    frame: usize,
+    capture_ns: i64,
+    detections: Vec<Detection>,
+) -> FrameObservations {
+    FrameObservations {
+        camera: CameraId(camera as u32),
+        frame: frame as u64 + 1,
+        capture_time: Timestamp::from_ns(capture_ns),
+        received_time: Timestamp::from_ns(capture_ns),
+        calibration_version: 1,
+        detections,
+    }
+}
+
+/// What of a snapshot is scored, as a message.
+pub fn message(snapshot: &world::Snapshot) -> v1::Snapshot {
+    let vector = |v: &Vector3<f64>| v1::Vector3 { x: v.x, y: v.y, z: v.z };
+    let object = |state: &world::ObjectState| {
+        let q = state.orientation;
+        let velocity_block = state.motion_covariance.fixed_view::<3, 3>(3, 3).into_owned();
+        v1::ObjectState {
+            object_id: state.id.0,
+            stage: match state.stage {
+                world::LifeStage::Tentative => v1::LifeStage::Tentative,
+                world::LifeStage::Tracked => v1::LifeStage::Tracked,
+                world::LifeStage::Predicted => v1::LifeStage::Predicted,
+                world::LifeStage::Lost => v1::LifeStage::Lost,
+            } as i32,
+            position: Some(vector(&state.position_m)),
+            orientation: Some(v1::Quaternion { x: q.i, y: q.j, z: q.k, w: q.w }),
+            velocity: Some(vector(&state.velocity_m_s)),
+            covariance: rigid::upper_triangle(&state.covariance),
+            velocity_covariance: rigid::upper_triangle(&velocity_block),
+            ..Default::default()
+        }
+    };
+    v1::Snapshot {
+        pose_time_ns: snapshot.pose_time.as_ns(),
+        objects: snapshot.objects.iter().map(object).collect(),
+        ..Default::default()
+    }
+}

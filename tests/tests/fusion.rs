@@ -1,0 +1,79 @@
+//! A rendered arena through core's detection, poses and fusion, scored against the truth: the same
+//! scenario and score as over a real server, without its timing.
+
+use rayon::prelude::*;
+use roundel_core::{
+    time::Timestamp,
+    world::{FrameObservations, FusionParams},
+};
+use roundel_tests::{
+    arena::Arena,
+    clutter::Clutter,
+    export::Studio,
+    pipeline::{Observer, fusion, message, observations},
+    score::{CHI2_95_3, Judge, Score},
+};
+
+/// Every camera's observations of `frames` frames, by capture time.
+fn observe(arena: &Arena, frames: usize) -> Vec<FrameObservations> {
+    let mut all: Vec<FrameObservations> = (0..arena.sites.len())
+        .into_par_iter()
+        .flat_map_iter(|index| {
+            let site = &arena.sites[index];
+            let studio = Studio::new(arena, index, 120.0, &Clutter::LAB);
+            let line_time_s = site.imaging.line_time_s;
+            let mut observer = Observer::new(&site.optics, &arena.kinds, line_time_s).unwrap();
+            (0..frames)
+                .map(|frame| {
+                    let capture_ns = arena.capture_time_ns(site, frame);
+                    let found = observer.observe(&studio.frame(frame), capture_ns).unwrap();
+                    observations(index, frame, capture_ns, found)
+                })
+                .collect::<Vec<_>>()
+        })
+        .collect();
+    all.sort_by_key(|frame| frame.capture_time);
+    all
+}
+
+/// Fuses in order, with a snapshot each 1/60 s, 10 ms after the newest frame at least; scores
+/// after the first second, in which tracks begin.
+fn score(arena: &Arena, frames: &[FrameObservations], params: FusionParams) -> Score {
+    let mut fusion = fusion(arena, params);
+    let mut judge = Judge::default();
+    let step_ns = 1_000_000_000 / 60;
+    let mut pose_ns = arena.start_ns;
+    for frame in frames {
+        while pose_ns + 10_000_000 <= frame.capture_time.as_ns() {
+            let snapshot = fusion.snapshot(Timestamp::from_ns(pose_ns));
+            if pose_ns - arena.start_ns > 1_000_000_000 {
+                judge.take(&message(&snapshot), &arena.truth(pose_ns));
+            }
+            pose_ns += step_ns;
+        }
+        fusion.observe(frame);
+    }
+    judge.finish()
+}
+
+#[test]
+fn fused_poses_are_as_exact_as_stated() {
+    let arena = Arena::r4_lite(1, 8, 2);
+    let frames = observe(&arena, 90);
+    for cameras in [1, 2, 4] {
+        let used: Vec<_> =
+            frames.iter().filter(|frame| (frame.camera.0 as usize) < cameras).cloned().collect();
+        let score = score(&arena, &used, FusionParams::default());
+        println!("{cameras} cameras\n{score}\n");
+        assert_eq!((score.swaps, score.strays, score.extra_ids, score.unusable), (0, 0, 0, 0));
+        assert!(score.position.count() > 500);
+        // Errors of one camera's depth are the same from frame to frame; a few robots say little
+        // of their share. With all cameras it must hold.
+        if cameras == 4 {
+            assert_eq!(score.misses, 0);
+            assert!(score.position.share_within(CHI2_95_3) >= 0.92);
+            assert!(score.velocity.share_within(CHI2_95_3) >= 0.92);
+            assert!(score.position.rms() < 0.003, "{}", score.position.rms());
+        }
+    }
+}
