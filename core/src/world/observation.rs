@@ -19,9 +19,9 @@ use crate::{
 /// No measurement is believed to be better than 10 µm and 10 µrad: keeps the filter's arithmetic
 /// well within the digits of `f64`.
 const FLOOR_VARIANCE: f64 = 1e-10;
-/// Beyond 100 m and 10 rad a measurement tells nothing and only costs digits.
+/// Beyond 100 m and 100 rad a measurement tells nothing and only costs digits.
 const CEILING_POSITION_M2: f64 = 1e4;
-const CEILING_ROTATION_RAD2: f64 = 1e2;
+const CEILING_ROTATION_RAD2: f64 = 1e4;
 /// A unit normal's length may be off by so much.
 const UNIT_TOLERANCE: f64 = 1e-3;
 
