@@ -489,11 +489,13 @@ mod tests {
         }
         let one = kernel.spread.value[(0, 0)];
         assert!((one / 0.5e-6 - 1.0).abs() < 0.1, "{one:e}");
-        for _ in 0..1000 {
-            kernel.predict(0.01, &still, 1e6);
-            kernel.update(&Vector3::zeros(), &seen, CameraId(1), 16.3);
+        // A second camera has an error of its own: the mean of both is twice as good.
+        for frame in 0..2000 {
+            kernel.predict(0.005, &still, 1e6);
+            kernel.update(&Vector3::zeros(), &seen, CameraId(frame % 2), 16.3);
         }
-        assert!(kernel.spread.value[(0, 0)] < 0.6 * one);
+        let two = kernel.spread.value[(0, 0)];
+        assert!(two < 0.6 * one, "{two:e} of {one:e}");
     }
 
     #[test]
