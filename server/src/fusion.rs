@@ -97,6 +97,7 @@ impl FusionTask {
         let snapshot = self.fusion.snapshot(pose_time);
         let events: Vec<Event> = self.fusion.drain_events().collect();
         self.remember_kinds(&snapshot);
+        self.hub.set_fusion_counts(self.fusion.counts());
         self.hub.publish_snapshot(snapshot, self.clock.now());
         for event in events {
             let message = self.sentence(&event);

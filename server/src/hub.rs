@@ -18,7 +18,7 @@ use roundel_core::{
     id::{CameraId, KindId, ObjectId},
     rigid::Rigid,
     time::Timestamp,
-    world::{self, FrameObservations, LifeStage, Snapshot},
+    world::{self, FrameObservations, FusionCounts, LifeStage, Snapshot},
 };
 use tokio::sync::{broadcast, watch};
 
@@ -210,6 +210,7 @@ pub struct Hub {
     event_log: Mutex<EventLog>,
     objects: Mutex<BTreeMap<ObjectId, ObjectRecord>>,
     cameras: Vec<CameraSlot>,
+    fusion_counts: Mutex<FusionCounts>,
 }
 
 impl Hub {
@@ -228,6 +229,7 @@ impl Hub {
             events: broadcast::Sender::new(EVENTS_KEPT),
             event_log: Mutex::new(EventLog { next_sequence: 1, newest: VecDeque::new() }),
             objects: Mutex::default(),
+            fusion_counts: Mutex::default(),
         }
     }
 
@@ -291,6 +293,16 @@ impl Hub {
         if let Some(slot) = self.cameras.get(id.0 as usize) {
             change(&mut lock(&slot.state));
         }
+    }
+
+    /// What became of all that was observed, as of now.
+    pub fn set_fusion_counts(&self, counts: FusionCounts) {
+        *lock(&self.fusion_counts) = counts;
+    }
+
+    /// What became of all that was observed, since the start.
+    pub fn fusion_counts(&self) -> FusionCounts {
+        *lock(&self.fusion_counts)
     }
 
     /// Every camera's state, by [`CameraId`].

@@ -14,7 +14,7 @@ use axum::{
     http::{StatusCode, header},
     response::{IntoResponse, Response},
 };
-use roundel_core::world::LifeStage;
+use roundel_core::world::{FusionCounts, LifeStage};
 use roundel_proto::v1::roundel_server;
 use serde::Serialize;
 use tokio::time::sleep;
@@ -197,6 +197,7 @@ fn write_cameras(page: &mut Page, installation: &Installation, cameras: &[Camera
 }
 
 fn write_fusion(page: &mut Page, api: &Api) {
+    write_fusion_counts(page, &api.hub.fusion_counts());
     let fused = api.hub.snapshots().borrow().clone();
     let help = "Snapshots that fusion made.";
     page.single("roundel_snapshots_total", "counter", help, fused.sequence as f64);
@@ -214,6 +215,49 @@ fn write_fusion(page: &mut Page, api: &Api) {
     ] {
         let count = records.iter().filter(|record| record.stage == stage).count();
         page.sample("roundel_objects", &[("stage", word)], count as f64);
+    }
+}
+
+fn write_fusion_counts(page: &mut Page, counts: &FusionCounts) {
+    let taken = counts
+        .frames
+        .saturating_sub(counts.duplicate_frames + counts.late_frames + counts.jumped_frames);
+    let name = "roundel_fusion_frames_total";
+    page.family(name, "counter", "Frames handed to fusion, by what became of them.");
+    for (outcome, count) in [
+        ("taken", taken),
+        ("duplicate", counts.duplicate_frames),
+        ("late", counts.late_frames),
+        ("jumped", counts.jumped_frames),
+    ] {
+        page.sample(name, &[("outcome", outcome)], count as f64);
+    }
+    let name = "roundel_fusion_detections_total";
+    page.family(name, "counter", "Detections handed to fusion, by what became of them.");
+    for (outcome, count) in [
+        ("used", counts.used),
+        ("late", counts.late),
+        ("duplicate", counts.duplicate),
+        ("jumped", counts.jumped),
+        ("no_camera_pose", counts.no_camera_pose),
+        ("no_pose", counts.no_pose),
+        ("invalid", counts.invalid),
+        ("gated", counts.gated),
+        ("over_max_objects", counts.over_max_objects),
+    ] {
+        page.sample(name, &[("outcome", outcome)], count as f64);
+    }
+    for (name, help, count) in [
+        (
+            "roundel_fusion_out_of_order_total",
+            "Detections used that came after newer ones of their object.",
+            counts.out_of_order,
+        ),
+        ("roundel_fusion_tracks_begun_total", "Detections that began a track.", counts.begun),
+        ("roundel_fusion_tracks_merged_total", "Tracks joined with another one.", counts.merged),
+        ("roundel_fusion_restarts_total", "Times that all tracks were ended.", counts.restarts),
+    ] {
+        page.single(name, "counter", help, count as f64);
     }
 }
 

@@ -4,7 +4,7 @@ use std::{sync::Arc, time::Duration};
 
 use axum::{
     Json, Router,
-    extract::{Path, State},
+    extract::{Path, State, rejection::PathRejection},
     http::{HeaderName, HeaderValue, Uri, header},
     middleware,
     response::{IntoResponse, Response},
@@ -39,6 +39,16 @@ pub fn router(api: Arc<Api>) -> Router {
         .method_not_allowed_fallback(async || ApiError::MethodNotAllowed)
         .layer(middleware::map_response(page::with_security_headers))
         .with_state(api)
+}
+
+/// The changing part of a path.
+type Segment = Result<Path<String>, PathRejection>;
+
+fn text_of(segment: Segment) -> Result<String, ApiError> {
+    match segment {
+        Ok(Path(text)) => Ok(text),
+        Err(error) => Err(ApiError::invalid("path", "percent-encoded UTF-8", error)),
+    }
 }
 
 /// The newest snapshot.
@@ -98,8 +108,9 @@ pub struct ObjectWithState {
 )]
 pub async fn object(
     State(api): State<Arc<Api>>,
-    Path(id): Path<String>,
+    id: Segment,
 ) -> Result<Json<ObjectWithState>, ApiError> {
+    let id = text_of(id)?;
     let number = id.parse::<u64>().map_err(|_| {
         ApiError::invalid("id", "the number of an object (object_id)", format!("{id:?}"))
     })?;
@@ -135,8 +146,9 @@ pub async fn cameras(State(api): State<Arc<Api>>) -> Json<v1::ListCamerasRespons
 )]
 pub async fn camera(
     State(api): State<Arc<Api>>,
-    Path(name): Path<String>,
+    name: Segment,
 ) -> Result<Json<v1::Camera>, ApiError> {
+    let name = text_of(name)?;
     let id = grpc::camera_id(&api, &name)?;
     let states = api.hub.cameras();
     let state = states.get(id.0 as usize).cloned().unwrap_or_default();
@@ -156,10 +168,8 @@ pub async fn camera(
         (status = 503, description = "the camera gives no frames; says why", body = ErrorBody),
     ),
 )]
-pub async fn frame(
-    State(api): State<Arc<Api>>,
-    Path(name): Path<String>,
-) -> Result<Response, ApiError> {
+pub async fn frame(State(api): State<Arc<Api>>, name: Segment) -> Result<Response, ApiError> {
+    let name = text_of(name)?;
     let id = grpc::camera_id(&api, &name)?;
     let Some(mut pictures) = api.hub.request_picture(id) else {
         return Err(ApiError::Internal(format!("camera {name:?} has no place in the hub")));

@@ -6,7 +6,7 @@ use axum::{
     body::Body,
     http::{Request, StatusCode},
 };
-use roundel_core::id::CameraId;
+use roundel_core::{id::CameraId, world::FusionCounts};
 use roundel_proto::v1;
 use roundel_server::hub::{CameraStatus, Happening};
 
@@ -141,6 +141,7 @@ async fn wrong_requests_are_answered_with_what_was_expected() {
         ("/api/v1/objects/7", 404, "no object \"7\"; /api/v1/objects lists"),
         ("/api/v1/cameras/east", 404, "no camera \"east\"; there are: north, south side"),
         ("/api/v1/cameras/east/frame.jpg", 404, "no camera \"east\"; there are: north, south side"),
+        ("/api/v1/cameras/%ff", 400, "path: expected percent-encoded UTF-8"),
         ("/api/v1/nothing", 404, "no path \"/api/v1/nothing\""),
         ("/nothing.html", 404, "described at /openapi.json"),
         ("/../Cargo.toml", 404, "no path"),
@@ -254,6 +255,13 @@ async fn metrics_tell_of_cameras_objects_and_clients() {
         camera.frames = 1234;
         camera.detect_ms = 2.5;
     });
+    rig.hub.set_fusion_counts(FusionCounts {
+        frames: 10,
+        late_frames: 3,
+        used: 70,
+        gated: 2,
+        ..Default::default()
+    });
     let mut client = crate::grpc::connect(&rig).await;
     let request = v1::SubscribeSnapshotsRequest::default();
     let mut snapshots = client.subscribe_snapshots(request).await.unwrap().into_inner();
@@ -272,6 +280,10 @@ async fn metrics_tell_of_cameras_objects_and_clients() {
         "roundel_objects{stage=\"tracked\"} 2",
         "roundel_objects{stage=\"predicted\"} 1",
         "roundel_objects{stage=\"lost\"} 0",
+        "roundel_fusion_frames_total{outcome=\"taken\"} 7",
+        "roundel_fusion_frames_total{outcome=\"late\"} 3",
+        "roundel_fusion_detections_total{outcome=\"used\"} 70",
+        "roundel_fusion_detections_total{outcome=\"gated\"} 2",
         "roundel_snapshots_total 1",
         "roundel_subscribers 1",
         "roundel_snapshots_sent_total 1",
