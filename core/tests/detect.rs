@@ -164,6 +164,23 @@ fn a_ring_cut_by_the_edge_is_refused_and_counted() {
 }
 
 #[test]
+fn a_bridged_margin_is_parted_by_a_further_threshold() {
+    // A dark floor, and a grey smear from it over the margin to the ring: black at the middle of
+    // black and white, white at a quarter.
+    let mut drawing = Drawing::new(WIDTH, HEIGHT, 30.0, 0.7);
+    drawing.add(&roundel((100.0, 80.0), 20.0, 0.5), 30.0);
+    drawing.add_disc(&ellipse((100.0, 54.0), (7.0, 3.0), 1.57), -100.0);
+    let picture = drawing.picture(1.0, 1);
+    let mut tracker = Tracker::new(any_ring());
+    for _ in 0..3 {
+        let tracked = tracker.process(&frame(&picture, WIDTH)).to_vec();
+        assert_eq!(numbers(&tracked), [1], "{:?}", tracker.rejects());
+        assert!(distance(&tracked[0].ring.outer, (100.0, 80.0)) < 0.3);
+        assert!(tracked[0].ring.threshold < 100);
+    }
+}
+
+#[test]
 fn kinds_are_told_apart_and_others_refused() {
     let detector =
         Detector::new(vec![kind("robot", 0.4), kind("reference", 0.6)], Params::default()).unwrap();

@@ -12,10 +12,11 @@ use crate::{
         examine::{Probe, Rules, examine},
         kind::{Kind, RATIO_LIMITS, nearest_kind},
         param::{self, DetectorError, Params},
-        refine::{RowScratch, refine},
+        refine::refine,
         reject::{Reject, RejectCounts},
         scan::{Candidate, Peak, ROW_STEP, cross, find_peaks, pair_of_rows},
         threshold::BinarySearch,
+        zone::RowScratch,
     },
     segment::{FillScratch, Window},
 };
@@ -207,11 +208,14 @@ impl Detector {
         scratch: &mut MeasureScratch,
     ) -> Result<Ring, Reject> {
         let mut coarse = examine(frame, probe, &self.rules, &mut scratch.fill)?;
-        let threshold = coarse.threshold();
+        let mut threshold = coarse.threshold();
         let off = f64::from(threshold.abs_diff(probe.threshold));
         if off > RETHRESHOLD_SHARE * (coarse.white - coarse.black) {
-            coarse =
-                examine(frame, &Probe { threshold, ..*probe }, &self.rules, &mut scratch.fill)?;
+            match examine(frame, &Probe { threshold, ..*probe }, &self.rules, &mut scratch.fill) {
+                Ok(better) => coarse = better,
+                // Something bridges the rims at the middle; what works is kept.
+                Err(_) => threshold = probe.threshold,
+            }
         }
         let fine = refine(frame, &coarse, &mut scratch.row)?;
         let (kind, outer, inner) = if self.kinds.is_empty() {
@@ -226,7 +230,7 @@ impl Detector {
             (Some(kind), outer, inner)
         };
         let (black, white) = (fine.black, fine.white);
-        Ok(Ring { outer, inner, kind, threshold: coarse.threshold(), black, white })
+        Ok(Ring { outer, inner, kind, threshold, black, white })
     }
 }
 

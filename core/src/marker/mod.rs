@@ -5,7 +5,7 @@
 //! | rows with black, white, black | `scan` | 3.1, 3.6 |
 //! | threshold at each place | `threshold` | 3.2, eq. (3) |
 //! | fill, roundness, areas, ellipses | `examine` | 3.1, 3.3, eqs. (1), (2), (4), (5), (6) |
-//! | rims to a fraction of a pixel | `refine` | – |
+//! | rims to a fraction of a pixel | `refine`, `zone`, `blur` | – |
 //! | kind by ratio of diameters | `kind` | 3.4 |
 //! | compensation of the rims | [`rim`] | 3.5, eqs. (7), (8) |
 //! | all rings of a frame | `detector` | 3.6 |
@@ -29,6 +29,7 @@
 //! # Ok::<(), Box<dyn std::error::Error>>(())
 //! ```
 
+mod blur;
 mod detector;
 mod examine;
 mod kind;
@@ -39,6 +40,7 @@ pub mod rim;
 mod scan;
 mod threshold;
 mod tracker;
+mod zone;
 
 pub use detector::{Detector, Scratch};
 pub use kind::{Kind, RATIO_LIMITS};
