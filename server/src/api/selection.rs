@@ -199,3 +199,40 @@ fn checked_corner(corner: Option<v1::Vector3>, field: &str) -> Result<Vector3<f6
     }
     Ok(Vector3::new(corner.x, corner.y, corner.z))
 }
+
+#[cfg(test)]
+mod tests {
+    use std::collections::HashSet;
+
+    use super::*;
+
+    fn filter(object_ids: &[u64], min_x_m: f64, horizon_ms: f64) -> Filter {
+        let corner = |x| Some(v1::Vector3 { x, y: 0.0, z: 0.0 });
+        let request = v1::SubscribeSnapshotsRequest {
+            object_ids: object_ids.to_vec(),
+            region: Some(v1::Box { min: corner(min_x_m), max: corner(9.0) }),
+            horizon_ms: Some(horizon_ms),
+            ..Default::default()
+        };
+        Selection::new(request, &MESSAGE_FIELDS).unwrap().filter
+    }
+
+    #[test]
+    fn the_same_wish_is_one_key_however_it_is_written() {
+        let same = [
+            filter(&[1, 2], 0.0, 0.0),
+            filter(&[2, 1, 2], -0.0, -0.0),
+            filter(&[1, 1, 2, 2], 0.0, -0.0),
+        ];
+        assert_eq!(HashSet::from(same).len(), 1);
+        let different = [
+            filter(&[1, 2], 0.0, 0.0),
+            filter(&[1], 0.0, 0.0),
+            filter(&[1, 2], 0.5, 0.0),
+            filter(&[1, 2], 0.0, 0.5),
+            Filter { omit_covariance: true, ..filter(&[1, 2], 0.0, 0.0) },
+            Filter { region: None, ..filter(&[1, 2], 0.0, 0.0) },
+        ];
+        assert_eq!(HashSet::from(different).len(), 6);
+    }
+}
