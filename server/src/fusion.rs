@@ -127,3 +127,124 @@ impl FusionTask {
         }
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use std::sync::mpsc::sync_channel;
+
+    use nalgebra::Vector3;
+    use roundel_core::{
+        camera::PixelPoint,
+        ellipse::Ellipse,
+        id::TrackNumber,
+        marker::Ring,
+        pose::{Detection, RoundelPose},
+        rigid::{Covariance6, Rigid},
+        world::{CameraPlacement, FrameObservations, FusionParams},
+    };
+
+    use super::*;
+    use crate::hub::{CameraInfo, Installation};
+
+    fn hub(clock: &Clock) -> Arc<Hub> {
+        Arc::new(Hub::new(Installation {
+            name: "lab".into(),
+            source_id: "s".into(),
+            started: clock.now(),
+            snapshot_rate_hz: 100.0,
+            cameras: vec![CameraInfo { name: "north".into(), source: "test".into() }],
+            kinds: vec!["robot".into()],
+            object_names: BTreeMap::from([(KindId(0), "robot one".into())]),
+        }))
+    }
+
+    fn sighted(frame: u64, capture_time: Timestamp) -> Sighted {
+        let rim = Ellipse {
+            center: PixelPoint { u: 320.0, v: 240.0 },
+            semi_major_px: 20.0,
+            semi_minor_px: 20.0,
+            angle_rad: 0.0,
+        };
+        let pose = RoundelPose {
+            position_m: Vector3::new(0.0, 0.0, 3.0),
+            normal: -Vector3::z(),
+            normal_likelihood: 1.0,
+            other_normal: -Vector3::z(),
+            yaw_rad: None,
+            covariance: Covariance6::identity() * 1e-4,
+        };
+        let detection = Detection {
+            track: TrackNumber(1),
+            ring: Ring {
+                outer: rim,
+                inner: rim,
+                kind: Some(KindId(0)),
+                threshold: 128,
+                black: 20.0,
+                white: 200.0,
+            },
+            capture_time,
+            pose: Some(pose),
+        };
+        let observations = FrameObservations {
+            camera: CameraId(0),
+            frame,
+            capture_time,
+            received_time: capture_time,
+            calibration_version: 1,
+            detections: vec![detection],
+        };
+        Sighted { observations: Arc::new(observations), placement: None }
+    }
+
+    #[test]
+    fn what_was_sent_before_the_end_is_fused_and_told() {
+        let clock = Clock::anchored_now();
+        let hub = hub(&clock);
+        let (sender, receiver) = sync_channel(QUEUE_FRAMES);
+        let placement = CameraPlacement {
+            world_from_camera: Rigid::translation(1.0, 0.0, 0.0),
+            covariance: Covariance6::zeros(),
+        };
+        for frame in 1..=10 {
+            // The camera's place comes with its first frame, as from a worker that has found it.
+            let placement = (frame == 1).then_some(placement);
+            let seen = sighted(frame, clock.now().plus_seconds((frame as f64 - 10.0) * 0.01));
+            sender.send(Sighted { placement, ..seen }).unwrap();
+        }
+        drop(sender);
+        let task =
+            FusionTask::new(Fusion::new(FusionParams::default()), hub.clone(), clock, receiver);
+        let stop = Stop::default();
+        stop.stop();
+        task.run(Duration::from_millis(10), &stop);
+
+        let newest = hub.snapshots().borrow().clone();
+        assert_eq!(newest.sequence, 1, "the last one");
+        let object = &newest.snapshot.objects[0];
+        assert!((object.position_m - Vector3::new(1.0, 0.0, 3.0)).norm() < 0.01, "{object:?}");
+        let (events, _) = hub.events(10);
+        let messages: Vec<&str> = events.iter().map(|event| event.message.as_str()).collect();
+        assert_eq!(messages, [format!("Object {} (robot one) has appeared.", object.id)]);
+        assert!(hub.cameras()[0].latency_ms >= 0.0);
+    }
+
+    #[test]
+    fn ticks_go_on_when_no_camera_is_left() {
+        let clock = Clock::anchored_now();
+        let hub = hub(&clock);
+        let (_, receiver) = sync_channel(1);
+        let task =
+            FusionTask::new(Fusion::new(FusionParams::default()), hub.clone(), clock, receiver);
+        let stop = Stop::default();
+        let ticking = std::thread::spawn({
+            let stop = stop.clone();
+            move || task.run(Duration::from_millis(2), &stop)
+        });
+        while hub.snapshots().borrow().sequence < 3 {
+            std::thread::sleep(Duration::from_millis(1));
+        }
+        stop.stop();
+        ticking.join().unwrap();
+    }
+}

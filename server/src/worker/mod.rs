@@ -184,10 +184,14 @@ impl Worker {
 
     fn report_running(&self, info: &FrameInfo, now: Timestamp) {
         let (id, name) = (self.parts.id, &self.parts.name);
+        let error = match self.placing {
+            Some(_) => "no pose: looking for the reference roundels",
+            None => "",
+        };
         tracing::info!(camera = name, width = info.width, height = info.height, "frames arrive");
         self.parts.hub.update_camera(id, |state| {
             state.status = CameraStatus::Running;
-            state.error.clear();
+            error.clone_into(&mut state.error);
             (state.width, state.height) = (info.width, info.height);
         });
         let happening = Happening::Camera(id, CameraStatus::Running);

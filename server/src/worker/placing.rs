@@ -110,3 +110,122 @@ impl Placing {
         }
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use nalgebra::UnitQuaternion;
+    use roundel_core::{
+        camera::PixelPoint,
+        ellipse::Ellipse,
+        id::CameraId,
+        marker::Ring,
+        pose::{Detection, RoundelPose},
+        rigid::{Covariance6, Rigid},
+        time::Timestamp,
+    };
+
+    use super::*;
+
+    const REFERENCE: KindId = KindId(1);
+
+    /// A roundel of a kind at a place of the world, as the camera sees it.
+    fn detection(camera: &Rigid, track: u64, kind: KindId, world_m: Vector3<f64>) -> Detection {
+        let rim = Ellipse {
+            center: PixelPoint { u: 320.0, v: 240.0 },
+            semi_major_px: 20.0,
+            semi_minor_px: 20.0,
+            angle_rad: 0.0,
+        };
+        let position_m = camera.inverse_transform_point(&world_m.into()).coords;
+        let normal = camera.rotation.inverse() * Vector3::z();
+        Detection {
+            track: TrackNumber(track),
+            ring: Ring {
+                outer: rim,
+                inner: rim,
+                kind: Some(kind),
+                threshold: 128,
+                black: 20.0,
+                white: 200.0,
+            },
+            capture_time: Timestamp::default(),
+            pose: Some(RoundelPose {
+                position_m,
+                normal,
+                normal_likelihood: 1.0,
+                other_normal: normal,
+                yaw_rad: None,
+                covariance: Covariance6::identity() * 1e-6,
+            }),
+        }
+    }
+
+    fn frame(detections: Vec<Detection>) -> FrameObservations {
+        FrameObservations {
+            camera: CameraId(0),
+            frame: 1,
+            capture_time: Timestamp::default(),
+            received_time: Timestamp::default(),
+            calibration_version: 1,
+            detections,
+        }
+    }
+
+    fn places() -> Vec<Vector3<f64>> {
+        [[0.0, 0.0], [2.0, 0.0], [0.0, 1.5], [2.0, 1.7]]
+            .map(|[x, y]| Vector3::new(x, y, 0.0))
+            .into()
+    }
+
+    fn placing() -> Placing {
+        let reference = |position_m| Reference { position_m, normal: None };
+        Placing::new(places().into_iter().map(reference).collect(), vec![REFERENCE])
+    }
+
+    #[test]
+    fn the_place_is_found_among_robots_and_flickering() {
+        let turn = UnitQuaternion::from_euler_angles(std::f64::consts::PI - 0.2, 0.1, 0.7);
+        let camera = Rigid::from_parts(Vector3::new(0.5, -0.5, 4.0).into(), turn);
+        let mut placing = placing();
+        let mut progress = Progress::Waiting;
+        for number in 0..WINDOW_FRAMES {
+            assert_eq!(progress, Progress::Waiting);
+            let mut seen: Vec<Detection> = (10..)
+                .zip(places())
+                .map(|(track, place)| detection(&camera, track, REFERENCE, place))
+                .collect();
+            // A robot, and a reference's double that is there only now and then.
+            let robot = Vector3::new(0.1 * number as f64, 1.0, 0.3);
+            seen.push(detection(&camera, 3, KindId(0), robot));
+            if number % 2 == 0 {
+                seen.push(detection(&camera, 4, REFERENCE, Vector3::new(1.0, 1.0, 0.0)));
+            }
+            progress = placing.observe(&frame(seen));
+        }
+        let Progress::Found { placement, references, rms_m } = progress else {
+            panic!("{progress:?}")
+        };
+        assert_eq!(references, 4);
+        assert!(rms_m < 1e-6, "{rms_m}");
+        let off = placement.world_from_camera.inverse() * camera;
+        assert!(off.translation.vector.norm() < 1e-6 && off.rotation.angle() < 1e-6, "{off}");
+    }
+
+    #[test]
+    fn too_few_references_are_a_failure_and_the_search_goes_on() {
+        let camera = Rigid::from_parts(
+            Vector3::new(0.0, 0.0, 4.0).into(),
+            UnitQuaternion::from_euler_angles(std::f64::consts::PI, 0.0, 0.0),
+        );
+        let mut placing = placing();
+        let mut attempt = |count: usize| {
+            let seen: Vec<Detection> = (1..)
+                .zip(places().into_iter().take(count))
+                .map(|(track, place)| detection(&camera, track, REFERENCE, place))
+                .collect();
+            (0..WINDOW_FRAMES).map(|_| placing.observe(&frame(seen.clone()))).last()
+        };
+        assert!(matches!(attempt(2), Some(Progress::Failed(reason)) if !reason.is_empty()));
+        assert!(matches!(attempt(4), Some(Progress::Found { .. })));
+    }
+}
