@@ -12,6 +12,7 @@
 //!         Update::Snapshot(snapshot) => println!("{:?}", snapshot.objects),
 //!         Update::Disconnected { reason, .. } => eprintln!("lost the server: {reason}"),
 //!         Update::Reconnected { missed } => eprintln!("back, {missed:?} snapshots later"),
+//!         _ => {} // updates that newer versions may add
 //!     }
 //! }
 //! # Ok(())
