@@ -201,7 +201,7 @@ const ACCURACY: [(&str, Errors, Errors); 9] = [
     ("rational", errors(3e-5, 1e-6), errors(2e-4, 4e-4)),
     ("wide", errors(1e-4, 1e-5), errors(1e-3, 2e-3)),
     ("fisheye", errors(1e-3, 1e-4), errors(3e-3, 4e-3)),
-    ("pure fisheye", errors(1e-3, 1e-5), errors(2e-3, 1e-3)),
+    ("pure fisheye", errors(1e-3, 1e-4), errors(2e-3, 1e-3)),
 ];
 
 const fn errors(position: f64, normal_rad: f64) -> Errors {

@@ -71,16 +71,28 @@ pub struct Detection {
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct RimNoise {
     /// Standard deviation of one pixel's worth of rim, across the rim, pixels; it averages out along
-    /// the rim. 0.29 for rims made of whole pixels.
+    /// the rim.
     pub edge_px: f64,
-    /// Standard deviation of each semiaxis and of the centre's coordinates that no averaging
-    /// removes (blur, bloom, an imperfect lens), pixels.
+    /// Standard deviation of a shift of the whole rim across itself (blur, bloom), pixels, which no
+    /// averaging removes; a quarter of it is also counted for the rim's centre and shape.
     pub floor_px: f64,
 }
 
 impl Default for RimNoise {
+    /// What the detector reaches on clean images (blur 0.5 to 0.9 px, noise 1 to 3/255 at 160 levels of
+    /// contrast), rather more than less (`tests/pixels.rs`).
     fn default() -> Self {
-        Self { edge_px: 0.29, floor_px: 0.03 }
+        Self { edge_px: 0.035, floor_px: 0.008 }
+    }
+}
+
+impl RimNoise {
+    /// The noise of a ring whose white disc is so thin: a disc hardly wider than the blur is washed
+    /// out, and with it, by compensation, both rims are found worse. From rendered rings: double at a
+    /// semiaxis of 3 px, sixfold at 2.3 px.
+    fn of_disc(&self, semi_minor_px: f64) -> Self {
+        let growth = 1.0 + (THIN_DISC_PX / semi_minor_px).powi(6).min(MAX_GROWTH);
+        Self { edge_px: self.edge_px * growth, floor_px: self.floor_px * growth }
     }
 }
 
@@ -133,6 +145,10 @@ pub enum PoseError {
 
 /// A rim thinner than this, pixels, has no usable shape.
 const MIN_SEMIAXIS_PX: f64 = 0.5;
+/// At this semiaxis of the white disc the errors of both rims have doubled, pixels.
+const THIN_DISC_PX: f64 = 3.0;
+/// They grow no further than by this factor; such rings are hardly found.
+const MAX_GROWTH: f64 = 10.0;
 
 /// The pose of a roundel of a known kind from its rims, with covariance.
 ///
@@ -162,6 +178,7 @@ fn estimate(
     let local_from_camera = frame_along(&axis);
     let outer_m = 0.5 * kind.outer_diameter_m;
     let inner_m = 0.5 * kind.inner_diameter_m;
+    let noise = &noise.of_disc(ring.inner.semi_minor_px);
     let rims = [
         Rim::new(camera, &local_from_camera, &ring.outer, outer_m, noise).map_err(lens("outer"))?,
         Rim::new(camera, &local_from_camera, &ring.inner, inner_m, noise).map_err(lens("inner"))?,

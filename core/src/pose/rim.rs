@@ -20,6 +20,9 @@ use crate::{
 /// perspective add room not to be mistaken for them.
 pub const RIM_POINTS: usize = 12;
 
+/// The floor's share of centre, elongation and turn: blur and bloom are nearly even around a rim.
+const REST_OF_FLOOR: f64 = 0.25;
+
 /// Five numbers of a rim.
 pub type Harmonics = SVector<f64, 5>;
 
@@ -121,8 +124,7 @@ fn basis(cos: f64, sin: f64) -> Harmonics {
 ///
 /// The rim's samples stray by n(s) across it, independently from one pixel of arc s to the next, so
 /// that q = g n / (ab) with g = ds/dt = √(a² sin² t + b² cos² t) and cov c = σ²/(2π a²b²) mean(g ψψᵀ);
-/// to that comes the floor, independent for centre and semiaxes. By symmetry only size and elongation
-/// are coupled.
+/// to that comes the floor. By symmetry only size and elongation are coupled.
 fn information(ellipse: &Ellipse, noise: &RimNoise) -> Option<SMatrix<f64, 5, 5>> {
     let (a, b) = (ellipse.semi_major_px, ellipse.semi_minor_px);
     let (mut g0, mut g2, mut g4) = (0.0, 0.0, 0.0);
@@ -134,15 +136,17 @@ fn information(ellipse: &Ellipse, noise: &RimNoise) -> Option<SMatrix<f64, 5, 5>
         g4 += g * (2.0 * cos_2t * cos_2t - 1.0);
     }
     let edge = noise.edge_px * noise.edge_px / (std::f64::consts::TAU * a * a * b * b);
-    let floor = noise.floor_px * noise.floor_px;
-    // Of q = δa/a cos² t + δb/b sin² t: mean q = (δa/a + δb/b)/2, and that of √2 cos 2t q a 1/(2√2).
-    let (major, minor) = (floor / (a * a), floor / (b * b));
-    let size = edge * g0 + 0.25 * (major + minor);
-    let elongation = edge * (g0 + g4) + 0.125 * (major + minor);
-    let coupling = std::f64::consts::SQRT_2 * (edge * g2 + 0.125 * (major - minor));
-    let along = edge * (g0 + g2) + 0.5 * major;
-    let across = edge * (g0 - g2) + 0.5 * minor;
-    let turn = edge * (g0 - g4) + 0.25 * floor / (a * b);
+    // A shift η of the whole rim across itself: q = g η/(ab), whose numbers are size and elongation.
+    let per_shift = noise.floor_px / (a * b);
+    let (shift_size, shift_elongation) =
+        (g0 * per_shift, std::f64::consts::SQRT_2 * g2 * per_shift);
+    let rest = (REST_OF_FLOOR * noise.floor_px).powi(2);
+    let size = edge * g0 + shift_size * shift_size;
+    let elongation = edge * (g0 + g4) + shift_elongation * shift_elongation + 0.25 * rest / (a * b);
+    let coupling = std::f64::consts::SQRT_2 * edge * g2 + shift_size * shift_elongation;
+    let along = edge * (g0 + g2) + 0.5 * rest / (a * a);
+    let across = edge * (g0 - g2) + 0.5 * rest / (b * b);
+    let turn = edge * (g0 - g4) + 0.25 * rest / (a * b);
     let determinant = size * elongation - coupling * coupling;
     if !(determinant > 0.0 && along > 0.0 && across > 0.0 && turn > 0.0) {
         return None;

@@ -144,14 +144,16 @@ fn stray(ellipse: &Ellipse, noise: &RimNoise, draw: &mut impl FnMut() -> f64) ->
         let q = g * noise.edge_px / (g * step).sqrt() * draw() / (a * b);
         numbers += harmonics.component_mul(&twice) * (q / SAMPLES as f64);
     }
-    let [major, minor, along, across, turn] = [0.0; 5].map(|_: f64| noise.floor_px * draw());
-    numbers += SVector::<f64, 5>::new(
-        0.5 * (major / a + minor / b),
-        along / a,
-        across / b,
-        0.5 * (major / a - minor / b),
-        (0.5 / (a * b)).sqrt() * turn,
-    );
+    // The floor: a shift of the rim across itself, and a quarter of it for the other numbers.
+    let shift = noise.floor_px * draw() / (a * b);
+    for k in 0..SAMPLES {
+        let (sin, cos, harmonics) = basis(k);
+        let q = (a * sin).hypot(b * cos) * shift;
+        numbers += harmonics.component_mul(&twice) * (q / SAMPLES as f64);
+    }
+    let [along, across, longer, turn] = [0.0; 4].map(|_: f64| 0.25 * noise.floor_px * draw());
+    let even = (0.5 / (a * b)).sqrt();
+    numbers += SVector::<f64, 5>::new(0.0, along / a, across / b, even * longer, even * turn);
     let (axis_sin, axis_cos) = ellipse.angle_rad.sin_cos();
     let points: Vec<_> = (0..SAMPLES)
         .map(|k| {
@@ -183,7 +185,8 @@ struct Tally {
 
 fn tally(radius_px: f64, tilts_rad: std::ops::Range<f64>, runs: usize) -> Tally {
     let camera = camera(Lens::PlumbBob([-0.08, 0.02, 0.0003, -0.0004, 0.0]));
-    let (kind, noise) = (kind(), RimNoise::default());
+    // Several times the detector's: the harder case, since errors grow past what is linear.
+    let (kind, noise) = (kind(), RimNoise { edge_px: 0.15, floor_px: 0.02 });
     let mut random = rand_chacha::ChaCha8Rng::seed_from_u64(7);
     let mut tally = Tally { runs, ..Tally::default() };
     for _ in 0..runs {
@@ -198,8 +201,9 @@ fn tally(radius_px: f64, tilts_rad: std::ops::Range<f64>, runs: usize) -> Tally 
             pose(&camera, pixel, distance_m, cos.acos(), random.random_range(-3.1..3.1));
         let exact = ring(&camera, &position_m, &normal);
         let mut draw = || -> f64 { StandardNormal.sample(&mut random) };
-        let outer = stray(&exact.outer, &noise, &mut draw);
-        let inner = stray(&exact.inner, &noise, &mut draw);
+        let of_disc = noise.of_disc(exact.inner.semi_minor_px);
+        let outer = stray(&exact.outer, &of_disc, &mut draw);
+        let inner = stray(&exact.inner, &of_disc, &mut draw);
         let found = Ring { outer, inner, ..exact };
         let reported = locate(&camera, &kind, &found, &noise).unwrap();
         let off_m = position_m - reported.position_m;
@@ -228,8 +232,8 @@ fn tally(radius_px: f64, tilts_rad: std::ops::Range<f64>, runs: usize) -> Tally 
 #[test]
 fn covariance_is_that_of_the_errors() {
     let degrees = |range: std::ops::Range<f64>| range.start.to_radians()..range.end.to_radians();
-    for radius_px in [6.0, 10.0, 15.0, 30.0, 60.0] {
-        for tilts in [0.0..5.0, 5.0..15.0, 15.0..30.0, 30.0..60.0] {
+    for radius_px in [11.0, 15.0, 30.0, 60.0] {
+        for tilts in [0.0..5.0, 5.0..15.0, 15.0..30.0, 30.0..50.0] {
             let tally = tally(radius_px, degrees(tilts.clone()), 800);
             let share = |count: usize| count as f64 / tally.runs as f64;
             let name = format!("{radius_px} px, {tilts:?} degrees: {tally:?}");
@@ -250,7 +254,8 @@ fn a_plain_small_ring_does_not_pretend_to_know_its_normal() {
         let pixel = PixelPoint { u: 900.0, v: 500.0 };
         let (position_m, normal) = pose(&camera, pixel, 0.08 * 1100.0 / radius_px, 0.6, 0.4);
         let ring = ring(&camera, &position_m, &normal);
-        locate(&camera, &kind(), &ring, &RimNoise::default()).unwrap().normal_likelihood
+        let noise = RimNoise { edge_px: 0.29, floor_px: 0.03 };
+        locate(&camera, &kind(), &ring, &noise).unwrap().normal_likelihood
     };
     assert!((0.5..0.55).contains(&likelihood(6.0)), "{}", likelihood(6.0));
     assert!(likelihood(60.0) > 0.999, "{}", likelihood(60.0));
@@ -266,7 +271,7 @@ fn a_face_on_roundel_has_a_finite_honest_tilt() {
             .unwrap();
     assert!((found.position_m - position_m).norm() < 1e-5);
     let sigma_rad = found.covariance[(3, 3)].sqrt();
-    assert!((0.05..0.2).contains(&sigma_rad), "{sigma_rad}");
+    assert!((0.03..0.1).contains(&sigma_rad), "{sigma_rad}");
     // Along the normal, here -z, nothing is known.
     assert!((found.covariance[(5, 5)] - UNKNOWN_ANGLE_VARIANCE_RAD2).abs() < 1e-6);
 }
