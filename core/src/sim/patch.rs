@@ -1,5 +1,5 @@
 //! Flat shapes painted into an image through lens and perspective, with soft edges that lie where
-//! the true outline is imaged.
+//! a blurring lens images the true outline.
 //!
 //! For each pixel of a shape's neighbourhood the ray (x, y, 1) meets the shape's plane at
 //!
@@ -8,8 +8,9 @@
 //! exactly, so the outline itself is exact; only the edge's *width* is local: with the outline's
 //! signed distance s(X, Y) in the plane and its gradient g in the image, coverage is
 //! Φ(s / sqrt(σ² |g|² + (m · g)² / 12)), where σ² is the blur's variance plus 1/12 of the pixel's own
-//! square, and m the motion during the exposure in pixels. Coverage is one half on the true outline:
-//! the inward shift σ² / 2r that a real lens gives a small disc is left out on purpose.
+//! square, and m the motion during the exposure in pixels. Blur moves a curved edge inwards: of a
+//! circle of radius r by v / 2r, v the blur's variance along the edge, in the plane, which keeps the
+//! area that is covered as a real lens does. Straight edges stay where they are.
 
 use nalgebra::{Isometry3, Matrix2, Matrix3, Point3, Vector2, Vector3};
 
@@ -261,20 +262,27 @@ struct PlanePoint {
     variance_px2: f32,
 }
 
-/// Distance from the plane's origin, and what turns a distance to a rim into standard deviations.
+/// Distance from the plane's origin, what turns a distance to a rim into standard deviations, and
+/// half the blur's variance along a rim.
 struct Radial {
     radius_m: f32,
     sharpness: f32,
+    half_variance_m2: f32,
 }
 
 impl PlanePoint {
+    /// The blur's variance, in the plane, of a coordinate that has this gradient.
+    #[inline(always)]
+    fn variance(&self, gradient: [f32; 2]) -> f32 {
+        let along = self.motion_px[0] * gradient[0] + self.motion_px[1] * gradient[1];
+        let slope = gradient[0] * gradient[0] + gradient[1] * gradient[1];
+        self.variance_px2 * slope + along * along * (1.0 / 12.0)
+    }
+
     /// 1 / standard deviation, in the plane, of an edge whose distance has this gradient.
     #[inline(always)]
     fn sharpness(&self, gradient: [f32; 2]) -> f32 {
-        let along = self.motion_px[0] * gradient[0] + self.motion_px[1] * gradient[1];
-        let slope = gradient[0] * gradient[0] + gradient[1] * gradient[1];
-        let variance = self.variance_px2 * slope + along * along * (1.0 / 12.0);
-        1.0 / (variance + 1e-24).sqrt()
+        1.0 / (self.variance(gradient) + 1e-24).sqrt()
     }
 
     #[inline(always)]
@@ -284,7 +292,13 @@ impl PlanePoint {
         // Times the radius: dividing by it once is enough.
         let gradient =
             [0, 1].map(|axis| self.x_m * self.x_by_px[axis] + self.y_m * self.y_by_px[axis]);
-        Radial { radius_m, sharpness: radius_m * self.sharpness(gradient) }
+        let along =
+            [0, 1].map(|axis| self.x_m * self.y_by_px[axis] - self.y_m * self.x_by_px[axis]);
+        Radial {
+            radius_m,
+            sharpness: radius_m * self.sharpness(gradient),
+            half_variance_m2: 0.5 * self.variance(along) / squared,
+        }
     }
 
     /// Coverage of a rectangle.
@@ -301,7 +315,8 @@ impl Radial {
     /// Coverage of a disc.
     #[inline(always)]
     fn inside(&self, radius_m: f32) -> f32 {
-        normal_cdf((radius_m - self.radius_m) * self.sharpness)
+        let shift_m = self.half_variance_m2 / radius_m;
+        normal_cdf((radius_m - self.radius_m - shift_m) * self.sharpness)
     }
 
     #[inline(always)]
