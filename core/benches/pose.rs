@@ -75,6 +75,7 @@ fn pose(criterion: &mut Criterion) {
         threshold: 128,
         black: 20.0,
         white: 220.0,
+        unevenness: 0.0,
     };
     let noise = RimNoise::default();
     for (name, camera) in cameras() {

@@ -156,6 +156,7 @@ fn tilted_ring() -> Ring {
         threshold: 128,
         black: 20.0,
         white: 220.0,
+        unevenness: 0.0,
     }
 }
 

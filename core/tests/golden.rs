@@ -176,6 +176,7 @@ fn worst_errors(
             threshold: 128,
             black: 20.0,
             white: 220.0,
+            unevenness: 0.0,
         };
         let pose = locate(&camera, &kind, &ring, &RimNoise::default()).unwrap();
         let position_m = Vector3::from(case.position_m);

@@ -182,6 +182,7 @@ mod tests {
                 threshold: 128,
                 black: 20.0,
                 white: 200.0,
+                unevenness: 0.0,
             },
             capture_time,
             pose: Some(pose),

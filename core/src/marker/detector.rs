@@ -11,6 +11,7 @@ use crate::{
         Ring,
         examine::{Probe, Rules, examine},
         kind::{Kind, RATIO_LIMITS, nearest_kind},
+        outline::unevenness,
         param::{self, DetectorError, Params},
         refine::refine,
         reject::{Reject, RejectCounts},
@@ -230,7 +231,8 @@ impl Detector {
             (Some(kind), outer, inner)
         };
         let (black, white) = (fine.black, fine.white);
-        Ok(Ring { outer, inner, kind, threshold, black, white })
+        let unevenness = unevenness(frame, &outer, white - black)?;
+        Ok(Ring { outer, inner, kind, threshold, black, white, unevenness })
     }
 }
 

@@ -33,6 +33,7 @@ mod blur;
 mod detector;
 mod examine;
 mod kind;
+mod outline;
 mod param;
 mod refine;
 mod reject;
@@ -65,10 +66,13 @@ pub struct Ring {
     pub kind: Option<KindId>,
     /// Grey level that parted black from white; the next frame's start.
     pub threshold: u8,
-    /// Mean grey level of the black ring.
+    /// Grey level of the black ring.
     pub black: f64,
     /// Mean grey level of the white disc.
     pub white: f64,
+    /// How far the grey levels along the outer rim stray from those of a whole rim, beyond what noise
+    /// alone does: rms, as a share of the contrast; 0 for a clean one.
+    pub unevenness: f64,
 }
 
 /// A ring with the number of the track that it continues or begins.

@@ -57,6 +57,8 @@ rejects! {
     Profile = "grey levels at the rims are not those of a roundel",
     /// No configured kind has such a ratio.
     Kind = "ratio of diameters fits no kind",
+    /// The outer rim's grey levels are not those of a whole rim.
+    Covered = "the outer rim is partly covered",
     /// Another roundel stands there already.
     Claimed = "already taken for another roundel",
     /// Tracking: a roundel, but not where or not how the track must be.

@@ -90,10 +90,27 @@ impl RimNoise {
     /// The noise of a ring whose white disc is so thin: a disc hardly wider than the blur is washed
     /// out, and with it, by compensation, both rims are found worse. From rendered rings: double at a
     /// semiaxis of 3 px, sixfold at 2.3 px.
-    fn of_disc(&self, semi_minor_px: f64) -> Self {
-        let growth = 1.0 + (THIN_DISC_PX / semi_minor_px).powi(6).min(MAX_GROWTH);
-        Self { edge_px: self.edge_px * growth, floor_px: self.floor_px * growth }
+    ///
+    /// An uneven rim is partly another's, and all its numbers may be off by what that has moved.
+    fn of_ring(&self, ring: &Ring) -> RingNoise {
+        let growth = 1.0 + (THIN_DISC_PX / ring.inner.semi_minor_px).powi(6).min(MAX_GROWTH);
+        RingNoise {
+            edge_px: self.edge_px * growth,
+            floor_px: self.floor_px * growth,
+            uneven_px: UNEVEN_PX * ring.unevenness,
+        }
     }
+}
+
+/// How far one ring's rims stray.
+#[derive(Clone, Copy, Debug)]
+struct RingNoise {
+    /// As in [`RimNoise`].
+    edge_px: f64,
+    /// As in [`RimNoise`].
+    floor_px: f64,
+    /// Standard deviation of each of a rim's five numbers from what does not belong to it, pixels.
+    uneven_px: f64,
 }
 
 /// Why a ring has no pose.
@@ -145,6 +162,9 @@ pub enum PoseError {
 
 /// A rim thinner than this, pixels, has no usable shape.
 const MIN_SEMIAXIS_PX: f64 = 0.5;
+/// Pixels that a rim's numbers are off for each unit of its unevenness; from rendered rings partly
+/// covered by their neighbours' sheets.
+const UNEVEN_PX: f64 = 4.0;
 /// At this semiaxis of the white disc the errors of both rims have doubled, pixels.
 const THIN_DISC_PX: f64 = 3.0;
 /// They grow no further than by this factor; such rings are hardly found.
@@ -178,7 +198,7 @@ fn estimate(
     let local_from_camera = frame_along(&axis);
     let outer_m = 0.5 * kind.outer_diameter_m;
     let inner_m = 0.5 * kind.inner_diameter_m;
-    let noise = &noise.of_disc(ring.inner.semi_minor_px);
+    let noise = &noise.of_ring(ring);
     let rims = [
         Rim::new(camera, &local_from_camera, &ring.outer, outer_m, noise).map_err(lens("outer"))?,
         Rim::new(camera, &local_from_camera, &ring.inner, inner_m, noise).map_err(lens("inner"))?,

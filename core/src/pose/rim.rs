@@ -10,7 +10,7 @@
 
 use nalgebra::{Matrix3, SMatrix, SVector, Vector2};
 
-use super::RimNoise;
+use super::RingNoise;
 use crate::{
     camera::{Camera, LensError, PixelPoint},
     ellipse::Ellipse,
@@ -56,7 +56,7 @@ impl Rim {
         local_from_camera: &Matrix3<f64>,
         ellipse: &Ellipse,
         radius_m: f64,
-        noise: &RimNoise,
+        noise: &RingNoise,
     ) -> Result<Self, LensError> {
         let (sin, cos) = ellipse.angle_rad.sin_cos();
         let major = Vector2::new(cos, sin) * ellipse.semi_major_px;
@@ -124,8 +124,8 @@ fn basis(cos: f64, sin: f64) -> Harmonics {
 ///
 /// The rim's samples stray by n(s) across it, independently from one pixel of arc s to the next, so
 /// that q = g n / (ab) with g = ds/dt = √(a² sin² t + b² cos² t) and cov c = σ²/(2π a²b²) mean(g ψψᵀ);
-/// to that comes the floor. By symmetry only size and elongation are coupled.
-fn information(ellipse: &Ellipse, noise: &RimNoise) -> Option<SMatrix<f64, 5, 5>> {
+/// to that come the floor and, alike in all five, the unevenness. By symmetry only size and elongation are coupled.
+fn information(ellipse: &Ellipse, noise: &RingNoise) -> Option<SMatrix<f64, 5, 5>> {
     let (a, b) = (ellipse.semi_major_px, ellipse.semi_minor_px);
     let (mut g0, mut g2, mut g4) = (0.0, 0.0, 0.0);
     for (cos, sin) in UNIT_CIRCLE {
@@ -141,12 +141,14 @@ fn information(ellipse: &Ellipse, noise: &RimNoise) -> Option<SMatrix<f64, 5, 5>
     let (shift_size, shift_elongation) =
         (g0 * per_shift, std::f64::consts::SQRT_2 * g2 * per_shift);
     let rest = (REST_OF_FLOOR * noise.floor_px).powi(2);
-    let size = edge * g0 + shift_size * shift_size;
-    let elongation = edge * (g0 + g4) + shift_elongation * shift_elongation + 0.25 * rest / (a * b);
+    let uneven = noise.uneven_px * noise.uneven_px / (a * b);
+    let size = edge * g0 + shift_size * shift_size + uneven;
+    let elongation =
+        edge * (g0 + g4) + shift_elongation * shift_elongation + 0.25 * rest / (a * b) + uneven;
     let coupling = std::f64::consts::SQRT_2 * edge * g2 + shift_size * shift_elongation;
-    let along = edge * (g0 + g2) + 0.5 * rest / (a * a);
-    let across = edge * (g0 - g2) + 0.5 * rest / (b * b);
-    let turn = edge * (g0 - g4) + 0.25 * rest / (a * b);
+    let along = edge * (g0 + g2) + 0.5 * rest / (a * a) + uneven;
+    let across = edge * (g0 - g2) + 0.5 * rest / (b * b) + uneven;
+    let turn = edge * (g0 - g4) + 0.25 * rest / (a * b) + uneven;
     let determinant = size * elongation - coupling * coupling;
     if !(determinant > 0.0 && along > 0.0 && across > 0.0 && turn > 0.0) {
         return None;

@@ -89,6 +89,7 @@ fn ring(camera: &Camera, position_m: &Vector3<f64>, normal: &Vector3<f64>) -> Ri
         threshold: 128,
         black: 20.0,
         white: 220.0,
+        unevenness: 0.0,
     }
 }
 
@@ -201,9 +202,9 @@ fn tally(radius_px: f64, tilts_rad: std::ops::Range<f64>, runs: usize) -> Tally 
             pose(&camera, pixel, distance_m, cos.acos(), random.random_range(-3.1..3.1));
         let exact = ring(&camera, &position_m, &normal);
         let mut draw = || -> f64 { StandardNormal.sample(&mut random) };
-        let of_disc = noise.of_disc(exact.inner.semi_minor_px);
-        let outer = stray(&exact.outer, &of_disc, &mut draw);
-        let inner = stray(&exact.inner, &of_disc, &mut draw);
+        let of_ring = noise.of_ring(&exact);
+        let outer = stray(&exact.outer, &of_ring, &mut draw);
+        let inner = stray(&exact.inner, &of_ring, &mut draw);
         let found = Ring { outer, inner, ..exact };
         let reported = locate(&camera, &kind, &found, &noise).unwrap();
         let off_m = position_m - reported.position_m;

@@ -409,6 +409,7 @@ pub fn detection(number: u64, time: Timestamp, pose: Option<RoundelPose>) -> Det
         threshold: 128,
         black: 40.0,
         white: 200.0,
+        unevenness: 0.0,
     };
     Detection { track: TrackNumber(number), ring, capture_time: time, pose }
 }
