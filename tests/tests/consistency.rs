@@ -38,8 +38,8 @@ async fn snapshots_until(server: &Server, end_ns: i64) -> anyhow::Result<Vec<Sna
 
 #[tokio::test(flavor = "multi_thread")]
 async fn served_poses_are_as_exact_as_stated() -> anyhow::Result<()> {
-    let arena = Arena::r4_lite(1, 8, 2);
-    let frames = 120;
+    let arena = Arena::r4_lite(2, 24, 8);
+    let frames = 150;
     let folder = tempfile::tempdir()?;
     let installation = Export::lab(frames).write(&arena, folder.path())?;
     let server = Server::serve(&installation.config)?;
@@ -54,6 +54,8 @@ async fn served_poses_are_as_exact_as_stated() -> anyhow::Result<()> {
     ensure!(score.position.count() > 0, "nothing was tracked; the server's log:\n{}", server.log());
     assert_eq!((score.swaps, score.strays, score.extra_ids, score.unusable), (0, 0, 0, 0));
     let share = score.position.share_within(CHI2_95_3);
+    // The other side, 0.98, is held in virtual time (`fusion.rs`): on a busy machine snapshots are
+    // predicted further ahead, and the bounded accelerations of robots stray less than a filter allows.
     assert!(share >= 0.92, "{share} of the errors lie inside the 95 % ellipsoid");
     assert!(score.position.rms() < 0.005, "{}", score.position.rms());
     Ok(())

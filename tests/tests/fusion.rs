@@ -56,6 +56,23 @@ fn score(arena: &Arena, frames: &[FrameObservations], params: FusionParams) -> S
     judge.finish()
 }
 
+/// Stated covariances are neither too small nor too large, even where neighbours' sheets
+/// cover parts of one another's rings.
+#[test]
+fn errors_of_a_crowd_are_those_stated() {
+    for seed in [2, 3] {
+        let arena = Arena::r4_lite(seed, 24, 8);
+        let score = score(&arena, &observe(&arena, 120), FusionParams::default());
+        println!("24 robots, seed {seed}\n{score}\n");
+        let lost = (score.swaps, score.strays, score.extra_ids, score.misses, score.unusable);
+        assert_eq!(lost, (0, 0, 0, 0, 0));
+        let share = score.position.share_within(CHI2_95_3);
+        assert!((0.92..=0.98).contains(&share), "seed {seed}: {share}");
+        assert!(score.velocity.share_within(CHI2_95_3) >= 0.92);
+        assert!(score.position.rms() < 0.001, "{}", score.position.rms());
+    }
+}
+
 #[test]
 fn fused_poses_are_as_exact_as_stated() {
     let arena = Arena::r4_lite(1, 8, 2);

@@ -80,9 +80,9 @@ pub struct RimNoise {
 
 impl Default for RimNoise {
     /// What the detector reaches on clean images (blur 0.5 to 0.9 px, noise 1 to 3/255 at 160 levels of
-    /// contrast), rather more than less (`tests/pixels.rs`).
+    /// contrast; `tests/pixels.rs`).
     fn default() -> Self {
-        Self { edge_px: 0.035, floor_px: 0.008 }
+        Self { edge_px: 0.03, floor_px: 0.006 }
     }
 }
 
