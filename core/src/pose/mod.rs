@@ -12,6 +12,9 @@
 //! distance without distortion; under strong distortion the image of a circle is no ellipse, and what
 //! the ellipse loses remains.
 //!
+//! Rims that contradict each other by more than their errors explain (a ring partly covered, a lens
+//! less sharp than thought) widen the covariance by as much.
+//!
 //! Limits: nearly face-on, an ellipse says little of the tilt, since its shape changes with the tilt's
 //! square; the covariance then says so. A plain ring says which of two normals is right only by the
 //! difference of its rims' centres, a fraction of a pixel: `normal_likelihood` near 0.5 means just
@@ -169,6 +172,10 @@ const UNEVEN_PX: f64 = 4.0;
 const THIN_DISC_PX: f64 = 3.0;
 /// They grow no further than by this factor; such rings are hardly found.
 const MAX_GROWTH: f64 = 10.0;
+/// What two rims' ten numbers say beyond the five of a pose.
+const FREEDOMS: f64 = 5.0;
+/// Squared misfit that their errors explain in 95 of 100 rings (χ² of that many degrees of freedom).
+const EXPLAINED_MISFIT: f64 = 11.07;
 
 /// The pose of a roundel of a known kind from its rims, with covariance.
 ///
@@ -247,6 +254,12 @@ fn frame_along(axis: &Vector3<f64>) -> Matrix3<f64> {
     Matrix3::from_rows(&[x.transpose(), y.transpose(), axis.transpose()])
 }
 
+/// How much wider than stated errors must be, as a factor of the variance, for rims of this squared
+/// misfit: 1 for what is explained, then steadily up to the misfit over its degrees of freedom.
+fn growth(misfit: f64) -> f64 {
+    1.0 + (misfit - EXPLAINED_MISFIT).max(0.0) / FREEDOMS
+}
+
 /// The first estimate in the camera frame, with what the second leaves in doubt.
 fn finish(
     local_from_camera: &Matrix3<f64>,
@@ -255,7 +268,7 @@ fn finish(
     let camera_from_local = local_from_camera.transpose();
     let normal = (camera_from_local * first.normal).normalize();
     let normal_likelihood = 1.0 / (1.0 + (0.5 * (first.misfit - second.misfit)).exp());
-    let mut covariance = first.covariance;
+    let mut covariance = first.covariance * growth(first.misfit);
     // The two normals put the centre at slightly different places, and which is right is not known.
     let apart = second.position_m - first.position_m;
     let mut position = covariance.fixed_view_mut::<3, 3>(0, 0);

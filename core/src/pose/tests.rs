@@ -301,6 +301,28 @@ fn fisheyes_locate_beyond_ninety_degrees() {
 }
 
 #[test]
+fn rims_that_contradict_each_other_widen_the_covariance() {
+    let camera = camera(Lens::PlumbBob([0.0; 5]));
+    let position_m = Vector3::new(0.5, -0.3, 5.0);
+    let normal = Vector3::new(0.3, 0.2, -1.0).normalize();
+    let exact = ring(&camera, &position_m, &normal);
+    let noise = RimNoise::default();
+    let clean = locate(&camera, &kind(), &exact, &noise).unwrap();
+    // A shadow over one side of the ring makes its outer rim smaller.
+    for cut_px in [0.5, 1.0, 2.0] {
+        let mut cut = exact;
+        cut.outer.center.u += cut_px / 2.0;
+        cut.outer.semi_minor_px -= cut_px / 2.0;
+        let wrong = locate(&camera, &kind(), &cut, &noise).unwrap();
+        let block = |pose: &RoundelPose| pose.covariance.fixed_view::<3, 3>(0, 0).into_owned();
+        assert!(block(&wrong).trace() > 4.0 * block(&clean).trace(), "cut by {cut_px} px");
+        let error = wrong.position_m - position_m;
+        let distance = mahalanobis_squared(&error, &block(&wrong)).unwrap();
+        assert!(distance < 21.1, "cut by {cut_px} px: {distance}");
+    }
+}
+
+#[test]
 fn broken_input_is_a_typed_error() {
     let camera = camera(Lens::PlumbBob([-0.3, 0.0, 0.0, 0.0, 0.0]));
     let (position_m, normal) = pose(&camera, PixelPoint { u: 900.0, v: 500.0 }, 3.0, 0.5, 0.4);
