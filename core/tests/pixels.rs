@@ -14,7 +14,7 @@ use roundel_core::{
 
 /// Side of a rendered image, pixels, and of its sub-pixels' grid.
 const SIDE_PX: usize = 96;
-const FINE: usize = 5;
+const FINE: usize = 12;
 const BLUR_PX: f64 = 0.7;
 const NOISE: f64 = 2.0;
 

@@ -70,8 +70,8 @@ pub struct Ring {
     pub black: f64,
     /// Mean grey level of the white disc.
     pub white: f64,
-    /// How far the grey levels along the outer rim stray from those of a whole rim, beyond what noise
-    /// alone does: rms, as a share of the contrast; 0 for a clean one.
+    /// How far the grey levels along the outer rim stray from those of a whole rim: rms, as a share
+    /// of the contrast. Noise alone gives two thirds of its own share; a cover gives more.
     pub unevenness: f64,
 }
 

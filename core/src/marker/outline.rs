@@ -12,20 +12,18 @@ use crate::{ellipse::Ellipse, frame::Frame, marker::reject::Reject};
 
 /// Points along the rim.
 const POINTS: usize = 32;
-/// What noise and pixels alone come to: a share of the contrast, and grey levels.
-const QUIET: (f64, f64) = (0.02, 1.0);
 /// Beyond this share more of the rim is gone than an ellipse can be trusted with.
-const LARGEST: f64 = 0.2;
+const LARGEST: f64 = 0.25;
 
-/// How uneven the outer rim is, 0 to [`LARGEST`]: the deviation beyond what noise alone gives.
+/// How uneven the outer rim is, as [`deviation`] says, or that it is covered.
 ///
-/// Rendered whole rings (contrast 120, noise 2) have a deviation of 0.011, at the most 0.017 of
-/// 3,000, so they are even. Prints on bent paper or after JPEG have up to 0.09; rings that a
-/// neighbour's sheet covers in part have 0.03 to 0.23.
+/// Rendered whole rings (contrast 120, noise 2) have 0.011, at the most 0.017 of 3,000, which is two
+/// thirds of the noise's share of the contrast. Prints on bent paper or after JPEG have up to 0.09;
+/// rings that a neighbour's sheet covers in part have 0.03 to 0.23.
 pub(crate) fn unevenness(frame: &Frame, outer: &Ellipse, contrast: f64) -> Result<f64, Reject> {
-    let uneven = deviation(frame, outer, contrast) - QUIET.0 - QUIET.1 / contrast;
+    let uneven = deviation(frame, outer, contrast);
     // Not a number where the contrast is none.
-    if uneven <= LARGEST { Ok(uneven.max(0.0)) } else { Err(Reject::Covered) }
+    if uneven <= LARGEST { Ok(uneven) } else { Err(Reject::Covered) }
 }
 
 /// Rms deviation of the levels along the outer rim, as a share of the contrast. The rim lies inside

@@ -82,10 +82,10 @@ pub struct RimNoise {
 }
 
 impl Default for RimNoise {
-    /// What the detector reaches on clean images (blur 0.5 to 0.9 px, noise 1 to 3/255 at 160 levels of
-    /// contrast; `tests/pixels.rs`).
+    /// What the detector reaches at a blur of 0.5 to 0.9 px and noise of a 60th of the contrast
+    /// (`tests/pixels.rs`); other noise is told by the ring itself.
     fn default() -> Self {
-        Self { edge_px: 0.03, floor_px: 0.006 }
+        Self { edge_px: 0.03, floor_px: 0.0065 }
     }
 }
 
@@ -94,13 +94,16 @@ impl RimNoise {
     /// out, and with it, by compensation, both rims are found worse. From rendered rings: double at a
     /// semiaxis of 3 px, sixfold at 2.3 px.
     ///
-    /// An uneven rim is partly another's, and all its numbers may be off by what that has moved.
+    /// What the levels along the rim stray is the image's noise, up to a point, and moves the rim's
+    /// edge in proportion; beyond that the rim is partly another's, and all its numbers may be off.
     fn of_ring(&self, ring: &Ring) -> RingNoise {
         let growth = 1.0 + (THIN_DISC_PX / ring.inner.semi_minor_px).powi(6).min(MAX_GROWTH);
+        let quiet = QUIET.0 + QUIET.1 / (ring.white - ring.black).max(1.0);
+        let noise = (ring.unevenness.min(quiet) / CLEAN_UNEVENNESS).clamp(NOISE.0, NOISE.1);
         RingNoise {
-            edge_px: self.edge_px * growth,
+            edge_px: self.edge_px * growth * noise,
             floor_px: self.floor_px * growth,
-            uneven_px: UNEVEN_PX * ring.unevenness,
+            uneven_px: UNEVEN_PX * (ring.unevenness - quiet).max(0.0),
         }
     }
 }
@@ -165,6 +168,12 @@ pub enum PoseError {
 
 /// A rim thinner than this, pixels, has no usable shape.
 const MIN_SEMIAXIS_PX: f64 = 0.5;
+/// The unevenness that [`RimNoise`] is stated for …
+const CLEAN_UNEVENNESS: f64 = 0.011;
+/// … how much quieter and noisier a rim can be …
+const NOISE: (f64, f64) = (0.6, 3.0);
+/// … and the unevenness that noise and pixels alone come to: a share of the contrast, and grey levels.
+const QUIET: (f64, f64) = (0.02, 1.0);
 /// Pixels that a rim's numbers are off for each unit of its unevenness; from rendered rings partly
 /// covered by their neighbours' sheets.
 const UNEVEN_PX: f64 = 4.0;
