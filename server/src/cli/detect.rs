@@ -5,7 +5,7 @@ mod output;
 use std::{
     collections::HashSet,
     fs::{self, File},
-    io::{self, BufWriter, Write as _},
+    io::{self, BufWriter, IsTerminal as _, Write as _},
     path::{Path, PathBuf},
     process::ExitCode,
     time::Instant,
@@ -20,6 +20,7 @@ use roundel_core::{
     pose::{RimNoise, RoundelPose, locate},
 };
 
+use super::told;
 use crate::{
     camera_file,
     drawing::Canvas,
@@ -53,9 +54,9 @@ pub struct DetectArgs {
     /// Tell how many candidates were refused, and why
     #[arg(long)]
     explain: bool,
-    /// How to print
-    #[arg(long, value_enum, default_value_t = Format::Table)]
-    format: Format,
+    /// How to print [default: table on a terminal, json into a file or pipe]
+    #[arg(long, value_enum)]
+    format: Option<Format>,
 }
 
 /// How results are printed.
@@ -137,14 +138,17 @@ pub(super) fn run(arguments: &DetectArgs) -> anyhow::Result<ExitCode> {
     }
     let mut drawn = HashSet::new();
     let mut failed = false;
+    let format = arguments
+        .format
+        .unwrap_or_else(|| if io::stdout().is_terminal() { Format::Table } else { Format::Json });
     let mut out = BufWriter::new(io::stdout().lock());
     for path in &arguments.images {
         let outcome = search.image(path);
         if let Err(error) = &outcome {
             failed = true;
-            eprintln!("error: {error:#}");
+            eprintln!("error: {}", told(error));
         }
-        let printed = match arguments.format {
+        let printed = match format {
             Format::Json => output::json(&mut out, path, &outcome, arguments.explain),
             Format::Table => output::table(&mut out, path, &outcome, arguments.explain),
         };

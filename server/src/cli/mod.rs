@@ -48,8 +48,21 @@ pub fn main() -> ExitCode {
         Command::Watch(arguments) => run_async(watch::run(arguments)),
     };
     outcome.unwrap_or_else(|error| {
-        eprintln!("error: {error:#}");
+        eprintln!("error: {}", told(&error));
         ExitCode::FAILURE
+    })
+}
+
+/// The error with its causes, each said once: many name their cause in their own words already.
+fn told(error: &anyhow::Error) -> String {
+    error.chain().map(ToString::to_string).fold(String::new(), |told, cause| {
+        if told.is_empty() {
+            cause
+        } else if told.contains(&cause) {
+            told
+        } else {
+            format!("{told}: {cause}")
+        }
     })
 }
 
@@ -69,6 +82,14 @@ mod tests {
     use clap::CommandFactory;
 
     use super::*;
+
+    #[test]
+    fn a_cause_is_said_once() {
+        let cause = anyhow::anyhow!("no such file").context("cannot read a.png: no such file");
+        assert_eq!(told(&cause), "cannot read a.png: no such file");
+        let cause = anyhow::anyhow!("no such file").context("a.png");
+        assert_eq!(told(&cause), "a.png: no such file");
+    }
 
     #[test]
     fn every_command_is_well_formed_and_has_an_example() {

@@ -9,6 +9,7 @@ use roundel_core::{ellipse::Ellipse, marker::RejectCounts, rigid::upper_triangle
 use serde_json::{Map, Value, json};
 
 use super::{Found, Roundel};
+use crate::cli::told;
 
 /// One line, whatever became of the image.
 pub(super) fn json(
@@ -31,7 +32,7 @@ pub(super) fn json(
             "height": null,
             "elapsed_us": null,
             "detections": [],
-            "error": format!("{error:#}"),
+            "error": told(error),
         }),
     };
     if let (Some(line), Ok(found), true) = (line.as_object_mut(), outcome, explain) {
