@@ -26,4 +26,5 @@ pub mod image_file;
 pub mod serve;
 pub mod source;
 pub mod stop;
+mod suggestion;
 pub mod worker;

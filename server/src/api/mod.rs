@@ -38,9 +38,11 @@ use std::{
     time::Duration,
 };
 
+use axum::{Router, middleware};
 use tokio::net::TcpListener;
 use tokio_util::sync::CancellationToken;
 
+use self::error::ApiError;
 use crate::{clock::Clock, hub::Hub};
 
 /// What the port allows.
@@ -110,9 +112,19 @@ pub async fn serve(
     let counters = Counters::default();
     let api = Arc::new(Api { hub, clock, cancel, limits, counters, pictures });
     let (grpc_router, health) = grpc::router(&api);
-    let http_router = rest::router(api.clone());
+    let http_router = http_router(api.clone());
     let readiness = tokio::spawn(metrics::report_readiness(api.clone(), health));
     port::run(listener, port::Dispatch { grpc_router, http_router }, api).await;
     // It watches the same token, so it has ended.
     let _ = readiness.await;
+}
+
+/// Everything that is not gRPC: the described paths, and the dashboard for what is left.
+fn http_router(api: Arc<Api>) -> Router {
+    let (router, _) = openapi::described_routes().split_for_parts();
+    router
+        .fallback(page::file)
+        .method_not_allowed_fallback(async || ApiError::MethodNotAllowed)
+        .layer(middleware::map_response(page::with_security_headers))
+        .with_state(api)
 }

@@ -3,10 +3,9 @@
 use std::{sync::Arc, time::Duration};
 
 use axum::{
-    Json, Router,
+    Json,
     extract::{Path, State, rejection::PathRejection},
     http::{HeaderName, HeaderValue, Uri, header},
-    middleware,
     response::{IntoResponse, Response},
 };
 use roundel_core::id::ObjectId;
@@ -18,7 +17,7 @@ use utoipa::ToSchema;
 use super::{
     Api,
     error::{ApiError, ErrorBody},
-    grpc, openapi, page,
+    grpc,
     query::Parameters,
     selection::{QUERY_FIELDS, Selection},
 };
@@ -30,16 +29,6 @@ const PICTURE_WAIT: Duration = Duration::from_secs(1);
 const CAPTURE_TIME_HEADER: HeaderName = HeaderName::from_static("roundel-capture-time-ns");
 /// Events given if nobody says how many.
 const DEFAULT_BACKLOG: u32 = 50;
-
-/// Everything that is not gRPC: the described paths, and the dashboard for what is left.
-pub fn router(api: Arc<Api>) -> Router {
-    let (router, _) = openapi::described_routes().split_for_parts();
-    router
-        .fallback(page::file)
-        .method_not_allowed_fallback(async || ApiError::MethodNotAllowed)
-        .layer(middleware::map_response(page::with_security_headers))
-        .with_state(api)
-}
 
 /// The changing part of a path.
 type Segment = Result<Path<String>, PathRejection>;

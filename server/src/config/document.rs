@@ -11,11 +11,12 @@ use super::{
     ServerConfig,
     error::Problem,
     geometry,
-    reader::{Allowed, Problems, Table, list, nearest},
+    reader::{Allowed, Problems, Table},
 };
 use crate::{
     camera_file,
     source::{SourceAddress, simulated_camera},
+    suggestion::{list, nearest},
 };
 
 const ROOT_KEYS: [&str; 8] =

@@ -16,7 +16,6 @@ use nalgebra::Vector3;
 use roundel_core::{camera::Camera, id::KindId, marker::Kind, rigid::Rigid};
 
 pub use error::{ConfigError, Place, Problem};
-pub(crate) use reader::{list, nearest};
 
 use crate::source::SourceAddress;
 

@@ -12,11 +12,7 @@ use toml::{
 };
 
 use super::error::{Place, Problem};
-
-/// Names this much alike (Jaro-Winkler) are taken for one mistyped.
-const ALIKE: f64 = 0.75;
-/// So are names with one slip of the finger in as many letters.
-const LETTERS_A_SLIP: usize = 3;
+use crate::suggestion::{list, nearest};
 
 /// Collects what is wrong with one document.
 pub(super) struct Problems<'s> {
@@ -57,25 +53,6 @@ impl<'s> Problems<'s> {
         found.sort_by_key(|(start, _)| *start);
         found.into_iter().map(|(_, problem)| problem).collect()
     }
-}
-
-/// The known name that `name` was probably meant to be.
-pub(crate) fn nearest<'a>(name: &str, known: impl IntoIterator<Item = &'a str>) -> Option<&'a str> {
-    let slips = (name.chars().count() / LETTERS_A_SLIP).max(1);
-    known
-        .into_iter()
-        .map(|candidate| (strsim::jaro_winkler(name, candidate), candidate))
-        .filter(|(likeness, candidate)| {
-            *likeness >= ALIKE || strsim::osa_distance(name, candidate) <= slips
-        })
-        .max_by(|a, b| a.0.total_cmp(&b.0))
-        .map(|(_, candidate)| candidate)
-}
-
-/// Names for a sentence: `` `a`, `b` ``.
-pub(crate) fn list<'a>(names: impl IntoIterator<Item = &'a str>) -> String {
-    let quoted: Vec<String> = names.into_iter().map(|name| format!("`{name}`")).collect();
-    if quoted.is_empty() { "none".to_owned() } else { quoted.join(", ") }
 }
 
 /// Which numbers a key takes.

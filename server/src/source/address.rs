@@ -8,7 +8,7 @@ use std::{
 
 use thiserror::Error;
 
-use crate::config::{list, nearest};
+use crate::suggestion::{list, nearest};
 
 /// The schemes that this version plays, as people write them.
 const SCHEMES: [&str; 2] = ["images:", "sim:"];
