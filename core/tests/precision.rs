@@ -1,146 +1,10 @@
-//! How near the rims come to drawn ones, against size, tilt, blur and noise. Run with `--nocapture`
-//! for the table.
+//! How near the rims come to drawn ones, against size, tilt, blur and noise. `cargo bench -p
+//! roundel-core --bench precision` prints the whole table.
 
 mod drawing;
+mod rim_error;
 
-use drawing::{Drawing, Roundel, ellipse, frame};
-use rand::{RngExt, SeedableRng};
-use rand_chacha::ChaCha8Rng;
-use roundel_core::marker::{Detector, Kind, Params, Scratch};
-
-const RATIO: f64 = 0.4;
-const BACKGROUND: f64 = 90.0;
-
-/// Errors of one number.
-#[derive(Default)]
-struct Errors {
-    n: f64,
-    sum: f64,
-    squares: f64,
-}
-
-impl Errors {
-    fn add(&mut self, error: f64) {
-        self.n += 1.0;
-        self.sum += error;
-        self.squares += error * error;
-    }
-
-    fn bias(&self) -> f64 {
-        self.sum / self.n
-    }
-
-    fn rms(&self) -> f64 {
-        (self.squares / self.n).sqrt()
-    }
-}
-
-/// What is measured of one kind of picture.
-#[derive(Default)]
-struct Cell {
-    missed: u32,
-    center: Errors,
-    inner_center: Errors,
-    major: Errors,
-    minor: Errors,
-    inner_major: Errors,
-    inner_minor: Errors,
-    /// Of the geometric mean of the semiaxes, as a share: the error of the depth.
-    size: Errors,
-}
-
-#[derive(Clone, Copy)]
-struct Case {
-    diameter_px: f64,
-    tilt_deg: f64,
-    blur_px: f64,
-    noise: f64,
-    margin: f64,
-    kind: bool,
-}
-
-fn measure(case: &Case, trials: u64) -> Cell {
-    let kind = Kind { name: "drawn".into(), outer_diameter_m: 1.0, inner_diameter_m: RATIO };
-    let kinds = if case.kind { vec![kind] } else { Vec::new() };
-    let detector = Detector::new(kinds, Params::default()).unwrap();
-    let mut scratch = Scratch::default();
-    let mut cell = Cell::default();
-    let mut rng = ChaCha8Rng::seed_from_u64(7);
-    let side = (case.diameter_px * case.margin) as usize + 24;
-    for trial in 0..trials {
-        let mut jitter = || rng.random_range(-0.5..0.5);
-        let middle = 0.5 * side as f64;
-        let major = 0.5 * case.diameter_px + 0.5 * jitter();
-        let minor = major * case.tilt_deg.to_radians().cos();
-        let at = (middle + jitter(), middle + jitter());
-        let angle = std::f64::consts::PI * jitter();
-        let outer = ellipse(at, (major, minor), angle);
-        let roundel =
-            Roundel { outer, ratio: RATIO, margin: case.margin, black: 40.0, white: 200.0 };
-        let mut drawing = Drawing::new(side, side, BACKGROUND, case.blur_px);
-        drawing.add(&roundel, BACKGROUND);
-        let picture = drawing.picture(case.noise, trial);
-        let [ring] = detector.detect(&frame(&picture, side), &mut scratch) else {
-            cell.missed += 1;
-            continue;
-        };
-        for (errors, found, truth) in
-            [(&mut cell.center, ring.outer, outer), (&mut cell.inner_center, ring.inner, outer)]
-        {
-            errors.add(found.center.u - truth.center.u);
-            errors.add(found.center.v - truth.center.v);
-        }
-        let inner = roundel.inner();
-        cell.major.add(ring.outer.semi_major_px - outer.semi_major_px);
-        cell.minor.add(ring.outer.semi_minor_px - outer.semi_minor_px);
-        cell.inner_major.add(ring.inner.semi_major_px - inner.semi_major_px);
-        cell.inner_minor.add(ring.inner.semi_minor_px - inner.semi_minor_px);
-        cell.size.add(ring.outer.mean_radius_px() / outer.mean_radius_px() - 1.0);
-    }
-    cell
-}
-
-fn print_head() {
-    println!(
-        "diameter tilt blur noise margin kind | missed | centre rms outer inner | \
-         major bias rms | minor bias rms | inner major bias rms | minor bias rms | size % bias rms"
-    );
-}
-
-fn print_row(case: &Case, cell: &Cell) {
-    print!(
-        "{:5.0} {:4.0} {:5.1} {:4.0} {:6.2} {:5} | {:3} | {:.4} {:.4} ",
-        case.diameter_px,
-        case.tilt_deg,
-        case.blur_px,
-        case.noise,
-        case.margin,
-        case.kind,
-        cell.missed,
-        cell.center.rms(),
-        cell.inner_center.rms(),
-    );
-    for errors in [&cell.major, &cell.minor, &cell.inner_major, &cell.inner_minor] {
-        print!("| {:+.4} {:.4} ", errors.bias(), errors.rms());
-    }
-    println!("| {:+.3} {:.3}", 100.0 * cell.size.bias(), 100.0 * cell.size.rms());
-}
-
-/// Sizes, tilts and (blur, noise) of the table; too flat ones are left out.
-fn cases(sizes: &[f64], margin: f64, kind: bool) -> Vec<Case> {
-    let mut cases = Vec::new();
-    for &diameter_px in sizes {
-        for tilt_deg in [0.0f64, 30.0, 60.0] {
-            if 0.5 * diameter_px * tilt_deg.to_radians().cos() < 5.0 {
-                continue;
-            }
-            for (blur_px, noise) in [(0.5, 1.0), (0.7, 2.0), (1.1, 4.0)] {
-                cases.push(Case { diameter_px, tilt_deg, blur_px, noise, margin, kind });
-            }
-        }
-    }
-    cases
-}
+use rim_error::{Case, cases, measure, print_head, print_row};
 
 /// Largest bias of the size, as a share, and rms of the outer centre, pixels, for a picture.
 fn bounds(case: &Case) -> (f64, f64) {
@@ -179,19 +43,6 @@ fn a_narrow_margin_costs_precision_but_not_the_ring() {
         if case.tilt_deg < 50.0 || case.diameter_px > 40.0 {
             assert!(cell.missed <= 1);
             assert!(cell.size.rms() < 0.16 / case.diameter_px.sqrt() / 2.0);
-        }
-    }
-}
-
-#[test]
-#[ignore = "prints the whole table; takes a minute"]
-fn the_whole_table() {
-    print_head();
-    for kind in [true, false] {
-        for margin in [1.4, 1.15] {
-            for case in cases(&[12.0, 16.0, 20.0, 30.0, 41.0, 60.0, 81.0, 110.0], margin, kind) {
-                print_row(&case, &measure(&case, 100));
-            }
         }
     }
 }
