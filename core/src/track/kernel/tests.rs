@@ -1,0 +1,162 @@
+//! The kernel against a plain filter, at extremes, and with systematic errors.
+
+use super::*;
+use nalgebra::{DMatrix, DVector};
+use proptest::prelude::*;
+
+const CAMERAS: usize = 3;
+const SIZE: usize = 6 + 3 * CAMERAS;
+
+/// The same filter over (p, v, β of every camera) as one plain matrix; β's gain is left out.
+struct Plain {
+    state: DVector<f64>,
+    covariance: DMatrix<f64>,
+}
+
+impl Plain {
+    fn begin(noise: &Noise, camera: usize, rate_variance: f64) -> Self {
+        let mut covariance = DMatrix::identity(SIZE, SIZE);
+        covariance.view_mut((0, 0), (3, 3)).copy_from(&noise.total);
+        covariance.view_mut((3, 3), (3, 3)).fill_with_identity();
+        covariance.view_mut((3, 3), (3, 3)).scale_mut(rate_variance);
+        let own = 6 + 3 * camera;
+        covariance.view_mut((0, own), (3, 3)).copy_from(&noise.systematic_root);
+        covariance.view_mut((own, 0), (3, 3)).copy_from(&noise.systematic_root.transpose());
+        Self { state: DVector::zeros(SIZE), covariance }
+    }
+
+    fn predict(&mut self, dt: f64, q: f64, time_s: f64) {
+        let kept = (-dt / time_s).exp();
+        let mut motion = DMatrix::identity(SIZE, SIZE) * kept;
+        motion.view_mut((0, 0), (6, 6)).fill_with_identity();
+        motion.view_mut((0, 3), (3, 3)).fill_with_identity();
+        motion.view_mut((0, 3), (3, 3)).scale_mut(dt);
+        self.state = &motion * &self.state;
+        self.covariance = &motion * &self.covariance * motion.transpose();
+        for axis in 0..3 {
+            self.covariance[(axis, axis)] += q * dt * dt * dt / 3.0;
+            self.covariance[(axis, axis + 3)] += q * dt * dt / 2.0;
+            self.covariance[(axis + 3, axis)] += q * dt * dt / 2.0;
+            self.covariance[(axis + 3, axis + 3)] += q * dt;
+        }
+        for index in 6..SIZE {
+            self.covariance[(index, index)] += 1.0 - kept * kept;
+        }
+    }
+
+    /// Joseph's form: true for any gain.
+    fn update(&mut self, seen: &Vector3<f64>, noise: &Noise, camera: usize) {
+        let mut looks = DMatrix::zeros(3, SIZE);
+        looks.view_mut((0, 0), (3, 3)).fill_with_identity();
+        looks.view_mut((0, 6 + 3 * camera), (3, 3)).copy_from(&noise.systematic_root);
+        let fresh = noise.total - noise.systematic_root * noise.systematic_root.transpose();
+        let fresh = DMatrix::from_column_slice(3, 3, fresh.as_slice());
+        let innovation = &looks * &self.covariance * looks.transpose() + &fresh;
+        let mut gain = &self.covariance * looks.transpose() * innovation.try_inverse().unwrap();
+        gain.view_mut((6, 0), (3 * CAMERAS, 3)).fill(0.0);
+        let seen = DVector::from_column_slice(seen.as_slice());
+        self.state += &gain * (seen - &looks * &self.state);
+        let left = DMatrix::identity(SIZE, SIZE) - &gain * looks;
+        self.covariance =
+            &left * &self.covariance * left.transpose() + &gain * fresh * gain.transpose();
+    }
+}
+
+/// Tight across and loose along some direction, with a systematic share.
+fn noise(across_m: f64, along_m: f64, direction: &Vector3<f64>, share: f64) -> Noise {
+    let along = direction * direction.transpose();
+    let total = (Matrix3::identity() - along) * across_m.powi(2) + along * along_m.powi(2);
+    Noise { total, systematic_root: positive_root(&(total * share)).unwrap_or_else(Matrix3::zeros) }
+}
+
+fn direction() -> impl Strategy<Value = Vector3<f64>> {
+    (-1.0..1.0f64, -1.0..1.0f64, 0.1..1.0f64)
+        .prop_map(|(x, y, z)| Vector3::new(x, y, z).normalize())
+}
+
+fn step() -> impl Strategy<Value = (usize, f64, Vector3<f64>, Vector3<f64>)> {
+    let seen = prop::array::uniform3(-0.1..0.1f64).prop_map(Vector3::from);
+    (0..CAMERAS, 0.0..0.1f64, direction(), seen)
+}
+
+proptest! {
+    #[test]
+    fn equals_the_plain_filter(steps in prop::collection::vec(step(), 1..30), share in 0.0..0.9f64) {
+        let first = noise(0.001, 0.02, &steps[0].2, share);
+        let mut kernel = Kernel::begin(&first, CameraId(0), 9.0);
+        let mut value = Vector3::zeros();
+        let mut plain = Plain::begin(&first, 0, 9.0);
+        for (camera, dt, direction, seen) in &steps {
+            let noise = noise(0.001, 0.02, direction, share);
+            value += kernel.rate * *dt;
+            kernel.predict(*dt, &Vector3::repeat(0.2), 1.0);
+            plain.predict(*dt, 0.2, 1.0);
+            let camera_id = CameraId(*camera as u32);
+            value += kernel.update(&(seen - value), &noise, camera_id, f64::INFINITY).0;
+            plain.update(seen, &noise, *camera);
+        }
+        let expected = plain.covariance.view((0, 0), (6, 6)).clone_owned();
+        let found = kernel.spread.matrix();
+        for row in 0..6 {
+            for column in 0..6 {
+                let scale = (expected[(row, row)] * expected[(column, column)]).sqrt();
+                let off = (expected[(row, column)] - found[(row, column)]).abs();
+                prop_assert!(off < 1e-6 * scale, "({row}, {column}) {off:e} of {scale:e}");
+            }
+        }
+        for axis in 0..3 {
+            let deviation = expected[(axis, axis)].sqrt();
+            prop_assert!((plain.state[axis] - value[axis]).abs() < 1e-5 * deviation.max(1e-3));
+        }
+    }
+
+    /// From 10 µm to 100 m, whatever comes after whatever.
+    #[test]
+    fn stays_positive_definite(
+        steps in prop::collection::vec((step(), -5.0..2.0f64, -5.0..2.0f64), 1..60),
+        share in 0.0..1.0f64,
+    ) {
+        let first = noise(1.0, 1.0, &Vector3::z(), share);
+        let mut kernel = Kernel::begin(&first, CameraId(0), 9.0);
+        for ((camera, dt, direction, seen), across, along) in &steps {
+            let noise = noise(10f64.powf(*across), 10f64.powf(*along), direction, share);
+            kernel.predict(*dt * 20.0, &Vector3::new(0.2, 0.2, 1e-6), 1.0);
+            let camera = CameraId(*camera as u32);
+            let (_, innovation) = kernel.update(seen, &noise, camera, 16.3);
+            prop_assert!(innovation.distance_squared.is_finite());
+            prop_assert!(kernel.spread.matrix().cholesky().is_some(), "{:?}", kernel.spread);
+        }
+    }
+}
+
+#[test]
+fn one_camera_never_averages_its_systematic_error_away() {
+    let seen = noise(0.001, 0.001, &Vector3::z(), 0.5);
+    let mut kernel = Kernel::begin(&seen, CameraId(0), 9.0);
+    let still = Vector3::repeat(1e-12);
+    for _ in 0..1000 {
+        kernel.predict(0.01, &still, 1e6);
+        kernel.update(&Vector3::zeros(), &seen, CameraId(0), 16.3);
+    }
+    let one = kernel.spread.value[(0, 0)];
+    assert!((one / 0.5e-6 - 1.0).abs() < 0.1, "{one:e}");
+    // A second camera has an error of its own: the mean of both is twice as good.
+    for frame in 0..2000 {
+        kernel.predict(0.005, &still, 1e6);
+        kernel.update(&Vector3::zeros(), &seen, CameraId(frame % 2), 16.3);
+    }
+    let two = kernel.spread.value[(0, 0)];
+    assert!(two < 0.6 * one, "{two:e} of {one:e}");
+}
+
+#[test]
+fn the_camera_heard_of_longest_ago_gives_way() {
+    let seen = noise(0.001, 0.001, &Vector3::z(), 0.5);
+    let mut kernel = Kernel::begin(&seen, CameraId(0), 9.0);
+    for camera in 1..=MAX_SOURCES as u32 {
+        kernel.predict(0.01, &Vector3::repeat(0.2), 1.0);
+        kernel.update(&Vector3::zeros(), &seen, CameraId(camera), 16.3);
+    }
+    assert_eq!(kernel.source(CameraId(0)), None);
+    assert!(kernel.source(CameraId(1)).is_some());
+}
