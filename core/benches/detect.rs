@@ -14,7 +14,7 @@ const WIDTH: usize = 1280;
 const HEIGHT: usize = 720;
 
 fn detector(max_roundels: usize) -> Detector {
-    let kind = Kind { name: "robot".into(), outer_diameter_m: 0.16, inner_diameter_m: 0.064 };
+    let kind = Kind::plain("robot", 0.16, 0.064);
     Detector::new(vec![kind], Params { max_roundels, ..Params::default() }).unwrap()
 }
 

@@ -60,7 +60,7 @@ fn lens(criterion: &mut Criterion) {
 }
 
 fn pose(criterion: &mut Criterion) {
-    let kind = Kind { name: "robot".into(), outer_diameter_m: 0.16, inner_diameter_m: 0.064 };
+    let kind = Kind::plain("robot", 0.16, 0.064);
     // A ring of 30 px, tilted by 40°, with rims off by a few hundredths of a pixel.
     let rim = |scale: f64, off_px: f64| Ellipse {
         center: PixelPoint { u: 1300.2 + off_px, v: 702.6 - off_px },
@@ -68,15 +68,7 @@ fn pose(criterion: &mut Criterion) {
         semi_minor_px: 11.5 * scale - off_px,
         angle_rad: 0.4,
     };
-    let ring = Ring {
-        outer: rim(1.0, 0.02),
-        inner: rim(0.4, -0.03),
-        kind: None,
-        threshold: 128,
-        black: 20.0,
-        white: 220.0,
-        unevenness: 0.0,
-    };
+    let ring = Ring::of_rims(rim(1.0, 0.02), rim(0.4, -0.03));
     let noise = RimNoise::default();
     for (name, camera) in cameras() {
         criterion.bench_function(&format!("locate, {name}"), |bencher| {

@@ -149,20 +149,12 @@ fn tilted_ring() -> Ring {
             angle_rad: FRAC_PI_2,
         }
     };
-    Ring {
-        outer: rim(0.08),
-        inner: rim(0.032),
-        kind: None,
-        threshold: 128,
-        black: 20.0,
-        white: 220.0,
-        unevenness: 0.0,
-    }
+    Ring::of_rims(rim(0.08), rim(0.032))
 }
 
 #[test]
 fn normal_faces_the_camera_and_the_ellipse_leaves_two() {
-    let kind = Kind { name: "robot".into(), outer_diameter_m: 0.16, inner_diameter_m: 0.064 };
+    let kind = Kind::plain("robot", 0.16, 0.064);
     let pose = locate(&camera(), &kind, &tilted_ring(), &RimNoise::default()).unwrap();
     assert!((pose.position_m - Vector3::new(0.0, 0.0, 4.0)).norm() < 1e-9, "{}", pose.position_m);
     assert!(pose.normal.dot(&pose.position_m) < 0.0);

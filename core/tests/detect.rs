@@ -15,7 +15,7 @@ const WIDTH: usize = 200;
 const HEIGHT: usize = 160;
 
 fn kind(name: &str, ratio: f64) -> Kind {
-    Kind { name: name.into(), outer_diameter_m: 0.16, inner_diameter_m: 0.16 * ratio }
+    Kind::plain(name, 0.16, 0.16 * ratio)
 }
 
 fn any_ring() -> Detector {

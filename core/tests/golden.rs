@@ -161,23 +161,11 @@ fn worst_errors(
     rims: fn(&CircleCase) -> &Rims,
 ) -> Errors {
     let camera = camera_data.camera();
-    let kind = Kind {
-        name: "golden".into(),
-        outer_diameter_m: data.outer_diameter_m,
-        inner_diameter_m: data.inner_diameter_m,
-    };
+    let kind = Kind::plain("golden", data.outer_diameter_m, data.inner_diameter_m);
     let mut worst = Errors { position: 0.0, normal_rad: 0.0 };
     for case in data.circles.iter().filter(|case| case.camera == camera_data.name) {
         let rims = rims(case);
-        let ring = Ring {
-            outer: rims.outer.ellipse(),
-            inner: rims.inner.ellipse(),
-            kind: None,
-            threshold: 128,
-            black: 20.0,
-            white: 220.0,
-            unevenness: 0.0,
-        };
+        let ring = Ring::of_rims(rims.outer.ellipse(), rims.inner.ellipse());
         let pose = locate(&camera, &kind, &ring, &RimNoise::default()).unwrap();
         let position_m = Vector3::from(case.position_m);
         let normal = Vector3::from(case.normal);

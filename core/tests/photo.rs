@@ -47,11 +47,7 @@ fn photographs(test: &str) -> Option<PathBuf> {
 }
 
 fn detector(ratio: Option<f64>) -> Detector {
-    let kind = |ratio| Kind {
-        name: "photographed".into(),
-        outer_diameter_m: 0.1,
-        inner_diameter_m: 0.1 * ratio,
-    };
+    let kind = |ratio| Kind::plain("photographed", 0.1, 0.1 * ratio);
     Detector::new(ratio.map(kind).into_iter().collect(), Params::default()).unwrap()
 }
 

@@ -33,7 +33,7 @@ fn camera() -> Camera {
 }
 
 fn kind() -> Kind {
-    Kind { name: "robot".into(), outer_diameter_m: 0.16, inner_diameter_m: 0.064 }
+    Kind::plain("robot", 0.16, 0.064)
 }
 
 /// A sheet of twice the ring's size, blurred, with noise.

@@ -140,15 +140,7 @@ mod tests {
             angle_rad: 0.0,
         };
         let inner = Ellipse { semi_major_px: size_px / 2.0, semi_minor_px: size_px / 4.0, ..outer };
-        Ring {
-            outer,
-            inner,
-            kind: None,
-            threshold: 128,
-            black: 10.0,
-            white: 200.0,
-            unevenness: 0.0,
-        }
+        Ring::of_rims(outer, inner)
     }
 
     fn color(canvas: &Canvas, u: usize, v: usize) -> [u8; 3] {

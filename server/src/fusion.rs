@@ -175,15 +175,7 @@ mod tests {
         };
         let detection = Detection {
             track: TrackNumber(1),
-            ring: Ring {
-                outer: rim,
-                inner: rim,
-                kind: Some(KindId(0)),
-                threshold: 128,
-                black: 20.0,
-                white: 200.0,
-                unevenness: 0.0,
-            },
+            ring: Ring { kind: Some(KindId(0)), ..Ring::of_rims(rim, rim) },
             capture_time,
             pose: Some(pose),
         };

@@ -41,11 +41,8 @@ pub fn core_camera(optics: &Pinhole) -> anyhow::Result<Camera> {
 
 /// Kinds of roundel as core takes them.
 pub fn core_kinds(kinds: &[arena::Kind]) -> Vec<Kind> {
-    let kind = |kind: &arena::Kind| Kind {
-        name: kind.name.clone(),
-        outer_diameter_m: kind.outer_diameter_m,
-        inner_diameter_m: kind.inner_diameter_m,
-    };
+    let kind =
+        |kind: &arena::Kind| Kind::plain(&kind.name, kind.outer_diameter_m, kind.inner_diameter_m);
     kinds.iter().map(kind).collect()
 }
 

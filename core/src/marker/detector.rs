@@ -232,7 +232,9 @@ impl Detector {
         };
         let (black, white) = (fine.black, fine.white);
         let unevenness = unevenness(frame, &outer, white - black)?;
-        Ok(Ring { outer, inner, kind, threshold, black, white, unevenness })
+        let ring =
+            Ring { kind, threshold, black, white, unevenness, ..Ring::of_rims(outer, inner) };
+        Ok(ring)
     }
 }
 

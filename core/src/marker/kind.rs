@@ -3,7 +3,10 @@
 use crate::{
     ellipse::Ellipse,
     id::KindId,
-    marker::rim::{compensated, rim_shift_px},
+    marker::{
+        code::CodeLayout,
+        rim::{compensated, rim_shift_px},
+    },
 };
 
 /// Ratios of inner to outer diameter that a roundel may have: outside of them either the disc or the
@@ -16,18 +19,60 @@ const SHIFT_SHARE: f64 = 0.02;
 /// by half a pixel and more at each rim.
 const SHIFT_PX: f64 = 0.7;
 
-/// The print: a plain roundel's diameters. Kinds are told apart by their ratio (paper, section 3.4).
+/// The print. Plain kinds are told apart by the ratio of their diameters (paper, section 3.4).
 #[derive(Clone, Debug, PartialEq)]
 pub struct Kind {
     /// Name in the configuration.
     pub name: String,
-    /// Black ring's outer diameter, metres.
+    /// Ring's outer diameter, metres.
     pub outer_diameter_m: f64,
-    /// White disc's diameter, metres, below the outer one.
+    /// Disc's diameter, metres, below the outer one; of a coded roundel that of the disc between the
+    /// teeth, of an elliptical disc the longer one.
     pub inner_diameter_m: f64,
+    /// What is inside the ring.
+    pub pattern: Pattern,
+    /// Which of ring and disc is black.
+    pub polarity: Polarity,
+}
+
+/// What a roundel's ring holds.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub enum Pattern {
+    /// A round disc: no identity beyond the kind's, and no yaw.
+    #[default]
+    Plain,
+    /// Teeth round the disc, as WhyCode prints them: identity and yaw.
+    Coded(CodeLayout),
+    /// An elliptical disc (paper, sections 7.2 and 7.4), its longer axis along the print's x: a
+    /// heading, of which the opposite looks the same.
+    Elliptical {
+        /// The disc's shorter diameter, metres.
+        minor_diameter_m: f64,
+    },
+}
+
+/// Which of ring and disc is black.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Hash)]
+pub enum Polarity {
+    /// A black ring round a white disc, on white.
+    #[default]
+    BlackRing,
+    /// A white ring round a black disc, on black.
+    WhiteRing,
 }
 
 impl Kind {
+    /// A black ring of these diameters, in metres, round a plain white disc.
+    pub fn plain(name: impl Into<String>, outer_diameter_m: f64, inner_diameter_m: f64) -> Self {
+        Self {
+            name: name.into(),
+            outer_diameter_m,
+            inner_diameter_m,
+            pattern: Pattern::Plain,
+            polarity: Polarity::BlackRing,
+        }
+    }
+
     /// Inner over outer diameter.
     pub fn ratio(&self) -> f64 {
         self.inner_diameter_m / self.outer_diameter_m
@@ -75,11 +120,7 @@ mod tests {
 
     #[test]
     fn the_nearest_ratio_wins_and_a_far_one_is_refused() {
-        let kind = |inner_diameter_m| Kind {
-            name: String::new(),
-            outer_diameter_m: 1.0,
-            inner_diameter_m,
-        };
+        let kind = |inner_diameter_m| Kind::plain("", 1.0, inner_diameter_m);
         let kinds = [kind(0.4), kind(0.5), kind(0.6)];
         let find = |inner| nearest_kind(&kinds, &circle(20.0), &circle(inner)).map(|k| k.0);
         assert_eq!(find(8.3), Some(KindId(0)));

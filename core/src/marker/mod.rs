@@ -14,9 +14,7 @@
 //! ```
 //! use roundel_core::{frame::Frame, marker::{Detector, Kind, Params, Scratch, Tracker}};
 //!
-//! let kind = Kind {
-//!     name: "robot".into(), outer_diameter_m: 0.16, inner_diameter_m: 0.064,
-//! };
+//! let kind = Kind::plain("robot", 0.16, 0.064);
 //! let detector = Detector::new(vec![kind], Params::default())?;
 //! let pixels = vec![200u8; 640 * 480];
 //! let frame = Frame::new(&pixels, 640, 480, 640)?;
@@ -30,6 +28,7 @@
 //! ```
 
 mod blur;
+mod code;
 mod detector;
 mod examine;
 mod kind;
@@ -43,9 +42,10 @@ mod threshold;
 mod tracker;
 mod zone;
 
+pub use code::{Code, CodeLayout, CodeReading};
 pub use detector::{Detector, Scratch};
-pub use kind::{Kind, RATIO_LIMITS};
-pub use param::{DetectorError, Params};
+pub use kind::{Kind, Pattern, Polarity, RATIO_LIMITS};
+pub use param::{DetectorError, Mode, Params};
 pub use reject::{Reject, RejectCounts};
 pub use threshold::BinarySearch;
 pub use tracker::Tracker;
@@ -73,6 +73,27 @@ pub struct Ring {
     /// How far the grey levels along the outer rim stray from those of a whole rim: rms, as a share
     /// of the contrast. Noise alone gives two thirds of its own share; a cover gives more.
     pub unevenness: f64,
+    /// Which of ring and disc is black.
+    pub polarity: Polarity,
+    /// What the teeth say; `None` if there are none, or they cannot be read.
+    pub code: Option<CodeReading>,
+}
+
+impl Ring {
+    /// A whole ring, black 20 on white 220, of no known kind.
+    pub fn of_rims(outer: Ellipse, inner: Ellipse) -> Self {
+        Self {
+            outer,
+            inner,
+            kind: None,
+            threshold: 120,
+            black: 20.0,
+            white: 220.0,
+            unevenness: 0.0,
+            polarity: Polarity::BlackRing,
+            code: None,
+        }
+    }
 }
 
 /// A ring with the number of the track that it continues or begins.

@@ -4,9 +4,21 @@ use thiserror::Error;
 
 use crate::marker::kind::{Kind, RATIO_LIMITS};
 
+/// What is worth more: time or precision.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Hash)]
+pub enum Mode {
+    /// Rims from moments, poses in closed form.
+    Fast,
+    /// Rims and poses fitted to the grey levels.
+    #[default]
+    Precise,
+}
+
 /// Limits of detection and tracking.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Params {
+    /// What is worth more.
+    pub mode: Mode,
     /// Roundels found in one frame, or followed, at most.
     pub max_roundels: usize,
     /// Smallest shorter semiaxis of the outer rim, pixels.
@@ -25,6 +37,7 @@ pub struct Params {
 impl Default for Params {
     fn default() -> Self {
         Self {
+            mode: Mode::default(),
             max_roundels: 400,
             min_semi_minor_px: 4.0,
             min_contrast: 20,
@@ -107,7 +120,7 @@ mod tests {
     use super::*;
 
     fn kind(outer_diameter_m: f64, inner_diameter_m: f64) -> Kind {
-        Kind { name: "robot".into(), outer_diameter_m, inner_diameter_m }
+        Kind::plain("robot", outer_diameter_m, inner_diameter_m)
     }
 
     #[test]

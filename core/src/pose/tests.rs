@@ -25,7 +25,7 @@ fn camera(lens: Lens) -> Camera {
 }
 
 fn kind() -> Kind {
-    Kind { name: "robot".into(), outer_diameter_m: 0.16, inner_diameter_m: 0.064 }
+    Kind::plain("robot", 0.16, 0.064)
 }
 
 /// The ellipse whose conic fits the points best, by the smallest eigenvector of their design.
@@ -83,13 +83,11 @@ fn rim(
 fn ring(camera: &Camera, position_m: &Vector3<f64>, normal: &Vector3<f64>) -> Ring {
     let kind = kind();
     Ring {
-        outer: rim(camera, position_m, normal, kind.outer_diameter_m),
-        inner: rim(camera, position_m, normal, kind.inner_diameter_m),
-        kind: None,
-        threshold: 128,
-        black: 20.0,
-        white: 220.0,
         unevenness: CLEAN_UNEVENNESS,
+        ..Ring::of_rims(
+            rim(camera, position_m, normal, kind.outer_diameter_m),
+            rim(camera, position_m, normal, kind.inner_diameter_m),
+        )
     }
 }
 

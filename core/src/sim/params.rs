@@ -147,7 +147,7 @@ impl ScenarioParams {
         let mounts = [(-1.0, -1.0), (1.0, -1.0), (-1.0, 1.0), (1.0, 1.0)].map(|(x, y)| {
             CameraMount { position_m: [2.5 * x, 2.0 * y, 5.0], target_m: [1.25 * x, y, 0.0] }
         });
-        let kind = Kind { name: "robot".into(), outer_diameter_m: 0.160, inner_diameter_m: 0.064 };
+        let kind = Kind::plain("robot", 0.160, 0.064);
         Self {
             seed,
             arena_m: [10.0, 8.0],

@@ -402,14 +402,6 @@ pub fn detection(number: u64, time: Timestamp, pose: Option<RoundelPose>) -> Det
         semi_minor_px: semi_px,
         angle_rad: PI / 4.0,
     };
-    let ring = Ring {
-        outer: rim(15.0),
-        inner: rim(6.0),
-        kind: Some(KindId(0)),
-        threshold: 128,
-        black: 40.0,
-        white: 200.0,
-        unevenness: 0.0,
-    };
+    let ring = Ring { kind: Some(KindId(0)), ..Ring::of_rims(rim(15.0), rim(6.0)) };
     Detection { track: TrackNumber(number), ring, capture_time: time, pose }
 }

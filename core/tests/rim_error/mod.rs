@@ -58,7 +58,7 @@ pub struct Case {
 }
 
 pub fn measure(case: &Case, trials: u64) -> Cell {
-    let kind = Kind { name: "drawn".into(), outer_diameter_m: 1.0, inner_diameter_m: RATIO };
+    let kind = Kind::plain("drawn", 1.0, RATIO);
     let kinds = if case.kind { vec![kind] } else { Vec::new() };
     let detector = Detector::new(kinds, Params::default()).unwrap();
     let mut scratch = Scratch::default();

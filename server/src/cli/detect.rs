@@ -225,7 +225,7 @@ fn roundel(track: Option<TrackNumber>, ring: Ring) -> Roundel {
 }
 
 fn kind(name: &str, outer_m: f64, inner_m: f64) -> Kind {
-    Kind { name: name.to_owned(), outer_diameter_m: outer_m, inner_diameter_m: inner_m }
+    Kind::plain(name, outer_m, inner_m)
 }
 
 /// Where the print's inner diameter was not given, it is taken as it is seen: the ratio of two

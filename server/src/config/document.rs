@@ -160,11 +160,7 @@ fn kind(table: &Table<'_, '_>, earlier: &[(Kind, Range<usize>)]) -> Option<Kind>
             return None;
         }
     }
-    Some(Kind {
-        name: name.to_owned(),
-        outer_diameter_m: outer_mm * 1e-3,
-        inner_diameter_m: inner_mm * 1e-3,
-    })
+    Some(Kind::plain(name, outer_mm * 1e-3, inner_mm * 1e-3))
 }
 
 /// The kind that `roundel = …` names.

@@ -140,15 +140,7 @@ mod tests {
         let normal = camera.rotation.inverse() * Vector3::z();
         Detection {
             track: TrackNumber(track),
-            ring: Ring {
-                outer: rim,
-                inner: rim,
-                kind: Some(kind),
-                threshold: 128,
-                black: 20.0,
-                white: 200.0,
-                unevenness: 0.0,
-            },
+            ring: Ring { kind: Some(kind), ..Ring::of_rims(rim, rim) },
             capture_time: Timestamp::default(),
             pose: Some(RoundelPose {
                 position_m,

@@ -28,15 +28,7 @@ fn picture(frame: u64, outer: Ellipse) -> Picture {
         semi_minor_px: outer.semi_minor_px / 2.0,
         ..outer
     };
-    let ring = Ring {
-        outer,
-        inner,
-        kind: None,
-        threshold: 100,
-        black: 50.0,
-        white: 200.0,
-        unevenness: 0.0,
-    };
+    let ring = Ring::of_rims(outer, inner);
     let time = Timestamp::from_ns(CAPTURE_NS);
     let detection = Detection { track: TrackNumber(42), ring, capture_time: time, pose: None };
     Picture {
