@@ -9,22 +9,17 @@ use crate::{
     frame::Frame,
     marker::{
         Ring,
-        examine::{Probe, Rules, examine},
-        kind::{Kind, RATIO_LIMITS, nearest_kind},
-        outline::unevenness,
+        examine::{Probe, Rules},
+        kind::{Kind, RATIO_LIMITS},
+        measure::{MeasureScratch, measure},
         param::{self, DetectorError, Params},
-        refine::refine,
         reject::{Reject, RejectCounts},
         scan::{Candidate, Peak, ROW_STEP, cross, find_peaks, pair_of_rows},
         threshold::BinarySearch,
-        zone::RowScratch,
     },
-    segment::{FillScratch, Window},
+    segment::Window,
 };
 
-/// A ring is refilled at its own threshold, eq. (3), if that is further from the first one than this
-/// share of the contrast.
-const RETHRESHOLD_SHARE: f64 = 0.03;
 /// Depth of the binary search that a promising candidate is given.
 const SEARCH_DEPTH: u32 = 2;
 
@@ -46,13 +41,6 @@ pub struct Scratch {
     pub(crate) claims: Vec<Claim>,
     pub(crate) in_row: Vec<usize>,
     pub(crate) rejects: RejectCounts,
-}
-
-/// Memory of measuring one ring.
-#[derive(Debug, Default)]
-pub(crate) struct MeasureScratch {
-    fill: FillScratch,
-    row: RowScratch,
 }
 
 impl Scratch {
@@ -200,41 +188,14 @@ impl Detector {
         self.measure(frame, &probe, &mut scratch.measure)
     }
 
-    /// The ring at a probe: all tests, both rims to a fraction of a pixel, its kind, and the rims
-    /// compensated for it.
+    /// The ring at a probe.
     pub(crate) fn measure(
         &self,
         frame: &Frame,
         probe: &Probe,
         scratch: &mut MeasureScratch,
     ) -> Result<Ring, Reject> {
-        let mut coarse = examine(frame, probe, &self.rules, &mut scratch.fill)?;
-        let mut threshold = coarse.threshold();
-        let off = f64::from(threshold.abs_diff(probe.threshold));
-        if off > RETHRESHOLD_SHARE * (coarse.white - coarse.black) {
-            match examine(frame, &Probe { threshold, ..*probe }, &self.rules, &mut scratch.fill) {
-                Ok(better) => coarse = better,
-                // Something bridges the rims at the middle; what works is kept.
-                Err(_) => threshold = probe.threshold,
-            }
-        }
-        let fine = refine(frame, &coarse, &mut scratch.row)?;
-        let (kind, outer, inner) = if self.kinds.is_empty() {
-            let ratio = fine.inner.mean_radius_px() / fine.outer.mean_radius_px();
-            if ratio < RATIO_LIMITS.0 || ratio > RATIO_LIMITS.1 {
-                return Err(Reject::AreaRatio);
-            }
-            (None, fine.outer, fine.inner)
-        } else {
-            let (kind, outer, inner) =
-                nearest_kind(&self.kinds, &fine.outer, &fine.inner).ok_or(Reject::Kind)?;
-            (Some(kind), outer, inner)
-        };
-        let (black, white) = (fine.black, fine.white);
-        let unevenness = unevenness(frame, &outer, white - black)?;
-        let ring =
-            Ring { kind, threshold, black, white, unevenness, ..Ring::of_rims(outer, inner) };
-        Ok(ring)
+        measure(frame, probe, &self.rules, &self.kinds, scratch)
     }
 }
 

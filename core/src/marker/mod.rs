@@ -32,6 +32,7 @@ mod code;
 mod detector;
 mod examine;
 mod kind;
+mod measure;
 mod outline;
 mod param;
 mod refine;
