@@ -9,6 +9,7 @@
 //! | [`optics`] | pinhole cameras with `plumb_bob` and `equidistant` lenses, forward and inverse |
 //! | [`coverage`] | how much of each pixel a shape covers, blurred, exact by a contour integral |
 //! | [`render`] | 8-bit frames of roundels that move, over a background |
+//! | [`bound`] | the Cramér-Rao bound of a roundel's pose in such a frame |
 //! | [`clutter`] | seeded backgrounds that hold no roundel |
 //! | [`arena`] | cameras and robots on smooth paths, with the truth at any time |
 //! | [`export`] | such an arena as an installation on disk, for `roundel serve` |
@@ -19,6 +20,7 @@
 //! | [`shared_data`] | the recordings beside the repository, where they are there |
 
 pub mod arena;
+pub mod bound;
 pub mod clutter;
 pub mod coverage;
 pub mod export;

@@ -35,6 +35,18 @@ pub enum Outline {
     Polygon(Vec<[f64; 2]>),
 }
 
+impl Outline {
+    /// How far from the origin it reaches.
+    pub fn radius_m(&self) -> f64 {
+        match self {
+            Outline::Disc { diameter_m } => diameter_m / 2.0,
+            Outline::Polygon(corners) => {
+                corners.iter().map(|c| c[0].hypot(c[1])).fold(0.0, f64::max)
+            }
+        }
+    }
+}
+
 /// One area of even ink, printed over what lies below it.
 ///
 /// An area must lie wholly inside one area of the other ink: then blur adds up exactly.
@@ -64,6 +76,11 @@ impl Print {
             inks: vec![disc(outer_diameter_m, false), disc(inner_diameter_m, true)],
         }
     }
+
+    /// How far from the centre the ink reaches; the sheet does not count.
+    pub fn radius_m(&self) -> f64 {
+        self.inks.iter().map(|ink| ink.outline.radius_m()).fold(0.0, f64::max)
+    }
 }
 
 /// How a camera forms its grey values.
@@ -71,6 +88,9 @@ impl Print {
 pub struct Imaging {
     /// Deviation of the lens' Gaussian blur, pixels, at least [`crate::coverage::MIN_BLUR_PX`].
     pub blur_px: f64,
+    /// How far white spreads into black across every rim before the lens blurs, pixels. Discs only:
+    /// polygons keep their size.
+    pub bloom_px: f64,
     /// Deviation of the noise, grey levels.
     pub noise: f64,
     /// Grey level of black ink in full light.
@@ -90,6 +110,7 @@ impl Default for Imaging {
     fn default() -> Self {
         Self {
             blur_px: 0.7,
+            bloom_px: 0.0,
             noise: 2.0,
             black: 40.0,
             white: 200.0,
@@ -201,22 +222,25 @@ impl Renderer {
 
     fn draw(&self, canvas: &mut Canvas, seen: &Seen<'_>) {
         let (white, black) = (self.imaging.white, self.imaging.black);
-        let Some(sheet) = self.patch(&seen.print.sheet, seen) else { return };
+        let Some(sheet) = self.patch(&seen.print.sheet, true, seen) else { return };
         canvas.paint(&sheet, white);
         for ink in &seen.print.inks {
             let step = if ink.white { white - black } else { black - white };
-            if let Some(patch) = self.patch(&ink.outline, seen) {
+            if let Some(patch) = self.patch(&ink.outline, ink.white, seen) {
                 canvas.add(&patch, step);
             }
         }
     }
 
     /// Mean coverage over the exposure; `None` if it is not in the image, faces away or is behind.
-    fn patch(&self, outline: &Outline, seen: &Seen<'_>) -> Option<Patch> {
+    fn patch(&self, outline: &Outline, white: bool, seen: &Seen<'_>) -> Option<Patch> {
+        let spread_px = if white { self.imaging.bloom_px } else { -self.imaging.bloom_px };
         let contours = self
             .instants(outline, seen)
             .into_iter()
-            .map(|(offset_s, weight)| Some((self.contour(outline, seen, offset_s)?, weight)))
+            .map(|(offset_s, weight)| {
+                Some((self.contour(outline, spread_px, seen, offset_s)?, weight))
+            })
             .collect::<Option<Vec<_>>>()?;
         Patch::of(&contours, &self.kernel, self.camera.width, self.camera.height)
     }
@@ -225,13 +249,7 @@ impl Renderer {
     fn instants(&self, outline: &Outline, seen: &Seen<'_>) -> Vec<(f64, f64)> {
         let half_s = self.imaging.exposure_s / 2.0;
         let edge = |t: f64| {
-            let reach_m = match outline {
-                Outline::Disc { diameter_m } => diameter_m / 2.0,
-                Outline::Polygon(corners) => {
-                    corners.iter().map(|c| c[0].hypot(c[1])).fold(0.0, f64::max)
-                }
-            };
-            self.camera.project(&((seen.motion)(t) * Point3::new(reach_m, 0.0, 0.0)))
+            self.camera.project(&((seen.motion)(t) * Point3::new(outline.radius_m(), 0.0, 0.0)))
         };
         let moved_px = match (edge(-half_s), edge(half_s)) {
             (Some(start), Some(end)) => (end - start).norm(),
@@ -252,7 +270,13 @@ impl Renderer {
         (0..panels as usize).flat_map(in_panel).collect()
     }
 
-    fn contour(&self, outline: &Outline, seen: &Seen<'_>, offset_s: f64) -> Option<Contour> {
+    fn contour(
+        &self,
+        outline: &Outline,
+        spread_px: f64,
+        seen: &Seen<'_>,
+        offset_s: f64,
+    ) -> Option<Contour> {
         let pose = (seen.motion)(offset_s);
         let facing = (pose.rotation * nalgebra::Vector3::z()).dot(&pose.translation.vector);
         if facing >= 0.0 {
@@ -272,7 +296,16 @@ impl Renderer {
                 // The chord of eight directions may miss the longest one by 8 %.
                 let around_px = std::f64::consts::TAU * reach_px * 1.1;
                 let count = (around_px / spacing_px).ceil().max(48.0) as usize;
-                Contour::smooth(count, |angle| at(radius_m * angle.cos(), radius_m * angle.sin()))
+                let rim = |angle: f64| at(radius_m * angle.cos(), radius_m * angle.sin());
+                if spread_px == 0.0 {
+                    return Contour::smooth(count, rim);
+                }
+                Contour::smooth(count, |angle| {
+                    let along = rim(angle + 1e-4)? - rim(angle - 1e-4)?;
+                    let across = Vector2::new(along.y, -along.x).normalize();
+                    let (place, side) = (rim(angle)?, across.dot(&(rim(angle)? - center)));
+                    Some(place + across * side.signum() * spread_px)
+                })
             }
             Outline::Polygon(corners) => {
                 let corners: Vec<_> = corners.iter().map(|c| Vector2::from(*c)).collect();
