@@ -6,9 +6,9 @@ use nalgebra::Vector3;
 use roundel_core::{
     camera::{Camera, Intrinsics, Lens},
     frame::Frame,
-    id::{CameraId, KindId},
-    marker::{Detector, Kind, Params, Ring, Tracker},
-    pose::{self, Detection, RimNoise, RoundelPose},
+    id::CameraId,
+    marker::{Detector, Kind, Params, Tracker},
+    pose::{Detection, Locator},
     rigid::{self, Covariance6},
     time::Timestamp,
     world::{self, CameraPlacement, FrameObservations, Fusion, FusionParams},
@@ -48,47 +48,33 @@ pub fn core_kinds(kinds: &[arena::Kind]) -> Vec<Kind> {
 
 /// One camera's detector, tracker and poses.
 pub struct Observer {
-    camera: Camera,
-    kinds: Vec<Kind>,
     tracker: Tracker,
+    locator: Locator,
     line_time_s: f64,
-    /// How exactly the detector finds rims, as the server takes it.
-    pub noise: RimNoise,
 }
 
 impl Observer {
     /// For a camera of this lens and shutter that looks for these kinds.
     pub fn new(optics: &Pinhole, kinds: &[arena::Kind], line_time_s: f64) -> anyhow::Result<Self> {
-        let kinds = core_kinds(kinds);
-        let detector = Detector::new(kinds.clone(), Params::default())?;
-        let tracker = Tracker::new(detector);
-        Ok(Self {
-            camera: core_camera(optics)?,
-            kinds,
-            tracker,
-            line_time_s,
-            noise: RimNoise::default(),
-        })
+        let (kinds, params) = (core_kinds(kinds), Params::default());
+        let locator = Locator::new(core_camera(optics)?, kinds.clone(), params.mode);
+        let tracker = Tracker::new(Detector::new(kinds, params)?);
+        Ok(Self { tracker, locator, line_time_s })
     }
 
     /// What is seen in the next frame, whose middle row was exposed at `capture_ns`.
     pub fn observe(&mut self, image: &Image, capture_ns: i64) -> anyhow::Result<Vec<Detection>> {
         let frame = Frame::new(&image.pixels, image.width, image.height, image.width)?;
         let middle = (image.height as f64 - 1.0) / 2.0;
-        let tracked = self.tracker.process(&frame).to_vec();
-        let detection = |tracked: &roundel_core::marker::TrackedRing| Detection {
-            track: tracked.track,
-            ring: tracked.ring,
-            capture_time: Timestamp::from_ns(capture_ns)
-                .plus_seconds((tracked.ring.outer.center.v - middle) * self.line_time_s),
-            pose: self.locate(&tracked.ring),
-        };
-        Ok(tracked.iter().map(detection).collect())
-    }
-
-    fn locate(&self, ring: &Ring) -> Option<RoundelPose> {
-        let kind = &self.kinds[usize::from(ring.kind.unwrap_or(KindId(0)).0)];
-        pose::locate(&self.camera, kind, ring, &self.noise).ok()
+        let mut detections = Vec::new();
+        for tracked in self.tracker.process(&frame) {
+            let located = self.locator.locate(&frame, tracked).ok();
+            let (ring, pose) = located.map_or((tracked.ring, None), |it| (it.ring, Some(it.pose)));
+            let row_s = (tracked.ring.outer.center.v - middle) * self.line_time_s;
+            let capture_time = Timestamp::from_ns(capture_ns).plus_seconds(row_s);
+            detections.push(Detection { track: tracked.track, ring, capture_time, pose });
+        }
+        Ok(detections)
     }
 }
 

@@ -21,6 +21,7 @@
 //! that.
 
 mod cone;
+mod locator;
 mod refine;
 mod rim;
 #[cfg(test)]
@@ -37,6 +38,7 @@ use crate::{
     rigid::{Covariance6, UNKNOWN_ANGLE_VARIANCE_RAD2},
     time::Timestamp,
 };
+pub use locator::{Located, Locator};
 use refine::Estimate;
 use rim::Rim;
 
@@ -122,6 +124,9 @@ struct RingNoise {
 /// Why a ring has no pose.
 #[derive(Clone, Copy, Debug, PartialEq, Error)]
 pub enum PoseError {
+    /// The ring is of no kind that is known here, so that nothing says its size.
+    #[error("expected a ring of a known kind, found one of none")]
+    UnknownKind,
     /// An ellipse is not one.
     #[error(
         "{rim} rim: expected finite numbers and semiaxes of at least {} px, found {semi_major_px} and {semi_minor_px} px",

@@ -14,10 +14,10 @@ use std::{
 use anyhow::{Context, bail};
 use clap::{Args, ValueEnum};
 use roundel_core::{
-    camera::Camera,
+    frame::Frame,
     id::TrackNumber,
-    marker::{Detector, Kind, Params, RejectCounts, Ring, Scratch, Tracker},
-    pose::{RimNoise, RoundelPose, locate},
+    marker::{Detector, Kind, Params, RejectCounts, Ring, Scratch, TrackedRing, Tracker},
+    pose::{Locator, RoundelPose},
 };
 
 use super::told;
@@ -118,7 +118,7 @@ struct Roundel {
 /// Searches images one after the other.
 struct Search {
     finder: Finder,
-    camera: Option<Camera>,
+    locator: Option<Locator>,
     marker: Option<Marker>,
 }
 
@@ -174,17 +174,19 @@ impl Search {
         });
         let detector =
             Detector::new(kinds.into_iter().collect(), Params::default()).context("--marker")?;
+        let mode = detector.params().mode;
+        let locator = camera.map(|camera| Locator::new(camera, detector.kinds().to_vec(), mode));
         let finder = if arguments.sequence {
             Finder::Sequence { tracker: Box::new(Tracker::new(detector)) }
         } else {
             Finder::Single { detector, scratch: Box::default() }
         };
-        Ok(Self { finder, camera, marker: arguments.marker })
+        Ok(Self { finder, locator, marker: arguments.marker })
     }
 
     fn image(&mut self, path: &Path) -> anyhow::Result<Found> {
         let image = image_file::load(path)?;
-        if let Some(camera) = &self.camera
+        if let Some(camera) = self.locator.as_ref().map(Locator::camera)
             && (camera.width(), camera.height()) != (image.width, image.height)
         {
             bail!(
@@ -210,9 +212,9 @@ impl Search {
                 (found.collect(), *tracker.rejects())
             }
         };
-        if let (Some(camera), Some(marker)) = (&self.camera, self.marker) {
+        if let (Some(locator), Some(marker)) = (&mut self.locator, self.marker) {
             for roundel in &mut roundels {
-                roundel.pose = pose(camera, marker, &roundel.ring);
+                locate(locator, marker, &frame, roundel);
             }
         }
         let elapsed_us = begun.elapsed().as_secs_f64() * 1e6;
@@ -230,11 +232,21 @@ fn kind(name: &str, outer_m: f64, inner_m: f64) -> Kind {
 
 /// Where the print's inner diameter was not given, it is taken as it is seen: the ratio of two
 /// nearly concentric circles is nearly that of their images.
-fn pose(camera: &Camera, marker: Marker, ring: &Ring) -> Option<RoundelPose> {
-    let inner_m = marker.inner_m.unwrap_or_else(|| {
-        marker.outer_m * ring.inner.mean_radius_px() / ring.outer.mean_radius_px()
-    });
-    locate(camera, &kind("", marker.outer_m, inner_m), ring, &RimNoise::default()).ok()
+fn locate(locator: &mut Locator, marker: Marker, frame: &Frame, roundel: &mut Roundel) {
+    let ring = roundel.ring;
+    let located = match (roundel.track, ring.kind) {
+        (Some(track), Some(_)) => locator.locate(frame, &TrackedRing { track, ring }),
+        _ => {
+            let inner_m = marker.inner_m.unwrap_or_else(|| {
+                marker.outer_m * ring.inner.mean_radius_px() / ring.outer.mean_radius_px()
+            });
+            locator.locate_single(frame, &kind("", marker.outer_m, inner_m), &ring)
+        }
+    };
+    if let Ok(located) = located {
+        roundel.ring = located.ring;
+        roundel.pose = Some(located.pose);
+    }
 }
 
 /// A name of its own for each drawing of this run.

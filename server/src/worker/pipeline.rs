@@ -5,7 +5,7 @@ use roundel_core::{
     frame::{Frame, FrameError},
     id::CameraId,
     marker::{Detector, DetectorError, Kind, Params, Tracker},
-    pose::{Detection, RimNoise, locate},
+    pose::{Detection, Locator},
     time::{Timestamp, row_time},
     world::FrameObservations,
 };
@@ -18,9 +18,8 @@ pub const CALIBRATION_VERSION: u64 = 1;
 /// Follows the roundels of one camera and locates them.
 pub struct Pipeline {
     tracker: Tracker,
-    camera: Camera,
+    locator: Locator,
     line_time_s: f64,
-    noise: RimNoise,
 }
 
 impl Pipeline {
@@ -33,13 +32,14 @@ impl Pipeline {
         line_time_s: f64,
     ) -> Result<Self, DetectorError> {
         let params = Params { max_roundels, ..Params::default() };
+        let locator = Locator::new(camera, kinds.clone(), params.mode);
         let tracker = Tracker::new(Detector::new(kinds, params)?);
-        Ok(Self { tracker, camera, line_time_s, noise: RimNoise::default() })
+        Ok(Self { tracker, locator, line_time_s })
     }
 
     /// The camera's model.
     pub fn camera(&self) -> &Camera {
-        &self.camera
+        self.locator.camera()
     }
 
     /// Forgets all tracks, as after a gap in the frames.
@@ -63,18 +63,10 @@ impl Pipeline {
         let mut detections = Vec::with_capacity(rings.len());
         for tracked in rings {
             let row_px = tracked.ring.outer.center.v;
-            detections.push(Detection {
-                track: tracked.track,
-                ring: tracked.ring,
-                capture_time: row_time(info.capture_time, row_px, info.height, self.line_time_s),
-                pose: None,
-            });
-        }
-        let kinds = self.tracker.detector().kinds();
-        for detection in &mut detections {
-            let kind = detection.ring.kind.and_then(|kind| kinds.get(usize::from(kind.0)));
-            detection.pose =
-                kind.and_then(|kind| locate(&self.camera, kind, &detection.ring, &self.noise).ok());
+            let located = self.locator.locate(&view, tracked).ok();
+            let (ring, pose) = located.map_or((tracked.ring, None), |it| (it.ring, Some(it.pose)));
+            let capture_time = row_time(info.capture_time, row_px, info.height, self.line_time_s);
+            detections.push(Detection { track: tracked.track, ring, capture_time, pose });
         }
         Ok(FrameObservations {
             camera,
