@@ -14,6 +14,7 @@
 //! | [`arena`] | cameras and robots on smooth paths, with the truth at any time |
 //! | [`export`] | such an arena as an installation on disk, for `roundel serve` |
 //! | [`pipeline`] | core's own way from such frames to detections and world poses, without a server |
+//! | [`precision`] | single poses drawn at random, with their errors next to the bound |
 //! | [`score`] | snapshots against the truth: normalized errors, swaps, rms |
 //! | [`process`] | a real server process: built, started, read, ended |
 //! | [`layering`] | the house's rules of who may use whom, checked on source text |
@@ -28,6 +29,7 @@ pub mod layering;
 pub mod normal;
 pub mod optics;
 pub mod pipeline;
+pub mod precision;
 pub mod process;
 pub mod render;
 pub mod score;

@@ -56,7 +56,17 @@ pub struct Observer {
 impl Observer {
     /// For a camera of this lens and shutter that looks for these kinds.
     pub fn new(optics: &Pinhole, kinds: &[arena::Kind], line_time_s: f64) -> anyhow::Result<Self> {
-        let (kinds, params) = (core_kinds(kinds), Params::default());
+        Self::with_params(optics, kinds, line_time_s, Params::default())
+    }
+
+    /// The same with another mode or other limits.
+    pub fn with_params(
+        optics: &Pinhole,
+        kinds: &[arena::Kind],
+        line_time_s: f64,
+        params: Params,
+    ) -> anyhow::Result<Self> {
+        let kinds = core_kinds(kinds);
         let locator = Locator::new(core_camera(optics)?, kinds.clone(), params.mode);
         let tracker = Tracker::new(Detector::new(kinds, params)?);
         Ok(Self { tracker, locator, line_time_s })

@@ -1,0 +1,330 @@
+//! Single roundels with known poses, seen by core through its public way, and their errors next to
+//! the Cramér-Rao bound.
+//!
+//! A [`Trial`] is one roundel (outer 160 mm, inner 64 mm, white margin of a quarter of the outer
+//! diameter on a grey floor) before the reference camera (1920x1080, f = 1100 px, mild `plumb_bob`),
+//! at a random place of the image and a random place within its pixels. Two frames are taken: the
+//! first is searched, and in the second, in which it has moved by about a pixel and turned by about a
+//! degree, it is followed. Blur, noise and pose are drawn at random within a [`Range`] and unknown to
+//! core. To save time, only the part of the image about the roundel is drawn: a camera read out in a
+//! window is the same camera with its principal point elsewhere.
+//!
+//! Errors are compared trial by trial: [`Summary::depth_over_bound`] is the rms of error over bound,
+//! so that cells of mixed size and noise compare, and easy trials cannot hide bad ones.
+
+use nalgebra::{
+    Isometry3, Matrix5, Matrix6, SMatrix, Translation3, UnitQuaternion, Vector3, Vector5,
+};
+use rayon::prelude::*;
+use roundel_core::{
+    marker::{Mode, Params},
+    pose::RoundelPose,
+};
+
+use crate::{
+    arena::Kind,
+    bound::{Bound, Scene, Unknowns, bound},
+    normal::Random,
+    optics::{Distortion, Pinhole},
+    pipeline::Observer,
+    render::{Canvas, Imaging, Print, Renderer, Seen},
+    score::{CHI2_95_3, normalized3},
+};
+
+/// 95 % of χ² with five degrees of freedom.
+pub const CHI2_95_5: f64 = 11.070;
+/// Side of the part of the image that is drawn, pixels.
+const SIDE_PX: usize = 256;
+/// Grey level of the floor.
+const FLOOR: f64 = 120.0;
+/// The white margin, as a share of the outer diameter.
+const MARGIN: f64 = 0.25;
+
+/// What trials are drawn from, evenly between both ends.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Range {
+    /// Outer diameter over depth times focal length, pixels.
+    pub diameter_px: (f64, f64),
+    /// Between normal and line of sight, degrees.
+    pub tilt_deg: (f64, f64),
+    /// Deviation of the blur, pixels.
+    pub blur_px: (f64, f64),
+    /// Deviation of the noise, grey levels.
+    pub noise: (f64, f64),
+}
+
+/// One roundel in two frames.
+#[derive(Clone, Debug)]
+pub struct Trial {
+    /// Outer diameter over depth times focal length, pixels.
+    pub diameter_px: f64,
+    /// Between normal and line of sight in the first frame, degrees.
+    pub tilt_deg: f64,
+    /// Deviation of the blur, pixels.
+    pub blur_px: f64,
+    /// Deviation of the noise, grey levels.
+    pub noise: f64,
+    /// Searched, followed.
+    pub frames: [Shot; 2],
+}
+
+/// One frame, as each mode saw it.
+#[derive(Clone, Debug)]
+pub struct Shot {
+    /// What the frame's pixels hold.
+    pub bound: Bound,
+    /// By mode, as in [`MODES`]; `None` if the roundel was not found.
+    pub seen: [Option<Errors>; 2],
+}
+
+/// The modes compared.
+pub const MODES: [Mode; 2] = [Mode::Fast, Mode::Precise];
+
+/// Errors of one pose.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Errors {
+    /// Of the range, as a share of it.
+    pub depth: f64,
+    /// Squared Mahalanobis length of the position's error; NaN if the covariance is none.
+    pub position_square: f64,
+    /// The same of position and tilt; `None` if the other normal was the right one.
+    pub pose_square: Option<f64>,
+    /// Angle between the normal given and the true one, radians.
+    pub normal_rad: f64,
+    /// The same for the closer one of the two normals given.
+    pub closer_rad: f64,
+    /// How likely the normal given was said to be.
+    pub likelihood: f64,
+}
+
+impl Errors {
+    fn of(pose: &RoundelPose, truth: &Isometry3<f64>) -> Self {
+        let shift = pose.position_m - truth.translation.vector;
+        let range_m = truth.translation.vector.norm();
+        let position = pose.covariance.fixed_view::<3, 3>(0, 0).into();
+        let normal = truth.rotation * Vector3::z();
+        let (given, other) = (angle(&pose.normal, &normal), angle(&pose.other_normal, &normal));
+        Self {
+            depth: shift.dot(&truth.translation.vector) / range_m.powi(2),
+            position_square: normalized3(&shift, &position).unwrap_or(f64::NAN),
+            pose_square: (given <= other + 1e-6).then(|| pose_square(pose, &shift, &normal)),
+            normal_rad: given,
+            closer_rad: given.min(other),
+            likelihood: pose.normal_likelihood,
+        }
+    }
+}
+
+fn angle(one: &Vector3<f64>, other: &Vector3<f64>) -> f64 {
+    one.cross(other).norm().atan2(one.dot(other))
+}
+
+/// Squared Mahalanobis length of the error of the position and of the two turns across the normal.
+fn pose_square(pose: &RoundelPose, shift: &Vector3<f64>, normal: &Vector3<f64>) -> f64 {
+    let axis = pose.normal.cross(normal);
+    let turn =
+        axis.try_normalize(0.0).map_or(Vector3::zeros(), |unit| unit * angle(&pose.normal, normal));
+    let helper = if pose.normal.x.abs() < 0.7 { Vector3::x() } else { Vector3::y() };
+    let across = pose.normal.cross(&helper).normalize();
+    let along = pose.normal.cross(&across);
+    // The estimate's error turns the other way, which the square does not see if both signs turn.
+    let mut pick = SMatrix::<f64, 5, 6>::zeros();
+    pick.fixed_view_mut::<3, 3>(0, 0).fill_with_identity();
+    pick.fixed_view_mut::<1, 3>(3, 3).copy_from(&across.transpose());
+    pick.fixed_view_mut::<1, 3>(4, 3).copy_from(&along.transpose());
+    // Left perturbation: truth = exp(turn) · estimate, truth = estimate - shift.
+    let error = Vector5::new(-shift.x, -shift.y, -shift.z, turn.dot(&across), turn.dot(&along));
+    let covariance: Matrix5<f64> = pick * Matrix6::from(pose.covariance) * pick.transpose();
+    covariance.cholesky().map_or(f64::NAN, |root| error.dot(&root.solve(&error)))
+}
+
+/// `count` trials of a range, the same for the same `seed`, in parallel.
+pub fn trials(range: &Range, count: usize, seed: u64) -> Vec<Trial> {
+    (0..count).into_par_iter().map(|index| trial(range, seed, index as u64)).collect()
+}
+
+fn trial(range: &Range, seed: u64, index: u64) -> Trial {
+    let mut random = Random::new(index, seed);
+    let mut draw = |(low, high): (f64, f64)| random.uniform(low, high);
+    let (diameter_px, tilt_deg) = (draw(range.diameter_px), draw(range.tilt_deg));
+    let (blur_px, noise) = (draw(range.blur_px), draw(range.noise));
+    let imaging = Imaging { blur_px, noise, ..Imaging::default() };
+    let kind = Kind::robot();
+    let print = Print::plain(kind.outer_diameter_m, kind.inner_diameter_m, MARGIN);
+
+    let distortion = Distortion::PlumbBob([-0.12, 0.03, 4e-4, -3e-4, 0.0]);
+    let whole = Pinhole::centered(1920, 1080, 1100.0, distortion);
+    let first = pose(&whole, diameter_px, tilt_deg.to_radians(), &mut random);
+    let second = moved(&first, 1.0 / diameter_px, &mut random);
+    let camera = window(&whole, &first);
+    let renderer = Renderer::new(camera, imaging);
+    let floor = Canvas::flat(camera.width, camera.height, FLOOR);
+    let kinds = std::slice::from_ref(&kind);
+    let mut observers = MODES.map(|mode| {
+        let params = Params { mode, ..Params::default() };
+        Observer::with_params(&camera, kinds, 0.0, params).expect("a camera and a kind as above")
+    });
+    let frames = [first, second].map(|truth| {
+        let motion = |_: f64| truth;
+        let seen = [Seen { print: &print, motion: &motion }];
+        let image = renderer.frame(&floor, &seen, &mut random);
+        let seen = observers.each_mut().map(|observer| {
+            let found = observer.observe(&image, 0).expect("a frame of the camera's size");
+            let pose = found.into_iter().find_map(|detection| detection.pose)?;
+            Some(Errors::of(&pose, &truth))
+        });
+        let scene = Scene { camera, imaging, print: &print, pose: truth };
+        let bound = bound(&scene, Unknowns::default()).expect("a roundel in plain view");
+        Shot { bound, seen }
+    });
+    Trial { diameter_px, tilt_deg, blur_px, noise, frames }
+}
+
+/// A roundel of this size and tilt, turned to a random side, at a random place of the image.
+fn pose(camera: &Pinhole, diameter_px: f64, tilt_rad: f64, random: &mut Random) -> Isometry3<f64> {
+    let z = camera.focal_px[0] * Kind::robot().outer_diameter_m / diameter_px;
+    let at = [random.uniform(-0.75, 0.75), random.uniform(-0.4, 0.4)];
+    let position = Vector3::new(at[0] * z, at[1] * z, z);
+    let axis = random.uniform(0.0, std::f64::consts::TAU);
+    let facing = UnitQuaternion::rotation_between(&Vector3::z(), &-position)
+        .expect("a position in front of the camera");
+    let lean =
+        UnitQuaternion::from_scaled_axis(Vector3::new(axis.cos(), axis.sin(), 0.0) * tilt_rad);
+    Isometry3::from_parts(Translation3::from(position), facing * lean)
+}
+
+/// The pose one frame later: shifted by up to `share` of its depth's diameter, turned by up to a degree.
+fn moved(pose: &Isometry3<f64>, share: f64, random: &mut Random) -> Isometry3<f64> {
+    let most_m = share * Kind::robot().outer_diameter_m;
+    let shift = Vector3::from_fn(|_, _| random.uniform(-most_m, most_m));
+    let turn = Vector3::from_fn(|_, _| random.uniform(-0.01, 0.01));
+    Isometry3::from_parts(
+        Translation3::from(pose.translation.vector + shift),
+        UnitQuaternion::from_scaled_axis(turn) * pose.rotation,
+    )
+}
+
+/// The camera read out about a roundel only.
+fn window(whole: &Pinhole, pose: &Isometry3<f64>) -> Pinhole {
+    let center = whole.project(&pose.translation.vector.into()).expect("a place in the image");
+    let half = SIDE_PX as f64 / 2.0;
+    let (left, top) = ((center.x - half).round(), (center.y - half).round());
+    let center_px = [whole.center_px[0] - left, whole.center_px[1] - top];
+    Pinhole { width: SIDE_PX, height: SIDE_PX, center_px, ..*whole }
+}
+
+/// What became of some shots in one mode.
+#[derive(Clone, Debug, Default)]
+pub struct Summary {
+    /// Shots, and those in which the roundel was not found.
+    pub shots: usize,
+    /// See [`Self::shots`].
+    pub missed: usize,
+    /// Error and bound of the depth, as shares.
+    depths: Vec<(f64, f64)>,
+    position_inside: usize,
+    poses: usize,
+    pose_inside: usize,
+    normals_rad: Vec<f64>,
+    closer_rad: Vec<f64>,
+    normal_bounds_rad: Vec<f64>,
+    likelihood: f64,
+}
+
+impl Summary {
+    /// Of the shots given, as the mode of this index in [`MODES`] saw them.
+    pub fn of<'a>(shots: impl IntoIterator<Item = &'a Shot>, mode: usize) -> Self {
+        let mut summary = Self::default();
+        for shot in shots {
+            summary.shots += 1;
+            let Some(errors) = &shot.seen[mode] else {
+                summary.missed += 1;
+                continue;
+            };
+            summary.depths.push((errors.depth, shot.bound.range_share));
+            summary.position_inside += usize::from(errors.position_square <= CHI2_95_3);
+            if let Some(square) = errors.pose_square {
+                summary.poses += 1;
+                summary.pose_inside += usize::from(square <= CHI2_95_5);
+            }
+            summary.normals_rad.push(errors.normal_rad);
+            summary.closer_rad.push(errors.closer_rad);
+            summary.normal_bounds_rad.push(shot.bound.normal_rad());
+            summary.likelihood += errors.likelihood;
+        }
+        summary.normals_rad.sort_by(f64::total_cmp);
+        summary.closer_rad.sort_by(f64::total_cmp);
+        summary.normal_bounds_rad.sort_by(f64::total_cmp);
+        summary
+    }
+
+    /// Shots in which the roundel was found.
+    pub fn found(&self) -> usize {
+        self.depths.len()
+    }
+
+    fn mean(&self, value: impl Fn(&(f64, f64)) -> f64) -> f64 {
+        self.depths.iter().map(value).sum::<f64>() / self.found() as f64
+    }
+
+    /// Rms error of the depth, as a share.
+    pub fn depth_rms(&self) -> f64 {
+        self.mean(|(error, _)| error * error).sqrt()
+    }
+
+    /// Rms of the depth's bounds, as a share.
+    pub fn depth_bound(&self) -> f64 {
+        self.mean(|(_, bound)| bound * bound).sqrt()
+    }
+
+    /// Rms of error over bound.
+    pub fn depth_over_bound(&self) -> f64 {
+        self.mean(|(error, bound)| (error / bound).powi(2)).sqrt()
+    }
+
+    /// Mean of error over bound, in units of its rms: the bias.
+    pub fn bias_over_rms(&self) -> f64 {
+        self.mean(|(error, bound)| error / bound) / self.depth_over_bound()
+    }
+
+    /// Share of positions inside the stated 95 % ellipsoid.
+    pub fn position_share(&self) -> f64 {
+        self.position_inside as f64 / self.found() as f64
+    }
+
+    /// Share of poses (position and tilt) inside it, of those whose normal is not the wrong one.
+    pub fn pose_share(&self) -> f64 {
+        self.pose_inside as f64 / self.poses as f64
+    }
+
+    /// Share of poses that give the wrong one of two normals.
+    pub fn mistaken(&self) -> f64 {
+        1.0 - self.poses as f64 / self.found() as f64
+    }
+
+    /// How often the normal given was said to be wrong, on average.
+    pub fn mistaken_as_stated(&self) -> f64 {
+        1.0 - self.likelihood / self.found() as f64
+    }
+
+    /// The normal's error that this share of shots does not exceed, degrees.
+    pub fn normal_deg(&self, share: f64) -> f64 {
+        quantile(&self.normals_rad, share).to_degrees()
+    }
+
+    /// The same for the closer one of the two normals.
+    pub fn closer_deg(&self, share: f64) -> f64 {
+        quantile(&self.closer_rad, share).to_degrees()
+    }
+
+    /// Median of the rms that the bound allows the normal, degrees.
+    pub fn normal_bound_deg(&self) -> f64 {
+        quantile(&self.normal_bounds_rad, 0.5).to_degrees()
+    }
+}
+
+/// The value at a share of a sorted list; NaN of none.
+fn quantile(sorted: &[f64], share: f64) -> f64 {
+    let last = sorted.len().saturating_sub(1) as f64;
+    sorted.get((share * last).round() as usize).copied().unwrap_or(f64::NAN)
+}
