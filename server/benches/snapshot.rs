@@ -46,6 +46,7 @@ fn object(id: u64) -> ObjectState {
     ObjectState {
         id: ObjectId(id),
         kind: Some(KindId(0)),
+        code: None,
         stage: LifeStage::Tracked,
         position_m: Vector3::new(5.0 * phase.sin(), 4.0 * phase.cos(), 0.3),
         orientation: UnitQuaternion::from_euler_angles(0.1 * phase.sin(), 0.2, phase),

@@ -6,6 +6,7 @@ use roundel_core::{
     camera::{Camera, PixelPoint},
     ellipse::Ellipse,
     id::CameraId,
+    marker::{Code, CodeReading},
     pose::{Detection, RoundelPose},
     rigid::{Rigid, upper_triangle},
     time::Timestamp,
@@ -66,6 +67,7 @@ fn object_state(
         observation_age_ns: pose_time.ns_since(state.newest_observation),
         residual: state.residual,
         roundel: installation.kind_name(state.kind).to_owned(),
+        code: state.code.map(code),
     }
 }
 
@@ -86,14 +88,32 @@ pub fn observations(
 }
 
 fn detection(installation: &Installation, detection: &Detection) -> v1::Detection {
+    let ring = &detection.ring;
     v1::Detection {
         track: detection.track.0,
-        roundel: installation.kind_name(detection.ring.kind).to_owned(),
-        outer: Some(ellipse(&detection.ring.outer)),
-        inner: Some(ellipse(&detection.ring.inner)),
-        threshold: u32::from(detection.ring.threshold),
+        roundel: installation.kind_name(ring.kind).to_owned(),
+        outer: Some(ellipse(&ring.outer)),
+        inner: Some(ellipse(&ring.inner)),
+        threshold: u32::from(ring.threshold),
         capture_time_ns: detection.capture_time.as_ns(),
         pose: detection.pose.as_ref().map(roundel_pose),
+        code: ring.code.as_ref().map(code_reading),
+        black: ring.black,
+        white: ring.white,
+    }
+}
+
+fn code(code: Code) -> v1::Code {
+    v1::Code { bits: u32::from(code.bits), number: u32::from(code.number) }
+}
+
+fn code_reading(reading: &CodeReading) -> v1::CodeReading {
+    v1::CodeReading {
+        bits: u32::from(reading.code.bits),
+        number: u32::from(reading.code.number),
+        confidence: reading.confidence,
+        corrected_bits: u32::from(reading.corrected),
+        zero: Some(pixel_point(&reading.zero)),
     }
 }
 
@@ -153,6 +173,7 @@ pub fn object(installation: &Installation, record: &ObjectRecord) -> v1::Object 
         first_seen_time_ns: record.first_seen.as_ns(),
         last_seen_time_ns: record.last_seen.as_ns(),
         observations: record.observations,
+        code: record.code.map(code),
     }
 }
 

@@ -1,5 +1,7 @@
 //! Draws what was found into a picture: outer rims green, inner rims cyan, centres of the outer rim
-//! red, tracks' numbers yellow on black.
+//! red; on black beside them codes white with a `#` before them, and tracks' numbers yellow.
+
+mod glyph;
 
 use roundel_core::{ellipse::Ellipse, id::TrackNumber, marker::Ring};
 
@@ -7,27 +9,12 @@ const GREEN: [u8; 3] = [40, 230, 80];
 const CYAN: [u8; 3] = [30, 200, 255];
 const RED: [u8; 3] = [255, 50, 50];
 const YELLOW: [u8; 3] = [255, 230, 60];
+const WHITE: [u8; 3] = [255, 255, 255];
 const BLACK: [u8; 3] = [0, 0, 0];
 /// Half the length of the cross at a centre, pixels.
 const CROSS_PX: i64 = 3;
-/// Edge of one dot of a digit, pixels.
+/// Edge of one dot of a character, pixels.
 const DOT_PX: i64 = 2;
-/// Digits 0 to 9, five rows of three dots, the left one in the highest bit.
-const DIGITS: [[u8; 5]; 10] = [
-    [0b111, 0b101, 0b101, 0b101, 0b111],
-    [0b010, 0b110, 0b010, 0b010, 0b111],
-    [0b111, 0b001, 0b111, 0b100, 0b111],
-    [0b111, 0b001, 0b111, 0b001, 0b111],
-    [0b101, 0b101, 0b111, 0b001, 0b001],
-    [0b111, 0b100, 0b111, 0b001, 0b111],
-    [0b111, 0b100, 0b111, 0b101, 0b111],
-    [0b111, 0b001, 0b010, 0b010, 0b010],
-    [0b111, 0b101, 0b111, 0b101, 0b111],
-    [0b111, 0b101, 0b111, 0b001, 0b111],
-];
-const DIGIT_COLUMNS: i64 = 3;
-const DIGIT_ROWS: i64 = 5;
-
 /// A colour image to draw on; what lies outside is left out.
 pub(crate) struct Canvas {
     width: i64,
@@ -47,7 +34,7 @@ impl Canvas {
         &self.rgb
     }
 
-    /// Draws a ring's rims, its centre, and its track's number beside it.
+    /// Draws a ring's rims, its centre, and beside it its code and its track's number.
     pub(crate) fn draw_ring(&mut self, ring: &Ring, track: Option<TrackNumber>) {
         let outer = &ring.outer;
         self.draw_ellipse(outer, GREEN);
@@ -57,9 +44,15 @@ impl Canvas {
             self.set(u.saturating_add(step), v, RED);
             self.set(u, v.saturating_add(step), RED);
         }
-        let Some(track) = track else { return };
-        let right = u.saturating_add(nearest(outer.semi_major_px)).saturating_add(2 * DOT_PX);
-        self.draw_number(track.0, right, v.saturating_sub(DIGIT_ROWS * DOT_PX / 2));
+        let code = ring.code.map(|reading| (format!("#{}", reading.code.number), WHITE));
+        let track = track.map(|track| (track.0.to_string(), YELLOW));
+        let left = u.saturating_add(nearest(outer.semi_major_px)).saturating_add(2 * DOT_PX);
+        let line_px = (glyph::ROWS + 1) * DOT_PX;
+        let lines = i64::from(code.is_some()) + i64::from(track.is_some());
+        let top = v.saturating_sub((lines * line_px - DOT_PX) / 2);
+        for (line, (text, color)) in (0..).zip(code.into_iter().chain(track)) {
+            self.draw_text(&text, left, top.saturating_add(line * line_px), color);
+        }
     }
 
     fn draw_ellipse(&mut self, ellipse: &Ellipse, color: [u8; 3]) {
@@ -80,18 +73,17 @@ impl Canvas {
         }
     }
 
-    /// Writes a number with its top left corner there, on a black ground with a margin of one dot.
-    fn draw_number(&mut self, number: u64, left: i64, top: i64) {
-        let digits = number.to_string().into_bytes();
-        let columns = digits.len() as i64 * (DIGIT_COLUMNS + 1) - 1;
-        self.fill_dots(left, top, (-1..=columns, -1..=DIGIT_ROWS), BLACK);
-        for (place, digit) in (0..).zip(digits) {
-            let rows = DIGITS[usize::from(digit - b'0')];
-            for (row, dots) in (0..).zip(rows) {
-                for column in 0..DIGIT_COLUMNS {
-                    if dots >> (DIGIT_COLUMNS - 1 - column) & 1 == 1 {
-                        let column = place * (DIGIT_COLUMNS + 1) + column;
-                        self.fill_dots(left, top, (column..=column, row..=row), YELLOW);
+    /// Writes a text with its top left corner there, on a black ground with a margin of one dot.
+    fn draw_text(&mut self, text: &str, left: i64, top: i64, color: [u8; 3]) {
+        let advance = glyph::COLUMNS + 1;
+        let columns = text.chars().count() as i64 * advance - 1;
+        self.fill_dots(left, top, (-1..=columns, -1..=glyph::ROWS), BLACK);
+        for (place, character) in (0..).zip(text.chars()) {
+            for (row, dots) in (0..).zip(glyph::rows(character)) {
+                for column in 0..glyph::COLUMNS {
+                    if dots >> (glyph::COLUMNS - 1 - column) & 1 == 1 {
+                        let column = place * advance + column;
+                        self.fill_dots(left, top, (column..=column, row..=row), color);
                     }
                 }
             }
@@ -127,7 +119,10 @@ fn nearest(coordinate_px: f64) -> i64 {
 
 #[cfg(test)]
 mod tests {
-    use roundel_core::camera::PixelPoint;
+    use roundel_core::{
+        camera::PixelPoint,
+        marker::{Code, CodeReading},
+    };
 
     use super::*;
 
@@ -157,6 +152,24 @@ mod tests {
         assert_eq!(color(&canvas, 15, 24), CYAN);
         assert_eq!(color(&canvas, 20, 24), RED);
         assert_eq!(color(&canvas, 40, 24), [90; 3]);
+    }
+
+    #[test]
+    fn the_code_stands_above_the_tracks_number() {
+        let ring = Ring { code: Some(reading(7)), ..ring(10.0, 24.0, 8.0) };
+        let mut canvas = Canvas::of(64, 48, &[90; 64 * 48]);
+        canvas.draw_ring(&ring, Some(TrackNumber(3)));
+        let rows_with = |wanted| -> Vec<usize> {
+            (0..48).filter(|&v| (22..40).any(|u| color(&canvas, u, v) == wanted)).collect()
+        };
+        let (code, track) = (rows_with(WHITE), rows_with(YELLOW));
+        assert_eq!((code.len(), track.len()), (10, 10));
+        assert!(code[9] < track[0], "{code:?} {track:?}");
+    }
+
+    fn reading(number: u16) -> CodeReading {
+        let zero = PixelPoint { u: 0.0, v: 0.0 };
+        CodeReading { code: Code { bits: 8, number }, zero, confidence: 1.0, corrected: 0 }
     }
 
     #[test]

@@ -12,6 +12,7 @@ use std::{
 
 use roundel_core::{
     id::{CameraId, KindId, ObjectId},
+    marker::Code,
     time::Timestamp,
     world::{Event, EventKind, Fusion, Snapshot},
 };
@@ -33,14 +34,15 @@ pub struct FusionTask {
     clock: Clock,
     received: Receiver<Sighted>,
     latency_ms: BTreeMap<CameraId, Median>,
-    kinds: BTreeMap<ObjectId, Option<KindId>>,
+    /// What the newest snapshot says of each object, for messages about it.
+    known: BTreeMap<ObjectId, (Option<KindId>, Option<Code>)>,
 }
 
 impl FusionTask {
     /// A task for a fusion machine whose cameras of known pose are set already.
     pub fn new(fusion: Fusion, hub: Arc<Hub>, clock: Clock, received: Receiver<Sighted>) -> Self {
-        let (latency_ms, kinds) = (BTreeMap::new(), BTreeMap::new());
-        Self { fusion, hub, clock, received, latency_ms, kinds }
+        let (latency_ms, known) = (BTreeMap::new(), BTreeMap::new());
+        Self { fusion, hub, clock, received, latency_ms, known }
     }
 
     /// Publishes a snapshot each `period` until the signal comes, and a last one then.
@@ -96,7 +98,7 @@ impl FusionTask {
     fn publish(&mut self, pose_time: Timestamp) {
         let snapshot = self.fusion.snapshot(pose_time);
         let events: Vec<Event> = self.fusion.drain_events().collect();
-        self.remember_kinds(&snapshot);
+        self.remember(&snapshot);
         self.hub.set_fusion_counts(self.fusion.counts());
         self.hub.publish_snapshot(snapshot, self.clock.now());
         for event in events {
@@ -106,16 +108,18 @@ impl FusionTask {
         }
     }
 
-    fn remember_kinds(&mut self, snapshot: &Snapshot) {
-        self.kinds.clear();
-        self.kinds.extend(snapshot.objects.iter().map(|object| (object.id, object.kind)));
+    fn remember(&mut self, snapshot: &Snapshot) {
+        self.known.clear();
+        let each = snapshot.objects.iter();
+        self.known.extend(each.map(|object| (object.id, (object.kind, object.code))));
     }
 
     fn sentence(&self, event: &Event) -> String {
-        let kind = self.kinds.get(&event.object).copied().flatten();
-        let name = match self.hub.installation().object_name(kind) {
-            "" => format!("Object {}", event.object),
-            name => format!("Object {} ({name})", event.object),
+        let (kind, code) = self.known.get(&event.object).copied().unwrap_or_default();
+        let name = match (self.hub.installation().object_name(kind), code) {
+            ("", None) => format!("Object {}", event.object),
+            ("", Some(code)) => format!("Object {} (code {})", event.object, code.number),
+            (name, _) => format!("Object {} ({name})", event.object),
         };
         match event.kind {
             EventKind::Appeared => format!("{name} has appeared."),
@@ -220,6 +224,24 @@ mod tests {
         let messages: Vec<&str> = events.iter().map(|event| event.message.as_str()).collect();
         assert_eq!(messages, [format!("Object {} (robot one) has appeared.", object.id)]);
         assert!(hub.cameras()[0].latency_ms >= 0.0);
+    }
+
+    #[test]
+    fn who_has_no_name_is_told_by_its_code() {
+        let clock = Clock::anchored_now();
+        let hub = Arc::new(Hub::new(Installation {
+            object_names: BTreeMap::new(),
+            ..hub(&clock).installation().clone()
+        }));
+        let (_, receiver) = sync_channel(1);
+        let fusion = Fusion::new(FusionParams::default());
+        let mut task = FusionTask::new(fusion, hub, clock, receiver);
+        let (object, time) = (ObjectId(3), clock.now());
+        let event = Event { time, object, kind: EventKind::Lost };
+        assert_eq!(task.sentence(&event), "Object 3 is lost.");
+        let code = Code { bits: 8, number: 12 };
+        task.known.insert(object, (Some(KindId(0)), Some(code)));
+        assert_eq!(task.sentence(&event), "Object 3 (code 12) is lost.");
     }
 
     #[test]

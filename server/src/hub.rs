@@ -16,6 +16,7 @@ use std::{
 use roundel_core::{
     camera::Camera,
     id::{CameraId, KindId, ObjectId},
+    marker::Code,
     rigid::Rigid,
     time::Timestamp,
     world::{self, FrameObservations, FusionCounts, LifeStage, Snapshot},
@@ -180,6 +181,8 @@ pub struct ObjectRecord {
     pub id: ObjectId,
     /// Its kind of roundel.
     pub kind: Option<KindId>,
+    /// The code that it was seen with most of late.
+    pub code: Option<Code>,
     /// In the newest snapshot, or Lost.
     pub stage: LifeStage,
     /// Capture time of the first detection.
@@ -346,6 +349,7 @@ impl Hub {
                 ObjectRecord {
                     id: state.id,
                     kind: state.kind,
+                    code: state.code,
                     stage: state.stage,
                     first_seen: state.first_observation,
                     last_seen: state.newest_observation,

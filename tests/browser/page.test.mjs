@@ -241,6 +241,24 @@ describe("selecting", () => {
     });
   });
 
+  test("a coded roundel's object shows its code, and a plain one's none", async () => {
+    await withPage({}, async (page) => {
+      const { objects } = await (await fetch(new URL("api/v1/snapshot", server.url))).json();
+      const coded = objects.filter((each) => each.code);
+      for (const { object_id: id, code } of objects) {
+        const row = rowOf(page, id);
+        // A life may have ended meanwhile.
+        if ((await row.count()) === 0) continue;
+        assert.equal(await row.locator(".code").textContent(), code ? `#${code.number}` : "", `object ${id}`);
+      }
+      for (const { object_id: id, code } of coded.slice(0, 1)) {
+        await rowOf(page, id).locator("button").click();
+        const shown = await page.locator('#selection [data-value="code"]').textContent();
+        assert.equal(shown, `${code.number} of ${code.bits} bits`);
+      }
+    });
+  });
+
   test("an object by a click in the arena, and nothing by a click beside it", async () => {
     const line = await startLine(server.url);
     try {

@@ -100,6 +100,7 @@ export class World {
       first_seen_time_ns: String(this.startedNs),
       last_seen_time_ns: nowNs(0),
       observations: Math.round(t * 30),
+      code: robot.code,
     }));
   }
 
@@ -117,7 +118,7 @@ export class World {
       stage,
       position: at,
       orientation: { x: 0, y: 0, z: 0, w: 1 },
-      yaw_observed: robot.id % 6 === 0,
+      yaw_observed: robot.code !== null,
       velocity,
       angular_velocity: { x: 0, y: 0, z: 0 },
       covariance: covariance(sigma, robot.id),
@@ -126,6 +127,7 @@ export class World {
       observation_age_ns: hidden ? "740000000" : "31000000",
       residual: 0.9 + 0.3 * Math.sin(t + robot.id),
       roundel: "robot",
+      code: robot.code,
     };
   }
 
@@ -189,6 +191,7 @@ function makeRobot(i) {
   return {
     id: i + 1,
     name: i === 6 ? "Forklift" : "",
+    code: i % 6 === 5 ? { bits: 8, number: 40 + i } : null,
     x: -3.6 + (i % 6) * 1.45,
     y: -2.7 + Math.floor(i / 6) * 1.8,
     radius: 0.35 + 0.12 * (i % 4),

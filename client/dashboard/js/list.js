@@ -10,7 +10,7 @@ import { fixed } from "./format.js";
 const INTERVAL_MS = 200;
 
 /** @typedef {import("./message.js").ObjectState} ObjectState */
-/** @typedef {{row: HTMLElement, button: HTMLElement, sign: Element, label: Element, cells: Element[], stage: string}} Row */
+/** @typedef {{row: HTMLElement, button: HTMLElement, sign: Element, label: Element, code: HTMLElement, cells: Element[], stage: string}} Row */
 
 /** @param {import("./store.js").Store} store */
 export function showList(store) {
@@ -67,13 +67,14 @@ export function showList(store) {
 function makeRow(state) {
   const sign = element("span", { class: "sign" });
   const label = element("span", { class: "label" });
-  const button = element("button", { type: "button", "aria-pressed": "false" }, [sign, label]);
+  const code = element("small", { class: "code", hidden: "" });
+  const button = element("button", { type: "button", "aria-pressed": "false" }, [sign, label, " ", code]);
   const cells = Array.from({ length: 5 }, () => element("td"));
   const row = element("tr", { "data-object-id": String(state.id) }, [
     element("th", { scope: "row" }, [button]),
     ...cells,
   ]);
-  return { row, button, sign, label, cells, stage: "" };
+  return { row, button, sign, label, code, cells, stage: "" };
 }
 
 /**
@@ -87,9 +88,13 @@ function fillRow(row, state, selected) {
     row.row.dataset.stage = state.stage;
     row.sign.className = `sign stage-${state.stage}`;
     row.sign.replaceChildren(glyph(state.stage));
-    setAttribute(row.button, "aria-label", `Object ${state.label}, ${state.stage}`);
     row.button.title = state.stage;
   }
+  const code = state.code ? `#${state.code.number}` : "";
+  // What is said begins with what is seen, so that either can be used to name the button.
+  setAttribute(row.button, "aria-label", `Object ${[state.label, code].join(" ").trim()}, ${state.stage}`);
+  row.code.hidden = code === "";
+  setText(row.code, code);
   row.row.classList.toggle("selected", state.id === selected);
   setText(row.label, state.label);
   const { positionM, sigmaM } = state;

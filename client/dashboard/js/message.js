@@ -34,6 +34,7 @@ import { errorEllipse, headingRad, sigmasM, tiltRad } from "./geometry.js";
  * @property {number | null} ageMs
  * @property {number | null} residual
  * @property {string} roundel
+ * @property {{bits: number, number: number} | null} code what its teeth say, if it has any
  */
 
 /**
@@ -117,7 +118,14 @@ function readObject(raw) {
     ageMs: age === null ? null : Number(age) / 1e6,
     residual: number(raw?.residual),
     roundel: text(raw?.roundel),
+    code: readCode(raw?.code),
   };
+}
+
+/** @param {any} raw */
+function readCode(raw) {
+  const [bits, code] = [number(raw?.bits), number(raw?.number)];
+  return bits && code !== null ? { bits, number: code } : null;
 }
 
 /**

@@ -22,7 +22,8 @@ const VALUES = [
   {
     key: "heading",
     name: "Heading",
-    value: (state) => (state.headingRad === null ? "not observed (plain roundel)" : degrees(state.headingRad)),
+    value: ({ headingRad, code }) =>
+      headingRad !== null ? degrees(headingRad) : code ? "not observed" : "not observed (plain roundel)",
   },
   { key: "tilt", name: "Tilt", value: (state) => degrees(state.tiltRad) },
   {
@@ -37,6 +38,11 @@ const VALUES = [
   { key: "residual", name: "Residual", value: (state) => `${fixed(state.residual, 2)} (1 is as modelled)` },
   { key: "cameras", name: "Cameras", value: (state) => state.cameras.join(", ") || "none now" },
   { key: "roundel", name: "Roundel", value: (state) => state.roundel || "–" },
+  {
+    key: "code",
+    name: "Code",
+    value: ({ code }) => (code ? `${code.number} of ${code.bits} bits` : "none read"),
+  },
 ];
 
 /** @param {import("./store.js").Store} store */

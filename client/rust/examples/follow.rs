@@ -1,4 +1,4 @@
-//! Follows one robot, by its id or its name, and prints where it is.
+//! Follows one robot, by its id, its name or the code on its roundel, and prints where it is.
 //!
 //! ```sh
 //! cargo run --release -- demo                                       # in one terminal
@@ -9,11 +9,11 @@ use anyhow::{Context, bail};
 use futures::StreamExt;
 use roundel_client::{
     Client, Subscription, Update, position_sigma_m, speed_m_s,
-    v1::{LifeStage, ObjectState},
+    v1::{LifeStage, Object, ObjectState},
 };
 
 const USAGE: &str = "usage: follow ROBOT [SERVER]\n\
-    ROBOT is an id or a configured name, SERVER is http://127.0.0.1:7670 if left out";
+    ROBOT is an id, a configured name, or #N for the one with code N; SERVER is http://127.0.0.1:7670 if left out";
 
 #[tokio::main(flavor = "current_thread")]
 async fn main() -> anyhow::Result<()> {
@@ -43,17 +43,21 @@ async fn main() -> anyhow::Result<()> {
     Ok(())
 }
 
-/// The id of the robot of that id or name.
+/// The id of the robot of that id, name or code.
 async fn find(client: &Client, robot: &str) -> anyhow::Result<u64> {
     if let Ok(id) = robot.parse() {
         return Ok(id);
     }
+    let code_of = |object: &Object| object.code.as_ref().map(|code| format!("#{}", code.number));
     let objects = client.objects().await?;
-    match objects.iter().find(|object| object.name == robot) {
+    let is_meant =
+        |object: &&Object| object.name == robot || code_of(object).as_deref() == Some(robot);
+    match objects.iter().find(is_meant) {
         Some(object) => Ok(object.object_id),
         None => {
-            let names: Vec<&str> = objects.iter().map(|object| object.name.as_str()).collect();
-            bail!("no robot is named {robot:?}; there are {names:?}")
+            let known = objects.iter().map(|object| code_of(object).unwrap_or(object.name.clone()));
+            let known: Vec<String> = known.filter(|name| !name.is_empty()).collect();
+            bail!("no robot has the name or code {robot:?}; there are {known:?}")
         }
     }
 }

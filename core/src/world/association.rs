@@ -16,6 +16,7 @@ use super::{
 };
 use crate::{
     id::KindId,
+    marker::Code,
     track::{Innovation, Measurement, MotionModel},
 };
 
@@ -30,10 +31,11 @@ const CONTINUITY_GATE: f64 = 3.0;
 /// A track that is not trusted yet takes nothing from one that is.
 const TENTATIVE_COST: f64 = 6.0;
 
-/// A detection in the world, with the kind of its roundel.
+/// A detection in the world, with the kind of its roundel and what its teeth say.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Sighting {
     pub(super) kind: Option<KindId>,
+    pub(super) code: Option<Code>,
     pub(super) measurement: Measurement,
 }
 

@@ -225,7 +225,9 @@ impl Fusion {
             let source = (frame.camera, frame.frame);
             match measure(detection, source, placement, &self.params) {
                 Ok(measurement) => {
-                    self.sightings.push(Sighting { kind: detection.ring.kind, measurement });
+                    let ring = &detection.ring;
+                    let code = ring.code.map(|reading| reading.code);
+                    self.sightings.push(Sighting { kind: ring.kind, code, measurement });
                 }
                 Err(Refused::NoPose) => self.counts.no_pose += 1,
                 Err(Refused::Invalid) => self.counts.invalid += 1,
@@ -258,6 +260,7 @@ impl Fusion {
                 track.observe(&sighting.measurement, &innovation, &self.params, &self.model);
             track.history.forget(forgotten);
             if matches!(inserted, Inserted::InOrder | Inserted::OutOfOrder) {
+                sighting.code.into_iter().for_each(|code| track.codes.add(code));
                 self.newest_used = self.newest_used.max(Some(sighting.measurement.time));
             }
             match inserted {
@@ -290,7 +293,9 @@ impl Fusion {
         self.counts.used += 1;
         self.counts.begun += 1;
         self.newest_used = self.newest_used.max(Some(sighting.measurement.time));
-        self.tracks.push(Track::begin(id, sighting.kind, sighting.measurement, &self.model));
+        let mut track = Track::begin(id, sighting.kind, sighting.measurement, &self.model);
+        sighting.code.into_iter().for_each(|code| track.codes.add(code));
+        self.tracks.push(track);
     }
 
     /// Lets time pass for all tracks.
@@ -328,6 +333,7 @@ impl Fusion {
         while let Some((stays, goes)) = merge::find(&mut self.tracks, now, &self.model) {
             let mut gone = self.tracks[goes].clone();
             self.tracks[stays].adopt_views(&gone);
+            self.tracks[stays].codes.join(&gone.codes);
             self.tracks.remove(goes);
             self.counts.merged += 1;
             let known = !gone.is_tentative();

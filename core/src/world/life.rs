@@ -8,7 +8,7 @@
 //! camera that saw it and sees it no more takes away. Trusted above [`TRUSTED_SCORE`] with enough
 //! hits, dropped below [`DROPPED_SCORE`].
 
-use super::{Event, EventKind, FusionParams, LifeStage};
+use super::{Event, EventKind, FusionParams, LifeStage, vote::CodeVote};
 use crate::{
     id::{CameraId, KindId, ObjectId, TrackNumber},
     time::Timestamp,
@@ -39,6 +39,7 @@ pub(super) struct View {
 pub(super) struct Track {
     pub(super) id: ObjectId,
     pub(super) kind: Option<KindId>,
+    pub(super) codes: CodeVote,
     pub(super) stage: LifeStage,
     pub(super) history: History,
     pub(super) first: Timestamp,
@@ -62,6 +63,7 @@ impl Track {
         Self {
             id,
             kind,
+            codes: CodeVote::default(),
             stage: LifeStage::Tentative,
             history: History::begin(measurement, model),
             first: measurement.time,

@@ -5,7 +5,8 @@
 //! same calls give the same bits. What is where: `timeline` judges frames by their times,
 //! `observation` carries detections into the world, `association` says which object each one is
 //! of, [`crate::track`] estimates, `life` tells new from trusted from lost, `merge` joins two
-//! tracks of one object, `snapshot` shows the result at an instant.
+//! tracks of one object, `vote` counts the codes that it was seen with, `snapshot` shows the result at
+//! an instant.
 
 mod assignment;
 mod association;
@@ -16,6 +17,7 @@ mod observation;
 mod param;
 mod snapshot;
 mod timeline;
+mod vote;
 
 pub use fusion::{CameraPlacement, Fusion, FusionCounts};
 pub use param::FusionParams;
@@ -26,6 +28,7 @@ use nalgebra::{UnitQuaternion, Vector3};
 
 use crate::{
     id::{CameraId, KindId, ObjectId},
+    marker::Code,
     pose::Detection,
     rigid::Covariance6,
     time::Timestamp,
@@ -68,6 +71,8 @@ pub struct ObjectState {
     pub id: ObjectId,
     /// Its kind of roundel.
     pub kind: Option<KindId>,
+    /// The code that it was seen with most of late; `None` before one was read.
+    pub code: Option<Code>,
     /// Where in its life.
     pub stage: LifeStage,
     /// Tracked point, world frame, metres.

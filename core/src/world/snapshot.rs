@@ -69,6 +69,7 @@ pub(super) fn state_of(
     let mut state = ObjectState {
         id: track.id,
         kind: track.kind,
+        code: track.codes.leader(),
         stage: track.stage,
         position_m: motion.position_m,
         orientation: attitude.orientation,

@@ -2,7 +2,9 @@
 
 use nalgebra::{Translation3, UnitQuaternion, Vector3};
 use roundel_core::{
+    camera::PixelPoint,
     id::{CameraId, KindId, ObjectId},
+    marker::{Code, CodeReading},
     rigid::Covariance6,
     world::{CameraPlacement, EventKind, FusionParams, LifeStage, ObjectState},
 };
@@ -19,6 +21,39 @@ fn one_still() -> Setting {
 fn only(objects: &[ObjectState]) -> &ObjectState {
     assert_eq!(objects.len(), 1, "{objects:?}");
     &objects[0]
+}
+
+#[test]
+fn an_object_carries_the_code_that_most_cameras_read() {
+    let arena = Arena::new(one_still());
+    let mut fusion = fusion_of(&arena, FusionParams::default());
+    let reading = |number| CodeReading {
+        code: Code { bits: 8, number },
+        zero: PixelPoint::default(),
+        confidence: 1.0,
+        corrected: 0,
+    };
+    let mut frames = arena.frames(1.0);
+    frames.retain(|frame| !frame.detections.is_empty());
+    // Not read at first, then misread in every third frame.
+    for (index, frame) in frames.iter_mut().enumerate() {
+        let number = if index % 3 == 2 { 5 } else { 12 };
+        frame.detections[0].ring.code = (index >= 10).then_some(reading(number));
+    }
+    for frame in &frames[..10] {
+        fusion.observe(frame);
+    }
+    assert_eq!(only(&fusion.snapshot(frames[9].capture_time).objects).code, None);
+    for frame in &frames[10..] {
+        fusion.observe(frame);
+    }
+    let last = frames[frames.len() - 1].capture_time;
+    let code = Some(Code { bits: 8, number: 12 });
+    assert_eq!(only(&fusion.snapshot(last).objects).code, code);
+    // It keeps it where it is not seen, and until the end.
+    for seconds in [0.5, 2.1] {
+        assert_eq!(only(&fusion.snapshot(last.plus_seconds(seconds)).objects).code, code);
+    }
 }
 
 #[test]

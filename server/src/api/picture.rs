@@ -1,7 +1,6 @@
 //! A camera's frame with what was found in it drawn in, as JPEG.
 //!
-//! Outer rims green, inner rims cyan, centres of the outer rim red, the tracks' numbers yellow on
-//! black. Drawing and encoding take some milliseconds a frame, so they run off the async threads,
+//! What the colours mean stands in [`crate::drawing`]. Drawing and encoding take some milliseconds a frame, so they run off the async threads,
 //! and once for all who look at the same frame.
 
 use std::sync::Arc;

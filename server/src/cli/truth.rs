@@ -107,6 +107,7 @@ mod tests {
         ObjectState {
             id: ObjectId(1),
             kind: None,
+            code: None,
             stage: LifeStage::Tracked,
             position_m,
             orientation: UnitQuaternion::identity(),

@@ -27,9 +27,10 @@ const HEADER_ROWS: usize = 3;
     roundel watch\n  \
     roundel watch --server http://arena:7670 --id 3 --id 4\n  \
     roundel watch --format json --count 600 > run.jsonl\n\n\
-    Columns: position in metres (world frame); speed in m/s; sigma: standard deviation of the\n\
-    position, root mean square over the axes, in millimetres; age: of the newest observation, at\n\
-    the pose's time; residual: about 1 when the covariances are right.")]
+    Columns: id: the server's number for the object; code: that of a coded print; position in metres\n\
+    (world frame); speed in m/s; sigma: standard deviation of the position, root mean square over\n\
+    the axes, in millimetres; age: of the newest observation, at the pose's time; residual: about 1\n\
+    when the covariances are right.")]
 pub struct WatchArgs {
     /// Address of the server
     #[arg(long, value_name = "URL", default_value = "http://127.0.0.1:7670")]
@@ -215,8 +216,8 @@ impl View {
         let objects = &self.snapshot.objects;
         let name_width = objects.iter().map(|o| o.name.chars().count()).max().unwrap_or(0).max(4);
         lines.push(format!(
-            "{:>5}  {:name_width$}  {:9}  {:>8} {:>8} {:>8}  {:>6}  {:>6}  {:>7}  {:>8}  cameras",
-            "id", "name", "stage", "x m", "y m", "z m", "m/s", "sig mm", "age ms", "residual"
+            "{:>5}  {:>5}  {:name_width$}  {:9}  {:>8} {:>8} {:>8}  {:>6}  {:>6}  {:>7}  {:>8}  cameras",
+            "id", "code", "name", "stage", "x m", "y m", "z m", "m/s", "sig mm", "age ms", "residual"
         ));
         let is_cut = objects.len() > rows;
         let shown = if is_cut { rows.saturating_sub(1) } else { objects.len() };
@@ -230,12 +231,14 @@ impl View {
 
 fn row(state: &v1::ObjectState, name_width: usize) -> String {
     let position = state.position.unwrap_or_default();
+    let code = state.code.map_or("-".to_owned(), |code| code.number.to_string());
     let sigma = position_sigma_m(state).map_or("-".to_owned(), |[x, y, z]| {
         format!("{:.1}", ((x * x + y * y + z * z) / 3.0).sqrt() * 1e3)
     });
     format!(
-        "{:>5}  {:name_width$}  {:9}  {:8.3} {:8.3} {:8.3}  {:6.2}  {:>6}  {:7.0}  {:8.2}  {}",
+        "{:>5}  {:>5}  {:name_width$}  {:9}  {:8.3} {:8.3} {:8.3}  {:6.2}  {:>6}  {:7.0}  {:8.2}  {}",
         state.object_id,
+        code,
         state.name,
         json::life_stage::word(state.stage),
         position.x,
@@ -338,6 +341,7 @@ mod tests {
             cameras: vec!["north".into(), "east".into()],
             observation_age_ns: 12_400_000,
             residual: 1.07,
+            code: (object_id == 1).then_some(v1::Code { bits: 8, number: 12 }),
             ..Default::default()
         };
         v1::Snapshot {
@@ -364,10 +368,11 @@ mod tests {
         assert_eq!(lines.len(), HEADER_ROWS + 5);
         assert_eq!(
             lines[HEADER_ROWS],
-            "    1  robot one  tracked       1.250   -2.500    0.300    1.00       -       12      1.07  north,east"
+            "    1     12  robot one  tracked       1.250   -2.500    0.300    1.00       -       12      1.07  north,east"
         );
         let titles: Vec<&str> = lines[2].split_whitespace().collect();
-        assert_eq!(&titles[..3], ["id", "name", "stage"]);
+        assert_eq!(&titles[..4], ["id", "code", "name", "stage"]);
+        assert!(lines[HEADER_ROWS + 1].starts_with("    2      -  "), "{}", lines[HEADER_ROWS + 1]);
         assert!(lines[0].contains("30 ms from capture"), "{}", lines[0]);
     }
 

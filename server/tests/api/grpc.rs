@@ -4,7 +4,11 @@ use std::{sync::Arc, time::Duration};
 
 use futures::StreamExt;
 use roundel_core::{
-    id::{CameraId, ObjectId},
+    camera::PixelPoint,
+    ellipse::Ellipse,
+    id::{CameraId, ObjectId, TrackNumber},
+    marker::{self, CodeReading, Ring},
+    pose::Detection,
     world::{EventKind, FrameObservations},
 };
 use roundel_proto::v1::{self, roundel_client::RoundelClient};
@@ -293,6 +297,57 @@ async fn observations_are_filtered_and_gaps_are_counted() {
         }
     }
     assert_eq!(total, 1991);
+    rig.stop().await;
+}
+
+#[tokio::test]
+async fn what_the_teeth_say_comes_with_each_detection() {
+    let rig = Rig::start().await;
+    let mut client = connect(&rig).await;
+    let everything = v1::SubscribeObservationsRequest::default();
+    let mut stream = client.subscribe_observations(everything).await.unwrap().into_inner();
+    let rim = |semi_px| Ellipse {
+        center: PixelPoint { u: 30.0, v: 20.0 },
+        semi_major_px: semi_px,
+        semi_minor_px: semi_px,
+        angle_rad: 0.0,
+    };
+    let plain = Ring::of_rims(rim(10.0), rim(6.0));
+    let reading = CodeReading {
+        code: marker::Code { bits: 8, number: 12 },
+        zero: PixelPoint { u: 36.0, v: 20.0 },
+        confidence: 0.97,
+        corrected: 1,
+    };
+    let time = rig.clock.now();
+    let seen = [plain, Ring { code: Some(reading), ..plain }];
+    let detections = (1..).zip(seen).map(|(number, ring)| Detection {
+        track: TrackNumber(number),
+        ring,
+        capture_time: time,
+        pose: None,
+    });
+    rig.hub.publish_observations(Arc::new(FrameObservations {
+        camera: CameraId(0),
+        frame: 1,
+        capture_time: time,
+        received_time: time,
+        calibration_version: 1,
+        detections: detections.collect(),
+    }));
+    let message = next(&mut stream).await;
+    assert_eq!(message.detections[0].code, None);
+    assert_eq!((message.detections[0].black, message.detections[0].white), (20.0, 220.0));
+    assert_eq!(
+        message.detections[1].code,
+        Some(v1::CodeReading {
+            bits: 8,
+            number: 12,
+            confidence: 0.97,
+            corrected_bits: 1,
+            zero: Some(v1::PixelPoint { u: 36.0, v: 20.0 }),
+        })
+    );
     rig.stop().await;
 }
 

@@ -9,6 +9,7 @@ use axum::{
 use roundel_core::{id::CameraId, world::FusionCounts};
 use roundel_proto::v1;
 use roundel_server::hub::{CameraStatus, Happening};
+use serde_json::Value;
 
 use crate::rig::{Rig, objects};
 
@@ -19,6 +20,8 @@ async fn the_snapshot_is_grpcs_in_json() {
     let json = rig.get("/api/v1/snapshot").await.json();
     assert_eq!(json["objects"][1]["name"], "cart \"one\"");
     assert_eq!(json["objects"][1]["stage"], "predicted");
+    assert_eq!(json["objects"][1]["code"], serde_json::json!({"bits": 8, "number": 2}));
+    assert_eq!(json["objects"][0]["code"], Value::Null);
     assert_eq!(json["objects"][0]["covariance"].as_array().unwrap().len(), 21);
     assert!(json["pose_time_ns"].is_string());
     let mut rest: v1::Snapshot = serde_json::from_value(json).unwrap();
@@ -55,6 +58,7 @@ async fn lists_and_single_things_are_readable() {
     let objects = rig.get("/api/v1/objects").await.json();
     assert_eq!(objects["objects"].as_array().unwrap().len(), 2);
     assert_eq!(objects["objects"][1]["stage"], "lost");
+    assert_eq!(objects["objects"][1]["code"]["number"], 2);
     let object = rig.get("/api/v1/objects/1").await.json();
     assert_eq!(object["object"]["object_id"], 1);
     assert_eq!(object["state"]["position"]["x"], 1.0);

@@ -7,7 +7,7 @@ use roundel_core::{
     camera::PixelPoint,
     ellipse::Ellipse,
     id::{CameraId, TrackNumber},
-    marker::Ring,
+    marker::{Code, CodeReading, Ring},
     pose::Detection,
     time::Timestamp,
     world::FrameObservations,
@@ -23,12 +23,16 @@ const HEIGHT: usize = 120;
 const CAPTURE_NS: i64 = 1_700_000_000_000_000_001;
 
 fn picture(frame: u64, outer: Ellipse) -> Picture {
+    coded_picture(frame, outer, None)
+}
+
+fn coded_picture(frame: u64, outer: Ellipse, code: Option<CodeReading>) -> Picture {
     let inner = Ellipse {
         semi_major_px: outer.semi_major_px / 2.0,
         semi_minor_px: outer.semi_minor_px / 2.0,
         ..outer
     };
-    let ring = Ring::of_rims(outer, inner);
+    let ring = Ring { code, ..Ring::of_rims(outer, inner) };
     let time = Timestamp::from_ns(CAPTURE_NS);
     let detection = Detection { track: TrackNumber(42), ring, capture_time: time, pose: None };
     Picture {
@@ -112,6 +116,29 @@ async fn the_picture_shows_frame_and_detections() {
         [red, green, blue].iter().all(|c| (c - 128).abs() < 6),
         "elsewhere the frame is itself"
     );
+    rig.stop().await;
+}
+
+#[tokio::test]
+async fn a_code_stands_above_the_tracks_number() {
+    let rig = Rig::start().await;
+    let code = CodeReading {
+        code: Code { bits: 8, number: 17 },
+        zero: PixelPoint { u: 80.0, v: 50.0 },
+        confidence: 1.0,
+        corrected: 0,
+    };
+    let coded = coded_picture(1, ellipse(60.0, 50.0, 40.0, 20.0), Some(code));
+    let pixels = decoded(&with_worker(&rig, coded).await);
+    // The upper line is white, the lower one yellow; both beside the ring's right end.
+    let bright = |rows: std::ops::Range<usize>, is_wanted: fn([i32; 3]) -> bool| {
+        let places = (104..126).flat_map(|u| rows.clone().map(move |v| (u, v)));
+        places.filter(|&(u, v)| is_wanted(strongest(&pixels, u, v))).count()
+    };
+    let white = bright(40..48, |[_, _, blue]| blue > 190);
+    let yellow = bright(52..60, |[red, _, blue]| red > 180 && blue < 160);
+    assert!(white > 20 && yellow > 20, "{white} {yellow}");
+    assert_eq!(bright(52..60, |[_, _, blue]| blue > 220), 0);
     rig.stop().await;
 }
 

@@ -11,6 +11,7 @@ use hyper_util::{client::legacy, rt::TokioExecutor};
 use nalgebra::{UnitQuaternion, Vector3};
 use roundel_core::{
     id::{CameraId, KindId, ObjectId},
+    marker::Code,
     rigid::Covariance6,
     world::{LifeStage, ObjectState, ProcessNoise, Snapshot},
 };
@@ -123,8 +124,8 @@ impl Answer {
     }
 }
 
-/// An object at (id, -id, 0.5 id) metres, moving with (1, 2, 0) m/s; even ones are carts, and not
-/// observed now.
+/// An object at (id, -id, 0.5 id) metres, moving with (1, 2, 0) m/s; even ones are carts with a code of
+/// the same number, and not observed now.
 pub fn object(id: u64) -> ObjectState {
     let place = id as f64;
     let time = Clock::anchored_now().now();
@@ -134,6 +135,7 @@ pub fn object(id: u64) -> ObjectState {
     ObjectState {
         id: ObjectId(id),
         kind: Some(KindId(if id.is_multiple_of(2) { 1 } else { 0 })),
+        code: id.is_multiple_of(2).then_some(Code { bits: 8, number: id as u16 }),
         stage: if id.is_multiple_of(2) { LifeStage::Predicted } else { LifeStage::Tracked },
         position_m: Vector3::new(place, -place, 0.5 * place),
         orientation: UnitQuaternion::from_euler_angles(0.1, 0.2, 0.3 * place),

@@ -55,6 +55,12 @@ test("a heading is given where the yaw is observed", () => {
   assert.ok(Math.abs(state.headingRad - Math.PI / 2) < 1e-12);
 });
 
+test("a code is given once it is read", () => {
+  const read = (code) => readSnapshot({ ...SNAPSHOT, objects: [{ ...SNAPSHOT.objects[0], code }] }).objects[0].code;
+  assert.deepEqual(read({ bits: 8, number: 12 }), { bits: 8, number: 12 });
+  for (const none of [null, undefined, {}, { bits: 0, number: 0 }, "12"]) assert.equal(read(none), null);
+});
+
 test("nothing is latency before the first observation", () => {
   assert.equal(readSnapshot({ ...SNAPSHOT, capture_time_ns: "0" }).latencyMs, null);
 });
