@@ -1,4 +1,5 @@
-//! Seeded backgrounds that hold no roundel: floors with tiles, boxes, lines, spots, and text.
+//! Seeded backgrounds that hold no roundel: floors with tiles, boxes, lines, spots, text, and things
+//! that resemble a roundel ([`crate::decoy`]).
 //!
 //! Shapes are painted in the image, as sharp as the camera sees everything else.
 
@@ -6,6 +7,7 @@ use nalgebra::Vector2;
 
 use crate::{
     coverage::{Contour, Patch},
+    decoy::Decoy,
     normal::Random,
     render::{Canvas, Renderer},
 };
@@ -24,11 +26,17 @@ pub struct Clutter {
     /// Dark rings on pale labels whose discs are too large for the roundels here (0.6 to 0.8 of the
     /// ring), from the size of a letter o to that of a roundel.
     pub rings: usize,
+    /// Things that resemble a roundel of 8 to 120 px and are none, whatever its ratio of diameters.
+    pub decoys: usize,
 }
 
 impl Clutter {
     /// A lab's floor with things standing about.
-    pub const LAB: Clutter = Clutter { boxes: 25, lines: 12, discs: 25, words: 8, rings: 0 };
+    pub const LAB: Clutter =
+        Clutter { boxes: 25, lines: 12, discs: 25, words: 8, rings: 0, decoys: 0 };
+    /// A junk room: as much of everything as there is room for, and near misses in plenty.
+    pub const JUNK: Clutter =
+        Clutter { boxes: 60, lines: 25, discs: 60, words: 25, rings: 0, decoys: 120 };
 }
 
 /// An even floor of grey level `floor` with `clutter` on it.
@@ -63,6 +71,9 @@ pub fn background(
     }
     for _ in 0..clutter.rings {
         painter.ring();
+    }
+    for _ in 0..clutter.decoys {
+        painter.decoy();
     }
     painter.canvas
 }
@@ -121,6 +132,15 @@ impl Painter<'_> {
         let inner = radius * self.random.uniform(0.6, 0.8);
         for (radius, grey) in [(1.6 * radius, 215.0), (radius, 45.0), (inner, 215.0)] {
             self.disc(center, [radius; 2], grey);
+        }
+    }
+
+    /// Small ones more often than large ones, as things at all distances are.
+    fn decoy(&mut self) {
+        let (center, radius) = (self.place(), 4.0 * 15f64.powf(self.random.uniform(0.0, 1.0)));
+        let kind = Decoy::ALL[(self.random.next_u64() % Decoy::ALL.len() as u64) as usize];
+        for (contour, grey) in kind.areas(center, radius, self.random) {
+            self.fill(Some(contour), grey);
         }
     }
 

@@ -11,10 +11,12 @@
 //! | [`render`] | 8-bit frames of roundels that move, over a background |
 //! | [`bound`] | the Cramér-Rao bound of a roundel's pose in such a frame |
 //! | [`clutter`] | seeded backgrounds that hold no roundel |
+//! | [`decoy`] | what resembles a roundel and is none |
 //! | [`arena`] | cameras and robots on smooth paths, with the truth at any time |
 //! | [`export`] | such an arena as an installation on disk, for `roundel serve` |
 //! | [`pipeline`] | core's own way from such frames to detections and world poses, without a server |
 //! | [`precision`] | single poses drawn at random, with their errors next to the bound |
+//! | [`recall`] | what of shown roundels is found, and what else |
 //! | [`score`] | snapshots against the truth: normalized errors, swaps, rms |
 //! | [`process`] | a real server process: built, started, read, ended |
 //! | [`layering`] | the house's rules of who may use whom, checked on source text |
@@ -24,6 +26,7 @@ pub mod arena;
 pub mod bound;
 pub mod clutter;
 pub mod coverage;
+pub mod decoy;
 pub mod export;
 pub mod layering;
 pub mod normal;
@@ -31,6 +34,7 @@ pub mod optics;
 pub mod pipeline;
 pub mod precision;
 pub mod process;
+pub mod recall;
 pub mod render;
 pub mod score;
 pub mod shared_data;

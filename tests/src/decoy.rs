@@ -1,0 +1,276 @@
+//! Things that resemble a roundel and are none, as a lab has them: wheels, gears, broken rings, rings
+//! with a disc of the wrong shape or place, targets, chain links, noughts, square markers.
+//!
+//! In: how large it is seen. Out: areas of one grey each, from below to above, painted by
+//! [`crate::clutter`]. A shape is given in units of its radius and carried into the image by a turn
+//! and a foreshortening, as a print that is looked at from aside. What makes it no roundel is never
+//! smaller than [`LEAST_FAULT_PX`] in the image before it is blurred, so that a person sees it too.
+
+use std::f64::consts::TAU;
+
+use nalgebra::{Matrix2, Rotation2, Vector2};
+
+use crate::{coverage::Contour, normal::Random};
+
+/// Least size of what is wrong with a decoy, pixels.
+pub const LEAST_FAULT_PX: f64 = 2.0;
+
+/// One area of even grey.
+pub type Area = (Contour, f64);
+
+/// What is wrong with a decoy; each name says what it looks like.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Decoy {
+    /// A ring with a gap, from a Landolt C to half a ring.
+    Broken,
+    /// The disc stands off the ring's middle.
+    Eccentric,
+    /// A round ring with a square, three-cornered or narrow hole.
+    Hole,
+    /// A square, three-cornered or five-cornered frame with a round disc.
+    Frame,
+    /// A ring with spokes across its disc.
+    Wheel,
+    /// A ring with a black dot in its disc.
+    Target,
+    /// A ring with teeth outside.
+    Gear,
+    /// Two rings that overlap.
+    Links,
+    /// A nought: a narrow ring of even stroke, whose hole is narrower than its outline.
+    Nought,
+    /// A square marker: black frame, bits of cells.
+    Marker,
+    /// A square marker with a white disc in the middle.
+    MarkerDisc,
+}
+
+impl Decoy {
+    /// All of them.
+    pub const ALL: [Decoy; 11] = [
+        Decoy::Broken,
+        Decoy::Eccentric,
+        Decoy::Hole,
+        Decoy::Frame,
+        Decoy::Wheel,
+        Decoy::Target,
+        Decoy::Gear,
+        Decoy::Links,
+        Decoy::Nought,
+        Decoy::Marker,
+        Decoy::MarkerDisc,
+    ];
+
+    /// Areas of this decoy about `center`, from below to above.
+    pub fn areas(self, center: Vector2<f64>, radius_px: f64, random: &mut Random) -> Vec<Area> {
+        let mut pen = Pen::new(center, radius_px, random);
+        match self {
+            Decoy::Broken => pen.broken(),
+            Decoy::Eccentric => pen.eccentric(),
+            Decoy::Hole => pen.hole(),
+            Decoy::Frame => pen.frame(),
+            Decoy::Wheel => pen.wheel(),
+            Decoy::Target => pen.target(),
+            Decoy::Gear => pen.gear(),
+            Decoy::Links => pen.links(),
+            Decoy::Nought => pen.nought(),
+            Decoy::Marker => pen.marker(false),
+            Decoy::MarkerDisc => pen.marker(true),
+        }
+        pen.areas
+    }
+}
+
+fn polar(angle_rad: f64) -> Vector2<f64> {
+    Vector2::new(angle_rad.cos(), angle_rad.sin())
+}
+
+/// Draws in units of the radius.
+struct Pen<'a> {
+    center: Vector2<f64>,
+    from_unit: Matrix2<f64>,
+    /// [`LEAST_FAULT_PX`] in units, along the direction in which it is seen shortest.
+    least: f64,
+    black: f64,
+    white: f64,
+    areas: Vec<Area>,
+    random: &'a mut Random,
+}
+
+impl<'a> Pen<'a> {
+    fn new(center: Vector2<f64>, radius_px: f64, random: &'a mut Random) -> Self {
+        let foreshortening = random.uniform(0.55, 1.0);
+        let turn = |random: &mut Random| Rotation2::new(random.uniform(0.0, TAU)).into_inner();
+        let squeeze = Matrix2::new(1.0, 0.0, 0.0, foreshortening);
+        let from_unit = turn(random) * squeeze * turn(random) * radius_px;
+        let least = LEAST_FAULT_PX / (radius_px * foreshortening);
+        let (black, white) = (random.uniform(25.0, 70.0), random.uniform(175.0, 225.0));
+        Self { center, from_unit, least, black, white, areas: Vec::new(), random }
+    }
+
+    fn draw(&mut self, contour: Option<Contour>, grey: f64) {
+        self.areas.extend(contour.map(|contour| (contour, grey)));
+    }
+
+    fn ellipse(&mut self, at: [f64; 2], semiaxes: [f64; 2], grey: f64) {
+        let longest_px = self.from_unit.norm() * semiaxes[0].max(semiaxes[1]);
+        let count = (TAU * longest_px / 0.6).ceil().max(48.0) as usize;
+        let (center, from_unit) = (self.center, self.from_unit);
+        let contour = Contour::smooth(count, |t| {
+            let unit = Vector2::new(at[0] + semiaxes[0] * t.cos(), at[1] + semiaxes[1] * t.sin());
+            Some(center + from_unit * unit)
+        });
+        self.draw(contour, grey);
+    }
+
+    fn disc(&mut self, radius: f64, grey: f64) {
+        self.ellipse([0.0; 2], [radius; 2], grey);
+    }
+
+    fn polygon(&mut self, corners: &[Vector2<f64>], grey: f64) {
+        let corners: Vec<_> =
+            corners.iter().map(|corner| self.center + self.from_unit * corner).collect();
+        self.draw(Contour::polygon(&corners, 1.0, Some), grey);
+    }
+
+    fn regular(&mut self, corners: usize, radius: f64, grey: f64) {
+        let corner = |i: usize| polar(TAU * i as f64 / corners as f64) * radius;
+        self.polygon(&(0..corners).map(corner).collect::<Vec<_>>(), grey);
+    }
+
+    /// Three, or up to `most` corners where those of a regular polygon of this radius still stand out.
+    fn corners(&mut self, most: usize, radius: f64) -> usize {
+        let corners = 3 + (self.random.next_u64() % (most as u64 - 2)) as usize;
+        let stands_out = |n: usize| radius * (1.0 - (TAU / (2 * n) as f64).cos()) >= self.least;
+        (3..=corners).rev().find(|&n| stands_out(n)).unwrap_or(3)
+    }
+
+    fn square(&mut self, at: [f64; 2], half: f64, grey: f64) {
+        let corners = [[-1.0, -1.0], [1.0, -1.0], [1.0, 1.0], [-1.0, 1.0]]
+            .map(|c| Vector2::new(at[0] + c[0] * half, at[1] + c[1] * half));
+        self.polygon(&corners, grey);
+    }
+
+    /// A label, a black disc on it, and a white one inside, of the radius returned.
+    fn ring(&mut self) -> f64 {
+        let ratio = self.random.uniform(0.4, 0.6);
+        self.disc(1.45, self.white);
+        self.disc(1.0, self.black);
+        self.disc(ratio, self.white);
+        ratio
+    }
+
+    fn broken(&mut self) {
+        self.ring();
+        let half = (0.5 * self.least).max(self.random.uniform(0.15, 1.0));
+        // A wedge that opens to twice the gap's width at the rim of the label.
+        let corners = [[0.0, -0.5], [1.3, -1.0], [1.3, 1.0], [0.0, 0.5]];
+        let corners = corners.map(|[x, y]| Vector2::new(x, y * 1.5 * half));
+        self.polygon(&corners, self.white);
+    }
+
+    fn eccentric(&mut self) {
+        self.disc(1.45, self.white);
+        self.disc(1.0, self.black);
+        let ratio = self.random.uniform(0.3, 0.45);
+        let off = self.random.uniform(0.25, 0.4).max(self.least).min(0.95 - ratio);
+        self.ellipse([off, 0.0], [ratio; 2], self.white);
+    }
+
+    fn hole(&mut self) {
+        self.disc(1.45, self.white);
+        self.disc(1.0, self.black);
+        match self.random.next_u64() % 3 {
+            0 => self.ellipse([0.0; 2], [0.7, 0.3], self.white),
+            _ => {
+                let corners = self.corners(4, 0.75);
+                self.regular(corners, 0.75, self.white);
+            }
+        }
+    }
+
+    fn frame(&mut self) {
+        let corners = self.corners(5, 1.3);
+        self.regular(corners, 2.0, self.white);
+        self.regular(corners, 1.3, self.black);
+        let disc = self.random.uniform(0.3, 0.5);
+        self.disc(disc, self.white);
+    }
+
+    fn wheel(&mut self) {
+        let ratio = self.random.uniform(0.7, 0.85);
+        self.disc(1.45, self.white);
+        self.disc(1.0, self.black);
+        self.disc(ratio, self.white);
+        let half = (0.5 * self.least).max(self.random.uniform(0.05, 0.12));
+        let spokes = 2 + (self.random.next_u64() % 4) as usize;
+        for spoke in 0..spokes {
+            let along = polar(TAU * spoke as f64 / (2 * spokes) as f64);
+            let across = Vector2::new(-along.y, along.x) * half;
+            let far = along * 0.95;
+            self.polygon(&[far + across, far - across, -far - across, -far + across], self.black);
+        }
+    }
+
+    fn target(&mut self) {
+        self.disc(1.45, self.white);
+        self.disc(1.0, self.black);
+        self.disc(0.75, self.white);
+        let dot = self.random.uniform(0.25, 0.4).max(0.5 * self.least).min(0.6);
+        self.disc(dot, self.black);
+    }
+
+    fn gear(&mut self) {
+        self.disc(1.7, self.white);
+        let depth = self.random.uniform(0.15, 0.3).max(self.least);
+        // Teeth narrower than the least fault would melt into an even rim.
+        let most = (TAU / (2.0 * self.least)).clamp(5.0, 12.0) as u64;
+        let teeth = (5 + self.random.next_u64() % (most - 4)) as usize;
+        let corner = |i: usize| {
+            let radius = if (i / 2).is_multiple_of(2) { 1.0 + depth } else { 1.0 };
+            polar(TAU * i as f64 / (4 * teeth) as f64) * radius
+        };
+        self.polygon(&(0..4 * teeth).map(corner).collect::<Vec<_>>(), self.black);
+        let disc = self.random.uniform(0.4, 0.6);
+        self.disc(disc, self.white);
+    }
+
+    fn links(&mut self) {
+        let apart = self.random.uniform(0.55, 0.8);
+        for side in [-apart, apart] {
+            self.ellipse([side, 0.0], [1.45; 2], self.white);
+        }
+        for side in [-apart, apart] {
+            self.ellipse([side, 0.0], [1.0; 2], self.black);
+        }
+        for side in [-apart, apart] {
+            self.ellipse([side, 0.0], [0.45; 2], self.white);
+        }
+    }
+
+    fn nought(&mut self) {
+        let stroke = self.random.uniform(0.3, 0.36).max(self.least.min(0.36));
+        self.ellipse([0.0; 2], [1.4, 1.0], self.white);
+        self.ellipse([0.0; 2], [1.0, 0.5], self.black);
+        self.ellipse([0.0; 2], [1.0 - stroke, 0.5 - stroke], self.white);
+    }
+
+    fn marker(&mut self, disc: bool) {
+        const CELLS: usize = 5;
+        let cell = 2.0 / (CELLS + 2) as f64;
+        self.square([0.0; 2], 1.4, self.white);
+        self.square([0.0; 2], 1.0, self.black);
+        if disc {
+            let disc = self.random.uniform(0.3, 0.6);
+            self.disc(disc, self.white);
+            return;
+        }
+        for index in 0..CELLS * CELLS {
+            if self.random.next_u64() & 1 == 1 {
+                let place = |i: usize| (i as f64 - 0.5 * (CELLS - 1) as f64) * cell;
+                let at = [place(index % CELLS), place(index / CELLS)];
+                self.square(at, 0.5 * cell, self.white);
+            }
+        }
+    }
+}
