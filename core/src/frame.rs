@@ -73,6 +73,11 @@ impl<'a> Frame<'a> {
         self.height
     }
 
+    /// All bytes and the stride: pixel (u, v) is byte `v * stride + u`. Some bytes may be no pixels.
+    pub(crate) fn pixels(&self) -> (&'a [u8], usize) {
+        (self.pixels, self.stride)
+    }
+
     /// The grey values of row `v`, `width` of them. Panics if `v ≥ height`.
     pub fn row(&self, v: usize) -> &'a [u8] {
         assert!(v < self.height, "row {v} of an image of {} rows", self.height);

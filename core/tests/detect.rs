@@ -5,10 +5,11 @@ mod drawing;
 use drawing::{Drawing, Roundel, ellipse, frame};
 use proptest::prelude::*;
 use roundel_core::{
+    camera::PixelPoint,
     ellipse::Ellipse,
     frame::Frame,
     id::KindId,
-    marker::{Detector, Kind, Params, Reject, Ring, Scratch, TrackedRing, Tracker},
+    marker::{Detector, Kind, Mask, Params, Reject, Rejected, Ring, Scratch, TrackedRing, Tracker},
 };
 
 const WIDTH: usize = 200;
@@ -302,4 +303,47 @@ fn another_size_of_frame_starts_afresh() {
     let one = Frame::new(&[0], 1, 1, 1).unwrap();
     assert!(tracker.process(&one).is_empty());
     assert_eq!(numbers(tracker.process(&frame(&picture, WIDTH))), [3]);
+}
+
+#[test]
+fn nothing_is_reported_whose_centre_is_masked() {
+    let roundels = [roundel((50.0, 80.0), 15.0, 0.5), roundel((140.0, 80.0), 15.0, 0.5)];
+    let picture = drawn(&roundels, 1.0, 1);
+    // Over the left one's centre and into the right one's ring, to the left of its centre.
+    let corners = [(40.0, 60.0), (135.0, 60.0), (135.0, 100.0), (40.0, 100.0)];
+    let corners = corners.map(|(u, v)| PixelPoint { u, v }).to_vec();
+    let detector = any_ring().with_mask(Mask::of_polygons(&[corners]).unwrap());
+    let mut scratch = Scratch::default();
+    let rings = detector.detect(&frame(&picture, WIDTH), &mut scratch);
+    assert_eq!(rings.len(), 1);
+    assert!(distance(&rings[0].outer, (140.0, 80.0)) < 0.1);
+    assert!(scratch.rejects().count(Reject::Masked) > 0);
+    // One that moves into the region is lost there, and another one when it comes out.
+    let frames: Vec<Vec<Roundel>> =
+        (0..30).map(|i| vec![roundel((22.0 + 5.0 * f64::from(i), 80.0), 14.0, 0.5)]).collect();
+    let tracked = follow(&mut Tracker::new(detector), &frames);
+    for (tracked, truth) in tracked.iter().zip(&frames) {
+        let masked = (40.0..=135.0).contains(&truth[0].outer.center.u);
+        assert_eq!(tracked.is_empty(), masked, "{truth:?}");
+    }
+    assert_eq!(numbers(&tracked[0]), [1]);
+    assert_eq!(numbers(&tracked[29]), [2]);
+}
+
+#[test]
+fn candidates_that_die_are_explained_on_request() {
+    let picture = drawn(&[roundel((14.7, 80.0), 15.0, 0.5)], 1.0, 1);
+    let mut scratch = Scratch::default();
+    any_ring().detect(&frame(&picture, WIDTH), &mut scratch);
+    assert!(scratch.rejected().is_empty());
+    scratch.explain(true);
+    any_ring().detect(&frame(&picture, WIDTH), &mut scratch);
+    assert_eq!(scratch.rejected().len(), scratch.rejects().total() as usize);
+    let cut = scratch.rejected().iter().find(|rejected| rejected.reject == Reject::FrameEdge);
+    let Rejected { center, half_box_px, .. } = *cut.unwrap();
+    assert!((center.u - 14.7).hypot(center.v - 80.0) < 1.5, "{cut:?}");
+    assert!((half_box_px.0 - 15.0).hypot(half_box_px.1 - 15.0) < 2.0, "{cut:?}");
+    scratch.explain(false);
+    any_ring().detect(&frame(&picture, WIDTH), &mut scratch);
+    assert!(scratch.rejected().is_empty());
 }

@@ -2,7 +2,8 @@
 //!
 //! | step | module | paper |
 //! | --- | --- | --- |
-//! | rows with black, white, black | `scan` | 3.1, 3.6 |
+//! | rows with black, white, black | `edge`, `scan` | 3.1, 3.6 |
+//! | chords through the centre | `cross` | 3.1 |
 //! | threshold at each place | `threshold` | 3.2, eq. (3) |
 //! | fill, roundness, areas, ellipses | `examine` | 3.1, 3.3, eqs. (1), (2), (4), (5), (6) |
 //! | rims to a fraction of a pixel | `refine`, `zone`, `blur` | – |
@@ -28,10 +29,14 @@
 //! ```
 
 mod blur;
+mod claim;
 mod code;
+mod cross;
 mod detector;
+mod edge;
 mod examine;
 mod kind;
+mod mask;
 mod measure;
 mod outline;
 mod param;
@@ -39,6 +44,7 @@ mod refine;
 mod reject;
 pub mod rim;
 mod scan;
+mod search;
 mod threshold;
 mod tracker;
 mod zone;
@@ -46,8 +52,9 @@ mod zone;
 pub use code::{Code, CodeLayout, CodeReading};
 pub use detector::{Detector, Scratch};
 pub use kind::{Kind, Pattern, Polarity, RATIO_LIMITS};
+pub use mask::{Mask, MaskError};
 pub use param::{DetectorError, Mode, Params};
-pub use reject::{Reject, RejectCounts};
+pub use reject::{MAX_REJECTED, Reject, RejectCounts, Rejected};
 pub use threshold::BinarySearch;
 pub use tracker::Tracker;
 

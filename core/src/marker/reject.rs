@@ -1,6 +1,9 @@
-//! Why a candidate is no roundel: one reason for each stage that can refuse it, counted.
+//! Why a candidate is no roundel: one reason for each stage that can refuse it, counted, and on
+//! request kept with the place.
 
 use std::fmt;
+
+use crate::camera::PixelPoint;
 
 macro_rules! rejects {
     ($($(#[doc = $doc:literal])+ $name:ident = $text:literal,)+) => {
@@ -59,6 +62,8 @@ rejects! {
     Kind = "ratio of diameters fits no kind",
     /// The outer rim's grey levels are not those of a whole rim.
     Covered = "the outer rim is partly covered",
+    /// Its centre lies in a region that is not searched.
+    Masked = "in a masked region",
     /// Another roundel stands there already.
     Claimed = "already taken for another roundel",
     /// Tracking: a roundel, but not where or not how the track must be.
@@ -97,6 +102,49 @@ impl RejectCounts {
     }
 }
 
+/// A candidate that died.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Rejected {
+    /// Where it was looked for.
+    pub center: PixelPoint,
+    /// Half the sides of the box that it was thought to fill, along u and v, pixels.
+    pub half_box_px: (f64, f64),
+    /// Why it died.
+    pub reject: Reject,
+}
+
+/// Rejected candidates of one frame that are kept at most; all are counted.
+pub const MAX_REJECTED: usize = 4096;
+
+/// What died in one frame.
+#[derive(Debug, Default)]
+pub(crate) struct Rejects {
+    pub counts: RejectCounts,
+    /// The newest frame's rejected candidates, if they are wanted.
+    pub list: Option<Vec<Rejected>>,
+}
+
+impl Rejects {
+    /// Forgets all.
+    pub fn clear(&mut self) {
+        self.counts = RejectCounts::default();
+        self.list.iter_mut().for_each(Vec::clear);
+    }
+
+    /// Whether candidates are kept from now on.
+    pub fn keep(&mut self, keep: bool) {
+        self.list = keep.then(|| self.list.take().unwrap_or_default());
+    }
+
+    /// Counts a candidate, and keeps it where wanted.
+    pub fn add(&mut self, rejected: Rejected) {
+        self.counts.add(rejected.reject);
+        if let Some(list) = self.list.as_mut().filter(|list| list.len() < MAX_REJECTED) {
+            list.push(rejected);
+        }
+    }
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -111,5 +159,21 @@ mod tests {
         assert_eq!(counts.total(), 3);
         assert_eq!(counts.iter().filter(|(_, n)| *n > 0).count(), 2);
         assert_eq!(counts.iter().next(), Some((Reject::Chord, 1)));
+    }
+
+    #[test]
+    fn candidates_are_kept_on_request_and_up_to_the_limit() {
+        let center = PixelPoint { u: 1.0, v: 2.0 };
+        let rejected = Rejected { center, half_box_px: (3.0, 4.0), reject: Reject::Tilt };
+        let mut rejects = Rejects::default();
+        rejects.add(rejected);
+        assert_eq!(rejects.list, None);
+        rejects.keep(true);
+        (0..=MAX_REJECTED).for_each(|_| rejects.add(rejected));
+        assert_eq!(rejects.list.as_ref().unwrap().len(), MAX_REJECTED);
+        assert_eq!(rejects.counts.count(Reject::Tilt) as usize, MAX_REJECTED + 2);
+        rejects.clear();
+        assert_eq!(rejects.list, Some(Vec::new()));
+        assert_eq!(rejects.counts.total(), 0);
     }
 }

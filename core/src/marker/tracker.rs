@@ -14,10 +14,11 @@ use crate::{
     id::TrackNumber,
     marker::{
         Ring, TrackedRing,
-        detector::{Claim, Detector, Scratch},
+        claim::Claim,
+        detector::{Detector, Scratch},
+        edge::ROW_STEP,
         examine::Probe,
-        reject::{Reject, RejectCounts},
-        scan::ROW_STEP,
+        reject::{Reject, RejectCounts, Rejected},
     },
     segment::Window,
 };
@@ -122,7 +123,17 @@ impl Tracker {
 
     /// Candidates of the newest frame that died, by stage.
     pub fn rejects(&self) -> &RejectCounts {
-        &self.scratch.rejects
+        self.scratch.rejects()
+    }
+
+    /// Whether candidates that die are kept with their places; off at first.
+    pub fn explain(&mut self, on: bool) {
+        self.scratch.explain(on);
+    }
+
+    /// Candidates of the newest frame that died, if they are kept.
+    pub fn rejected(&self) -> &[Rejected] {
+        self.scratch.rejected()
     }
 
     /// Forgets all tracks, as after a gap in the frames. Numbers go on.
@@ -140,7 +151,7 @@ impl Tracker {
             self.reset();
             self.size = size;
         }
-        self.scratch.rejects = RejectCounts::default();
+        self.scratch.rejects.clear();
         self.scratch.claims.clear();
         self.scratch.found.clear();
         for track in &mut self.tracks {
@@ -175,7 +186,10 @@ impl Tracker {
                     scratch.claims.push(Claim::new(&ring));
                     track.update(ring);
                 }
-                Err(reject) => scratch.rejects.add(reject),
+                Err(reject) => {
+                    let (center, half_box_px) = (track.predicted(), track.ring.outer.half_box_px());
+                    scratch.rejects.add(Rejected { center, half_box_px, reject });
+                }
             }
         }
     }

@@ -1,0 +1,164 @@
+//! The search of a window: edges of its rows, hits among them, chords through each hit, and what
+//! passes is measured.
+//!
+//! Each step costs more than the one before and leaves fewer: of the 2.8 million pixels of a cluttered
+//! photograph some ten thousand hits, of these some hundred candidates. `benches/search.rs` times it.
+
+use crate::{
+    camera::PixelPoint,
+    frame::Frame,
+    marker::{
+        Ring,
+        claim::{Claim, ClaimedPixels},
+        cross::{Candidate, CrossRules, Evenness, cross},
+        detector::{Detector, Scratch},
+        edge::{ROW_STEP, RowEdges},
+        examine::{Probe, Rules},
+        kind::{Kind, Pattern},
+        reject::{Reject, Rejected},
+        scan::{Hit, HitRules, find_hits},
+        threshold::BinarySearch,
+    },
+    segment::Window,
+};
+
+/// Depth of the binary search that a promising candidate is given.
+const SEARCH_DEPTH: u32 = 2;
+/// An edge's least step between the pixels before and after it, as a share of the least contrast.
+const STEP_SHARE: f64 = 0.6;
+/// Shortest chord of a ring that a row through its disc's middle half crosses, in shorter semiaxes.
+const LEAST_CHORD: f64 = 1.6;
+/// A ring may reach this share, and so many pixels, beyond where its chords have it.
+const BEYOND: (f64, f64) = (1.25, 3.0);
+/// A coded roundel's white core, as a share of the disc between the teeth.
+const CORE_SHARE: f64 = 240.0 / 420.0;
+/// A coded roundel's ring is black at this share of its radius, whatever the code.
+const CODED_BLACK: f64 = 0.8;
+
+/// What the search looks for.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct SearchRules {
+    hit: HitRules,
+    cross: CrossRules,
+    step: u8,
+}
+
+/// Memory of the search.
+#[derive(Debug, Default)]
+pub(crate) struct SearchScratch {
+    row: RowEdges,
+    hits: Vec<Hit>,
+    claimed: ClaimedPixels,
+}
+
+impl SearchRules {
+    pub fn new(kinds: &[Kind], rules: &Rules, contrast: u8) -> Self {
+        let coded = kinds.iter().any(|kind| matches!(kind.pattern, Pattern::Coded(_)));
+        let mut evenness = Evenness::of_plain(rules.ratios);
+        let mut black_at = None;
+        if coded {
+            evenness = evenness.with_teeth(CORE_SHARE);
+            black_at = Some(CODED_BLACK);
+        }
+        Self {
+            hit: HitRules { evenness, least_px: LEAST_CHORD * rules.min_semi_minor_px, contrast },
+            cross: CrossRules {
+                evenness,
+                min_axis_ratio: rules.min_axis_ratio,
+                min_semi_minor_px: rules.min_semi_minor_px,
+                black_at,
+            },
+            step: (STEP_SHARE * f64::from(contrast)) as u8,
+        }
+    }
+}
+
+impl Detector {
+    /// Appends to `found` the rings whose disc crosses `window` and that no claim covers, and claims
+    /// them, until there are `most` of them.
+    pub(crate) fn search(&self, frame: &Frame, window: Window, most: usize, scratch: &mut Scratch) {
+        let mut memory = std::mem::take(&mut scratch.search);
+        let SearchScratch { row, hits, claimed } = &mut memory;
+        claimed.clear(window);
+        scratch.claims.iter().for_each(|claim| claimed.add(claim));
+        let rules = &self.search_rules;
+        for v in (window.top..window.bottom).step_by(ROW_STEP) {
+            if scratch.found.len() >= most {
+                break;
+            }
+            row.read(self.level, frame, v, &window, rules.step);
+            find_hits(row, &rules.hit, false, hits);
+            for hit in hits.iter_mut() {
+                hit.u += window.left;
+                if scratch.found.len() >= most || claimed.contains(hit.u, v) {
+                    continue;
+                }
+                if let Some(ring) = self.try_hit(frame, (hit, v), scratch) {
+                    let claim = Claim::new(&ring);
+                    claimed.add(&claim);
+                    scratch.claims.push(claim);
+                    scratch.found.push(ring);
+                }
+            }
+        }
+        scratch.search = memory;
+    }
+
+    /// The ring whose disc a hit is, at the first threshold of the binary search that shows it.
+    fn try_hit(
+        &self,
+        frame: &Frame,
+        (hit, v): (&Hit, usize),
+        scratch: &mut Scratch,
+    ) -> Option<Ring> {
+        let center = PixelPoint { u: hit.u as f64, v: v as f64 };
+        let mut rejected =
+            Rejected { center, half_box_px: (hit.half_px, hit.half_px), reject: Reject::Masked };
+        if self.mask.covers(center) {
+            scratch.rejects.add(rejected);
+            return None;
+        }
+        let mut first = None;
+        for threshold in BinarySearch::new(hit.black, hit.white, SEARCH_DEPTH) {
+            let tried = cross(frame, (hit, v), threshold, &self.search_rules.cross, false);
+            let tried = tried.and_then(|candidate| {
+                let (u, v) = candidate.center;
+                rejected.center = PixelPoint { u: u as f64, v: v as f64 };
+                rejected.half_box_px = candidate.half_box_px;
+                self.measure_candidate(frame, &candidate, scratch)
+            });
+            match tried {
+                Ok(ring) => return Some(ring),
+                Err(reject) => {
+                    first = first.or(Some(reject));
+                    // A further threshold helps only where rims were bridged.
+                    if reject != Reject::BlackTooLarge && reject != Reject::WhiteTooLarge {
+                        break;
+                    }
+                }
+            }
+        }
+        scratch.rejects.add(Rejected { reject: first.unwrap_or(Reject::Contrast), ..rejected });
+        None
+    }
+
+    fn measure_candidate(
+        &self,
+        frame: &Frame,
+        candidate: &Candidate,
+        scratch: &mut Scratch,
+    ) -> Result<Ring, Reject> {
+        let (half_u, half_v) = candidate.half_box_px;
+        let reach = |half: f64| half * BEYOND.0 + BEYOND.1;
+        let center = (candidate.center.0 as f64, candidate.center.1 as f64);
+        let probe = Probe {
+            center: candidate.center,
+            black: candidate.black,
+            threshold: candidate.threshold,
+            bounds: Window::around(frame, center, (reach(half_u), reach(half_v))),
+        };
+        let ring = self.measure(frame, &probe, &mut scratch.measure)?;
+        let covered = scratch.claims.iter().any(|claim| claim.covers(&ring));
+        if covered { Err(Reject::Claimed) } else { Ok(ring) }
+    }
+}
