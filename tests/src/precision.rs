@@ -317,6 +317,12 @@ impl Summary {
         quantile(&self.closer_rad, share).to_degrees()
     }
 
+    /// Rms error of the closer one of the two normals, degrees.
+    pub fn closer_rms_deg(&self) -> f64 {
+        let squares: f64 = self.closer_rad.iter().map(|angle| angle * angle).sum();
+        (squares / self.found() as f64).sqrt().to_degrees()
+    }
+
     /// Median of the rms that the bound allows the normal, degrees.
     pub fn normal_bound_deg(&self) -> f64 {
         quantile(&self.normal_bounds_rad, 0.5).to_degrees()

@@ -1,0 +1,68 @@
+//! Errors of depth and normal next to the bound.
+
+use roundel_tests::precision::{Range, Summary, trials};
+
+use crate::plot::{Curve, Panel, Style};
+
+/// What a curve stands for where nothing else is said.
+const USUAL: Range = Range {
+    diameter_px: (30.0, 30.0),
+    tilt_deg: (40.0, 40.0),
+    blur_px: (0.7, 0.7),
+    noise: (2.0, 2.0),
+};
+
+/// Errors against size, tilt, blur and noise.
+pub fn panels(count: usize) -> Vec<Panel> {
+    let sizes = [12.0, 15.0, 20.0, 30.0, 45.0, 70.0, 110.0];
+    let of_size = sweep(&sizes, count, |size| Range { diameter_px: (size, size), ..USUAL });
+    let tilts = [2.0, 10.0, 20.0, 30.0, 40.0, 50.0, 60.0];
+    let of_tilt = sweep(&tilts, count, |tilt| Range { tilt_deg: (tilt, tilt), ..USUAL });
+    let blurs = [0.5, 0.6, 0.7, 0.8, 0.9, 1.0, 1.1];
+    let of_blur = sweep(&blurs, count, |blur| Range { blur_px: (blur, blur), ..USUAL });
+    let noises = [1.0, 1.5, 2.0, 2.5, 3.0, 3.5, 4.0];
+    let of_noise = sweep(&noises, count, |noise| Range { noise: (noise, noise), ..USUAL });
+    vec![
+        depth("40° of tilt, blur 0.7 px, noise 2", "outer diameter, px", true, &of_size),
+        normal("40° of tilt, blur 0.7 px, noise 2", "outer diameter, px", true, &of_size),
+        depth("30 px, blur 0.7 px, noise 2", "tilt, degrees", false, &of_tilt),
+        normal("30 px, blur 0.7 px, noise 2", "tilt, degrees", false, &of_tilt),
+        depth("30 px, 40° of tilt, noise 2", "blur, px", false, &of_blur),
+        depth("30 px, 40° of tilt, blur 0.7 px", "noise, grey levels", false, &of_noise),
+    ]
+}
+
+/// A place on the axis, and what each mode makes of it.
+type Point = (f64, [Summary; 2]);
+
+fn sweep(places: &[f64], count: usize, range: impl Fn(f64) -> Range) -> Vec<Point> {
+    let point = |&place: &f64| {
+        let trials = trials(&range(place), count, place.to_bits());
+        let of_mode = |mode| Summary::of(trials.iter().map(|trial| &trial.frames[1]), mode);
+        (place, [of_mode(0), of_mode(1)])
+    };
+    places.iter().map(point).collect()
+}
+
+fn curves(points: &[Point], value: fn(&Summary) -> f64, bound: fn(&Summary) -> f64) -> Vec<Curve> {
+    let curve = |style, value: &dyn Fn(&Point) -> f64| Curve {
+        style,
+        points: points.iter().map(|point| (point.0, value(point))).collect(),
+    };
+    vec![
+        curve(Style::Fast, &|point| value(&point.1[0])),
+        curve(Style::Precise, &|point| value(&point.1[1])),
+        curve(Style::Bound, &|point| bound(&point.1[1])),
+    ]
+}
+
+fn depth(case: &str, x_name: &'static str, log_x: bool, points: &[Point]) -> Panel {
+    let curves = curves(points, |of| 100.0 * of.depth_rms(), |of| 100.0 * of.depth_bound());
+    Panel { title: case.to_owned(), x_name, y_name: "depth error, rms, %", log_x, curves }
+}
+
+fn normal(case: &str, x_name: &'static str, log_x: bool, points: &[Point]) -> Panel {
+    let curves = curves(points, Summary::closer_rms_deg, Summary::normal_bound_deg);
+    let y_name = "normal error (closer one), rms, degrees";
+    Panel { title: case.to_owned(), x_name, y_name, log_x, curves }
+}
