@@ -1,16 +1,17 @@
-//! Identities in the teeth round a coded roundel's disc.
+//! Identities and yaw in the teeth round a coded roundel's disc, as WhyCode prints them.
+//!
+//! | what | module |
+//! | --- | --- |
+//! | where teeth are printed | `layout` |
+//! | which words are identities | `dictionary` |
+
+mod dictionary;
+mod layout;
+
+pub use dictionary::Dictionary;
+pub use layout::{CodeError, CodeLayout, Tooth};
 
 use crate::camera::PixelPoint;
-
-/// How codes of a kind are printed: WhyCode's Manchester code of `bits` bits, whose rotation-minimal
-/// numbers are the identities.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
-pub struct CodeLayout {
-    /// Bits, 5 to 16; twice as many slots.
-    pub bits: u8,
-    /// Least Hamming distance of any two identities, over all rotations; 1 or more.
-    pub min_distance: u8,
-}
 
 /// An identity.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, PartialOrd, Ord)]
