@@ -169,7 +169,7 @@ mod tests {
 
     fn reading(number: u16) -> CodeReading {
         let zero = PixelPoint { u: 0.0, v: 0.0 };
-        CodeReading { code: Code { bits: 8, number }, zero, confidence: 1.0, corrected: 0 }
+        CodeReading::certain(Code { bits: 8, number }, zero)
     }
 
     #[test]

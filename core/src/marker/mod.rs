@@ -49,7 +49,7 @@ mod threshold;
 mod tracker;
 mod zone;
 
-pub use code::{Code, CodeError, CodeLayout, CodeReading, Dictionary, Tooth};
+pub use code::{Code, CodeError, CodeLayout, CodeReader, CodeReading, Dictionary, Tooth};
 pub use detector::{Detector, Scratch};
 pub use kind::{Kind, Pattern, Polarity, RATIO_LIMITS};
 pub use mask::{Mask, MaskError};

@@ -27,12 +27,7 @@ fn only(objects: &[ObjectState]) -> &ObjectState {
 fn an_object_carries_the_code_that_most_cameras_read() {
     let arena = Arena::new(one_still());
     let mut fusion = fusion_of(&arena, FusionParams::default());
-    let reading = |number| CodeReading {
-        code: Code { bits: 8, number },
-        zero: PixelPoint::default(),
-        confidence: 1.0,
-        corrected: 0,
-    };
+    let reading = |number| CodeReading::certain(Code { bits: 8, number }, PixelPoint::default());
     let mut frames = arena.frames(1.0);
     frames.retain(|frame| !frame.detections.is_empty());
     // Not read at first, then misread in every third frame.

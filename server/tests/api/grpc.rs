@@ -314,10 +314,12 @@ async fn what_the_teeth_say_comes_with_each_detection() {
     };
     let plain = Ring::of_rims(rim(10.0), rim(6.0));
     let reading = CodeReading {
-        code: marker::Code { bits: 8, number: 12 },
-        zero: PixelPoint { u: 36.0, v: 20.0 },
         confidence: 0.97,
         corrected: 1,
+        ..CodeReading::certain(
+            marker::Code { bits: 8, number: 12 },
+            PixelPoint { u: 36.0, v: 20.0 },
+        )
     };
     let time = rig.clock.now();
     let seen = [plain, Ring { code: Some(reading), ..plain }];

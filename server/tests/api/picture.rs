@@ -122,12 +122,8 @@ async fn the_picture_shows_frame_and_detections() {
 #[tokio::test]
 async fn a_code_stands_above_the_tracks_number() {
     let rig = Rig::start().await;
-    let code = CodeReading {
-        code: Code { bits: 8, number: 17 },
-        zero: PixelPoint { u: 80.0, v: 50.0 },
-        confidence: 1.0,
-        corrected: 0,
-    };
+    let zero = PixelPoint { u: 80.0, v: 50.0 };
+    let code = CodeReading::certain(Code { bits: 8, number: 17 }, zero);
     let coded = coded_picture(1, ellipse(60.0, 50.0, 40.0, 20.0), Some(code));
     let pixels = decoded(&with_worker(&rig, coded).await);
     // The upper line is white, the lower one yellow; both beside the ring's right end.

@@ -7,7 +7,7 @@
 
 use crate::marker::code::{
     Code,
-    layout::{CodeError, CodeLayout, Tooth},
+    layout::{CodeLayout, Tooth},
 };
 
 /// All identities of a layout, and a table from words to identities.
@@ -153,6 +153,7 @@ impl Excluded {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::marker::code::CodeError;
 
     fn codes(bits: u8, min_distance: u8) -> Result<Dictionary, CodeError> {
         CodeLayout { bits, min_distance }.codes()
@@ -207,7 +208,7 @@ mod tests {
         let dictionary = codes(8, 2).unwrap();
         for (code, _) in dictionary.iter() {
             let own = dictionary.own_distance(code.number).unwrap();
-            assert!(own >= 2 && own % 2 == 0);
+            assert!(own >= 2 && own.is_multiple_of(2));
         }
         assert_eq!(dictionary.own_distance(0), None);
     }

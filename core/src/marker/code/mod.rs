@@ -4,12 +4,21 @@
 //! | --- | --- |
 //! | where teeth are printed | `layout` |
 //! | which words are identities | `dictionary` |
+//! | from a roundel's plane to the image | `chart` |
+//! | grey levels round the teeth | `profile` |
+//! | from them to a word | `word` |
+//! | a reading, with its confidence and its zero | `reader` |
 
+mod chart;
 mod dictionary;
 mod layout;
+mod profile;
+mod reader;
+mod word;
 
 pub use dictionary::Dictionary;
 pub use layout::{CodeError, CodeLayout, Tooth};
+pub use reader::CodeReader;
 
 use crate::camera::PixelPoint;
 
@@ -29,8 +38,19 @@ pub struct CodeReading {
     pub code: Code,
     /// Where the print's x axis leaves the white disc, raw pixels: the code's zero.
     pub zero: PixelPoint,
+    /// Where its opposite does: an error of the centre turns the two by opposite angles.
+    pub opposite: PixelPoint,
+    /// Standard deviation of the angle about the normal, radians.
+    pub yaw_deviation_rad: f64,
     /// Likelihood of this reading against all others, 0 to 1.
     pub confidence: f64,
     /// Bits that were corrected.
     pub corrected: u8,
+}
+
+impl CodeReading {
+    /// A reading beyond doubt, its opposite unknown.
+    pub fn certain(code: Code, zero: PixelPoint) -> Self {
+        Self { code, zero, opposite: zero, yaw_deviation_rad: 0.0, confidence: 1.0, corrected: 0 }
+    }
 }
