@@ -17,6 +17,7 @@
 //! | [`pipeline`] | core's own way from such frames to detections and world poses, without a server |
 //! | [`precision`] | single poses drawn at random, with their errors next to the bound |
 //! | [`recall`] | what of shown roundels is found, and what else |
+//! | [`python`] | Python with packages from PyPI, for tests that need them |
 //! | [`score`] | snapshots against the truth: normalized errors, swaps, rms |
 //! | [`process`] | a real server process: built, started, read, ended |
 //! | [`layering`] | the house's rules of who may use whom, checked on source text |
@@ -34,6 +35,7 @@ pub mod optics;
 pub mod pipeline;
 pub mod precision;
 pub mod process;
+pub mod python;
 pub mod recall;
 pub mod render;
 pub mod score;
