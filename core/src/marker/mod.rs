@@ -8,6 +8,7 @@
 //! | fill, roundness, areas, ellipses | `examine` | 3.1, 3.3, eqs. (1), (2), (4), (5), (6) |
 //! | rims to a fraction of a pixel | `refine`, `zone`, `blur` | – |
 //! | kind by ratio of diameters | `kind` | 3.4 |
+//! | rims that are ellipses | `harmonic` | – |
 //! | compensation of the rims | [`rim`] | 3.5, eqs. (7), (8) |
 //! | all rings of a frame | `detector` | 3.6 |
 //! | from frame to frame | `tracker` | 3, 3.6 |
@@ -35,6 +36,7 @@ mod cross;
 mod detector;
 mod edge;
 mod examine;
+mod harmonic;
 mod kind;
 mod mask;
 mod measure;

@@ -50,7 +50,7 @@ fn deviation(frame: &Frame, outer: &Ellipse, contrast: f64) -> f64 {
 }
 
 /// Grey level between the pixels, bilinear.
-fn level_at(frame: &Frame, u: f64, v: f64) -> f64 {
+pub(crate) fn level_at(frame: &Frame, u: f64, v: f64) -> f64 {
     let (u, v) =
         (u.clamp(0.0, (frame.width() - 1) as f64), v.clamp(0.0, (frame.height() - 1) as f64));
     let (left, top) = (u as usize, v as usize);

@@ -62,6 +62,8 @@ rejects! {
     Kind = "ratio of diameters fits no kind",
     /// The outer rim's grey levels are not those of a whole rim.
     Covered = "the outer rim is partly covered",
+    /// Search: the levels along a rim have corners, teeth or gaps.
+    Outline = "a rim is no ellipse but has corners, teeth or gaps",
     /// Its centre lies in a region that is not searched.
     Masked = "in a masked region",
     /// Another roundel stands there already.

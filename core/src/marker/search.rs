@@ -14,6 +14,7 @@ use crate::{
         detector::{Detector, Scratch},
         edge::{ROW_STEP, RowEdges},
         examine::{Probe, Rules},
+        harmonic::check_rims,
         kind::{Kind, Pattern},
         reject::{Reject, Rejected},
         scan::{Hit, HitRules, find_hits},
@@ -158,7 +159,14 @@ impl Detector {
             bounds: Window::around(frame, center, (reach(half_u), reach(half_v))),
         };
         let ring = self.measure(frame, &probe, &mut scratch.measure)?;
+        check_rims(frame, &ring, self.has_plain_disc(&ring))?;
         let covered = scratch.claims.iter().any(|claim| claim.covers(&ring));
         if covered { Err(Reject::Claimed) } else { Ok(ring) }
+    }
+
+    /// Whether a ring's disc is an ellipse, with nothing printed into it.
+    fn has_plain_disc(&self, ring: &Ring) -> bool {
+        let kind = ring.kind.and_then(|kind| self.kinds().get(usize::from(kind.0)));
+        kind.is_none_or(|kind| !matches!(kind.pattern, Pattern::Coded(_)))
     }
 }
