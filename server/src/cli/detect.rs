@@ -124,7 +124,7 @@ struct Search {
 
 enum Finder {
     /// Each image for itself.
-    Single { detector: Detector, scratch: Box<Scratch> },
+    Single { detector: Box<Detector>, scratch: Box<Scratch> },
     /// Frames of one camera.
     Sequence { tracker: Box<Tracker> },
 }
@@ -179,7 +179,7 @@ impl Search {
         let finder = if arguments.sequence {
             Finder::Sequence { tracker: Box::new(Tracker::new(detector)) }
         } else {
-            Finder::Single { detector, scratch: Box::default() }
+            Finder::Single { detector: Box::new(detector), scratch: Box::default() }
         };
         Ok(Self { finder, locator, marker: arguments.marker })
     }
