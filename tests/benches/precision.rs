@@ -7,7 +7,9 @@
 //! normals counted as the error that it is, and the closer one of the two. `!` marks what misses a bar
 //! by more than two deviations of chance, `?` what misses it by less.
 
-use roundel_tests::precision::{MODES, Range, Shot, Summary, Trial, trials};
+use roundel_tests::precision::{
+    MODES, NARROW_MARGIN, Range, Shot, Summary, Trial, WIDE_MARGIN, trials,
+};
 
 const SIZES_PX: [(f64, f64); 4] = [(12.0, 20.0), (20.0, 30.0), (30.0, 50.0), (50.0, 110.0)];
 const TILTS_DEG: [(f64, f64); 4] = [(0.0, 5.0), (5.0, 20.0), (20.0, 40.0), (40.0, 60.0)];
@@ -20,24 +22,34 @@ const QUICK_TRIALS: usize = 30;
 fn main() {
     let quick = std::env::args().any(|argument| argument == "--quick");
     let count = if quick { QUICK_TRIALS } else { TRIALS };
-    let mut all = Vec::new();
-    for (cell, diameter_px) in SIZES_PX.into_iter().enumerate() {
-        for (column, tilt_deg) in TILTS_DEG.into_iter().enumerate() {
-            let range = Range { diameter_px, tilt_deg, blur_px: (0.5, 1.1), noise: (1.0, 4.0) };
-            all.extend(trials(&range, count, (10 * cell + column) as u64));
-        }
-    }
+    let (all, narrow) = (drawn(count, WIDE_MARGIN), drawn(count / 2, NARROW_MARGIN));
     for (index, mode) in MODES.iter().enumerate() {
         println!("\n{mode:?} mode, {} roundels in two frames each", all.len());
         for (frame, name) in ["found by search", "followed"].into_iter().enumerate() {
             println!("\n{name}");
-            depths(&all, frame, index);
+            depths(&all, frame, index, true);
         }
+        println!("\nfollowed, the sheet's margin a quarter of the diameter");
+        depths(&narrow, 1, index, false);
         normals(&all, index);
     }
 }
 
-fn depths(all: &[Trial], frame: usize, mode: usize) {
+/// `count` trials of each size and tilt.
+fn drawn(count: usize, margin: f64) -> Vec<Trial> {
+    let mut all = Vec::new();
+    for (cell, diameter_px) in SIZES_PX.into_iter().enumerate() {
+        for (column, tilt_deg) in TILTS_DEG.into_iter().enumerate() {
+            let (blur_px, noise) = ((0.5, 1.1), (1.0, 4.0));
+            let range = Range { diameter_px, tilt_deg, blur_px, noise, margin };
+            all.extend(trials(&range, count, (10 * cell + column) as u64));
+        }
+    }
+    all
+}
+
+/// A row for each size, and with `split` for each tilt, blur and noise of it.
+fn depths(all: &[Trial], frame: usize, mode: usize, split: bool) {
     println!(
         "  size px |              | missed | depth rms %   bound % | over bound | bias/rms | \
          inside 95 %: position, pose"
@@ -50,6 +62,9 @@ fn depths(all: &[Trial], frame: usize, mode: usize) {
             print_depth(size, &format!("{name} {low}-{high}"), &summary);
         };
         row("all", (0.0, 90.0), &|trial| trial.tilt_deg);
+        if !split {
+            continue;
+        }
         TILTS_DEG.into_iter().for_each(|tilt| row("tilt", tilt, &|trial| trial.tilt_deg));
         BLURS_PX.into_iter().for_each(|blur| row("blur", blur, &|trial| trial.blur_px));
         NOISES.into_iter().for_each(|noise| row("noise", noise, &|trial| trial.noise));

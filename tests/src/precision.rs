@@ -1,8 +1,7 @@
 //! Single roundels with known poses, seen by core through its public way, and their errors next to
 //! the Cramér-Rao bound.
 //!
-//! A [`Trial`] is one roundel (outer 160 mm, inner 64 mm, white margin of a quarter of the outer
-//! diameter on a grey floor) before the reference camera (1920x1080, f = 1100 px, mild `plumb_bob`),
+//! A [`Trial`] is one roundel (outer 160 mm, inner 64 mm, on a white sheet on a grey floor) before the reference camera (1920x1080, f = 1100 px, mild `plumb_bob`),
 //! at a random place of the image and a random place within its pixels. Two frames are taken: the
 //! first is searched, and in the second, in which it has moved by about a pixel and turned by about a
 //! degree, it is followed. Blur, noise and pose are drawn at random within a [`Range`] and unknown to
@@ -37,8 +36,10 @@ pub const CHI2_95_5: f64 = 11.070;
 const SIDE_PX: usize = 256;
 /// Grey level of the floor.
 const FLOOR: f64 = 120.0;
-/// The white margin, as a share of the outer diameter.
-const MARGIN: f64 = 0.25;
+/// A margin whose edge is out of sight of whatever looks at the rims, as a share of the outer diameter.
+pub const WIDE_MARGIN: f64 = 1.0;
+/// A margin as prints have it: a small roundel's rim and the sheet's edge are blurred into each other.
+pub const NARROW_MARGIN: f64 = 0.25;
 
 /// What trials are drawn from, evenly between both ends.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -51,6 +52,8 @@ pub struct Range {
     pub blur_px: (f64, f64),
     /// Deviation of the noise, grey levels.
     pub noise: (f64, f64),
+    /// The white margin, as a share of the outer diameter.
+    pub margin: f64,
 }
 
 /// One roundel in two frames.
@@ -150,7 +153,7 @@ fn trial(range: &Range, seed: u64, index: u64) -> Trial {
     let (blur_px, noise) = (draw(range.blur_px), draw(range.noise));
     let imaging = Imaging { blur_px, noise, ..Imaging::default() };
     let kind = Kind::robot();
-    let print = Print::plain(kind.outer_diameter_m, kind.inner_diameter_m, MARGIN);
+    let print = Print::plain(kind.outer_diameter_m, kind.inner_diameter_m, range.margin);
 
     let distortion = Distortion::PlumbBob([-0.12, 0.03, 4e-4, -3e-4, 0.0]);
     let whole = Pinhole::centered(1920, 1080, 1100.0, distortion);

@@ -1,6 +1,6 @@
 //! Errors of depth and normal next to the bound.
 
-use roundel_tests::precision::{Range, Summary, trials};
+use roundel_tests::precision::{Range, Summary, WIDE_MARGIN, trials};
 
 use crate::plot::{Curve, Panel, Style};
 
@@ -10,6 +10,7 @@ const USUAL: Range = Range {
     tilt_deg: (40.0, 40.0),
     blur_px: (0.7, 0.7),
     noise: (2.0, 2.0),
+    margin: WIDE_MARGIN,
 };
 
 /// Errors against size, tilt, blur and noise.
