@@ -16,7 +16,7 @@ use std::{
 use roundel_core::{
     camera::Camera,
     id::{CameraId, KindId, ObjectId},
-    marker::Code,
+    marker::{Code, Reject},
     rigid::Rigid,
     time::Timestamp,
     world::{self, FrameObservations, FusionCounts, LifeStage, Snapshot},
@@ -135,8 +135,27 @@ pub struct CameraState {
     pub detections: usize,
     /// Median of the newest frames' detection times, milliseconds.
     pub detect_ms: f64,
+    /// The part of it that finding takes, median, milliseconds.
+    pub find_ms: f64,
+    /// The part of it that locating takes, median, milliseconds.
+    pub locate_ms: f64,
+    /// What became of rings and candidates since the start.
+    pub counts: DetectionCounts,
     /// Median from capture to fused, milliseconds.
     pub latency_ms: f64,
+}
+
+/// What became of a camera's rings and candidates since the start.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct DetectionCounts {
+    /// Rings located by the fit to the grey levels.
+    pub precise: u64,
+    /// Rings located in closed form: all in fast mode, in precise mode those that the fit refused.
+    pub fast: u64,
+    /// Rings without a pose.
+    pub unlocated: u64,
+    /// Candidates that were no roundels, in the order of [`Reject::ALL`].
+    pub rejects: [u64; Reject::ALL.len()],
 }
 
 /// A camera's frame with what was found in it.

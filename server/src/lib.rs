@@ -23,6 +23,7 @@ mod drawing;
 pub mod fusion;
 pub mod hub;
 pub mod image_file;
+mod reason;
 pub mod serve;
 pub mod source;
 pub mod stop;

@@ -11,7 +11,7 @@ use std::{
 
 use roundel_core::{
     id::CameraId,
-    marker::DetectorError,
+    marker::{DetectorError, Mask, MaskError, Params},
     rigid::Covariance6,
     time::Timestamp,
     world::{CameraPlacement, Fusion, FusionParams, reference::Reference},
@@ -28,7 +28,10 @@ use crate::{
     hub::{CameraInfo, Hub, Installation},
     source::{OpenSource, Playback, SourceOpener, TimesError},
     stop::Stop,
-    worker::{self, Place, Sighted, Worker, WorkerParts, pipeline::Pipeline},
+    worker::{
+        self, Place, Sighted, Worker, WorkerParts,
+        pipeline::{Pipeline, PipelineParts},
+    },
 };
 
 /// Time that shutdown may take in all.
@@ -53,6 +56,9 @@ pub enum ServeError {
     /// The kinds of roundel cannot be searched for.
     #[error("kinds of roundel: {0}")]
     Detector(#[from] DetectorError),
+    /// A camera's mask is none.
+    #[error(transparent)]
+    Mask(#[from] MaskError),
     /// The system gives no thread.
     #[error("cannot start the thread `{name}`: {source}")]
     Thread {
@@ -195,12 +201,7 @@ impl Server {
                     playback: self.playback,
                     stop: self.stop_cameras.clone(),
                 }),
-                pipeline: Pipeline::new(
-                    config.kinds.clone(),
-                    config.limits.max_roundels_per_camera,
-                    camera.calibration.clone(),
-                    camera.line_time_s,
-                )?,
+                pipeline: Pipeline::new(pipeline(camera, config)?)?,
                 place: place(camera, config),
                 hub: self.hub.clone(),
                 fusion: to_fusion.clone(),
@@ -309,6 +310,20 @@ fn fusion(config: &Config) -> Fusion {
         }
     }
     fusion
+}
+
+fn pipeline(camera: &CameraConfig, config: &Config) -> Result<PipelineParts, MaskError> {
+    Ok(PipelineParts {
+        kinds: config.kinds.clone(),
+        params: Params {
+            mode: camera.mode,
+            max_roundels: config.limits.max_roundels_per_camera,
+            ..Params::default()
+        },
+        mask: Mask::of_polygons(&camera.mask)?,
+        camera: camera.calibration.clone(),
+        line_time_s: camera.line_time_s,
+    })
 }
 
 fn place(camera: &CameraConfig, config: &Config) -> Place {

@@ -7,7 +7,10 @@ use std::{
     process::{Command, Output},
 };
 
-use roundel_core::camera::{Camera, Intrinsics, Lens};
+use roundel_core::{
+    camera::{Camera, Intrinsics, Lens},
+    marker::Mode,
+};
 use roundel_server::{camera_file, config::Config};
 
 const EXAMPLE: &str = include_str!("../../deploy/roundel.example.toml");
@@ -23,12 +26,12 @@ fn lab() -> tempfile::TempDir {
 
 fn camera_yaml() -> String {
     let camera = Camera::new(Intrinsics {
-        width: 64,
-        height: 48,
-        fx_px: 60.0,
-        fy_px: 61.0,
-        cx_px: 31.5,
-        cy_px: 23.5,
+        width: 640,
+        height: 480,
+        fx_px: 600.0,
+        fy_px: 610.0,
+        cx_px: 319.5,
+        cy_px: 239.5,
         lens: Lens::PlumbBob([-0.1, 0.01, 0.0, 0.0, 0.0]),
     });
     camera_file::write("north", &camera.unwrap())
@@ -54,9 +57,9 @@ fn the_example_is_a_configuration() {
     let folder = lab();
     let config = Config::parse(EXAMPLE, folder.path()).map_err(|p| format!("{p:#?}")).unwrap();
     assert_eq!(config.name, "lab");
-    assert_eq!((config.kinds.len(), config.cameras.len(), config.references.len()), (2, 2, 4));
+    assert_eq!((config.kinds.len(), config.cameras.len(), config.references.len()), (3, 2, 4));
     // What stands in the example as a default is one: a file without it reads the same.
-    let sections = ["[server]", "[fusion]", "[limits]"];
+    let sections = ["[server]", "[detection]", "[fusion]", "[limits]"];
     let mut kept = String::new();
     let mut skipping = false;
     for line in EXAMPLE.lines() {
@@ -72,6 +75,28 @@ fn the_example_is_a_configuration() {
     assert_eq!(bare.server, config.server);
     assert_eq!(bare.fusion, config.fusion);
     assert_eq!(bare.limits, config.limits);
+    let modes = |config: &Config| config.cameras.iter().map(|it| it.mode).collect::<Vec<_>>();
+    assert_eq!(modes(&bare), modes(&config));
+    // Coded prints have one ratio.
+    let unwritten = EXAMPLE.replacen("inner_mm = 73.2\n", "", 1);
+    let unwritten = Config::parse(&unwritten, folder.path()).unwrap();
+    let [written, unwritten] = [&config, &unwritten].map(|config| config.kinds[2].clone());
+    assert!((written.inner_diameter_m - unwritten.inner_diameter_m).abs() < 1e-12);
+    assert_eq!(written.pattern, unwritten.pattern);
+}
+
+#[test]
+fn each_camera_has_its_mode_or_that_of_all() {
+    let folder = lab();
+    let modes = |text: &str| -> Vec<Mode> {
+        let config = Config::parse(text, folder.path()).map_err(|p| format!("{p:#?}")).unwrap();
+        config.cameras.iter().map(|camera| camera.mode).collect()
+    };
+    assert_eq!(modes(EXAMPLE), [Mode::Fast, Mode::Precise]);
+    let all = EXAMPLE.replacen("mode = \"precise\"", "mode = \"fast\"", 1);
+    assert_eq!(modes(&all), [Mode::Fast, Mode::Fast]);
+    let own = EXAMPLE.replacen("mode = \"fast\"\n", "", 1);
+    assert_eq!(modes(&own), [Mode::Precise, Mode::Precise]);
 }
 
 /// The keys of a line of TOML, tables' names and inline tables' keys included, with their columns.
@@ -120,14 +145,14 @@ fn every_mistyped_key_is_named_with_its_place_and_the_right_one() {
             checked += 1;
         }
     }
-    assert!(checked > 45, "only {checked} keys were found in the example");
+    assert!(checked > 53, "only {checked} keys were found in the example");
 }
 
 #[test]
 fn wrong_values_are_named_with_their_line() {
     let folder = lab();
     let yaml = camera_yaml();
-    fs::write(folder.path().join("short.yaml"), yaml.replace("31.5, ", "")).unwrap();
+    fs::write(folder.path().join("short.yaml"), yaml.replace("319.5, ", "")).unwrap();
     for (from, to, expected) in [
         ("outer_mm = 160.0", "outer_mm = 0", "`outer_mm` must be a number above 0"),
         ("outer_mm = 160.0", "outer_mm = -160.0", "found -160.0"),
@@ -137,10 +162,62 @@ fn wrong_values_are_named_with_their_line() {
         ("inner_mm = 64.0", "inner_mm = 160", "`inner_mm` must be below `outer_mm` = 160"),
         (
             "inner_mm = 64.0",
-            "inner_mm = 92.0",
-            "cannot be told apart: inner to outer diameter 0.575 and 0.600",
+            "inner_mm = 76.0",
+            "cannot be told apart: inner to outer diameter 0.475 and 0.500",
         ),
         ("name = \"reference\"", "name = \"robot\"", "two kinds of roundel are named \"robot\""),
+        (
+            "inner_mm = 64.0",
+            "inner_mm = 31.0",
+            "`inner_mm` must be 0.2 to 0.8 of `outer_mm` = 160, found 31, which is 0.194 of it",
+        ),
+        ("bits = 8", "bits = 4", "`bits` must be a whole number from 5 to 16, found 4"),
+        ("bits = 8", "bits = 8.5", "`bits` must be a whole number from 5 to 16, found 8.5"),
+        ("bits = 8, ", "", "missing key `bits` in code"),
+        ("min_distance = 2", "min_distance = 0", "`min_distance` must be a whole number from 1"),
+        (
+            "min_distance = 2",
+            "min_distance = 7",
+            "`min_distance`: expected a Hamming distance of 1 to",
+        ),
+        ("code = { bits = 8, min_distance = 2 }", "code = 8", "`code` must be a table"),
+        (
+            "mode = \"precise\"",
+            "mode = \"precice\"",
+            "`mode` must be \"precise\" or \"fast\", found the text \"precice\"; did you mean \"precise\"?",
+        ),
+        ("mode = \"fast\"", "mode = 1", "`mode` must be \"precise\" or \"fast\", found 1"),
+        ("mask = [\n", "mask = 3 #[\n", "not valid TOML"),
+        (
+            "[[0, 0], [200, 0], [200, 90], [0, 90]]",
+            "[[0, 0], [200, 0]]",
+            "polygon 1 of `mask` must have at least 3 corners, found 2",
+        ),
+        (
+            "[[0, 0], [200, 0], [200, 90], [0, 90]]",
+            "[[0, 0], [200], [200, 90]]",
+            "corner 2 of polygon 1 of `mask` must be [u, v], two finite numbers of pixels, found [200]",
+        ),
+        (
+            "[520, 330]",
+            "[520, nan]",
+            "corner 2 of polygon 2 of `mask` must be [u, v], two finite numbers of pixels, found [520, nan]",
+        ),
+        (
+            "[[400, 480], [520, 330], [640, 480]]",
+            "[[400, 480], [520, 530], [640, 480]]",
+            "polygon 2 of `mask` covers no pixel of the frame of 640 x 480",
+        ),
+        (
+            "[[400, 480], [520, 330], [640, 480]]",
+            "[[-1, -1], [640, -1], [640, 480], [-1, 480]]",
+            "`mask` covers the whole frame of 640 x 480 pixels",
+        ),
+        (
+            "[[400, 480], [520, 330], [640, 480]]",
+            "7",
+            "polygon 2 of `mask` must be a list of corners, found 7",
+        ),
         ("name = \"south\"", "name = \"north\"", "cameras 1 and 2 are both named \"north\""),
         ("name = \"south\"", "name = \" \"", "`name` must be a text in quotes that is not empty"),
         (
@@ -241,6 +318,22 @@ fn wrong_values_are_named_with_their_line() {
 }
 
 #[test]
+fn one_polygon_is_told_from_a_list_of_them() {
+    let folder = lab();
+    let begin = EXAMPLE.find("mask = [").unwrap();
+    let end = begin + EXAMPLE[begin..].find("\n]\n").unwrap() + 3;
+    let with = |mask: &str| format!("{}{mask}\n{}", &EXAMPLE[..begin], &EXAMPLE[end..]);
+    for (mask, expected) in [
+        ("mask = [[0, 0], [200, 0], [200, 90]]", "found the corners of one"),
+        ("mask = \"left\"", "`mask` must be a list of polygons, found the text \"left\""),
+    ] {
+        let text = problems(&with(mask), folder.path());
+        assert!(text.contains(expected), "{mask} gives no \"{expected}\" but\n{text}");
+    }
+    assert!(Config::parse(&with("mask = []"), folder.path()).is_ok());
+}
+
+#[test]
 fn what_is_missing_altogether_is_said() {
     let folder = lab();
     let text = problems("", folder.path());
@@ -330,8 +423,8 @@ fn png(path: &Path, width: u32, height: u32) {
 fn detect_names_each_bad_image_and_goes_on() {
     let folder = lab();
     let at = |name: &str| -> PathBuf { folder.path().join(name) };
-    png(&at("good.png"), 64, 48);
-    png(&at("large.png"), 65, 48);
+    png(&at("good.png"), 640, 480);
+    png(&at("large.png"), 641, 480);
     fs::write(at("empty.png"), "").unwrap();
     fs::write(at("text.jpg"), "not an image at all").unwrap();
     let good = fs::read(at("good.png")).unwrap();
@@ -361,7 +454,7 @@ fn detect_names_each_bad_image_and_goes_on() {
         "text.jpg: expected a PNG, JPEG, PGM or BMP image, found text that begins with",
         "cut.png: broken or truncated PNG image",
         "cut.jpg: broken or truncated JPEG image",
-        "large.png: expected an image of 64 x 48 pixels as the camera file says, found 65 x 48",
+        "large.png: expected an image of 640 x 480 pixels as the camera file says, found 641 x 480",
     ] {
         assert!(text.contains(expected), "no {expected} in\n{text}");
     }
@@ -373,7 +466,7 @@ fn detect_names_each_bad_image_and_goes_on() {
     for (line, image) in lines.iter().zip(&images) {
         assert_eq!(line["error"].is_null(), image.ends_with("good.png"), "{line}");
     }
-    assert_eq!(lines[0]["width"], 64);
+    assert_eq!(lines[0]["width"], 640);
 }
 
 #[test]

@@ -14,7 +14,10 @@ use axum::{
     http::{StatusCode, header},
     response::{IntoResponse, Response},
 };
-use roundel_core::world::{FusionCounts, LifeStage};
+use roundel_core::{
+    marker::Reject,
+    world::{FusionCounts, LifeStage},
+};
 use roundel_proto::v1::roundel_server;
 use serde::Serialize;
 use tokio::time::sleep;
@@ -23,7 +26,10 @@ use tonic_health::{ServingStatus, server::HealthReporter};
 use utoipa::ToSchema;
 
 use super::{Api, grpc};
-use crate::hub::{CameraState, CameraStatus, Installation};
+use crate::{
+    hub::{CameraState, CameraStatus, Installation},
+    reason,
+};
 
 /// A snapshot older than this, or than this many periods, means that fusion does not publish.
 const STALE_SECONDS: f64 = 1.0;
@@ -192,6 +198,47 @@ fn write_cameras(page: &mut Page, installation: &Installation, cameras: &[Camera
         page.family(name, kind, help);
         for (info, state) in installation.cameras.iter().zip(cameras) {
             page.sample(name, &[("camera", &info.name)], number(state));
+        }
+    }
+    let each = || installation.cameras.iter().map(|info| info.name.as_str()).zip(cameras);
+    write_stages(page, each());
+    write_detections(page, each());
+}
+
+fn write_stages<'a>(page: &mut Page, each: impl Iterator<Item = (&'a str, &'a CameraState)>) {
+    let name = "roundel_camera_stage_seconds";
+    page.family(name, "gauge", "Time of a frame by stage, median of the newest ones.");
+    for (camera, state) in each {
+        for (stage, stage_ms) in [("find", state.find_ms), ("locate", state.locate_ms)] {
+            page.sample(name, &[("camera", camera), ("stage", stage)], stage_ms * 1e-3);
+        }
+    }
+}
+
+fn write_detections<'a>(
+    page: &mut Page,
+    each: impl Iterator<Item = (&'a str, &'a CameraState)> + Clone,
+) {
+    let name = "roundel_camera_located_total";
+    page.family(
+        name,
+        "counter",
+        "Roundels found, by how they were located: precise, fast (in precise mode: the fit refused \
+         them), or none.",
+    );
+    for (camera, CameraState { counts, .. }) in each.clone() {
+        for (by, count) in
+            [("precise", counts.precise), ("fast", counts.fast), ("none", counts.unlocated)]
+        {
+            page.sample(name, &[("camera", camera), ("by", by)], count as f64);
+        }
+    }
+    let name = "roundel_camera_rejects_total";
+    page.family(name, "counter", "Candidates that were no roundels, by what refused them.");
+    for (camera, state) in each {
+        for (&reject, &count) in Reject::ALL.iter().zip(&state.counts.rejects) {
+            let reason = reason::word(reject, '_');
+            page.sample(name, &[("camera", camera), ("reason", &reason)], count as f64);
         }
     }
 }

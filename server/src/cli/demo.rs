@@ -9,7 +9,7 @@ use std::{
 
 use anyhow::Context;
 use clap::Args;
-use roundel_core::sim::Scenario;
+use roundel_core::{marker::Mode, sim::Scenario};
 
 use super::{
     serve::{Signals, announce, elapsed, seconds, shut_down},
@@ -92,6 +92,8 @@ fn config(scenario: &Scenario, address: &SimAddress, listen: SocketAddr) -> Conf
             calibration: camera.camera.clone(),
             pose: CameraPose::Known(camera.world_from_camera),
             line_time_s: camera.line_time_s,
+            mode: Mode::default(),
+            mask: Vec::new(),
         }
     });
     Config {

@@ -1,49 +1,34 @@
 //! From a TOML document to a checked [`Config`].
 
-use std::{collections::HashMap, net::SocketAddr, ops::Range, path::Path};
+use std::{net::SocketAddr, path::Path};
 
 use nalgebra::Vector3;
-use roundel_core::{camera::Camera, id::KindId, marker::Kind};
+use roundel_core::marker::Mode;
 use toml::{Spanned, de::DeTable};
 
 use super::{
-    CameraConfig, CameraPose, Config, FusionConfig, LimitsConfig, ObjectConfig, ReferenceConfig,
-    ServerConfig,
+    Config, FusionConfig, LimitsConfig, ObjectConfig, ReferenceConfig, ServerConfig,
+    camera::{MODES, cameras},
     error::Problem,
     geometry,
     reader::{Allowed, Problems, Table},
-};
-use crate::{
-    camera_file,
-    source::{SourceAddress, simulated_camera},
-    suggestion::{list, nearest},
+    roundel::{NamedKinds, kind_named, kinds},
 };
 
-const ROOT_KEYS: [&str; 8] =
-    ["name", "server", "roundel", "camera", "reference", "object", "fusion", "limits"];
+const ROOT_KEYS: [&str; 9] =
+    ["name", "server", "detection", "roundel", "camera", "reference", "object", "fusion", "limits"];
+const DETECTION_KEYS: [&str; 1] = ["mode"];
 const SERVER_KEYS: [&str; 2] = ["listen", "snapshot_rate_hz"];
-const ROUNDEL_KEYS: [&str; 3] = ["name", "outer_mm", "inner_mm"];
-const CAMERA_KEYS: [&str; 5] = ["name", "source", "calibration", "pose", "line_time_us"];
 const REFERENCE_KEYS: [&str; 2] = ["roundel", "position_m"];
 const OBJECT_KEYS: [&str; 3] = ["name", "roundel", "offset_m"];
 const FUSION_KEYS: [&str; 4] =
     ["acceleration_m_s2", "late_window_ms", "predicted_after_ms", "lost_after_ms"];
 const LIMITS_KEYS: [&str; 3] = ["max_objects", "max_roundels_per_camera", "max_clients"];
 
-/// Kinds whose ratios of diameters differ by less than this, relatively, are mixed up.
-const LEAST_RATIO_DIFFERENCE: f64 = 0.1;
 const DEFAULT_LISTEN: &str = "127.0.0.1:7670";
 const DEFAULT_RATE_HZ: f64 = 60.0;
 const MAX_RATE_HZ: f64 = 1000.0;
-const MAX_DIAMETER_MM: f64 = 100_000.0;
-const MAX_LINE_TIME_US: f64 = 10_000.0;
 const MAX_DURATION_MS: f64 = 3_600_000.0;
-
-/// A kind with the place of its name, for messages about others.
-struct NamedKinds {
-    kinds: Vec<Kind>,
-    complete: bool,
-}
 
 pub(super) fn parse(text: &str, folder: &Path) -> Result<Config, Vec<Problem>> {
     let problems = Problems::new(text);
@@ -70,7 +55,7 @@ fn root(document: &Spanned<DeTable<'_>>, folder: &Path, problems: &Problems<'_>)
     let server = server(&root);
     let kinds = kinds(&root);
     let references = references(&root, &kinds);
-    let cameras = cameras(&root, folder, references.is_empty());
+    let cameras = cameras(&root, folder, references.is_empty(), mode(&root));
     let objects = objects(&root, &kinds);
     let fusion = fusion(&root);
     let limits = limits(&root);
@@ -106,80 +91,10 @@ fn server(root: &Table<'_, '_>) -> Option<ServerConfig> {
     }
 }
 
-fn kinds(root: &Table<'_, '_>) -> NamedKinds {
-    let tables = root.tables("roundel", "[[roundel]]", &ROUNDEL_KEYS);
-    if root.value("roundel").is_none() {
-        root.fail_with_help(
-            &root.span().clone(),
-            "no kind of roundel is configured",
-            "add [[roundel]] with `name`, `outer_mm` and `inner_mm` as measured on the print",
-        );
-    }
-    let mut read: Vec<(Kind, Range<usize>)> = Vec::new();
-    let mut complete = true;
-    for table in &tables {
-        match kind(table, &read) {
-            Some(kind) => read.push((kind, table.span_of("inner_mm"))),
-            None => complete = false,
-        }
-    }
-    NamedKinds { kinds: read.into_iter().map(|(kind, _)| kind).collect(), complete }
-}
-
-fn kind(table: &Table<'_, '_>, earlier: &[(Kind, Range<usize>)]) -> Option<Kind> {
-    let size = Allowed::PositiveUpTo(MAX_DIAMETER_MM);
-    let name = table.required_text("name", "\"robot\"");
-    let outer_mm = table.required_number("outer_mm", size, "160.0");
-    let inner_mm = table.required_number("inner_mm", size, "64.0");
-    let (name, outer_mm, inner_mm) = (name?, outer_mm?, inner_mm?);
-    if inner_mm >= outer_mm {
-        table.fail(
-            &table.span_of("inner_mm"),
-            format!("`inner_mm` must be below `outer_mm` = {outer_mm}, found {inner_mm}"),
-        );
-        return None;
-    }
-    let ratio = inner_mm / outer_mm;
-    for (other, _) in earlier {
-        if other.name == name {
-            let message = format!("two kinds of roundel are named \"{name}\"");
-            table.fail_with_help(&table.span_of("name"), message, "give each its own name");
-            return None;
-        }
-        let other_ratio = other.inner_diameter_m / other.outer_diameter_m;
-        if (ratio - other_ratio).abs() < LEAST_RATIO_DIFFERENCE * ratio.max(other_ratio) {
-            table.fail_with_help(
-                &table.span_of("inner_mm"),
-                format!(
-                    "roundels \"{}\" and \"{name}\" cannot be told apart: inner to outer diameter \
-                     {other_ratio:.3} and {ratio:.3}",
-                    other.name
-                ),
-                "kinds are told apart by this ratio: make them differ by a tenth at least",
-            );
-            return None;
-        }
-    }
-    Some(Kind::plain(name, outer_mm * 1e-3, inner_mm * 1e-3))
-}
-
-/// The kind that `roundel = …` names.
-fn kind_named(table: &Table<'_, '_>, kinds: &NamedKinds) -> Option<KindId> {
-    let name = table.required_text("roundel", "\"robot\"")?;
-    let place = kinds.kinds.iter().position(|kind| kind.name == name);
-    // A kind that is itself wrong is reported where it stands, not at each of its uses.
-    if place.is_none() && kinds.complete {
-        let names = || kinds.kinds.iter().map(|kind| kind.name.as_str());
-        let meant = nearest(name, names())
-            .map(|meant| format!("; did you mean \"{meant}\"?"))
-            .unwrap_or_default();
-        table.fail_with_help(
-            &table.span_of("roundel"),
-            format!("no [[roundel]] is named \"{name}\"{meant}"),
-            format!("configured: {}", list(names())),
-        );
-    }
-    place.and_then(|place| u16::try_from(place).ok()).map(KindId)
+/// `[detection]`.
+fn mode(root: &Table<'_, '_>) -> Mode {
+    let table = root.table("detection", "[detection]", &DETECTION_KEYS);
+    table.and_then(|table| table.choice("mode", &MODES)).unwrap_or_default()
 }
 
 fn references(root: &Table<'_, '_>, kinds: &NamedKinds) -> Vec<ReferenceConfig> {
@@ -217,118 +132,6 @@ fn references(root: &Table<'_, '_>, kinds: &NamedKinds) -> Vec<ReferenceConfig> 
         );
     }
     references
-}
-
-fn cameras(root: &Table<'_, '_>, folder: &Path, no_references: bool) -> Vec<CameraConfig> {
-    let tables = root.tables("camera", "[[camera]]", &CAMERA_KEYS);
-    if root.value("camera").is_none() {
-        root.fail_with_help(
-            &root.span().clone(),
-            "no camera is configured",
-            "add [[camera]] with `name`, `source`, `calibration` and `pose`",
-        );
-    }
-    let mut names: HashMap<&str, usize> = HashMap::new();
-    let mut cameras = Vec::new();
-    for (index, table) in tables.iter().enumerate() {
-        let name = table.required_text("name", "\"north\"");
-        if let Some(first) = name.and_then(|name| names.insert(name, index)) {
-            table.fail_with_help(
-                &table.span_of("name"),
-                format!(
-                    "cameras {} and {} are both named \"{}\"",
-                    first + 1,
-                    index + 1,
-                    name.unwrap_or_default()
-                ),
-                "give each camera its own name",
-            );
-        }
-        cameras.extend(camera(table, name, folder));
-        let unknown = cameras.last().is_some_and(|camera| camera.pose == CameraPose::Unknown);
-        if unknown && no_references && root.value("reference").is_none() {
-            table.fail_with_help(
-                &table.span_of("pose"),
-                "`pose = \"unknown\"` needs reference roundels, and none are configured",
-                "add at least three [[reference]] tables, or give the camera's pose",
-            );
-        }
-    }
-    cameras
-}
-
-fn camera(table: &Table<'_, '_>, name: Option<&str>, folder: &Path) -> Option<CameraConfig> {
-    let source = table.required_text("source", "\"images:frames/*.png?fps=30\"");
-    let report = |message: String| table.fail(&table.span_of("source"), message);
-    let address = source.and_then(|source| {
-        SourceAddress::parse(source, folder).map_err(|error| report(error.to_string())).ok()
-    });
-    let simulated = match &address {
-        Some(SourceAddress::Sim(sim)) => {
-            simulated_camera(sim).map_err(|error| report(error.to_string())).ok()
-        }
-        _ => None,
-    };
-    // What a simulated camera does not know better must be written.
-    let required = simulated.is_none() && address.is_some();
-    let calibration = match (table.value("calibration"), &simulated) {
-        (None, Some(simulated)) => Some(simulated.camera.clone()),
-        _ => calibration(table, folder, required),
-    };
-    let pose = match (table.value("pose"), &simulated) {
-        (None, Some(simulated)) => Some(CameraPose::Known(simulated.world_from_camera)),
-        _ => camera_pose(table, required),
-    };
-    let line_time_s = match (table.value("line_time_us"), &simulated) {
-        (None, Some(simulated)) => simulated.line_time_s,
-        _ => table.number("line_time_us", Allowed::ZeroUpTo(MAX_LINE_TIME_US), 0.0) * 1e-6,
-    };
-    if table.is_broken() {
-        return None;
-    }
-    Some(CameraConfig {
-        name: name?.to_owned(),
-        source: source?.to_owned(),
-        address: address?,
-        calibration: calibration?,
-        pose: pose?,
-        line_time_s,
-    })
-}
-
-fn calibration(table: &Table<'_, '_>, folder: &Path, required: bool) -> Option<Camera> {
-    let file = if required {
-        table.required_text("calibration", "\"north.yaml\"")
-    } else {
-        table.text("calibration")
-    }?;
-    match camera_file::load(&folder.join(file)) {
-        Ok(camera) => Some(camera),
-        Err(error) => {
-            table.fail(&table.span_of("calibration"), error.to_string());
-            None
-        }
-    }
-}
-
-fn camera_pose(table: &Table<'_, '_>, required: bool) -> Option<CameraPose> {
-    const POSE_HELP: &str = "write { position_m = [x, y, z], orientation_xyzw = [x, y, z, w] }, or \
-                             \"unknown\" to have it found from the reference roundels";
-    let Some(value) = table.value("pose") else {
-        if required {
-            table.report_missing("pose", "\"unknown\"");
-        }
-        return None;
-    };
-    if let Some(text) = value.get_ref().as_str() {
-        if text == "unknown" {
-            return Some(CameraPose::Unknown);
-        }
-        let message = format!("`pose` must be a table or \"unknown\", found the text \"{text}\"");
-        table.fail_with_help(&value.span(), message, POSE_HELP);
-        return None;
-    }
-    geometry::pose(table, POSE_HELP).map(CameraPose::Known)
 }
 
 fn objects(root: &Table<'_, '_>, kinds: &NamedKinds) -> Vec<ObjectConfig> {

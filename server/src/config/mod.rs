@@ -5,15 +5,23 @@
 //! unknown key the nearest known one. What is read here holds: sizes are positive, names unique,
 //! references to kinds resolved, camera files loaded, quaternions unit.
 
+mod camera;
 mod document;
 mod error;
 mod geometry;
+mod mask;
 mod reader;
+mod roundel;
 
 use std::{fs, net::SocketAddr, path::Path};
 
 use nalgebra::Vector3;
-use roundel_core::{camera::Camera, id::KindId, marker::Kind, rigid::Rigid};
+use roundel_core::{
+    camera::{Camera, PixelPoint},
+    id::KindId,
+    marker::{Kind, Mode},
+    rigid::Rigid,
+};
 
 pub use error::{ConfigError, Place, Problem};
 
@@ -67,6 +75,11 @@ pub struct CameraConfig {
     pub pose: CameraPose,
     /// Time from one image row's exposure to the next, seconds.
     pub line_time_s: f64,
+    /// Its own, or that of `[detection]`.
+    pub mode: Mode,
+    /// Corners of polygons, raw pixels, in which nothing is looked for. Each has at least three and
+    /// covers a pixel of the frame; together they leave one.
+    pub mask: Vec<Vec<PixelPoint>>,
 }
 
 /// Where a camera stands.

@@ -3,7 +3,7 @@
 
 use std::{
     cell::{Cell, RefCell},
-    ops::Range,
+    ops::{Range, RangeInclusive},
 };
 
 use toml::{
@@ -233,18 +233,41 @@ impl<'t, 'i> Table<'t, 'i> {
 
     /// A whole number from 1 to `most`; the default if absent or wrong.
     pub(super) fn count(&self, key: &'static str, most: usize, default: usize) -> usize {
-        let Some(value) = self.value(key) else { return default };
-        let count = match value.get_ref() {
+        self.whole(key, 1..=most).unwrap_or(default)
+    }
+
+    /// A whole number within a range; `None` if absent or wrong (then it is reported).
+    pub(super) fn whole(&self, key: &'static str, range: RangeInclusive<usize>) -> Option<usize> {
+        let value = self.value(key)?;
+        let whole = match value.get_ref() {
             DeValue::Integer(_) => number(value.get_ref()),
             _ => None,
         };
-        match count {
-            Some(count) if count >= 1.0 && count <= most as f64 => count as usize,
-            _ => {
-                self.report_type(key, value, &format!("a whole number from 1 to {most}"));
-                default
-            }
+        let (least, most) = (*range.start(), *range.end());
+        let whole = whole.filter(|whole| (least as f64..=most as f64).contains(whole));
+        if whole.is_none() {
+            self.report_type(key, value, &format!("a whole number from {least} to {most}"));
         }
+        whole.map(|whole| whole as usize)
+    }
+
+    /// What one of the known words means; `None` if absent or another word (then it is reported).
+    pub(super) fn choice<T: Copy>(&self, key: &'static str, known: &[(&str, T)]) -> Option<T> {
+        let value = self.value(key)?;
+        let words = || known.iter().map(|(word, _)| *word);
+        let quoted: Vec<String> = words().map(|word| format!("\"{word}\"")).collect();
+        let text = value.get_ref().as_str();
+        let meaning =
+            known.iter().find(|(word, _)| text == Some(word)).map(|(_, meaning)| *meaning);
+        if meaning.is_none() {
+            let meant = text
+                .and_then(|text| nearest(text, words()))
+                .map(|meant| format!("; did you mean \"{meant}\"?"))
+                .unwrap_or_default();
+            let (expected, found) = (quoted.join(" or "), found(value.get_ref()));
+            self.fail(&value.span(), format!("`{key}` must be {expected}, found {found}{meant}"));
+        }
+        meaning
     }
 
     fn checked(&self, key: &str, value: &Spanned<DeValue<'_>>, allowed: Allowed) -> Option<f64> {
@@ -335,7 +358,7 @@ impl<'t, 'i> Table<'t, 'i> {
     }
 }
 
-fn number(value: &DeValue<'_>) -> Option<f64> {
+pub(super) fn number(value: &DeValue<'_>) -> Option<f64> {
     match value {
         DeValue::Integer(integer) => {
             i64::from_str_radix(integer.as_str(), integer.radix()).ok().map(|whole| whole as f64)
@@ -345,7 +368,7 @@ fn number(value: &DeValue<'_>) -> Option<f64> {
     }
 }
 
-fn found(value: &DeValue<'_>) -> String {
+pub(super) fn found(value: &DeValue<'_>) -> String {
     match value {
         DeValue::String(text) => format!("the text \"{text}\""),
         DeValue::Integer(integer) => integer.as_str().to_owned(),

@@ -94,6 +94,8 @@ pub struct Worker {
     dropped: u64,
     rate: Rate,
     detect_ms: Median,
+    find_ms: Median,
+    locate_ms: Median,
     pixels: Vec<u8>,
     /// Since when frames arrive.
     running_since: Option<Instant>,
@@ -134,6 +136,8 @@ impl Worker {
             dropped: 0,
             rate: Rate::default(),
             detect_ms: Median::default(),
+            find_ms: Median::default(),
+            locate_ms: Median::default(),
             pixels: Vec::new(),
             running_since: None,
         }
@@ -164,6 +168,9 @@ impl Worker {
         let result =
             self.parts.pipeline.process(&self.pixels, info, self.frames, received, self.parts.id);
         self.detect_ms.add(begun.elapsed().as_secs_f64() * 1e3);
+        let times = self.parts.pipeline.times();
+        self.find_ms.add(times.find_ms);
+        self.locate_ms.add(times.locate_ms);
         let observations = match result {
             Ok(observations) => Arc::new(observations),
             Err(error) => {
@@ -246,6 +253,9 @@ impl Worker {
             state.rate_hz = self.rate.hz();
             state.detections = observations.detections.len();
             state.detect_ms = self.detect_ms.value();
+            state.find_ms = self.find_ms.value();
+            state.locate_ms = self.locate_ms.value();
+            state.counts = *self.parts.pipeline.counts();
         });
         hub.publish_observations(observations);
     }

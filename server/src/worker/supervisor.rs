@@ -119,6 +119,7 @@ mod tests {
     use roundel_core::{
         camera::{Camera, Intrinsics, Lens},
         id::CameraId,
+        marker::{Mask, Params},
         rigid::Rigid,
     };
 
@@ -127,7 +128,10 @@ mod tests {
         clock::Clock,
         hub::{CameraInfo, Hub, Installation},
         source::{FrameInfo, FrameSource, OpenSource, SourceError},
-        worker::{Place, WorkerParts, pipeline::Pipeline},
+        worker::{
+            Place, WorkerParts,
+            pipeline::{Pipeline, PipelineParts},
+        },
     };
 
     #[test]
@@ -218,7 +222,14 @@ mod tests {
             id: CameraId(0),
             name: "north".into(),
             opener: Box::new(stage),
-            pipeline: Pipeline::new(Vec::new(), 10, camera(), 0.0).unwrap(),
+            pipeline: Pipeline::new(PipelineParts {
+                kinds: Vec::new(),
+                params: Params::default(),
+                mask: Mask::default(),
+                camera: camera(),
+                line_time_s: 0.0,
+            })
+            .unwrap(),
             place: Place::Known(Rigid::identity()),
             hub: hub.clone(),
             fusion,

@@ -6,7 +6,7 @@ use axum::{
     body::Body,
     http::{Request, StatusCode},
 };
-use roundel_core::{id::CameraId, world::FusionCounts};
+use roundel_core::{id::CameraId, marker::Reject, world::FusionCounts};
 use roundel_proto::v1;
 use roundel_server::hub::{CameraStatus, Happening};
 use serde_json::Value;
@@ -258,6 +258,9 @@ async fn metrics_tell_of_cameras_objects_and_clients() {
         camera.status = CameraStatus::Running;
         camera.frames = 1234;
         camera.detect_ms = 2.5;
+        (camera.find_ms, camera.locate_ms) = (2.0, 0.5);
+        (camera.counts.precise, camera.counts.fast, camera.counts.unlocated) = (900, 30, 1);
+        camera.counts.rejects[Reject::FrameEdge as usize] = 44;
     });
     rig.hub.set_fusion_counts(FusionCounts {
         frames: 10,
@@ -281,6 +284,14 @@ async fn metrics_tell_of_cameras_objects_and_clients() {
         "roundel_camera_up{camera=\"north\"} 1",
         "roundel_camera_up{camera=\"south side\"} 0",
         "roundel_camera_detect_seconds{camera=\"north\"} 0.0025",
+        "roundel_camera_stage_seconds{camera=\"north\",stage=\"find\"} 0.002",
+        "roundel_camera_stage_seconds{camera=\"north\",stage=\"locate\"} 0.0005",
+        "roundel_camera_located_total{camera=\"north\",by=\"precise\"} 900",
+        "roundel_camera_located_total{camera=\"north\",by=\"fast\"} 30",
+        "roundel_camera_located_total{camera=\"north\",by=\"none\"} 1",
+        "roundel_camera_located_total{camera=\"south side\",by=\"precise\"} 0",
+        "roundel_camera_rejects_total{camera=\"north\",reason=\"frame_edge\"} 44",
+        "roundel_camera_rejects_total{camera=\"north\",reason=\"tilt\"} 0",
         "roundel_objects{stage=\"tracked\"} 2",
         "roundel_objects{stage=\"predicted\"} 1",
         "roundel_objects{stage=\"lost\"} 0",

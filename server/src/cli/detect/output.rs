@@ -5,11 +5,15 @@ use std::{
     path::Path,
 };
 
-use roundel_core::{ellipse::Ellipse, marker::RejectCounts, rigid::upper_triangle};
+use roundel_core::{
+    ellipse::Ellipse,
+    marker::{RejectCounts, Rejected},
+    rigid::upper_triangle,
+};
 use serde_json::{Map, Value, json};
 
-use super::{Found, Roundel};
-use crate::cli::told;
+use super::search::{Found, Roundel};
+use crate::{cli::told, reason};
 
 /// One line, whatever became of the image.
 pub(super) fn json(
@@ -37,6 +41,7 @@ pub(super) fn json(
     };
     if let (Some(line), Ok(found), true) = (line.as_object_mut(), outcome, explain) {
         line.insert("rejects".to_owned(), rejects(&found.rejects));
+        line.insert("rejected".to_owned(), found.rejected.iter().map(rejected).collect());
     }
     writeln!(out, "{line}")
 }
@@ -49,7 +54,7 @@ fn roundel(roundel: &Roundel) -> Value {
     let ring = &roundel.ring;
     let pose = roundel.pose.as_ref();
     json!({
-        "id": null,
+        "id": ring.code.map(|reading| reading.code.number),
         "center_px": [ring.outer.center.u, ring.outer.center.v],
         "outer": rim(&ring.outer),
         "inner": rim(&ring.inner),
@@ -82,6 +87,15 @@ fn rejects(counts: &RejectCounts) -> Value {
     counted.into()
 }
 
+/// Where a candidate was, how large it was thought to be, and why it died.
+fn rejected(rejected: &Rejected) -> Value {
+    json!({
+        "reason": rejected.reject.reason(),
+        "center_px": [rejected.center.u, rejected.center.v],
+        "half_box_px": [rejected.half_box_px.0, rejected.half_box_px.1],
+    })
+}
+
 /// A heading for each image, and a row for each roundel.
 pub(super) fn table(
     out: &mut impl Write,
@@ -103,8 +117,8 @@ pub(super) fn table(
     if !found.roundels.is_empty() {
         writeln!(
             out,
-            "  {:>5} {:>17} {:>15} {:>15} {:>26} {:>23}",
-            "track", "centre px", "outer px", "inner px", "position m", "normal"
+            "  {:>5} {:>5} {:>17} {:>15} {:>15} {:>26} {:>23}",
+            "track", "id", "centre px", "outer px", "inner px", "position m", "normal"
         )?;
     }
     for roundel in &found.roundels {
@@ -113,7 +127,8 @@ pub(super) fn table(
     if explain {
         writeln!(out, "  refused candidates: {}", found.rejects.total())?;
         for (reject, count) in found.rejects.iter().filter(|(_, count)| *count > 0) {
-            writeln!(out, "  {count:>7}  {}", reject.reason())?;
+            let word = reason::word(reject, ' ');
+            writeln!(out, "  {count:>7}  {word:15} {}", reject.reason())?;
         }
     }
     Ok(())
@@ -121,11 +136,12 @@ pub(super) fn table(
 
 fn row(out: &mut impl Write, roundel: &Roundel) -> io::Result<()> {
     let track = roundel.track.map_or_else(|| "–".to_owned(), |track| track.to_string());
+    let id = roundel.ring.code.map_or("–".to_owned(), |reading| reading.code.number.to_string());
     let center = roundel.ring.outer.center;
     let semiaxes = |rim: &Ellipse| format!("{:.2} x {:.2}", rim.semi_major_px, rim.semi_minor_px);
     write!(
         out,
-        "  {track:>5} {:>8.2} {:>8.2} {:>15} {:>15}",
+        "  {track:>5} {id:>5} {:>8.2} {:>8.2} {:>15} {:>15}",
         center.u,
         center.v,
         semiaxes(&roundel.ring.outer),

@@ -1,0 +1,142 @@
+//! The print as told on the command line: its diameters and its code.
+
+use roundel_core::marker::{CodeLayout, Kind, Pattern, Ring};
+
+/// Diameters as given with `--marker`.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(super) struct Diameters {
+    pub(super) outer_m: f64,
+    pub(super) inner_m: Option<f64>,
+}
+
+/// All that is known of the print.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(super) struct Print {
+    pub(super) diameters: Option<Diameters>,
+    pub(super) code: Option<CodeLayout>,
+}
+
+impl Print {
+    /// The kind to look for; `None` if any plausible ring is wanted. Without diameters its outer one
+    /// is a metre.
+    pub(super) fn kind(&self) -> Option<Kind> {
+        let outer_m = self.diameters.map_or(1.0, |diameters| diameters.outer_m);
+        let written = self.diameters.and_then(|diameters| diameters.inner_m);
+        let inner_m = written.or(self.code.map(|_| outer_m * CodeLayout::RATIO))?;
+        let pattern = self.code.map_or(Pattern::Plain, Pattern::Coded);
+        Some(Kind { pattern, ..Kind::plain("", outer_m, inner_m) })
+    }
+
+    /// The kind that a ring's pose follows from; `None` if nothing says its size. Where the inner
+    /// diameter was not given, it is taken as it is seen: the ratio of two nearly concentric circles is
+    /// nearly that of their images.
+    pub(super) fn kind_of(&self, ring: &Ring) -> Option<Kind> {
+        let outer_m = self.diameters?.outer_m;
+        let ratio = ring.inner.mean_radius_px() / ring.outer.mean_radius_px();
+        Some(self.kind().unwrap_or_else(|| Kind::plain("", outer_m, outer_m * ratio)))
+    }
+}
+
+/// Reads `OUTER_MM[:INNER_MM]`.
+pub(super) fn diameters(text: &str) -> Result<Diameters, String> {
+    let millimetres = |text: &str| -> Result<f64, String> {
+        let value: f64 = text.trim().parse().map_err(|_| {
+            format!("expected OUTER_MM or OUTER_MM:INNER_MM, such as 160:64, found `{text}`")
+        })?;
+        if value > 0.0 && value <= 1e5 {
+            Ok(value * 1e-3)
+        } else {
+            Err(format!("expected a diameter above 0 mm, at most 100000 mm, found `{text}`"))
+        }
+    };
+    let (outer, inner) = match text.split_once(':') {
+        Some((outer, inner)) => (outer, Some(inner)),
+        None => (text, None),
+    };
+    let outer_m = millimetres(outer)?;
+    let inner_m = inner.map(millimetres).transpose()?;
+    match inner_m {
+        Some(inner_m) if inner_m >= outer_m => {
+            Err(format!("the inner diameter must be below the outer one, found `{text}`"))
+        }
+        _ => Ok(Diameters { outer_m, inner_m }),
+    }
+}
+
+/// Reads `BITS[:DISTANCE]`.
+pub(super) fn code(text: &str) -> Result<CodeLayout, String> {
+    let whole = |part: &str| -> Result<u8, String> {
+        part.trim()
+            .parse()
+            .map_err(|_| format!("expected BITS or BITS:DISTANCE, such as 8:2, found `{text}`"))
+    };
+    let (bits, distance) = text.split_once(':').unwrap_or((text, "1"));
+    let layout = CodeLayout { bits: whole(bits)?, min_distance: whole(distance)? };
+    layout.check().map_err(|error| error.to_string())?;
+    Ok(layout)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn diameters_are_read_with_or_without_the_inner_one() {
+        assert_eq!(diameters("160:64"), Ok(Diameters { outer_m: 0.16, inner_m: Some(0.064) }));
+        assert_eq!(diameters("160"), Ok(Diameters { outer_m: 0.16, inner_m: None }));
+        for (text, expected) in [
+            ("64:160", "must be below the outer one"),
+            ("big", "such as 160:64, found `big`"),
+            ("0", "above 0 mm"),
+            ("nan:1", "above 0 mm"),
+        ] {
+            let error = diameters(text).unwrap_err();
+            assert!(error.contains(expected), "{error}");
+        }
+    }
+
+    #[test]
+    fn codes_are_read_with_or_without_their_distance() {
+        assert_eq!(code("8:2"), Ok(CodeLayout { bits: 8, min_distance: 2 }));
+        assert_eq!(code("12"), Ok(CodeLayout { bits: 12, min_distance: 1 }));
+        for (text, expected) in [
+            ("eight", "such as 8:2, found `eight`"),
+            ("8:", "such as 8:2, found `8:`"),
+            ("-8", "such as 8:2"),
+            ("300", "such as 8:2"),
+            ("4", "expected codes of 5 to 16 bits, found 4"),
+            ("8:0", "expected a Hamming distance of 1 to"),
+            ("8:9", "found 9"),
+        ] {
+            let error = code(text).unwrap_err();
+            assert!(error.contains(expected), "{error}");
+        }
+    }
+
+    #[test]
+    fn a_coded_print_has_the_ratio_of_all_coded_prints() {
+        let print = |diameters, code| Print { diameters, code };
+        let layout = CodeLayout { bits: 8, min_distance: 2 };
+        let outer = Some(Diameters { outer_m: 0.16, inner_m: None });
+        let kind = print(outer, Some(layout)).kind().unwrap();
+        assert!((kind.inner_diameter_m - 0.096).abs() < 1e-12);
+        assert_eq!(kind.pattern, Pattern::Coded(layout));
+        // Without any diameter codes are read as well, but there is no pose.
+        let ring = {
+            let rim = |semi_px: f64| roundel_core::ellipse::Ellipse {
+                center: roundel_core::camera::PixelPoint { u: 0.0, v: 0.0 },
+                semi_major_px: semi_px,
+                semi_minor_px: semi_px,
+                angle_rad: 0.0,
+            };
+            Ring::of_rims(rim(20.0), rim(10.0))
+        };
+        let sizeless = print(None, Some(layout));
+        assert!((sizeless.kind().unwrap().ratio() - 0.6).abs() < 1e-12);
+        assert_eq!(sizeless.kind_of(&ring), None);
+        // Without the inner one it is as seen.
+        let seen = print(outer, None);
+        assert_eq!(seen.kind(), None);
+        assert!((seen.kind_of(&ring).unwrap().inner_diameter_m - 0.08).abs() < 1e-12);
+    }
+}

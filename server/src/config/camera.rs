@@ -1,0 +1,150 @@
+//! `[[camera]]`: where frames come from, what they show of the world, and how they are searched.
+
+use std::{collections::HashMap, path::Path};
+
+use roundel_core::{camera::Camera, marker::Mode};
+
+use super::{
+    CameraConfig, CameraPose, geometry,
+    mask::mask,
+    reader::{Allowed, Table},
+};
+use crate::{
+    camera_file,
+    source::{SourceAddress, simulated_camera},
+};
+
+const CAMERA_KEYS: [&str; 7] =
+    ["name", "source", "calibration", "pose", "line_time_us", "mode", "mask"];
+const MAX_LINE_TIME_US: f64 = 10_000.0;
+
+/// The words for modes.
+pub(super) const MODES: [(&str, Mode); 2] = [("precise", Mode::Precise), ("fast", Mode::Fast)];
+
+/// The cameras; `no_references` if there are none to find an unknown place by, `mode` for those that
+/// do not say theirs.
+pub(super) fn cameras(
+    root: &Table<'_, '_>,
+    folder: &Path,
+    no_references: bool,
+    mode: Mode,
+) -> Vec<CameraConfig> {
+    let tables = root.tables("camera", "[[camera]]", &CAMERA_KEYS);
+    if root.value("camera").is_none() {
+        root.fail_with_help(
+            &root.span().clone(),
+            "no camera is configured",
+            "add [[camera]] with `name`, `source`, `calibration` and `pose`",
+        );
+    }
+    let mut names: HashMap<&str, usize> = HashMap::new();
+    let mut cameras = Vec::new();
+    for (index, table) in tables.iter().enumerate() {
+        let name = table.required_text("name", "\"north\"");
+        if let Some(first) = name.and_then(|name| names.insert(name, index)) {
+            table.fail_with_help(
+                &table.span_of("name"),
+                format!(
+                    "cameras {} and {} are both named \"{}\"",
+                    first + 1,
+                    index + 1,
+                    name.unwrap_or_default()
+                ),
+                "give each camera its own name",
+            );
+        }
+        cameras.extend(camera(table, name, folder, mode));
+        let unknown = cameras.last().is_some_and(|camera| camera.pose == CameraPose::Unknown);
+        if unknown && no_references && root.value("reference").is_none() {
+            table.fail_with_help(
+                &table.span_of("pose"),
+                "`pose = \"unknown\"` needs reference roundels, and none are configured",
+                "add at least three [[reference]] tables, or give the camera's pose",
+            );
+        }
+    }
+    cameras
+}
+
+fn camera(
+    table: &Table<'_, '_>,
+    name: Option<&str>,
+    folder: &Path,
+    mode: Mode,
+) -> Option<CameraConfig> {
+    let source = table.required_text("source", "\"images:frames/*.png?fps=30\"");
+    let report = |message: String| table.fail(&table.span_of("source"), message);
+    let address = source.and_then(|source| {
+        SourceAddress::parse(source, folder).map_err(|error| report(error.to_string())).ok()
+    });
+    let simulated = match &address {
+        Some(SourceAddress::Sim(sim)) => {
+            simulated_camera(sim).map_err(|error| report(error.to_string())).ok()
+        }
+        _ => None,
+    };
+    // What a simulated camera does not know better must be written.
+    let required = simulated.is_none() && address.is_some();
+    let calibration = match (table.value("calibration"), &simulated) {
+        (None, Some(simulated)) => Some(simulated.camera.clone()),
+        _ => calibration(table, folder, required),
+    };
+    let pose = match (table.value("pose"), &simulated) {
+        (None, Some(simulated)) => Some(CameraPose::Known(simulated.world_from_camera)),
+        _ => camera_pose(table, required),
+    };
+    let line_time_s = match (table.value("line_time_us"), &simulated) {
+        (None, Some(simulated)) => simulated.line_time_s,
+        _ => table.number("line_time_us", Allowed::ZeroUpTo(MAX_LINE_TIME_US), 0.0) * 1e-6,
+    };
+    let mode = table.choice("mode", &MODES).unwrap_or(mode);
+    let mask = calibration.as_ref().map(|camera| mask(table, camera));
+    if table.is_broken() {
+        return None;
+    }
+    Some(CameraConfig {
+        name: name?.to_owned(),
+        source: source?.to_owned(),
+        address: address?,
+        calibration: calibration?,
+        pose: pose?,
+        line_time_s,
+        mode,
+        mask: mask?,
+    })
+}
+
+fn calibration(table: &Table<'_, '_>, folder: &Path, required: bool) -> Option<Camera> {
+    let file = if required {
+        table.required_text("calibration", "\"north.yaml\"")
+    } else {
+        table.text("calibration")
+    }?;
+    match camera_file::load(&folder.join(file)) {
+        Ok(camera) => Some(camera),
+        Err(error) => {
+            table.fail(&table.span_of("calibration"), error.to_string());
+            None
+        }
+    }
+}
+
+fn camera_pose(table: &Table<'_, '_>, required: bool) -> Option<CameraPose> {
+    const POSE_HELP: &str = "write { position_m = [x, y, z], orientation_xyzw = [x, y, z, w] }, or \
+                             \"unknown\" to have it found from the reference roundels";
+    let Some(value) = table.value("pose") else {
+        if required {
+            table.report_missing("pose", "\"unknown\"");
+        }
+        return None;
+    };
+    if let Some(text) = value.get_ref().as_str() {
+        if text == "unknown" {
+            return Some(CameraPose::Unknown);
+        }
+        let message = format!("`pose` must be a table or \"unknown\", found the text \"{text}\"");
+        table.fail_with_help(&value.span(), message, POSE_HELP);
+        return None;
+    }
+    geometry::pose(table, POSE_HELP).map(CameraPose::Known)
+}

@@ -1,0 +1,159 @@
+//! `[[roundel]]`: the kinds of roundel in use, and which of them cannot be told apart.
+
+use roundel_core::{
+    id::KindId,
+    marker::{CodeLayout, Kind, Pattern, RATIO_LIMITS},
+};
+
+use super::reader::{Allowed, Table};
+use crate::suggestion::{list, nearest};
+
+const ROUNDEL_KEYS: [&str; 4] = ["name", "outer_mm", "inner_mm", "code"];
+const CODE_KEYS: [&str; 2] = ["bits", "min_distance"];
+
+/// Kinds whose ratios of diameters differ by less than this, relatively, are mixed up.
+const LEAST_RATIO_DIFFERENCE: f64 = 0.1;
+const MAX_DIAMETER_MM: f64 = 100_000.0;
+
+/// The kinds that could be read, and whether these are all.
+pub(super) struct NamedKinds {
+    pub(super) kinds: Vec<Kind>,
+    pub(super) complete: bool,
+}
+
+pub(super) fn kinds(root: &Table<'_, '_>) -> NamedKinds {
+    let tables = root.tables("roundel", "[[roundel]]", &ROUNDEL_KEYS);
+    if root.value("roundel").is_none() {
+        root.fail_with_help(
+            &root.span().clone(),
+            "no kind of roundel is configured",
+            "add [[roundel]] with `name`, `outer_mm` and `inner_mm` as measured on the print",
+        );
+    }
+    let mut kinds: Vec<Kind> = Vec::new();
+    let mut complete = true;
+    for table in &tables {
+        match kind(table).filter(|kind| is_distinct(table, kind, &kinds)) {
+            Some(kind) => kinds.push(kind),
+            None => complete = false,
+        }
+    }
+    NamedKinds { kinds, complete }
+}
+
+/// One kind by itself.
+fn kind(table: &Table<'_, '_>) -> Option<Kind> {
+    let size = Allowed::PositiveUpTo(MAX_DIAMETER_MM);
+    let name = table.required_text("name", "\"robot\"");
+    let outer_mm = table.required_number("outer_mm", size, "160.0");
+    let pattern = pattern(table);
+    let inner_mm = match (&pattern, outer_mm) {
+        // Coded prints have one ratio, so it need not be written.
+        (Some(Pattern::Coded(_)), Some(outer_mm)) if table.value("inner_mm").is_none() => {
+            Some(outer_mm * CodeLayout::RATIO)
+        }
+        _ => table.required_number("inner_mm", size, "64.0"),
+    };
+    let (name, outer_mm, inner_mm, pattern) = (name?, outer_mm?, inner_mm?, pattern?);
+    if inner_mm >= outer_mm {
+        table.fail(
+            &table.span_of("inner_mm"),
+            format!("`inner_mm` must be below `outer_mm` = {outer_mm}, found {inner_mm}"),
+        );
+        return None;
+    }
+    let kind = Kind { pattern, ..Kind::plain(name, outer_mm * 1e-3, inner_mm * 1e-3) };
+    let (least, most) = RATIO_LIMITS;
+    if !(least..=most).contains(&kind.ratio()) {
+        table.fail_with_help(
+            &table.span_of("inner_mm"),
+            format!(
+                "`inner_mm` must be {least} to {most} of `outer_mm` = {outer_mm}, found {inner_mm}, \
+                 which is {:.3} of it",
+                kind.ratio()
+            ),
+            "outside of this either the disc or the ring is too thin to be measured",
+        );
+        return None;
+    }
+    Some(kind)
+}
+
+/// What is inside the ring; `None` if it is wrong (then it is reported).
+fn pattern(table: &Table<'_, '_>) -> Option<Pattern> {
+    let Some(value) = table.value("code") else { return Some(Pattern::Plain) };
+    const EXAMPLE: &str =
+        "write code = { bits = 8, min_distance = 2 }, as the roundels were printed";
+    if value.get_ref().as_table().is_none() {
+        table.fail_with_help(&value.span(), "`code` must be a table", EXAMPLE);
+        return None;
+    }
+    let code = table.table("code", "code", &CODE_KEYS)?;
+    if code.value("bits").is_none() {
+        code.report_missing("bits", "8");
+    }
+    let (fewest, most) = CodeLayout::BITS;
+    let bits = code.whole("bits", usize::from(fewest)..=usize::from(most));
+    let min_distance = match code.value("min_distance") {
+        Some(_) => code.whole("min_distance", 1..=usize::from(most)),
+        None => Some(1),
+    };
+    let (bits, min_distance) = (bits?, min_distance?);
+    let layout = CodeLayout {
+        bits: u8::try_from(bits).ok()?,
+        min_distance: u8::try_from(min_distance).ok()?,
+    };
+    match layout.check() {
+        Ok(()) => Some(Pattern::Coded(layout)),
+        Err(error) => {
+            code.fail(&code.span_of("min_distance"), format!("`min_distance`: {error}"));
+            None
+        }
+    }
+}
+
+/// Whether a kind can be told from the earlier ones; if not, it is reported.
+fn is_distinct(table: &Table<'_, '_>, kind: &Kind, earlier: &[Kind]) -> bool {
+    let name = &kind.name;
+    for other in earlier {
+        if other.name == *name {
+            let message = format!("two kinds of roundel are named \"{name}\"");
+            table.fail_with_help(&table.span_of("name"), message, "give each its own name");
+            return false;
+        }
+        let (ratio, other_ratio) = (kind.ratio(), other.ratio());
+        let alike = (ratio - other_ratio).abs() < LEAST_RATIO_DIFFERENCE * ratio.max(other_ratio);
+        if alike {
+            table.fail_with_help(
+                &table.span_of("inner_mm"),
+                format!(
+                    "roundels \"{}\" and \"{name}\" cannot be told apart: inner to outer diameter \
+                     {other_ratio:.3} and {ratio:.3}",
+                    other.name
+                ),
+                "kinds are told apart by this ratio: make them differ by a tenth at least",
+            );
+            return false;
+        }
+    }
+    true
+}
+
+/// The kind that `roundel = …` names.
+pub(super) fn kind_named(table: &Table<'_, '_>, kinds: &NamedKinds) -> Option<KindId> {
+    let name = table.required_text("roundel", "\"robot\"")?;
+    let place = kinds.kinds.iter().position(|kind| kind.name == name);
+    // A kind that is itself wrong is reported where it stands, not at each of its uses.
+    if place.is_none() && kinds.complete {
+        let names = || kinds.kinds.iter().map(|kind| kind.name.as_str());
+        let meant = nearest(name, names())
+            .map(|meant| format!("; did you mean \"{meant}\"?"))
+            .unwrap_or_default();
+        table.fail_with_help(
+            &table.span_of("roundel"),
+            format!("no [[roundel]] is named \"{name}\"{meant}"),
+            format!("configured: {}", list(names())),
+        );
+    }
+    place.and_then(|place| u16::try_from(place).ok()).map(KindId)
+}
