@@ -22,6 +22,7 @@
 
 mod cone;
 mod locator;
+pub mod photometry;
 mod refine;
 mod rim;
 #[cfg(test)]

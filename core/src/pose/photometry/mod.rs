@@ -1,0 +1,225 @@
+//! A roundel's pose from the grey levels of its pixels: the precise mode.
+//!
+//! In: a frame, a ring found in it and a pose from its rims. Out: the pose whose image, through the
+//! lens, is nearest to the pixels in the sense of least squares, which for even Gaussian noise is the
+//! maximum of the likelihood, with the covariance of its errors.
+//!
+//! **Image.** A pixel at (p, q) sees the print through K = k(x - p) k(y - q), the pixel's box blurred
+//! by a Gaussian of deviation σ (`blur`). With the black area Ω as imaged, whose contour runs so that
+//! black is positive, its black share is by Green's theorem
+//!
+//!   d(p, q) = ∬_Ω K = -∮ A(y - q) k(x - p) dx,   A' = k,
+//!
+//! and its grey level W + C d: exact for any size and tilt, where a local edge fails for a disc as
+//! small as the blur. Nodes at 1.3 σ along the contour are enough (`contour`, `view`, `image`).
+//!
+//! **Motion.** If a parameter moves the contour by v, then ∂d/∂θ = ∮ K (v₁ dy - v₂ dx). v varies
+//! slowly, so it is taken at the pixel: ∂d/∂θ ≈ v(p, q)·∮ K (dy, -dx), two images for all of a pose's
+//! parameters. Only these columns are approximate, and they cost precision only in second order, since
+//! the residual, which is exact, averages to nothing at the truth. ∂d/∂σ² = ½∇²d, a contour integral too.
+//!
+//! **Unknowns.** Shift across the line of sight, logarithm of the range, two tilts; white level, step
+//! to black, σ², and the light's gradient over the ring (expected within a tenth), which otherwise
+//! would pass for tilt. Gauss and Newton's steps, damped where they fail (`state`).
+//!
+//! **Noise.** A pixel's variance is that of the residuals, so what the model does not explain (covers,
+//! motion, JPEG) widens the covariance with it.
+
+mod blur;
+mod contour;
+mod image;
+mod lens;
+mod normal;
+mod solve;
+mod state;
+mod view;
+
+use fearless_simd::Level;
+use nalgebra::{Matrix3, Vector3};
+use thiserror::Error;
+
+use super::{RoundelPose, frame_along};
+use crate::{
+    camera::{Camera, LensError},
+    ellipse::{Chords, Ellipse},
+    frame::Frame,
+    marker::{Kind, Ring},
+};
+use blur::{BLUR_LIMITS_PX, Kernels};
+use contour::Contours;
+use image::Window;
+use lens::{LocalLens, Plan};
+use normal::Sums;
+use state::{Problem, Solution, State};
+use view::{Nodes, Place};
+
+/// Where a fit starts.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Start {
+    /// From [`super::locate`], or predicted; right to a third of a pixel and some degrees.
+    pub pose: RoundelPose,
+    /// Deviation of the blur, pixels: the track's last one, or [`DEFAULT_BLUR_PX`].
+    pub blur_px: f64,
+}
+
+/// The blur to start from where nothing is known, pixels.
+pub const DEFAULT_BLUR_PX: f64 = 0.7;
+
+/// A pose fitted to grey levels.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Fit {
+    /// The pose.
+    pub pose: RoundelPose,
+    /// Rims as this pose images them; black and white as fitted.
+    pub ring: Ring,
+    /// Deviation of the blur, pixels.
+    pub blur_px: f64,
+    /// Deviation of what the model leaves, grey levels: the image's noise, if the model is right.
+    pub noise: f64,
+    /// Iterations that were needed.
+    pub iterations: usize,
+}
+
+/// Why a ring has no fitted pose.
+#[derive(Clone, Copy, Debug, PartialEq, Error)]
+pub enum FitError {
+    /// The start is no pose in front of the camera.
+    #[error("expected a start in front of the camera and facing it, found another")]
+    Start,
+    /// The lens gives no pixels there.
+    #[error("round the start: {0}")]
+    Lens(#[from] LensError),
+    /// The rims reach outside of what is looked at.
+    #[error("expected rims near those that were found, the fit went elsewhere")]
+    Away,
+    /// No minimum was found in the steps there are.
+    #[error("expected a start from which the fit settles, found one from which it does not")]
+    Restless,
+    /// The pixels do not tell the pose.
+    #[error("expected pixels that tell a pose, found too few or too flat ones")]
+    Flat,
+}
+
+/// Memory of the fit, to be used again and again.
+#[derive(Clone, Debug)]
+pub struct FitScratch {
+    level: Level,
+    plan: Plan,
+    kernels: Kernels,
+    contours: Contours,
+    nodes: Nodes,
+    window: Window,
+    sums: Sums,
+}
+
+impl Default for FitScratch {
+    fn default() -> Self {
+        Self {
+            level: Level::new(),
+            plan: Plan::default(),
+            kernels: Kernels::default(),
+            contours: Contours::default(),
+            nodes: Nodes::default(),
+            window: Window::default(),
+            sums: Sums::default(),
+        }
+    }
+}
+
+/// How far outside the outer rim pixels count: pixels, and in blurs.
+const REACH: (f64, f64) = (3.0, 3.5);
+/// Nodes stand this many blurs apart.
+const SPACING: f64 = 1.3;
+/// The window is so much wider than the pixels that count, so that contours may move.
+const SLACK_PX: f64 = 12.0;
+
+/// Fits the pose of a roundel of a known kind, from a start, to the frame's pixels.
+pub fn fit(
+    frame: &Frame,
+    camera: &Camera,
+    kind: &Kind,
+    ring: &Ring,
+    start: &Start,
+    scratch: &mut FitScratch,
+) -> Result<Fit, FitError> {
+    let range_m = start.pose.position_m.norm();
+    let facing = start.pose.normal.dot(&start.pose.position_m) < 0.0;
+    if !(facing && range_m.is_finite() && ring.outer.is_valid() && start.blur_px.is_finite()) {
+        return Err(FitError::Start);
+    }
+    let radius_m = 0.5 * kind.outer_diameter_m;
+    let local_from_camera = frame_along(&(start.pose.position_m / range_m));
+    let spread = 1.05 * radius_m / range_m;
+    let lens = LocalLens::new(camera, local_from_camera, spread, &scratch.plan)?;
+    let blur_px = start.blur_px.clamp(BLUR_LIMITS_PX.0, BLUR_LIMITS_PX.1);
+    let reach_px = REACH.0.max(REACH.1 * blur_px);
+    let counted = ring.outer.grown(reach_px);
+    lay(&mut scratch.window, &counted);
+    let problem = Problem { frame, kind, radius_m, lens: &lens, chords: Chords::new(&counted) };
+    let place = |normal: &Vector3<f64>| Place {
+        position_m: Vector3::new(0.0, 0.0, range_m),
+        axes: axes_of(&(local_from_camera * normal).normalize()),
+    };
+    let first = State::new(place(&start.pose.normal), ring, blur_px);
+    let mut solution = state::solve(&problem, first, scratch)?;
+    let mirrored = solution.state.mirrored();
+    let mut other_misfit = state::glance(&problem, &mirrored, &solution, scratch);
+    if other_misfit < solution.misfit
+        && let Ok(other) = state::solve(&problem, mirrored, scratch)
+        && other.misfit < solution.misfit
+    {
+        other_misfit = solution.misfit;
+        solution = other;
+    }
+    Ok(finish(&problem, ring, &solution, other_misfit, scratch))
+}
+
+/// Lays the window round the pixels that count.
+fn lay(window: &mut Window, counted: &Ellipse) {
+    let (half_u, half_v) = counted.half_box_px();
+    let range = |center: f64, half: f64| {
+        ((center - half - SLACK_PX).floor() as i64, (center + half + SLACK_PX).ceil() as i64)
+    };
+    window.lay(range(counted.center.u, half_u), range(counted.center.v, half_v));
+}
+
+/// Columns a, b, n for a normal; a is arbitrary.
+fn axes_of(normal: &Vector3<f64>) -> Matrix3<f64> {
+    let helper = if normal.x.abs() < 0.6 { Vector3::x() } else { Vector3::y() };
+    let b = normal.cross(&helper).normalize();
+    Matrix3::from_columns(&[b.cross(normal), b, *normal])
+}
+
+/// The solution in the camera's frame.
+fn finish(
+    problem: &Problem,
+    ring: &Ring,
+    solution: &Solution,
+    other_misfit: f64,
+    scratch: &mut FitScratch,
+) -> Fit {
+    let state = &solution.state;
+    let noise2 = solution.noise2;
+    let camera_from_local = problem.lens.local_from_camera.transpose();
+    let normal = camera_from_local * state.place.axes.column(2);
+    let other = state.mirrored();
+    let normal_likelihood =
+        1.0 / (1.0 + (-0.5 * (other_misfit - solution.misfit).max(0.0) / noise2).exp());
+    let pose = RoundelPose {
+        position_m: camera_from_local * state.place.position_m,
+        normal,
+        normal_likelihood,
+        other_normal: camera_from_local * other.place.axes.column(2),
+        yaw_rad: None,
+        covariance: solution.covariance(&camera_from_local),
+    };
+    let (outer, inner) = state::rims(problem, state, scratch).unwrap_or((ring.outer, ring.inner));
+    let ring = Ring { outer, inner, black: state.white + state.step, white: state.white, ..*ring };
+    Fit {
+        pose,
+        ring,
+        blur_px: state.blur2.sqrt(),
+        noise: noise2.sqrt(),
+        iterations: solution.iterations,
+    }
+}

@@ -1,0 +1,436 @@
+//! The fit's unknowns, and the steps that find them.
+
+use nalgebra::{Matrix3, Rotation3, SMatrix, Vector2, Vector3};
+
+use super::{
+    FitError, FitScratch, SPACING,
+    blur::BLUR_LIMITS_PX,
+    image::Model,
+    lens::LocalLens,
+    normal::{Products, column},
+    solve::{Factor, MOST},
+    view::{self, Nodes, Place},
+};
+use crate::{
+    camera::PixelPoint,
+    ellipse::{Chords, Ellipse, Shape, Symmetric2},
+    frame::Frame,
+    marker::{Kind, Ring},
+    rigid::{Covariance6, UNKNOWN_ANGLE_VARIANCE_RAD2},
+};
+
+/// What stays the same during one fit.
+pub struct Problem<'a> {
+    pub frame: &'a Frame<'a>,
+    pub kind: &'a Kind,
+    pub radius_m: f64,
+    pub lens: &'a LocalLens,
+    /// Pixels that count.
+    pub chords: Chords,
+}
+
+/// The unknowns.
+#[derive(Clone, Debug)]
+pub struct State {
+    pub place: Place,
+    /// σ², px².
+    pub blur2: f64,
+    /// W, grey levels.
+    pub white: f64,
+    /// C = B - W, grey levels.
+    pub step: f64,
+    /// ℓ: relative change of the light by t.
+    pub light: Vector2<f64>,
+}
+
+/// Unknowns with their information.
+#[derive(Clone, Debug)]
+pub struct Solution {
+    pub state: State,
+    /// Sum of squared residuals, grey levels².
+    pub misfit: f64,
+    /// Variance of a pixel, grey levels².
+    pub noise2: f64,
+    pub iterations: usize,
+    linear: Linear,
+}
+
+/// The linear problem at a state.
+#[derive(Clone, Debug)]
+struct Linear {
+    information: [[f64; MOST]; MOST],
+    gradient: [f64; MOST],
+    misfit: f64,
+    pixels: f64,
+    /// Information of a rim's elongation, both rims.
+    elongation: f64,
+    /// p₃ s: metres that a unit of shift is.
+    unit_m: f64,
+}
+
+/// Unknowns of a roundel without yaw.
+const UNKNOWNS: usize = 10;
+/// Steps at most.
+const MAX_STEPS: usize = 12;
+/// A step that lowers the misfit by less than this many variances is the last one.
+const LAST_STEP: f64 = 0.5;
+/// Deviation of the light's gradient: relative change over a radius.
+const LIGHT_PRIOR: f64 = 0.1;
+/// Fewest pixels.
+const MIN_PIXELS: f64 = 30.0;
+/// Largest turn of one step, radians.
+const MAX_TURN_RAD: f64 = 0.3;
+
+const WHITE: usize = column::WHITE - 1;
+const STEP: usize = column::STEP - 1;
+const BLUR: usize = column::BLUR - 1;
+const LIGHT: usize = column::LIGHT - 1;
+const SHIFT: usize = column::SHIFT - 1;
+const RANGE: usize = column::RANGE - 1;
+const TILT: usize = column::TILT - 1;
+
+impl State {
+    pub fn new(place: Place, ring: &Ring, blur_px: f64) -> Self {
+        Self {
+            place,
+            blur2: blur_px * blur_px,
+            white: ring.white,
+            step: ring.black - ring.white,
+            light: Vector2::zeros(),
+        }
+    }
+
+    /// The other place that looks nearly the same: mirrored along the line of sight.
+    pub fn mirrored(&self) -> Self {
+        let sight = self.place.position_m.normalize();
+        let flip = |axis: Vector3<f64>| axis - sight * (2.0 * sight.dot(&axis));
+        let axes = &self.place.axes;
+        // The normal's component along the sight stays, those of the plane's axes turn round.
+        let a = flip(axes.column(0).into_owned());
+        let normal = -flip(axes.column(2).into_owned());
+        let place = Place {
+            position_m: self.place.position_m,
+            axes: Matrix3::from_columns(&[a, normal.cross(&a), normal]),
+        };
+        Self { place, ..self.clone() }
+    }
+
+    /// Moved by a solution; `None` if that is no roundel in front of the camera.
+    fn moved(&self, linear: &Linear, change: &[f64; MOST]) -> Option<Self> {
+        let mut next = self.clone();
+        next.white += change[WHITE];
+        next.step += change[STEP];
+        // Shape's columns were taken times the step; it is known better now.
+        let ratio = self.step / next.step;
+        if !(0.2..5.0).contains(&ratio) {
+            return Some(next);
+        }
+        next.blur2 += ratio * change[BLUR];
+        next.blur2 = next.blur2.clamp(BLUR_LIMITS_PX.0.powi(2), BLUR_LIMITS_PX.1.powi(2));
+        next.light += Vector2::new(change[LIGHT], change[LIGHT + 1]);
+        let turn = Vector2::new(change[TILT], change[TILT + 1]) * ratio;
+        // A turn too large for its own linearization is cut, and all else with it.
+        let cut = (MAX_TURN_RAD / turn.norm()).min(1.0) * ratio;
+        let place = &mut next.place;
+        let shift = Vector3::new(change[SHIFT], change[SHIFT + 1], 0.0) * linear.unit_m;
+        place.position_m *= (cut * change[RANGE]).clamp(-0.2, 0.2).exp();
+        place.position_m += shift * cut;
+        let (a, b) = (place.axes.column(0), place.axes.column(1));
+        let turn = (a * change[TILT] + b * change[TILT + 1]) * cut;
+        place.axes = Rotation3::new(turn).matrix() * place.axes;
+        let normal = place.axes.column(2);
+        let faces = normal.dot(&place.position_m) < 0.0 && place.position_m.z > 0.0;
+        faces.then_some(next)
+    }
+}
+
+/// Finds the unknowns from a start.
+pub fn solve(
+    problem: &Problem,
+    start: State,
+    scratch: &mut FitScratch,
+) -> Result<Solution, FitError> {
+    let mut state = start;
+    let mut linear = linearize(problem, &state, scratch)?;
+    let mut damping = 0.0;
+    for step in 1..=MAX_STEPS {
+        let noise2 = linear.noise2();
+        let (factor, tilted) = linear.factor(&state, noise2, damping).ok_or(FitError::Flat)?;
+        let change = factor.solve(&tilted);
+        let gain: f64 = change.iter().zip(&linear.gradient).map(|(x, g)| x * g).sum();
+        let next = state.moved(&linear, &change).ok_or(FitError::Away)?;
+        let left = (linear.misfit - gain).max(0.0);
+        let last = damping < 1e-3 && gain < LAST_STEP * linear.noise2_of(left);
+        if last {
+            let noise2 = linear.noise2_of(left);
+            return Ok(Solution { state: next, misfit: left, noise2, iterations: step, linear });
+        }
+        match linearize(problem, &next, scratch) {
+            // Another blur's table moves the misfit by less than a variance.
+            Ok(found) if found.misfit <= linear.misfit + noise2 => {
+                (state, linear) = (next, found);
+                damping *= 0.1;
+            }
+            Err(FitError::Flat) => return Err(FitError::Flat),
+            _ => damping = (10.0 * damping).max(0.01),
+        }
+    }
+    Err(FitError::Restless)
+}
+
+/// The misfit that a state would have after one step.
+pub fn glance(problem: &Problem, state: &State, known: &Solution, scratch: &mut FitScratch) -> f64 {
+    let Ok(linear) = linearize(problem, state, scratch) else { return f64::INFINITY };
+    let Some((factor, tilted)) = linear.factor(state, known.noise2, 0.0) else {
+        return f64::INFINITY;
+    };
+    let change = factor.solve(&tilted);
+    linear.misfit - change.iter().zip(&linear.gradient).map(|(x, g)| x * g).sum::<f64>()
+}
+
+fn linearize(
+    problem: &Problem,
+    state: &State,
+    scratch: &mut FitScratch,
+) -> Result<Linear, FitError> {
+    let kernel = scratch.kernels.near(state.blur2.sqrt());
+    let radius_px = project(
+        problem,
+        state,
+        kernel.blur_px,
+        &mut Parts {
+            level: scratch.level,
+            contours: &mut scratch.contours,
+            nodes: &mut scratch.nodes,
+            window: scratch.window.origin,
+        },
+    );
+    if !scratch.window.scatter(scratch.level, &scratch.nodes, kernel) {
+        return Err(FitError::Away);
+    }
+    let model = model(problem, state, kernel.blur_px, scratch.window.origin);
+    let sums = &mut scratch.sums;
+    scratch.window.gather(scratch.level, problem.frame, &problem.chords, &model, sums);
+    let linear = Linear::new(problem, state, &sums.products, radius_px);
+    if linear.pixels < MIN_PIXELS { Err(FitError::Flat) } else { Ok(linear) }
+}
+
+/// What carrying the contour into the window needs of the scratch.
+struct Parts<'a> {
+    level: fearless_simd::Level,
+    contours: &'a mut super::Contours,
+    nodes: &'a mut Nodes,
+    window: (i64, i64),
+}
+
+/// Carries the contour into the window; returns the outer rim's radius, pixels.
+fn project(problem: &Problem, state: &State, blur_px: f64, parts: &mut Parts) -> f64 {
+    let slope = &problem.lens.slope;
+    // The largest stretch of the lens is at most the slope's norm.
+    let scale_px = slope.norm() * std::f64::consts::FRAC_1_SQRT_2;
+    let radius_px = scale_px * problem.radius_m / (state.place.position_m.z * problem.lens.spread);
+    let around_px = std::f64::consts::TAU * radius_px * 1.1;
+    let contour = parts.contours.of(problem.kind, around_px, SPACING * blur_px);
+    let at = (problem.lens, &state.place, problem.radius_m);
+    view::project(parts.level, at, contour, parts.window, parts.nodes);
+    radius_px
+}
+
+fn model(problem: &Problem, state: &State, table_px: f64, window: (i64, i64)) -> Model {
+    let (lens, Place { position_m: p, axes }) = (problem.lens, &state.place);
+    let s = lens.spread;
+    let [a, b, n] = [0, 1, 2].map(|i| axes.column(i).into_owned());
+    let nearness = Vector3::new(n.x * s, n.y * s, n.z) * (p.z / n.dot(p));
+    let in_plane = |axis: Vector3<f64>| {
+        let ray = Vector3::new(axis.x * s, axis.y * s, axis.z) * p.z;
+        (ray - nearness * axis.dot(p)) / problem.radius_m
+    };
+    let inverse = lens.slope.try_inverse().unwrap_or_default();
+    // t = slope⁻¹ (pixel - pixel of t = 0): for the columns an affine lens is enough.
+    let from = Vector2::new(
+        window.0 as f64 - lens.origin.u - f64::from(lens.terms[0][0]),
+        window.1 as f64 - lens.origin.v - f64::from(lens.terms[1][0]),
+    );
+    let constant = inverse * from;
+    let plane = |v: Vector3<f64>| [v.z as f32, v.x as f32, v.y as f32];
+    let lift = Vector3::new(n.x / s, n.y / s, n.z) * (problem.radius_m / p.z);
+    Model {
+        white: state.white as f32,
+        step: state.step as f32,
+        blur: (0.5 * (state.blur2 - table_px * table_px)) as f32,
+        light: [state.light.x as f32, state.light.y as f32],
+        t: [0, 1].map(|i| [constant[i] as f32, inverse[(i, 0)] as f32, inverse[(i, 1)] as f32]),
+        nearness: plane(nearness),
+        plane: [plane(in_plane(a)), plane(in_plane(b))],
+        lift: [lift.x as f32, lift.y as f32, lift.z as f32],
+        turn: None,
+        middle: [(p.x / (s * p.z)) as f32, (p.y / (s * p.z)) as f32],
+    }
+}
+
+impl Linear {
+    fn new(problem: &Problem, state: &State, products: &Products, radius_px: f64) -> Self {
+        let mut scale = [1.0; MOST];
+        scale[BLUR] = 0.5 * state.step;
+        scale[SHIFT..UNKNOWNS].fill(state.step);
+        let mut information = [[0.0; MOST]; MOST];
+        let mut gradient = [0.0; MOST];
+        for i in 0..UNKNOWNS {
+            for j in 0..UNKNOWNS {
+                information[i][j] = products[(i + 1, j + 1)] * scale[i] * scale[j];
+            }
+            gradient[i] = products[(0, i + 1)] * scale[i];
+        }
+        // A straight edge of deviation τ tells its place by C²/(2 √π τ) a pixel's length.
+        let spread_px = (state.blur2 + 1.0 / 12.0).sqrt();
+        let edge = state.step * state.step / (2.0 * std::f64::consts::PI.sqrt() * spread_px);
+        let ratio = problem.kind.ratio();
+        let elongation =
+            std::f64::consts::TAU * edge * radius_px * radius_px * (1.0 + ratio * ratio);
+        Self {
+            information,
+            gradient,
+            misfit: products[(0, 0)],
+            pixels: products[(column::WHITE, column::WHITE)],
+            elongation,
+            unit_m: state.place.position_m.z * problem.lens.spread,
+        }
+    }
+
+    fn noise2(&self) -> f64 {
+        self.noise2_of(self.misfit)
+    }
+
+    /// Variance of a pixel for a sum of squares; never below that of rounding.
+    fn noise2_of(&self, misfit: f64) -> f64 {
+        (misfit / (self.pixels - UNKNOWNS as f64).max(1.0)).max(1.0 / 12.0)
+    }
+
+    /// The factor of the information with what is known beforehand, and the gradient with it.
+    fn factor(&self, state: &State, noise2: f64, damping: f64) -> Option<(Factor, [f64; MOST])> {
+        let mut information = self.information;
+        let mut gradient = self.gradient;
+        for axis in 0..2 {
+            let prior = noise2 / (LIGHT_PRIOR * LIGHT_PRIOR);
+            information[LIGHT + axis][LIGHT + axis] += prior;
+            gradient[LIGHT + axis] -= prior * state.light[axis];
+            let curvature = self.tilt_curvature(state, noise2);
+            information[TILT + axis][TILT + axis] += curvature;
+        }
+        for (i, row) in information.iter_mut().enumerate().take(UNKNOWNS) {
+            row[i] *= 1.0 + damping;
+        }
+        Some((Factor::new(&information, UNKNOWNS)?, gradient))
+    }
+
+    /// Information, over that of one grey level, about the tilt about either axis.
+    fn tilt_information(&self, state: &State) -> f64 {
+        let place = &state.place;
+        let cosine = place.axes.column(2).dot(&place.position_m.normalize());
+        self.elongation * (1.0 - cosine * cosine) / 8.0
+    }
+
+    /// What the curvature of the elongation adds to the tilt's information.
+    fn tilt_curvature(&self, state: &State, noise2: f64) -> f64 {
+        let (least, elongation) = (self.tilt_information(state) / noise2, self.elongation / noise2);
+        let variance = 2.0 / ((least * least + elongation).sqrt() + least);
+        0.25 * variance * elongation * noise2
+    }
+}
+
+/// Variance that face-on adds to the tilt, in units of the elongation's standard deviation…
+const FACE_ON: f64 = 1.5;
+/// … up to an elongation of about so many standard deviations.
+const FACE_ON_END: f64 = 2.5;
+
+impl Solution {
+    /// Of (position, rotation) in the camera's frame.
+    pub fn covariance(&self, camera_from_local: &Matrix3<f64>) -> Covariance6 {
+        let place = &self.state.place;
+        let linear = &self.linear;
+        let mut covariance = Covariance6::zeros();
+        let Some((factor, _)) = linear.factor(&self.state, self.noise2, 0.0) else {
+            return Covariance6::identity() * UNKNOWN_ANGLE_VARIANCE_RAD2;
+        };
+        // Rows of (position, rotation) by shift, shift, range, tilt, tilt.
+        let unit_m = linear.unit_m;
+        let mut map = SMatrix::<f64, 6, 5>::zeros();
+        let along = [Vector3::x() * unit_m, Vector3::y() * unit_m, place.position_m];
+        for (column, along) in along.into_iter().enumerate() {
+            map.fixed_view_mut::<3, 1>(0, column).copy_from(&(camera_from_local * along));
+        }
+        for axis in 0..2 {
+            let turn = camera_from_local * place.axes.column(axis);
+            map.fixed_view_mut::<3, 1>(3, 3 + axis).copy_from(&turn);
+        }
+        let mut inner = SMatrix::<f64, 5, 5>::zeros();
+        for column in 0..5 {
+            let inverse = factor.inverse_column(SHIFT + column);
+            for row in 0..5 {
+                inner[(row, column)] = inverse[SHIFT + row] * self.noise2;
+            }
+        }
+        let unit = (2.0 * self.noise2 / linear.elongation).sqrt();
+        let seen = linear.tilt_information(&self.state) / self.noise2 * unit;
+        let face_on = FACE_ON * (-(seen / FACE_ON_END).powi(4)).exp() * unit;
+        inner[(3, 3)] += face_on;
+        inner[(4, 4)] += face_on;
+        covariance += map * (0.5 * (inner + inner.transpose())) * map.transpose();
+        let normal = camera_from_local * place.axes.column(2);
+        let mut rotation = covariance.fixed_view_mut::<3, 3>(3, 3);
+        rotation += normal * normal.transpose() * UNKNOWN_ANGLE_VARIANCE_RAD2;
+        covariance
+    }
+}
+
+/// Both rims as a state images them.
+pub fn rims(
+    problem: &Problem,
+    state: &State,
+    scratch: &mut FitScratch,
+) -> Option<(Ellipse, Ellipse)> {
+    let mut parts = Parts {
+        level: scratch.level,
+        contours: &mut scratch.contours,
+        nodes: &mut scratch.nodes,
+        window: scratch.window.origin,
+    };
+    project(problem, state, 1.0, &mut parts);
+    let nodes = &scratch.nodes;
+    let outer = nodes.outer;
+    let rim = |from: usize, to: usize| {
+        let (x, y, dx, dy) =
+            (&nodes.x[from..to], &nodes.y[from..to], &nodes.dx[from..to], &nodes.dy[from..to]);
+        ellipse_of(x, y, dx, dy, scratch.window.origin)
+    };
+    Some((rim(0, outer)?, rim(outer, nodes.x.len())?))
+}
+
+/// The ellipse of the area, centre and second moments that a contour encloses.
+fn ellipse_of(x: &[f32], y: &[f32], dx: &[f32], dy: &[f32], origin: (i64, i64)) -> Option<Ellipse> {
+    let count = x.len() as f64;
+    let mean = |list: &[f32]| list.iter().map(|&value| f64::from(value)).sum::<f64>() / count;
+    let (middle_x, middle_y) = (mean(x), mean(y));
+    let (mut area, mut first, mut second) = (0.0, [0.0; 2], [0.0; 3]);
+    for i in 0..x.len() {
+        let (px, py) = (f64::from(x[i]) - middle_x, f64::from(y[i]) - middle_y);
+        // ∬ f over a star-shaped area: ∮ f r×dr / (degree + 2).
+        let swept = px * f64::from(dy[i]) - py * f64::from(dx[i]);
+        area += swept / 2.0;
+        first[0] += px * swept / 3.0;
+        first[1] += py * swept / 3.0;
+        second[0] += px * px * swept / 4.0;
+        second[1] += px * py * swept / 4.0;
+        second[2] += py * py * swept / 4.0;
+    }
+    let (mu, mv) = (first[0] / area, first[1] / area);
+    let covariance = Symmetric2 {
+        uu: second[0] / area - mu * mu,
+        uv: second[1] / area - mu * mv,
+        vv: second[2] / area - mv * mv,
+    };
+    let center =
+        PixelPoint { u: origin.0 as f64 + middle_x + mu, v: origin.1 as f64 + middle_y + mv };
+    let ellipse = Shape { area_px2: area.abs(), center, covariance }.ellipse();
+    ellipse.is_valid().then_some(ellipse)
+}
