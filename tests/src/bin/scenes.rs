@@ -1,0 +1,210 @@
+//! Renders the scenes of `tests/compare/run`: the same places and tilts, seen as roundels, ArUco
+//! markers, AprilTags and plain discs of one size.
+//!
+//! `scenes MARKERS.json FOLDER`, where MARKERS.json holds, by family, the cells of each marker: rows of
+//! 0 (black) and 1, the black border included. Writes PGM files and `truth.json`.
+
+use std::{collections::BTreeMap, fs, path::Path};
+
+use anyhow::Context;
+use nalgebra::{Isometry3, Point3, Translation3, UnitQuaternion, Vector3};
+use rayon::prelude::*;
+use roundel_tests::{
+    clutter::{Clutter, background},
+    normal::Random,
+    optics::{Distortion, Pinhole},
+    render::{Canvas, Image, Imaging, Ink, Outline, Print, Renderer, Seen},
+};
+use serde_json::json;
+
+/// Outer diameter of roundels and discs, side of square markers, metres.
+const SIZE_M: f64 = 0.16;
+/// Inner diameter of the roundels.
+const INNER_M: f64 = 0.064;
+/// Focal length over the image's width: that of the reference installations.
+const FOCAL: f64 = 1100.0 / 1920.0;
+const MAX_TILT_RAD: f64 = 50.0 * std::f64::consts::PI / 180.0;
+
+type Cells = Vec<Vec<u8>>;
+
+/// One scene, of as many kinds of marker as there are.
+struct Scene {
+    name: String,
+    camera: Pinhole,
+    imaging: Imaging,
+    clutter: Option<Clutter>,
+    poses: Vec<Isometry3<f64>>,
+}
+
+fn main() -> anyhow::Result<()> {
+    let arguments: Vec<String> = std::env::args().skip(1).collect();
+    let [markers, folder] = arguments.as_slice() else {
+        anyhow::bail!("expected MARKERS.json and a folder");
+    };
+    let markers: BTreeMap<String, Vec<Cells>> =
+        serde_json::from_slice(&fs::read(markers)?).context("markers")?;
+    let folder = Path::new(folder);
+    let scenes = scenes();
+    scenes.par_iter().try_for_each(|scene| {
+        let prints = |name: &str, print: &dyn Fn(usize) -> Print| {
+            let prints: Vec<_> = (0..scene.poses.len()).map(print).collect();
+            write(&folder.join(format!("{}-{name}.pgm", scene.name)), &scene.render(&prints))
+        };
+        prints("roundel", &|_| Print::plain(SIZE_M, INNER_M, 0.2))?;
+        prints("disc", &|_| disc())?;
+        for (family, cells) in &markers {
+            prints(family, &|index| marker(&cells[index % cells.len()]))?;
+        }
+        anyhow::Ok(())
+    })?;
+    let truth: BTreeMap<&str, _> =
+        scenes.iter().map(|scene| (scene.name.as_str(), scene.truth())).collect();
+    let all = json!({ "size_m": SIZE_M, "inner_m": INNER_M, "scenes": truth });
+    fs::write(folder.join("truth.json"), all.to_string())?;
+    Ok(())
+}
+
+fn scenes() -> Vec<Scene> {
+    let crowd = |name: &str, size: [usize; 2], grid: [usize; 2], count, diameter_px| {
+        let mut random = Random::new(7, count as u64 + size[0] as u64);
+        let focal_px = FOCAL * size[0] as f64;
+        let camera = Pinhole::centered(size[0], size[1], focal_px, Distortion::NONE);
+        let poses = crowd(&camera, grid, count, diameter_px, &mut random);
+        let (imaging, clutter) = (Imaging::default(), Some(Clutter::LAB));
+        Scene { name: name.into(), camera, imaging, clutter, poses }
+    };
+    let mut scenes = vec![
+        crowd("1080p-100", [1920, 1080], [14, 8], 100, [24.0, 60.0]),
+        crowd("1080p-400", [1920, 1080], [24, 17], 400, [26.0, 34.0]),
+        crowd("4k-100", [3840, 2160], [14, 8], 100, [24.0, 60.0]),
+    ];
+    for diameter_px in [20.0, 30.0, 60.0, 100.0] {
+        for index in 0..60 {
+            scenes.push(single(diameter_px, index));
+        }
+    }
+    scenes
+}
+
+/// Markers near the middles of a grid's cells, each at its own distance.
+fn crowd(
+    camera: &Pinhole,
+    grid: [usize; 2],
+    count: usize,
+    diameter_px: [f64; 2],
+    random: &mut Random,
+) -> Vec<Isometry3<f64>> {
+    (0..count)
+        .map(|index| {
+            let mut at = |place: usize, cells: usize, side: usize| {
+                let jitter = random.uniform(-0.03, 0.03);
+                ((place as f64 + 0.5 + jitter) / cells as f64 - 0.5) * side as f64
+            };
+            let x = at(index % grid[0], grid[0], camera.width);
+            let y = at(index / grid[0], grid[1], camera.height);
+            pose(camera, [x, y], random.uniform(diameter_px[0], diameter_px[1]), random)
+        })
+        .collect()
+}
+
+/// One marker near the middle of a small image, light and lens as in the bars of precision.
+fn single(diameter_px: f64, index: u64) -> Scene {
+    let mut random = Random::new(diameter_px as u64, index);
+    let camera = Pinhole::centered(320, 240, 1100.0, Distortion::NONE);
+    let imaging = Imaging {
+        blur_px: random.uniform(0.5, 1.1),
+        noise: random.uniform(1.0, 4.0),
+        ..Imaging::default()
+    };
+    let at = [random.uniform(-20.0, 20.0), random.uniform(-15.0, 15.0)];
+    let poses = vec![pose(&camera, at, diameter_px, &mut random)];
+    let name = format!("single-{diameter_px:03}-{index:03}");
+    Scene { name, camera, imaging, clutter: None, poses }
+}
+
+/// Seen at this offset from the image's middle, turned and tilted against the line of sight.
+fn pose(
+    camera: &Pinhole,
+    at_px: [f64; 2],
+    diameter_px: f64,
+    random: &mut Random,
+) -> Isometry3<f64> {
+    let focal_px = camera.focal_px[0];
+    let z = focal_px * SIZE_M / diameter_px;
+    let position = Vector3::new(at_px[0] / focal_px, at_px[1] / focal_px, 1.0) * z;
+    let tilt = random.uniform(MAX_TILT_RAD.cos(), 1.0).acos();
+    let axis = random.uniform(0.0, std::f64::consts::TAU);
+    let lean = UnitQuaternion::from_scaled_axis(Vector3::new(axis.cos(), axis.sin(), 0.0) * tilt);
+    let turn = random.uniform(0.0, std::f64::consts::TAU);
+    let spin = UnitQuaternion::from_scaled_axis(Vector3::z() * turn);
+    // Half a turn about x has the face look at the camera; the rest follows the line of sight.
+    let facing = UnitQuaternion::from_scaled_axis(Vector3::x() * std::f64::consts::PI);
+    let aside = UnitQuaternion::rotation_between(&Vector3::z(), &position)
+        .expect("a place in front of the camera");
+    Isometry3::from_parts(Translation3::from(position), aside * facing * lean * spin)
+}
+
+fn square(at: [f64; 2], half_m: f64) -> Outline {
+    let [x, y] = at;
+    Outline::Polygon(vec![
+        [x - half_m, y - half_m],
+        [x + half_m, y - half_m],
+        [x + half_m, y + half_m],
+        [x - half_m, y + half_m],
+    ])
+}
+
+/// A black square with white cells in it, on a sheet with one cell of margin.
+fn marker(cells: &Cells) -> Print {
+    let count = cells.len();
+    let cell_m = SIZE_M / count as f64;
+    let mut inks = vec![Ink { outline: square([0.0; 2], SIZE_M / 2.0), white: false }];
+    for (row, line) in cells.iter().enumerate() {
+        for (column, bit) in line.iter().enumerate() {
+            if *bit == 1 {
+                let place = |i: usize| (i as f64 - (count as f64 - 1.0) / 2.0) * cell_m;
+                let outline = square([place(column), -place(row)], cell_m / 2.0);
+                inks.push(Ink { outline, white: true });
+            }
+        }
+    }
+    Print { sheet: square([0.0; 2], SIZE_M / 2.0 + cell_m), inks }
+}
+
+fn disc() -> Print {
+    let mut print = Print::plain(SIZE_M, INNER_M, 0.2);
+    print.inks.truncate(1);
+    print
+}
+
+impl Scene {
+    fn render(&self, prints: &[Print]) -> Image {
+        let renderer = Renderer::new(self.camera, self.imaging);
+        let mut random = Random::new(11, self.poses.len() as u64);
+        let canvas = match &self.clutter {
+            Some(clutter) => background(&renderer, 120.0, clutter, &mut random),
+            None => Canvas::flat(self.camera.width, self.camera.height, 120.0),
+        };
+        let motions: Vec<_> = self.poses.iter().map(|pose| move |_: f64| *pose).collect();
+        let seen: Vec<_> =
+            prints.iter().zip(&motions).map(|(print, motion)| Seen { print, motion }).collect();
+        renderer.frame(&canvas, &seen, &mut random)
+    }
+
+    /// Focal length; position and image of the middle of every marker.
+    fn truth(&self) -> serde_json::Value {
+        let of_pose = |pose: &Isometry3<f64>| {
+            let p = pose.translation.vector;
+            let pixel = self.camera.project(&Point3::from(p)).expect("in front of the camera");
+            json!({ "center_px": [pixel.x, pixel.y], "position_m": [p.x, p.y, p.z] })
+        };
+        let markers: Vec<_> = self.poses.iter().map(of_pose).collect();
+        json!({ "focal_px": self.camera.focal_px[0], "markers": markers })
+    }
+}
+
+fn write(path: &Path, image: &Image) -> anyhow::Result<()> {
+    let mut bytes = format!("P5\n{} {}\n255\n", image.width, image.height).into_bytes();
+    bytes.extend(&image.pixels);
+    fs::write(path, bytes).with_context(|| path.display().to_string())
+}
