@@ -145,7 +145,7 @@ def speed(title, name, truths, folder, roundel, repetitions, picture=None):
     others = []
     for label, rendering, run in OTHERS:
         image = cv2.imread(str(path(rendering)), cv2.IMREAD_GRAYSCALE)
-        others.append((label, *least_ms(run, image, max(3, repetitions // 4))))
+        others.append((label, *least_ms(run, image, max(5, repetitions // 2))))
     again = roundel.run([path("roundel")])
     head(title)
     fast = min(ours[0]["first_us"], again[0]["first_us"]) / 1e3
