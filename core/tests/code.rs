@@ -10,7 +10,10 @@ use roundel_core::{
     camera::PixelPoint,
     ellipse::Ellipse,
     frame::Frame,
-    marker::{Code, CodeLayout, CodeReader, CodeReading, Polarity, Ring},
+    marker::{
+        Code, CodeLayout, CodeReader, CodeReading, Detector, Kind, Params, Pattern, Polarity, Ring,
+        Scratch,
+    },
 };
 
 /// Side of a picture of a print, and the outer radius in it, pixels.
@@ -67,6 +70,35 @@ fn read(reader: &CodeReader, pixels: &[u8], flat: f64, polarity: Polarity) -> Op
     };
     let ring = Ring { polarity, ..Ring::of_rims(rim(RADIUS_PX), rim(RADIUS_PX * 0.6)) };
     reader.read(&Frame::new(pixels, SIDE, SIDE, SIDE).unwrap(), &ring)
+}
+
+/// The same found by a detector, which is told of the kind alone.
+fn detected(detector: &Detector, pixels: &[u8], scratch: &mut Scratch) -> Option<CodeReading> {
+    let frame = Frame::new(pixels, SIDE, SIDE, SIDE).unwrap();
+    let [ring] = detector.detect(&frame, scratch) else { return None };
+    ring.code
+}
+
+#[test]
+fn a_detector_finds_existing_prints_and_reads_them() {
+    for (bits, min_distance, count) in [(5, 1, 6), (7, 2, 9)] {
+        let Some(folder) = prints("existing prints", bits) else { return };
+        let pattern = Pattern::Coded(CodeLayout { bits, min_distance });
+        let kind = Kind { pattern, ..Kind::plain("print", 0.14, 0.084) };
+        let other = Kind::plain("other", 0.14, 0.14 * 0.489);
+        let detector = Detector::new(vec![other, kind], Params::default()).unwrap();
+        let mut scratch = Scratch::default();
+        for number in 1..=count {
+            let print = Picture::read(&folder.join(format!("{number}.png")));
+            for step in 0..10 {
+                let (turn_rad, flat) = (f64::from(step) * 0.63, 1.0 - 0.04 * f64::from(step));
+                let pixels = turned(&print, turn_rad, flat, false);
+                let reading = detected(&detector, &pixels, &mut scratch);
+                let found = reading.map(|reading| reading.code);
+                assert_eq!(found, Some(Code { bits, number }), "{turn_rad} rad, {flat}");
+            }
+        }
+    }
 }
 
 #[test]

@@ -22,10 +22,14 @@ const RATIO_SLACK_PX: f64 = 1.5;
 /// Pixels by which perspective, blur and thresholds move the two sides of a chord apart.
 const SIDE_SLACK_PX: f64 = 2.0;
 
-/// With teeth, ring and tooth (460 of 700) may stand against the ring alone (280 of 700) …
-const TEETH_SIDE_SHARE: f64 = 0.45;
+/// With teeth, ring and tooth (460 of 700) may stand against the ring alone (280 of 700), which off the
+/// centre grows to twice that …
+const TEETH_SIDE_SHARE: f64 = 0.5;
 /// … and the core (480 of 1400) against the whole disc (840 of 1400).
 const TEETH_RATIO_SLACK: f64 = 0.3;
+/// Black that ends before so large a share of the way from the centre is its own is no ring with or
+/// without a tooth (280 of 700 at least) but a tooth whose corner the way has cut.
+const TEETH_BLACK_SHARE: f64 = 0.3;
 /// The half chords' traces may differ by this share …
 const TRACE_SHARE: f64 = 0.12;
 /// … and by what an error of so many pixels in each half chord makes.
@@ -50,6 +54,8 @@ pub(crate) struct Evenness {
     pub ratio_slack: f64,
     /// The middle of the ring's chord is that of the roundel; else, that of the disc's.
     pub outer_middle: bool,
+    /// The least share of the way from the centre that is the ring's black.
+    pub black_share: f64,
 }
 
 impl Evenness {
@@ -62,6 +68,7 @@ impl Evenness {
             white: (0.5 * least, 0.5 * (1.0 + most)),
             ratio_slack: RATIO_SLACK,
             outer_middle: false,
+            black_share: 0.0,
         }
     }
 
@@ -73,6 +80,7 @@ impl Evenness {
             white: (core_share * self.white.0, self.white.1),
             ratio_slack: TEETH_RATIO_SLACK,
             outer_middle: true,
+            black_share: TEETH_BLACK_SHARE,
         }
     }
 
@@ -155,6 +163,8 @@ struct Binary<'a> {
     threshold: u8,
     /// Bits of a pixel that are turned over: all of them where black and white change roles.
     flip: u8,
+    /// See [`Evenness::black_share`].
+    black_share: f64,
 }
 
 impl Binary<'_> {
@@ -169,7 +179,7 @@ impl Binary<'_> {
         inside && self.is_white(v as usize * self.stride + u as usize)
     }
 
-    /// Steps from a white pixel to the first black one, and on to the first white one.
+    /// Steps from a white pixel to the first one of the ring's black, and on to the first white one.
     fn side(&self, from: usize, step: isize, room: usize) -> Option<(i32, i32)> {
         let mut at = from;
         let mut steps = 0;
@@ -183,7 +193,12 @@ impl Binary<'_> {
             }
             None
         };
-        Some((walk(false)?, walk(true)?))
+        loop {
+            let (black, white) = (walk(false)?, walk(true)?);
+            if f64::from(white - black) >= self.black_share * f64::from(white) {
+                return Some((black, white));
+            }
+        }
     }
 
     /// The chord through (u, v) in steps of (du, dv), at most `limit` of them on each side.
@@ -234,8 +249,9 @@ pub(crate) fn cross(
     let (pixels, stride) = frame.pixels();
     let flip = if inverted { 255 } else { 0 };
     let (width, height) = (frame.width(), frame.height());
-    let binary = Binary { pixels, width, height, stride, threshold, flip };
     let evenness = &rules.evenness;
+    let black_share = evenness.black_share;
+    let binary = Binary { pixels, width, height, stride, threshold, flip, black_share };
     let limit = (2.0 * hit.half_px / rules.min_axis_ratio) as usize + 2;
     let u = hit.u;
     let column = binary.even_chord((u, v), (0, 1), limit, evenness)?;
@@ -348,7 +364,7 @@ mod tests {
 
     fn binary(pixels: &[u8], width: usize) -> Binary<'_> {
         let height = pixels.len() / width;
-        Binary { pixels, width, height, stride: width, threshold: 6, flip: 0 }
+        Binary { pixels, width, height, stride: width, threshold: 6, flip: 0, black_share: 0.0 }
     }
 
     #[test]
@@ -365,6 +381,12 @@ mod tests {
         let line: Vec<u8> = line.iter().map(|grey| 255 - grey).collect();
         let column = Binary { flip: 255, ..binary(&line, 1) };
         assert!(column.chord((0, 4), (0, 1), 10).unwrap().is_even(&evenness));
+        // A tooth's corner is passed over.
+        let line = [9, 0, 0, 0, 0, 9, 9, 9, 9, 0, 9, 0, 0, 0, 0, 9];
+        let cut = binary(&line, 16).chord((6, 0), (1, 0), 16).unwrap();
+        assert_eq!((cut.outer, cut.inner), ((-5, 4), (-1, 3)));
+        let cut = Binary { black_share: 0.3, ..binary(&line, 16) };
+        assert_eq!(cut.chord((6, 0), (1, 0), 16).unwrap().outer, (-5, 9));
         let line = [9, 0, 9, 9, 0, 0, 0, 0, 0, 0, 0, 9];
         let uneven = binary(&line, 12).chord((2, 0), (1, 0), 12).unwrap();
         assert!(!uneven.is_even(&evenness));

@@ -8,11 +8,14 @@ use fearless_simd::Level;
 
 use crate::{
     frame::Frame,
+    id::KindId,
     marker::{
         Ring,
         claim::Claim,
+        code::CodeReader,
+        code::measure::{self as coded, CodedKind},
         examine::{Probe, Rules},
-        kind::{Kind, RATIO_LIMITS},
+        kind::{Kind, Pattern, RATIO_LIMITS},
         mask::Mask,
         measure::{MeasureScratch, measure},
         param::{self, DetectorError, Params},
@@ -26,6 +29,7 @@ use crate::{
 #[derive(Clone, Debug)]
 pub struct Detector {
     kinds: Vec<Kind>,
+    coded: Vec<CodedKind>,
     params: Params,
     rules: Rules,
     pub(crate) search_rules: SearchRules,
@@ -77,7 +81,8 @@ impl Detector {
         };
         let search_rules = SearchRules::new(&kinds, &rules, params.min_contrast);
         let (mask, level) = (Mask::default(), Level::new());
-        Ok(Self { kinds, params, rules, search_rules, mask, level })
+        let coded = coded_kinds(&kinds)?;
+        Ok(Self { kinds, coded, params, rules, search_rules, mask, level })
     }
 
     /// The same detector, blind to roundels whose centre lies in the mask.
@@ -111,7 +116,38 @@ impl Detector {
         probe: &Probe,
         scratch: &mut MeasureScratch,
     ) -> Result<Ring, Reject> {
-        let ring = measure(frame, probe, &self.rules, &self.kinds, scratch)?;
+        let ring = self.measure_any(frame, probe, scratch)?;
         if self.mask.covers(ring.outer.center) { Err(Reject::Masked) } else { Ok(ring) }
     }
+
+    /// A ring with teeth that are read is what they say. One without may be plain, and one that is
+    /// neither is a coded one that cannot be read.
+    fn measure_any(
+        &self,
+        frame: &Frame,
+        probe: &Probe,
+        scratch: &mut MeasureScratch,
+    ) -> Result<Ring, Reject> {
+        if self.coded.is_empty() {
+            return measure(frame, probe, &self.rules, &self.kinds, scratch);
+        }
+        let coded = coded::measure(frame, probe, &self.rules, &self.coded);
+        if coded.is_ok_and(|ring| ring.code.is_some()) || self.coded.len() == self.kinds.len() {
+            return coded;
+        }
+        let plain = measure(frame, probe, &self.rules, &self.kinds, scratch);
+        plain.or_else(|reject| coded.map_err(|_| reject))
+    }
+}
+
+fn coded_kinds(kinds: &[Kind]) -> Result<Vec<CodedKind>, DetectorError> {
+    let mut coded = Vec::new();
+    for (index, kind) in kinds.iter().enumerate() {
+        let Pattern::Coded(layout) = kind.pattern else { continue };
+        let reader = CodeReader::new(layout, kind.ratio())
+            .map_err(|source| DetectorError::Code { name: kind.name.clone(), source })?;
+        let id = KindId(index as u16);
+        coded.push(CodedKind { id, reader, ratio: kind.ratio(), polarity: kind.polarity });
+    }
+    Ok(coded)
 }

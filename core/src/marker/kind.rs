@@ -79,20 +79,27 @@ impl Kind {
     }
 }
 
-/// The kind that two rims belong to, and the rims with their compensation (paper, section 3.5) for
+/// How far the rims of a kind may be off, pixels.
+pub(crate) fn shift_limit_px(outer: &Ellipse) -> f64 {
+    SHIFT_PX + SHIFT_SHARE * outer.mean_radius_px()
+}
+
+/// The plain kind that two rims belong to, and the rims with their compensation (paper, section 3.5) for
 /// that kind; `None` if no kind is near enough.
 ///
 /// Compensation can bring any pair of rims to any ratio, so the kind cannot be chosen after it: it is
 /// the one that needs the smallest rim shift |t|, and the shift must be one that a camera can cause.
-/// Of kinds with the same ratio the first is chosen; they cannot be told apart.
+/// No two kinds have the same ratio ([`crate::marker::DetectorError::Alike`]). Coded kinds are none of them: their
+/// white is no disc ([`crate::marker::code::measure`]).
 pub(crate) fn nearest_kind(
     kinds: &[Kind],
     outer: &Ellipse,
     inner: &Ellipse,
 ) -> Option<(KindId, Ellipse, Ellipse)> {
-    let limit_px = SHIFT_PX + SHIFT_SHARE * outer.mean_radius_px();
+    let limit_px = shift_limit_px(outer);
     let mut best: Option<(usize, f64)> = None;
-    for (index, kind) in kinds.iter().enumerate() {
+    let plain = |kind: &Kind| matches!(kind.pattern, Pattern::Plain);
+    for (index, kind) in kinds.iter().enumerate().filter(|(_, kind)| plain(kind)) {
         let Some(shift_px) = rim_shift_px(outer, inner, kind.ratio()) else { continue };
         let nearer = best.is_none_or(|(_, known)| shift_px.abs() < known.abs());
         if shift_px.abs() <= limit_px && nearer {

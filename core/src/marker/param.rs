@@ -2,7 +2,13 @@
 
 use thiserror::Error;
 
-use crate::marker::kind::{Kind, RATIO_LIMITS};
+use crate::marker::{
+    code::CodeError,
+    kind::{Kind, Pattern, RATIO_LIMITS},
+};
+
+/// Ratios of diameters that differ by less are the same to a camera.
+const LEAST_DIFFERENCE: f64 = 0.005;
 
 /// What is worth more: time or precision.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Hash)]
@@ -76,6 +82,25 @@ pub enum DetectorError {
         /// What it is.
         found: f64,
     },
+    /// A coded kind's layout.
+    #[error("roundel {name:?}: {source}")]
+    Code {
+        /// Name of the kind.
+        name: String,
+        /// What is wrong with it.
+        source: CodeError,
+    },
+    /// Two kinds that look the same.
+    #[error(
+        "roundels {one:?} and {other:?} cannot be told apart: expected plain ones to differ by \
+         {LEAST_DIFFERENCE} in the ratio of their diameters, and coded ones in their number of bits"
+    )]
+    Alike {
+        /// Name of the one kind.
+        one: String,
+        /// Name of the other.
+        other: String,
+    },
     /// More kinds than can be numbered.
     #[error("expected at most 65535 kinds of roundel, found {found}")]
     Kinds {
@@ -97,6 +122,12 @@ pub(crate) fn check(kinds: &[Kind], params: &Params) -> Result<(), DetectorError
             return Err(DetectorError::Diameters { name, inner_m, outer_m });
         }
     }
+    for (index, one) in kinds.iter().enumerate() {
+        if let Some(other) = kinds[..index].iter().find(|other| are_alike(one, other)) {
+            let (one, other) = (other.name.clone(), one.name.clone());
+            return Err(DetectorError::Alike { one, other });
+        }
+    }
     let param = |name, expected, found: f64, ok: bool| {
         if ok { Ok(()) } else { Err(DetectorError::Param { name, expected, found }) }
     };
@@ -113,6 +144,25 @@ pub(crate) fn check(kinds: &[Kind], params: &Params) -> Result<(), DetectorError
     param("min_contrast", "8 or more", f64::from(contrast), contrast >= 8)?;
     let frames = params.search_frames;
     param("search_frames", "1 or more", f64::from(frames), frames >= 1)
+}
+
+/// Whether nothing tells the two kinds apart.
+fn are_alike(one: &Kind, other: &Kind) -> bool {
+    let same_ratio = (one.ratio() - other.ratio()).abs() < LEAST_DIFFERENCE;
+    let same_pattern = match (one.pattern, other.pattern) {
+        (Pattern::Plain, Pattern::Plain) => same_ratio,
+        (Pattern::Coded(one), Pattern::Coded(other)) => one.bits == other.bits,
+        (
+            Pattern::Elliptical { minor_diameter_m: one_m },
+            Pattern::Elliptical { minor_diameter_m: other_m },
+        ) => {
+            let ratio = |kind: &Kind, minor_m: f64| minor_m / kind.outer_diameter_m;
+            let apart = (ratio(one, one_m) - ratio(other, other_m)).abs();
+            same_ratio && apart < LEAST_DIFFERENCE
+        }
+        _ => false,
+    };
+    same_pattern && one.polarity == other.polarity
 }
 
 #[cfg(test)]

@@ -15,7 +15,7 @@
 use crate::{camera::PixelPoint, ellipse::Ellipse};
 
 /// Centres further out than this share of the radius are no perspective that a camera sees.
-const MAX_OFFSET: f64 = 0.3;
+pub(crate) const MAX_OFFSET: f64 = 0.3;
 /// Turns in which d is found from the inner centre; each leaves ρ²d² of the error.
 const TURNS: usize = 4;
 
@@ -59,6 +59,11 @@ impl Chart {
         }
     }
 
+    /// The longer semiaxis of the outer rim, pixels.
+    pub fn reach_px(&self) -> f64 {
+        self.major_px.0.hypot(self.major_px.1)
+    }
+
     /// Where a point of the plane appears.
     pub fn image(&self, x: (f64, f64)) -> PixelPoint {
         let (y0, y1) = boost(x, self.offset, self.root);
@@ -79,6 +84,29 @@ impl Chart {
             self.center.0 as f32 + self.major_px.0 as f32 * y.0 + self.minor_px.0 as f32 * y.1,
             self.center.1 as f32 + self.major_px.1 as f32 * y.0 + self.minor_px.1 as f32 * y.1,
         )
+    }
+
+    /// The image of a small circle's disc: its ellipse's centre, and two columns that make it of the
+    /// unit circle. `shift` is small against the radius.
+    pub fn circle(&self, shift: (f64, f64), radius: f64) -> (PixelPoint, [(f64, f64); 2]) {
+        let (d, r) = (self.offset, radius * radius);
+        let square = d.0 * d.0 + d.1 * d.1;
+        let scale = 1.0 / (1.0 - r * square);
+        let flat = Self { offset: (0.0, 0.0), root: 1.0, ..*self };
+        let middle = (d.0 * (1.0 - r) * scale + shift.0, d.1 * (1.0 - r) * scale + shift.1);
+        // Along d and across it.
+        let length = square.sqrt();
+        let along = if length > 0.0 { (d.0 / length, d.1 / length) } else { (1.0, 0.0) };
+        let (long, wide) = (radius * (1.0 - square) * scale, radius * self.root * scale.sqrt());
+        let column = |x: (f64, f64)| {
+            (
+                self.major_px.0 * x.0 + self.minor_px.0 * x.1,
+                self.major_px.1 * x.0 + self.minor_px.1 * x.1,
+            )
+        };
+        let columns =
+            [column((along.0 * long, along.1 * long)), column((-along.1 * wide, along.0 * wide))];
+        (flat.image(middle), columns)
     }
 
     /// A box of the image that holds the circle of this radius, with a little to spare.

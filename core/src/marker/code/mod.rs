@@ -8,12 +8,16 @@
 //! | grey levels round the teeth | `profile` |
 //! | from them to a word | `word` |
 //! | a reading, with its confidence and its zero | `reader` |
+//! | a coded roundel's outline and rims | `spoke`, `contour`, `measure` |
 
 mod chart;
+mod contour;
 mod dictionary;
 mod layout;
+pub(crate) mod measure;
 mod profile;
 mod reader;
+mod spoke;
 mod word;
 
 pub use dictionary::Dictionary;

@@ -9,12 +9,11 @@
 //! and is refused.
 
 use crate::{
-    camera::PixelPoint,
     frame::Frame,
     marker::{
         Ring,
         code::{
-            CodeError, CodeLayout, CodeReading, Dictionary,
+            Code, CodeError, CodeLayout, CodeReading, Dictionary,
             chart::Chart,
             profile::{Directions, Levels, MAX_SAMPLES, Profile},
             word::{self, Found},
@@ -55,7 +54,7 @@ impl CodeReader {
     /// [`CodeLayout::RATIO`] as WhyCode prints them.
     pub fn new(layout: CodeLayout, ratio: f64) -> Result<Self, CodeError> {
         let dictionary = layout.codes()?;
-        let own = |(code, _): (super::Code, u16)| dictionary.own_distance(code.number).unwrap_or(1);
+        let own = |(code, _): (Code, u16)| dictionary.own_distance(code.number).unwrap_or(1);
         let own_distances = dictionary.iter().map(own).collect();
         let slots = 2 * usize::from(layout.bits);
         let core = CodeLayout::CORE_SHARE * ratio;
@@ -79,7 +78,12 @@ impl CodeReader {
             polarity: ring.polarity,
             blur_px: USUAL_BLUR_PX,
         };
-        let profile = self.directions_for(ring).profile(frame, &chart, &levels)?;
+        Some(self.read_in(frame, &chart, &levels)?.seen_in(&chart, self.ratio))
+    }
+
+    /// The same in a chart.
+    pub(crate) fn read_in(&self, frame: &Frame, chart: &Chart, levels: &Levels) -> Option<Read> {
+        let profile = self.directions_for(chart).profile(frame, chart, levels)?;
         let found = word::find(&profile, &self.dictionary, &self.own_distances)?;
         let fit = self.fit(&profile, &found)?;
         let confidence = self.confidence(&found, fit.square);
@@ -94,22 +98,20 @@ impl CodeReader {
         // A sample stands for the half on either side of it.
         let zero = found.phase as f64 - 0.5 + f64::from(fit.phase) - pair * f64::from(found.shift);
         let step_rad = std::f64::consts::TAU / profile.len as f64;
-        let (sin, cos) = (-step_rad * zero).sin_cos();
-        let at = |radius: f64| -> PixelPoint { chart.image((radius * cos, radius * sin)) };
-        Some(CodeReading {
+        Some(Read {
             code: found.code,
-            zero: at(self.ratio),
-            opposite: at(-self.ratio),
-            yaw_deviation_rad: f64::from(fit.deviation) * step_rad,
+            word: self.dictionary.word(found.code.number)?,
+            zero_rad: step_rad * zero,
+            deviation_rad: step_rad * f64::from(fit.deviation),
             confidence,
             corrected: found.corrected,
         })
     }
 
     /// As many samples as the teeth's circumference asks for.
-    fn directions_for(&self, ring: &Ring) -> &Directions {
+    fn directions_for(&self, chart: &Chart) -> &Directions {
         let middle = 0.5 * (1.0 + CodeLayout::CORE_SHARE) * self.ratio;
-        let around_px = std::f64::consts::TAU * middle * ring.outer.semi_major_px;
+        let around_px = std::f64::consts::TAU * middle * chart.reach_px();
         let slots = 2.0 * f64::from(self.dictionary.layout().bits);
         let per_slot = (around_px / (STEP_PX * slots)) as usize + 1;
         let most = self.directions.len() - 1;
@@ -179,6 +181,34 @@ impl CodeReader {
             }
         }
         template
+    }
+}
+
+/// A reading in a chart.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct Read {
+    code: Code,
+    /// As printed.
+    pub word: u16,
+    /// Of the print's x axis, counter-clockwise on the print from the chart's first one.
+    pub zero_rad: f64,
+    deviation_rad: f64,
+    confidence: f64,
+    corrected: u8,
+}
+
+impl Read {
+    /// The reading as the image has it.
+    pub fn seen_in(&self, chart: &Chart, ratio: f64) -> CodeReading {
+        let (sin, cos) = (-self.zero_rad).sin_cos();
+        CodeReading {
+            code: self.code,
+            zero: chart.image((ratio * cos, ratio * sin)),
+            opposite: chart.image((-ratio * cos, -ratio * sin)),
+            yaw_deviation_rad: self.deviation_rad,
+            confidence: self.confidence,
+            corrected: self.corrected,
+        }
     }
 }
 

@@ -1,0 +1,199 @@
+//! A coded roundel, measured where it is thought to be: outline, rims, code.
+//!
+//! The steps of a plain ring do not hold here: the white is no disc, its area and its middle depend on
+//! the code. So the outline comes from spokes, the outer rim from the points of half level along it, the
+//! code from the annulus between, and the disc's rim from the gaps that the code leaves. Where the
+//! teeth cannot be read, the disc's rim is where the outer one has it, which says nothing more.
+
+use crate::{
+    frame::Frame,
+    id::KindId,
+    marker::{
+        Ring,
+        code::{
+            CodeLayout, CodeReader,
+            chart::Chart,
+            contour::{Gap, Light, Rim, inner_rim, outer_rim},
+            profile::Levels,
+            reader::Read,
+            spoke::{offset, outline},
+        },
+        examine::{Probe, Rules},
+        kind::{Polarity, shift_limit_px},
+        reject::Reject,
+        rim::{compensated, rim_shift_px},
+    },
+};
+
+/// A rim more uneven than this is partly covered, or none.
+pub(super) const MOST_UNEVEN: f64 = 0.25;
+/// Pixels beyond the outer rim that the frame must hold.
+const EDGE_PX: f64 = 1.5;
+/// Points of the white core, and their distance from its middle as a share of the outer radius.
+const CORE_POINTS: usize = 8;
+const CORE_SHARE: f64 = 0.15;
+/// Where half of all must be white, as shares of the annulus' width from the core …
+const HALF_WHITE_AT: [f64; 2] = [0.25, 0.75];
+/// … give or take this.
+const HALF_WHITE_TOLERANCE: f64 = 0.3;
+/// Directions in which that is looked at.
+const HALF_WHITE_POINTS: usize = 32;
+/// Variance that pixels and interpolation add to the blur, px².
+const PIXEL_PX2: f64 = 0.25;
+
+/// A coded kind, ready to be read.
+#[derive(Clone, Debug)]
+pub(crate) struct CodedKind {
+    pub id: KindId,
+    pub reader: CodeReader,
+    pub ratio: f64,
+    pub polarity: Polarity,
+}
+
+/// A ring whose teeth have not been read yet.
+struct Toothed {
+    rim: Rim,
+    offset: (f64, f64),
+    white: f64,
+    /// Whether the annulus between core and rim is half white, as that of any code is.
+    is_half_white: bool,
+}
+
+/// The coded ring at a probe. One whose teeth cannot be read has no code, and is taken for the only
+/// coded kind there is.
+pub(crate) fn measure(
+    frame: &Frame,
+    probe: &Probe,
+    rules: &Rules,
+    kinds: &[CodedKind],
+) -> Result<Ring, Reject> {
+    let mut best: Option<Ring> = None;
+    let mut last = Err(Reject::Kind);
+    for kind in kinds {
+        last = measure_kind(frame, probe, rules, kind);
+        let Ok(ring) = &last else { continue };
+        let confidence = |ring: &Ring| ring.code.map_or(0.0, |code| code.confidence);
+        if best.is_none_or(|best| confidence(ring) > confidence(&best)) {
+            best = Some(*ring);
+        }
+    }
+    match best {
+        Some(ring) if ring.code.is_some() || kinds.len() == 1 => Ok(ring),
+        Some(_) => Err(Reject::Kind),
+        None => last,
+    }
+}
+
+fn measure_kind(
+    frame: &Frame,
+    probe: &Probe,
+    rules: &Rules,
+    kind: &CodedKind,
+) -> Result<Ring, Reject> {
+    let light = Light { frame, inverted: kind.polarity == Polarity::WhiteRing };
+    let toothed = toothed(&light, probe, rules, kind.ratio)?;
+    let Toothed { rim, white, .. } = toothed;
+    let chart = Chart::with_offset(&rim.ellipse, toothed.offset);
+    let (black, white) =
+        if light.inverted { (255.0 - white, 255.0 - rim.black) } else { (rim.black, white) };
+    let blur_px = (rim.blur_px * rim.blur_px - PIXEL_PX2).max(0.1).sqrt();
+    let levels = Levels { black, white, polarity: kind.polarity, blur_px };
+    let read = kind.reader.read_in(frame, &chart, &levels);
+    if read.is_none() && !toothed.is_half_white {
+        return Err(Reject::Profile);
+    }
+    let inner = disc(&light, &chart, kind, &rim, read.as_ref()).ok_or(Reject::Profile)?;
+    let shift_px = rim_shift_px(&rim.ellipse, &inner, kind.ratio).ok_or(Reject::Kind)?;
+    if shift_px.abs() > shift_limit_px(&rim.ellipse) {
+        return Err(Reject::Kind);
+    }
+    let (outer, inner) = compensated(&rim.ellipse, &inner, shift_px).ok_or(Reject::Kind)?;
+    // The centre is known better now than when the teeth were read; their angles do not depend on it.
+    let code =
+        read.map(|read| read.seen_in(&Chart::new(&outer, inner.center, kind.ratio), kind.ratio));
+    Ok(Ring {
+        kind: Some(kind.id),
+        threshold: (0.5 * (black + white)).round().clamp(1.0, 255.0) as u8,
+        black,
+        white,
+        unevenness: rim.unevenness,
+        polarity: kind.polarity,
+        code,
+        ..Ring::of_rims(outer, inner)
+    })
+}
+
+/// Outline, outer rim and levels.
+fn toothed(light: &Light, probe: &Probe, rules: &Rules, ratio: f64) -> Result<Toothed, Reject> {
+    let outline = outline(light.frame, probe, light.inverted)?;
+    let rim = outer_rim(light, &outline, f64::from(probe.threshold))?;
+    check_size(light.frame, &rim.ellipse, rules)?;
+    let core = CodeLayout::CORE_SHARE * ratio;
+    let chart = Chart::with_offset(&rim.ellipse, (0.0, 0.0));
+    let white = mean_at(light, &chart, CORE_SHARE.min(0.5 * core), CORE_POINTS);
+    let contrast = white - rim.black;
+    if contrast.is_nan() || contrast < rules.min_contrast {
+        return Err(Reject::Contrast);
+    }
+    let offset = offset(light, &rim.ellipse, ratio, 0.5 * (rim.black + white));
+    let chart = Chart::with_offset(&rim.ellipse, offset);
+    let is_half_white = HALF_WHITE_AT.iter().all(|place| {
+        let level = mean_at(light, &chart, core + place * (ratio - core), HALF_WHITE_POINTS);
+        ((level - rim.black) / contrast - 0.5).abs() <= HALF_WHITE_TOLERANCE
+    });
+    Ok(Toothed { rim, offset, white, is_half_white })
+}
+
+fn check_size(frame: &Frame, outer: &crate::ellipse::Ellipse, rules: &Rules) -> Result<(), Reject> {
+    if outer.semi_minor_px < rules.min_semi_minor_px {
+        return Err(Reject::TooSmall);
+    }
+    if outer.semi_minor_px < rules.min_axis_ratio * outer.semi_major_px {
+        return Err(Reject::Tilt);
+    }
+    let (half_u, half_v) = outer.half_box_px();
+    let to_edge_px = (outer.center.u - half_u)
+        .min(outer.center.v - half_v)
+        .min((frame.width() - 1) as f64 - outer.center.u - half_u)
+        .min((frame.height() - 1) as f64 - outer.center.v - half_v);
+    // Not a number where the ellipse is none.
+    if to_edge_px >= EDGE_PX { Ok(()) } else { Err(Reject::FrameEdge) }
+}
+
+/// Mean level of evenly spaced points of a circle.
+fn mean_at(light: &Light, chart: &Chart, radius: f64, points: usize) -> f64 {
+    let level = |index: usize| {
+        let (sin, cos) = (std::f64::consts::TAU * index as f64 / points as f64).sin_cos();
+        let at = chart.image((radius * cos, radius * sin));
+        light.at(at.u, at.v)
+    };
+    (0..points).map(level).sum::<f64>() / points as f64
+}
+
+/// The white disc's rim.
+fn disc(
+    light: &Light,
+    chart: &Chart,
+    kind: &CodedKind,
+    rim: &Rim,
+    read: Option<&Read>,
+) -> Option<crate::ellipse::Ellipse> {
+    let bits = u32::from(kind.reader.dictionary().layout().bits);
+    let slot_rad = std::f64::consts::PI / f64::from(bits);
+    let gaps = (0..2 * bits).filter_map(|slot| {
+        let read = read?;
+        // The tooth of a 0 is in the first slot.
+        let is_tooth =
+            |slot: u32| u32::from(read.word >> (bits - 1 - slot % (2 * bits) / 2) & 1) == slot % 2;
+        if is_tooth(slot) {
+            return None;
+        }
+        let to_tooth = |is_next: bool| slot_rad * if is_next { 0.5 } else { 1.5 };
+        let middle = -(read.zero_rad + (f64::from(slot) + 0.5) * slot_rad);
+        Some(Gap {
+            direction: (middle.cos(), middle.sin()),
+            to_teeth_rad: (to_tooth(is_tooth(slot + 2 * bits - 1)), to_tooth(is_tooth(slot + 1))),
+        })
+    });
+    inner_rim(light, chart, kind.ratio, gaps, (rim.black, rim.blur_px))
+}
