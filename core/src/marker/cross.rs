@@ -20,7 +20,7 @@ const RATIO_SLACK: f64 = 0.1;
 /// … and by a pixel and a half of the shorter half chord.
 const RATIO_SLACK_PX: f64 = 1.5;
 /// Pixels by which perspective, blur and thresholds move the two sides of a chord apart.
-const SIDE_SLACK_PX: f64 = 2.0;
+const SIDE_SLACK_PX: f64 = 1.5;
 
 /// With teeth, ring and tooth (460 of 700) may stand against the ring alone (280 of 700), which off the
 /// centre grows to twice that …
@@ -259,7 +259,7 @@ pub(crate) fn cross(
     let row = binary.even_chord((u, v), (1, 0), limit, evenness)?;
     let moved = row.middle(evenness);
     let center = (u.wrapping_add_signed(moved), v);
-    let black = (u.wrapping_add_signed(((row.outer.0 + row.inner.0) / 2) as isize), v);
+    let black = (u.wrapping_add_signed(((row.outer.0 + row.inner.0) >> 1) as isize), v);
     let slack = evenness.ratio_slack + RATIO_SLACK_PX / row.half().min(column.half());
     let mut diagonals = [0.0; 2];
     for (half, step) in diagonals.iter_mut().zip([(1, 1), (1, -1)]) {

@@ -17,7 +17,7 @@ use crate::{
         harmonic::check_rims,
         kind::{Kind, Pattern},
         reject::{Reject, Rejected},
-        scan::{Hit, HitRules, find_hits},
+        scan::{Hit, HitRules, HitScratch, find_hits},
         threshold::BinarySearch,
     },
     segment::Window,
@@ -48,7 +48,7 @@ pub(crate) struct SearchRules {
 #[derive(Debug, Default)]
 pub(crate) struct SearchScratch {
     row: RowEdges,
-    hits: Vec<Hit>,
+    hits: HitScratch,
     claimed: ClaimedPixels,
 }
 
@@ -89,7 +89,7 @@ impl Detector {
             }
             row.read(self.level, frame, v, &window, rules.step);
             find_hits(row, &rules.hit, false, hits);
-            for hit in hits.iter_mut() {
+            for hit in &mut hits.hits {
                 hit.u += window.left;
                 if scratch.found.len() >= most || claimed.contains(hit.u, v) {
                     continue;
