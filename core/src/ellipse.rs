@@ -100,7 +100,7 @@ impl Symmetric2 {
     pub fn eigen(&self) -> (f64, f64, f64) {
         let mean = 0.5 * (self.uu + self.vv);
         let (x, y) = (0.5 * (self.uu - self.vv), self.uv);
-        let radius = x.hypot(y);
+        let radius = (x * x + y * y).sqrt();
         let angle = 0.5 * y.atan2(x);
         let angle =
             if angle <= -std::f64::consts::FRAC_PI_2 { std::f64::consts::FRAC_PI_2 } else { angle };
@@ -186,16 +186,32 @@ impl Shape {
         let product = self.area_px2 / std::f64::consts::PI;
         let difference = 4.0 * (l0 - l1);
         // e₀² - e₁² = difference and e₀ e₁ = product.
-        let semi_major_px = (0.5 * (difference + difference.hypot(2.0 * product))).sqrt();
+        let root = (difference * difference + 4.0 * product * product).sqrt();
+        let semi_major_px = (0.5 * (difference + root)).sqrt();
         let semi_minor_px = product / semi_major_px;
         Ellipse { center: self.center, semi_major_px, semi_minor_px, angle_rad }
+    }
+
+    /// [`Ellipse::matrix`] of [`Shape::ellipse`], which is given; from the covariance, without an angle.
+    pub fn matrix_of(&self, ellipse: &Ellipse) -> Symmetric2 {
+        let (a, b) = (ellipse.semi_major_px, ellipse.semi_minor_px);
+        let mean = 0.5 * (a * a + b * b);
+        // Half the difference of the squared semiaxes is twice that of the eigenvalues.
+        let along = 2.0 * (self.covariance.uu - self.covariance.vv);
+        Symmetric2 { uu: mean + along, uv: 4.0 * self.covariance.uv, vv: mean - along }
     }
 
     /// Isotropic variance, px², that the covariance holds beyond that of [`Shape::ellipse`]: blur
     /// and pixel width.
     pub fn spread_px2(&self) -> f64 {
-        let (_, l1, _) = self.covariance.eigen();
-        l1 - 0.25 * self.ellipse().semi_minor_px.powi(2)
+        self.spread_px2_of(&self.ellipse())
+    }
+
+    /// [`Shape::spread_px2`], given [`Shape::ellipse`].
+    pub fn spread_px2_of(&self, ellipse: &Ellipse) -> f64 {
+        // Half the trace is the mean of the eigenvalues.
+        let (a, b) = (ellipse.semi_major_px, ellipse.semi_minor_px);
+        0.5 * (self.covariance.uu + self.covariance.vv) - 0.125 * (a * a + b * b)
     }
 
     /// π e₀ e₁ / s with the semiaxes of eq. (4), the left side of the paper's roundness test (5): 1

@@ -22,7 +22,7 @@ pub enum Class {
 }
 
 /// A rectangle of pixels: columns `left..right`, rows `top..bottom`.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct Window {
     /// First column.
     pub left: usize,

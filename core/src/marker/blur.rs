@@ -1,35 +1,187 @@
-//! A straight edge under a Gaussian blur: what of it lies beyond a cut parallel to it.
+//! What blur does to levels and sums taken between cuts, and how it is undone.
+//!
+//! Blur of the deviation σ carries light across a straight edge. Beyond a cut at the distance d from the
+//! edge lies the area m = ∫ Φ(-x/σ) dx of it a pixel of rim, x from d on; with z = d/σ that is
+//! σ (φ(z) - z Φ(-z)), and of the spread σ² each side lacks a share of 2 s, s = ∫ x Φ(-x/σ) dx / σ²
+//! ([`Beyond`]). So, of a rim of radius r in whose belt (from r - d to r + d) grey levels count:
+//!
+//! - A level, taken from n pixels beyond a cut, is off towards the other one by the share
+//!   ε = 2π r' m / n of the contrast, r' the radius of the cut.
+//! - The filled rim then gets too much by 2π ε (r - d/2) d of the level inside, and too little by
+//!   2π ε (r + d/2) d of the level outside.
+//! - It lacks the 2π (r + d) m that lies outside the belt, and has 2π (r - d) m too much inside.
+//! - Its spread comes out as σ² (1 - 4 s) - (ε + ε) d².
+//!
+//! The last line, for both rims, gives σ; the others then say by how much the rims are to be grown.
+//! σ contains the pixels' own width, as the spread does.
 
-/// Variance that a cut through pixels adds to an edge: 1/12 along u, nothing along v.
-const CUT_SPREAD_PX2: f64 = 1.0 / 24.0;
+use crate::{
+    ellipse::{Ellipse, Moments, Shape},
+    marker::weigh::Grey,
+};
 
-/// ∫ Φ(-x/σ) dx from `distance_px` to infinity: how far a blur of the deviation σ moves an edge's
-/// light past a cut at this distance, pixels. With z = distance/σ that is σ (φ(z) - z Φ(-z)).
-/// Sharing a pixel between the sides of the cut blurs it once more, by the pixel's width along u.
-pub(crate) fn moved_px(distance_px: f64, blur_px: f64) -> f64 {
-    let blur_px = (blur_px * blur_px + CUT_SPREAD_PX2).sqrt();
-    if distance_px > 6.0 * blur_px {
-        return 0.0;
+/// Deviation of the blurred edge, pixels, where the measured one is out of this range: pixels behind a
+/// sharp lens have the least.
+const BLUR_LIMITS_PX: (f64, f64) = (0.55, 1.7);
+/// Least distance from a rim of levels that are unmixed, pixels.
+const LEAST_DISTANCE_PX: f64 = 0.5;
+/// Largest share of the other level that a level is taken to hold.
+const MOST_MIXED: f64 = 0.2;
+/// Turns in which σ and what it mixes are found.
+const TURNS: usize = 2;
+
+/// How far from a rim grey levels count, inside and outside, pixels.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(crate) struct Cuts {
+    pub inside_px: f64,
+    pub outside_px: f64,
+}
+
+/// A rim as weighed.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct Weighed {
+    pub shape: Shape,
+    pub rim: Ellipse,
+    pub cuts: Cuts,
+}
+
+impl Weighed {
+    /// From the weighted sums over pixels counted from `origin`; `None` if they are those of no shape.
+    pub fn new(sums: &Moments, origin: (usize, usize), cuts: Cuts) -> Option<Self> {
+        let shape = sums.shape(origin)?;
+        Some(Self { shape, rim: shape.ellipse(), cuts })
     }
-    let z = distance_px / blur_px;
-    let density = (-0.5 * z * z).exp() / std::f64::consts::TAU.sqrt();
-    (blur_px * (density - z * upper_tail(z))).max(0.0)
 }
 
-/// ∫ x Φ(-x/σ) dx from `distance_px` to infinity over σ²: the share of an edge's spread, of which each
-/// side holds 1/4, that lies beyond a cut at this distance.
-pub(crate) fn spread_beyond(distance_px: f64, blur_px: f64) -> f64 {
-    let z = distance_px / blur_px;
-    let density = (-0.5 * z * z).exp() / std::f64::consts::TAU.sqrt();
-    0.5 * ((1.0 - z * z) * upper_tail(z) + z * density).max(0.0)
+/// A level, and how far from a rim it is taken.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct Taken {
+    pub level: Grey,
+    pub distance_px: f64,
 }
 
-/// Φ(-z), to 1e-5 (Abramowitz and Stegun, 26.2.16).
-fn upper_tail(z: f64) -> f64 {
-    let t = 1.0 / (1.0 + 0.33267 * z.abs());
-    let density = (-0.5 * z * z).exp() / std::f64::consts::TAU.sqrt();
-    let tail = density * t * (0.436_183_6 + t * (-0.120_167_6 + t * 0.937_298_0));
-    if z < 0.0 { 1.0 - tail } else { tail }
+/// Levels and rims without the blur.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct Unblurred {
+    pub outer: Ellipse,
+    pub inner: Ellipse,
+    pub black: f64,
+    pub white: f64,
+}
+
+/// Undoes the blur. `margin` is `None` where the margin is taken to be as white as the disc.
+pub(crate) fn unblur(
+    (outer, inner): (&Weighed, &Weighed),
+    (black, white, margin): (&Taken, &Taken, Option<&Taken>),
+) -> Unblurred {
+    let (r_o, r_i) = (rim_radius_px(&outer.rim), rim_radius_px(&inner.rim));
+    let spreads = (outer.shape.spread_px2_of(&outer.rim), inner.shape.spread_px2_of(&inner.rim));
+    let mut spread_px2 = spreads.1;
+    let mut mixed = Mixed::default();
+    let mut blur_px = 0.0;
+    for _ in 0..TURNS {
+        blur_px = spread_px2.max(0.0).sqrt().clamp(BLUR_LIMITS_PX.0, BLUR_LIMITS_PX.1);
+        mixed = Mixed::new((r_o, r_i), (black, white, margin), blur_px);
+        let of_outer = seen(spreads.0, &outer.cuts, (mixed.black, mixed.margin), blur_px);
+        let of_inner = seen(spreads.1, &inner.cuts, (mixed.white, mixed.black), blur_px);
+        // Without a margin, something else is in the outer one.
+        spread_px2 = if margin.is_some() { 0.5 * (of_outer + of_inner) } else { of_inner };
+    }
+    let contrast = (white.level.mean() - black.level.mean()) / (1.0 - mixed.white - mixed.black);
+    Unblurred {
+        outer: outer.rim.grown(growth_px(r_o, &outer.cuts, (mixed.black, mixed.margin), blur_px)),
+        inner: inner.rim.grown(growth_px(r_i, &inner.cuts, (mixed.white, mixed.black), blur_px)),
+        black: black.level.mean() - mixed.black * contrast,
+        white: white.level.mean() + mixed.white * contrast,
+    }
+}
+
+/// Radius of the circle whose circumference is about the rim's.
+fn rim_radius_px(rim: &Ellipse) -> f64 {
+    let (a, b) = (rim.semi_major_px, rim.semi_minor_px);
+    (0.5 * (a * a + b * b)).sqrt()
+}
+
+/// Shares of the contrast by which the levels are off.
+#[derive(Clone, Copy, Debug, Default)]
+struct Mixed {
+    black: f64,
+    white: f64,
+    margin: f64,
+}
+
+impl Mixed {
+    fn new(
+        (r_o, r_i): (f64, f64),
+        (black, white, margin): (&Taken, &Taken, Option<&Taken>),
+        blur_px: f64,
+    ) -> Self {
+        let share = |taken: &Taken, radius_px: f64| {
+            // So near to the edge, levels tell more of how a camera sharpens than of its blur.
+            if taken.distance_px < LEAST_DISTANCE_PX {
+                return 0.0;
+            }
+            let moved_px = Beyond::new(taken.distance_px, blur_px).moved_px;
+            let share = std::f64::consts::TAU * radius_px.max(0.0) * moved_px;
+            (share / f64::from(taken.level.pixels)).min(MOST_MIXED)
+        };
+        // Both rims give light to the black, one from each side.
+        let of_black = share(black, r_o + r_i);
+        let of_white = share(white, r_i - white.distance_px);
+        let of_margin = margin.map_or(of_white, |margin| share(margin, r_o + margin.distance_px));
+        Self { black: of_black, white: of_white, margin: of_margin }
+    }
+}
+
+/// σ² from the spread between the cuts, with the shares by which the levels (inside, outside) are off.
+fn seen(spread_px2: f64, cuts: &Cuts, (inside, outside): (f64, f64), blur_px: f64) -> f64 {
+    let (near, far) = (cuts.inside_px, cuts.outside_px);
+    let beyond = Beyond::new(near, blur_px).spread + Beyond::new(far, blur_px).spread;
+    (spread_px2 + inside * near * near + outside * far * far) / (1.0 - 2.0 * beyond).max(0.3)
+}
+
+/// What a rim of this radius is to be grown by.
+fn growth_px(radius_px: f64, cuts: &Cuts, (inside, outside): (f64, f64), blur_px: f64) -> f64 {
+    let (near, far) = (cuts.inside_px, cuts.outside_px);
+    let outer = (radius_px + far) * Beyond::new(far, blur_px).moved_px;
+    let inner = (radius_px - near) * Beyond::new(near, blur_px).moved_px;
+    let levels = outside * (radius_px + 0.5 * far) * far - inside * (radius_px - 0.5 * near) * near;
+    (outer - inner + levels) / radius_px
+}
+
+/// What of an edge's light lies beyond a cut parallel to it.
+#[derive(Clone, Copy, Debug)]
+struct Beyond {
+    /// ∫ Φ(-x/σ) dx, pixels.
+    moved_px: f64,
+    /// ∫ x Φ(-x/σ) dx / σ²; 1/4 for a cut on the edge.
+    spread: f64,
+}
+
+impl Beyond {
+    fn density(z: f64) -> f64 {
+        (-0.5 * z * z).exp() * FRAC_1_SQRT_TAU
+    }
+
+    fn new(distance_px: f64, blur_px: f64) -> Self {
+        let z = distance_px / blur_px;
+        let density = Self::density(z);
+        let tail = upper_tail(z.abs(), density);
+        let tail = if z < 0.0 { 1.0 - tail } else { tail };
+        Self {
+            moved_px: (blur_px * (density - z * tail)).max(0.0),
+            spread: 0.5 * ((1.0 - z * z) * tail + z * density).max(0.0),
+        }
+    }
+}
+
+/// 1/√(2π).
+const FRAC_1_SQRT_TAU: f64 = 0.398_942_280_401_432_7;
+
+/// Φ(-z) for z ≥ 0, given φ(z), to 1e-5 (Abramowitz and Stegun, 26.2.16).
+fn upper_tail(z: f64, density: f64) -> f64 {
+    let t = 1.0 / (1.0 + 0.33267 * z);
+    density * t * (0.436_183_6 + t * (-0.120_167_6 + t * 0.937_298_0))
 }
 
 #[cfg(test)]
@@ -44,17 +196,16 @@ mod tests {
     #[test]
     fn closed_forms_equal_their_integrals() {
         let blur_px = 0.8f64;
-        let cut_px = (blur_px * blur_px + CUT_SPREAD_PX2).sqrt();
-        for distance_px in [-0.5, 0.0, 0.4, 1.3, 2.5] {
-            let moved = integral(distance_px, |x| upper_tail(x / cut_px));
-            assert!((moved_px(distance_px, blur_px) - moved).abs() < 1e-4, "{distance_px}");
+        let beyond = |x: f64| Beyond::new(x, blur_px);
+        // Φ(-x/σ) is the slope of what lies beyond x.
+        let tail = |x: f64| (beyond(x - 1e-4).moved_px - beyond(x + 1e-4).moved_px) / 2e-4;
+        for distance_px in [0.1, 0.4, 1.3, 2.5] {
+            let moved = integral(distance_px, tail);
+            assert!((beyond(distance_px).moved_px - moved).abs() < 1e-4, "{distance_px}");
+            let spread = integral(distance_px, |x| x * tail(x)) / blur_px.powi(2);
+            assert!((beyond(distance_px).spread - spread).abs() < 1e-3, "{distance_px}");
         }
-        for distance_px in [0.0, 0.4, 1.3, 2.5] {
-            let spread = integral(distance_px, |x| x * upper_tail(x / blur_px)) / blur_px.powi(2);
-            assert!((spread_beyond(distance_px, blur_px) - spread).abs() < 1e-4, "{distance_px}");
-        }
-        assert!((spread_beyond(0.0, 1.0) - 0.25).abs() < 1e-4);
-        assert!((upper_tail(1.0) - 0.158_655).abs() < 2e-5);
-        assert_eq!(moved_px(9.0, 1.0), 0.0);
+        assert!((beyond(0.0).spread - 0.25).abs() < 1e-4);
+        assert!((upper_tail(1.0, Beyond::density(1.0)) - 0.158_655).abs() < 2e-5);
     }
 }

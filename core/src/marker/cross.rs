@@ -103,8 +103,6 @@ impl Evenness {
 pub(crate) struct Candidate {
     /// A pixel of the disc near its centre.
     pub center: (usize, usize),
-    /// A pixel of the ring in the same row.
-    pub black: (usize, usize),
     /// Half the sides of the ring's box, along u and v.
     pub half_box_px: (f64, f64),
     /// Pixels below it are black.
@@ -259,7 +257,6 @@ pub(crate) fn cross(
     let row = binary.even_chord((u, v), (1, 0), limit, evenness)?;
     let moved = row.middle(evenness);
     let center = (u.wrapping_add_signed(moved), v);
-    let black = (u.wrapping_add_signed(((row.outer.0 + row.inner.0) >> 1) as isize), v);
     let slack = evenness.ratio_slack + RATIO_SLACK_PX / row.half().min(column.half());
     let mut diagonals = [0.0; 2];
     for (half, step) in diagonals.iter_mut().zip([(1, 1), (1, -1)]) {
@@ -273,7 +270,7 @@ pub(crate) fn cross(
     let share = row.white_share();
     let black_at = rules.black_at.unwrap_or(0.5 * (1.0 + share));
     shape.check_round(&binary, center, black_at, share)?;
-    Ok(Candidate { center, black, half_box_px: shape.half_box_px(), threshold })
+    Ok(Candidate { center, half_box_px: shape.half_box_px(), threshold })
 }
 
 /// Half chords through an ellipse's centre.

@@ -25,7 +25,7 @@ use std::sync::LazyLock;
 use crate::{
     ellipse::Ellipse,
     frame::Frame,
-    marker::{Ring, outline::level_at, reject::Reject},
+    marker::{Ring, reject::Reject},
 };
 
 /// Points along a rim.
@@ -72,6 +72,21 @@ fn levels_along(frame: &Frame, rim: &Ellipse) -> [f64; POINTS] {
         let v = rim.center.v + x * sin_tilt + y * cos_tilt;
         level_at(frame, u, v)
     })
+}
+
+/// Grey level between the pixels, bilinear.
+fn level_at(frame: &Frame, u: f64, v: f64) -> f64 {
+    let (u, v) =
+        (u.clamp(0.0, (frame.width() - 1) as f64), v.clamp(0.0, (frame.height() - 1) as f64));
+    let (left, top) = (u as usize, v as usize);
+    let (right, bottom) = ((left + 1).min(frame.width() - 1), (top + 1).min(frame.height() - 1));
+    let (du, dv) = (u - left as f64, v - top as f64);
+    let row = |v: usize| {
+        let row = frame.row(v);
+        let (left, right) = (f64::from(row[left]), f64::from(row[right]));
+        left + (right - left) * du
+    };
+    row(top) + (row(bottom) - row(top)) * dv
 }
 
 /// Variances of levels, by harmonics.

@@ -1,29 +1,92 @@
 //! One ring, measured where it is thought to be: all tests, both rims to a fraction of a pixel, its
 //! kind, and the rims compensated for it.
+//!
+//! 1. The window is copied and thresholded into words of bits ([`crate::marker::patch`]).
+//! 2. The disc is followed from the probe's centre, and the black from the disc
+//!    ([`crate::marker::spans`]); counts refuse what is too small, too large or of the wrong ratio
+//!    ([`crate::marker::examine`]).
+//! 3. Bits grown and shrunk give the belts in which the rims' blur lies, and the pixels that tell the
+//!    levels B and W ([`crate::marker::belt`], [`crate::marker::levels`]).
+//! 4. Inside the inner belt a pixel is disc, in it (I - B)/(W - B) of it is, and of the roundel in the
+//!    outer belt (W - I)/(W - B). Blur moves weight across a rim but loses none, so the area and the
+//!    difference of the covariance's eigenvalues ([`crate::ellipse::Shape::ellipse`]) are those of the
+//!    sharp rim, and noise comes from the belts alone ([`crate::marker::weigh`]).
+//! 5. What blur does to the levels and past the belts is undone ([`crate::marker::blur`]).
+//!
+//! All of it is linear in the grey levels, whose noise therefore makes no bias.
+//!
+//! Accuracy against drawn rings (`benches/precision.rs`; inner/outer 0.4, margin 1.4, contrast 160, blur
+//! 0.7 px, noise 2, kind known), mean radius, rms: to 30° of tilt 0.007 % at 81 px of diameter, 0.04 %
+//! at 30 px, 0.15 % at 20 px, 0.2 to 0.3 % at 12 px; at 60°, 0.12 % at 30 px.
+//!
+//! Where the margin is narrower than four pixels its level is taken to be the disc's, and the outer belt
+//! is one pixel wide; where it is narrower than two, the belt ends at the threshold's edge, and what lies
+//! beyond follows from the blur: 0.15 to 0.5 % at 16 and 20 px with a margin of 1.2 and 1.5 px.
+//!
+//! Limits: where the disc's shorter semiaxis is below three times the blur, rims come out short (1 to
+//! 2 % at 12 px and a blur of 1.1); black thinner than three pixels is never seen as it is, and rims of
+//! such rings are off by up to 0.2 px.
+
+use fearless_simd::{Level, Simd, dispatch};
+use fearless_simd_macros::simd;
 
 use crate::{
+    camera::PixelPoint,
+    ellipse::Symmetric2,
     frame::Frame,
     marker::{
         Ring,
-        examine::{Probe, Rules, examine},
-        kind::{Kind, RATIO_LIMITS, nearest_kind},
+        belt::{BeltScratch, Belts, THIN_PX, WIDE_PX, pixels_in},
+        blur::{Cuts, Taken, Unblurred, Weighed, unblur},
+        examine::{Counted, Probe, Rules, check_boxes, check_counts, check_shapes},
+        kind::{Kind, Polarity, RATIO_LIMITS, nearest_kind},
+        levels::Levels,
         outline::unevenness,
-        refine::refine,
+        patch::Patch,
         reject::Reject,
-        zone::RowScratch,
+        spans::{Bits, Extent, Span, Spill, follow_disc, follow_ring},
+        weigh::{Weights, moments},
     },
-    segment::FillScratch,
 };
 
-/// A ring is refilled at its own threshold, eq. (3), if that is further from the first one than this
-/// share of the contrast.
-const RETHRESHOLD_SHARE: f64 = 0.03;
+/// A ring is measured anew at its own threshold, eq. (3), if that is further from the first one than
+/// this share of the contrast; than the second, if the threshold has cut its rim.
+const RETHRESHOLD_SHARE: (f64, f64) = (0.15, 0.02);
+
+/// Deviation of a blurred edge where none is measured, pixels.
+const USUAL_BLUR_PX: f64 = 0.75;
+/// Least distance of the outer rim from the frame's edge, pixels.
+const EDGE_PX: f64 = 1.0;
 
 /// Memory of measuring one ring.
-#[derive(Debug, Default)]
+#[derive(Debug)]
 pub(crate) struct MeasureScratch {
-    fill: FillScratch,
-    row: RowScratch,
+    level: Level,
+    patch: Patch,
+    discs: Vec<Span>,
+    rings: Vec<Span>,
+    belts: BeltScratch,
+}
+
+impl Default for MeasureScratch {
+    fn default() -> Self {
+        Self {
+            level: Level::new(),
+            patch: Patch::default(),
+            discs: Vec::new(),
+            rings: Vec::new(),
+            belts: BeltScratch::new(),
+        }
+    }
+}
+
+/// What is known of the outer rim besides its ellipse.
+#[derive(Clone, Copy, Debug)]
+struct Outline {
+    /// As in [`Ring`].
+    unevenness: f64,
+    /// Only what lies inside of the threshold's edge was weighed.
+    cut: bool,
 }
 
 /// The ring at a probe. Without kinds any ring passes whose ratio of diameters can be measured.
@@ -34,30 +97,184 @@ pub(crate) fn measure(
     kinds: &[Kind],
     scratch: &mut MeasureScratch,
 ) -> Result<Ring, Reject> {
-    let mut coarse = examine(frame, probe, rules, &mut scratch.fill)?;
-    let mut threshold = coarse.threshold();
-    let off = f64::from(threshold.abs_diff(probe.threshold));
-    if off > RETHRESHOLD_SHARE * (coarse.white - coarse.black) {
-        match examine(frame, &Probe { threshold, ..*probe }, rules, &mut scratch.fill) {
-            Ok(better) => coarse = better,
-            // Something bridges the rims at the middle; what works is kept.
-            Err(_) => threshold = probe.threshold,
+    dispatch!(scratch.level, simd => measure_with(simd, frame, probe, rules, kinds, scratch))
+}
+
+#[simd]
+fn measure_with<S: Simd>(
+    simd: S,
+    frame: &Frame,
+    probe: &Probe,
+    rules: &Rules,
+    kinds: &[Kind],
+    scratch: &mut MeasureScratch,
+) -> Result<Ring, Reject> {
+    let mut threshold = probe.threshold;
+    let mut found = rims(simd, frame, probe, rules, scratch)?;
+    let own = (0.5 * (found.0.black + found.0.white)).round().clamp(1.0, 255.0) as u8;
+    let off = f64::from(own.abs_diff(threshold));
+    let limit = if found.1.cut { RETHRESHOLD_SHARE.1 } else { RETHRESHOLD_SHARE.0 };
+    if off > limit * (found.0.white - found.0.black) {
+        // If something bridges the rims at the middle, what works is kept.
+        if let Ok(better) = rims(simd, frame, &Probe { threshold: own, ..*probe }, rules, scratch) {
+            (found, threshold) = (better, own);
         }
+    } else {
+        threshold = own;
     }
-    let fine = refine(frame, &coarse, &mut scratch.row)?;
+    let (Unblurred { outer, inner, black, white }, Outline { unevenness, .. }) = found;
     let (kind, outer, inner) = if kinds.is_empty() {
-        let ratio = fine.inner.mean_radius_px() / fine.outer.mean_radius_px();
+        let ratio = inner.mean_radius_px() / outer.mean_radius_px();
         if ratio < RATIO_LIMITS.0 || ratio > RATIO_LIMITS.1 {
             return Err(Reject::AreaRatio);
         }
-        (None, fine.outer, fine.inner)
+        (None, outer, inner)
     } else {
-        let (kind, outer, inner) =
-            nearest_kind(kinds, &fine.outer, &fine.inner).ok_or(Reject::Kind)?;
+        let (kind, outer, inner) = nearest_kind(kinds, &outer, &inner).ok_or(Reject::Kind)?;
         (Some(kind), outer, inner)
     };
-    let (black, white) = (fine.black, fine.white);
-    let unevenness = unevenness(frame, &outer, white - black)?;
-    let ring = Ring { kind, threshold, black, white, unevenness, ..Ring::of_rims(outer, inner) };
-    Ok(ring)
+    Ok(Ring { kind, threshold, black, white, unevenness, ..Ring::of_rims(outer, inner) })
+}
+
+#[simd]
+fn rims<S: Simd>(
+    simd: S,
+    frame: &Frame,
+    probe: &Probe,
+    rules: &Rules,
+    scratch: &mut MeasureScratch,
+) -> Result<(Unblurred, Outline), Reject> {
+    let MeasureScratch { patch, discs, rings, belts, .. } = scratch;
+    Patch::load(simd, patch, frame, probe.bounds, (probe.threshold, Polarity::BlackRing));
+    let (rows, columns) = (patch.rows(), patch.columns());
+    if discs.len() < rows {
+        discs.resize(rows, Span::default());
+        rings.resize(rows, Span::default());
+    }
+    let window = patch.window;
+    let seed = ((probe.center.0 - window.left) as u32, probe.center.1 - window.top);
+    let white = Bits::new(&patch.white, patch.words, (rows, columns));
+    let black = Bits::new(&patch.black, patch.words, (rows, columns));
+    let disc = follow_disc(simd, &white, seed, discs).map_err(|spill| match spill {
+        Spill::Seed => Reject::NoWhite,
+        Spill::Edge(_) => Reject::WhiteTooLarge,
+    })?;
+    let ring = follow_ring(simd, &black, (&disc, discs), rings).map_err(|spill| match spill {
+        Spill::Seed => Reject::NoBlack,
+        Spill::Edge(extent) if at_frame_edge(frame, patch, &extent) => Reject::FrameEdge,
+        Spill::Edge(_) => Reject::BlackTooLarge,
+    })?;
+    let (of_disc, of_ring) = counts(patch, (&disc, discs), (&ring, rings));
+    check_counts(&of_ring, &of_disc, rules)?;
+
+    let belts = Belts::round(simd, patch, (&disc, discs), (&ring, rings), belts);
+    let words = patch.words;
+    let first = belts.top * words;
+    let blocks = belts.disc_core.len();
+    let grey = &patch.grey[first..first + blocks];
+    let middle = |first: usize, end: usize| (first + end) / 2;
+    let columns = &ring.columns;
+    let column = middle(columns.first as usize, columns.end as usize) & !1;
+    let row = middle(ring.top, ring.bottom) - belts.top;
+    let levels = Levels::new(simd, grey, &belts, words, (column, row));
+    let (black, white) = (levels.black.mean(), levels.disc.mean());
+    let contrast = white - black;
+    if contrast.is_nan() || contrast < rules.min_contrast {
+        return Err(Reject::Contrast);
+    }
+    let margin = levels.margin();
+    let origin = (window.left + column, window.top + belts.top + row);
+    let first = (-(column as f32), -(row as f32));
+    let sets = (belts.disc_core, belts.disc_belt);
+    let weights = Weights::between(black, white);
+    let sums = moments(simd, grey, sets, words, first, weights);
+    let around = Cuts { inside_px: belts.core_px, outside_px: belts.inside_px };
+    let inner = Weighed::new(&sums, origin, around).ok_or(Reject::TooSmall)?;
+    let cut_px = cut_px(f64::from(probe.threshold) - 0.5, black, white);
+    let cut = margin.is_none() && !levels.has_near_margin();
+    let (sets, cuts) = match margin {
+        Some(_) => (
+            (belts.ring_core, belts.ring_belt),
+            Cuts { inside_px: belts.inside_px, outside_px: WIDE_PX },
+        ),
+        None if !cut => {
+            ((belts.thin_core, belts.thin_belt), Cuts { inside_px: THIN_PX, outside_px: THIN_PX })
+        }
+        None => {
+            ((belts.thin_core, belts.half_belt), Cuts { inside_px: THIN_PX, outside_px: cut_px })
+        }
+    };
+    let weights = Weights::between(margin.map_or(white, |margin| margin.mean()), black);
+    let sums = moments(simd, grey, sets, words, first, weights);
+    let outer = Weighed::new(&sums, origin, cuts).ok_or(Reject::TooSmall)?;
+
+    check_boxes((&of_ring, &outer.shape), (&of_disc, &inner.shape), rules)?;
+    check_shapes((&outer.shape, &outer.rim), (&inner.shape, &inner.rim), rules)?;
+    let matrix = outer.shape.matrix_of(&outer.rim);
+    check_edge(frame, outer.shape.center, &matrix)?;
+    let unevenness = unevenness(simd, patch, outer.shape.center, &matrix, contrast)?;
+    let taken = |level, distance_px| Taken { level, distance_px };
+    let mut found = unblur(
+        (&outer, &inner),
+        (
+            &taken(levels.black, belts.black_px),
+            &taken(levels.disc, belts.core_px),
+            margin.map(|margin| taken(margin, WIDE_PX)).as_ref(),
+        ),
+    );
+    if margin.is_some() {
+        let belts = (pixels_in(sets.1), pixels_in(belts.disc_belt));
+        let (of_outer, of_inner) = levels.movement((&outer, &inner), belts, contrast);
+        for (rim, moved) in [(&mut found.outer, of_outer), (&mut found.inner, of_inner)] {
+            rim.center.u -= moved.u;
+            rim.center.v -= moved.v;
+        }
+    }
+    Ok((found, Outline { unevenness, cut }))
+}
+
+/// How far outside of the rim the threshold cuts its blurred edge, for a usual blur.
+fn cut_px(threshold: f64, black: f64, white: f64) -> f64 {
+    // σ Φ⁻¹(1/2 + p), by its series.
+    let p = ((threshold - black) / (white - black) - 0.5).clamp(-0.4, 0.4);
+    let pi = std::f64::consts::PI;
+    USUAL_BLUR_PX * (2.0 * pi).sqrt() * (p + p * p * p * pi / 3.0)
+}
+
+/// Whether the rim lies far enough from the frame's edge to be measured.
+fn check_edge(frame: &Frame, center: PixelPoint, matrix: &Symmetric2) -> Result<(), Reject> {
+    let (half_u, half_v) = (matrix.uu.sqrt() + EDGE_PX, matrix.vv.sqrt() + EDGE_PX);
+    let inside = center.u >= half_u
+        && center.v >= half_v
+        && center.u + half_u <= (frame.width() - 1) as f64
+        && center.v + half_v <= (frame.height() - 1) as f64;
+    if inside { Ok(()) } else { Err(Reject::FrameEdge) }
+}
+
+/// Whether a segment has reached an edge of the patch that is one of the frame's.
+fn at_frame_edge(frame: &Frame, patch: &Patch, extent: &Extent) -> bool {
+    let window = &patch.window;
+    (extent.columns.first == 0 && window.left == 0)
+        || (extent.columns.end as usize == patch.columns() && window.right == frame.width())
+        || (extent.top == 0 && window.top == 0)
+        || (extent.bottom == patch.rows() && window.bottom == frame.height())
+}
+
+/// Pixels of the disc and of the black round it.
+#[inline(always)]
+fn counts(
+    patch: &Patch,
+    (disc, discs): (&Extent, &[Span]),
+    (ring, rings): (&Extent, &[Span]),
+) -> (Counted, Counted) {
+    let count = |extent: &Extent, spans: &[Span], bits: &[u64]| {
+        let mut pixels = 0;
+        for v in extent.top..extent.bottom {
+            for word in 0..patch.words {
+                pixels += (bits[v * patch.words + word] & spans[v].bits(word)).count_ones();
+            }
+        }
+        Counted::new(pixels, extent)
+    };
+    (count(disc, discs, &patch.white), count(ring, rings, &patch.black))
 }

@@ -5,8 +5,12 @@
 //! | rows with black, white, black | `edge`, `scan` | 3.1, 3.6 |
 //! | chords through the centre | `cross` | 3.1 |
 //! | threshold at each place | `threshold` | 3.2, eq. (3) |
-//! | fill, roundness, areas, ellipses | `examine` | 3.1, 3.3, eqs. (1), (2), (4), (5), (6) |
-//! | rims to a fraction of a pixel | `refine`, `zone`, `blur` | – |
+//! | one ring, wherever it is thought to be | `measure` | 3.1, 3.3 |
+//! | its pixels as words of bits | `patch` | 3.2 |
+//! | disc and black, followed by runs | `spans` | 3.1, algorithm 1 |
+//! | the pixels near its rims | `belt`, `levels` | – |
+//! | rims to a fraction of a pixel | `weigh`, `blur` | eqs. (4), (6) |
+//! | areas, roundness, shapes | `examine`, `outline` | 3.1, 3.3, eqs. (1), (2), (5) |
 //! | kind by ratio of diameters | `kind` | 3.4 |
 //! | rims that are ellipses | `harmonic` | – |
 //! | compensation of the rims | [`rim`] | 3.5, eqs. (7), (8) |
@@ -29,6 +33,7 @@
 //! # Ok::<(), Box<dyn std::error::Error>>(())
 //! ```
 
+mod belt;
 mod blur;
 mod claim;
 mod code;
@@ -38,18 +43,20 @@ mod edge;
 mod examine;
 mod harmonic;
 mod kind;
+mod levels;
 mod mask;
 mod measure;
 mod outline;
 mod param;
-mod refine;
+mod patch;
 mod reject;
 pub mod rim;
 mod scan;
 mod search;
+mod spans;
 mod threshold;
 mod tracker;
-mod zone;
+mod weigh;
 
 pub use code::{Code, CodeError, CodeLayout, CodeReader, CodeReading, Dictionary, Tooth};
 pub use detector::{Detector, Scratch};

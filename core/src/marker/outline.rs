@@ -5,61 +5,147 @@
 //! covariance allows for. Along a rim that is where the ellipse says, though, every point has the
 //! level halfway between black and white; where something covers it, the level is one or the other.
 //!
-//! So the pose is told how uneven the rim is, and takes it into its covariance. The deviation is the rms over the rim of (level - mean level) / contrast, without its first
-//! harmonic, which is that of a lighting gradient.
+//! So the pose is told how uneven the rim is, and takes it into its covariance. The deviation is the rms
+//! over the rim of (level - mean level) / contrast, without its first harmonic, which is that of a
+//! lighting gradient. With M = L Lᵀ (Cholesky) of the rim's matrix, c + L (cos t, sin t) runs along it,
+//! evenly as along the circle that it is an affine image of; no angle is needed.
 
-use crate::{ellipse::Ellipse, frame::Frame, marker::reject::Reject};
+use fearless_simd::{Simd, f32x16, prelude::*};
+use fearless_simd_macros::simd;
+
+use crate::{
+    camera::PixelPoint,
+    ellipse::Symmetric2,
+    marker::{
+        patch::{Patch, WORD_PX},
+        reject::Reject,
+    },
+};
 
 /// Points along the rim.
 const POINTS: usize = 32;
 /// Beyond this share more of the rim is gone than an ellipse can be trusted with.
 const LARGEST: f64 = 0.25;
 
-/// How uneven the outer rim is, as [`deviation`] says, or that it is covered.
+/// How uneven the rim with this centre and [`crate::ellipse::Ellipse::matrix`] is, as [`deviation`]
+/// says, or that it is covered.
 ///
 /// Rendered whole rings (contrast 120, noise 2) have 0.011, at the most 0.017 of 3,000, which is two
 /// thirds of the noise's share of the contrast. Prints on bent paper or after JPEG have up to 0.09;
 /// rings that a neighbour's sheet covers in part have 0.03 to 0.23.
-pub(crate) fn unevenness(frame: &Frame, outer: &Ellipse, contrast: f64) -> Result<f64, Reject> {
-    let uneven = deviation(frame, outer, contrast);
+#[simd]
+pub(crate) fn unevenness<S: Simd>(
+    simd: S,
+    patch: &Patch,
+    center: PixelPoint,
+    matrix: &Symmetric2,
+    contrast: f64,
+) -> Result<f64, Reject> {
+    let uneven = deviation(simd, &levels(simd, patch, center, matrix)) / contrast;
     // Not a number where the contrast is none.
     if uneven <= LARGEST { Ok(uneven) } else { Err(Reject::Covered) }
 }
 
-/// Rms deviation of the levels along the outer rim, as a share of the contrast. The rim lies inside
-/// the frame.
-fn deviation(frame: &Frame, outer: &Ellipse, contrast: f64) -> f64 {
-    let (sin_tilt, cos_tilt) = outer.angle_rad.sin_cos();
-    let (mut sum, mut squares, mut along, mut across) = (0.0, 0.0, 0.0, 0.0);
-    for point in 0..POINTS {
-        let (sin, cos) = (std::f64::consts::TAU * point as f64 / POINTS as f64).sin_cos();
-        let (x, y) = (outer.semi_major_px * cos, outer.semi_minor_px * sin);
-        let u = outer.center.u + x * cos_tilt - y * sin_tilt;
-        let v = outer.center.v + x * sin_tilt + y * cos_tilt;
-        let level = level_at(frame, u, v);
-        sum += level;
-        squares += level * level;
-        along += level * cos;
-        across += level * sin;
+/// cos(k π/16) of the quarter k = 0..=8; the rest of the circle follows by symmetry.
+const QUARTER: [f32; 9] = [
+    1.0,
+    0.980_785_25,
+    0.923_879_5,
+    0.831_469_6,
+    std::f32::consts::FRAC_1_SQRT_2,
+    0.555_570_24,
+    0.382_683_43,
+    0.195_090_32,
+    0.0,
+];
+
+const fn circle(quarter_turns_back: usize) -> [f32; POINTS] {
+    let mut cosines = [0.0; POINTS];
+    let mut point = 0;
+    while point < POINTS {
+        let k = (point + POINTS - quarter_turns_back * POINTS / 4) % POINTS;
+        cosines[point] = match k {
+            0..=8 => QUARTER[k],
+            9..=16 => -QUARTER[16 - k],
+            17..=24 => -QUARTER[k - 16],
+            _ => QUARTER[32 - k],
+        };
+        point += 1;
     }
-    let n = POINTS as f64;
-    // Parseval: the mean square less those of the constant and of the first harmonic.
-    let variance =
-        squares / n - (sum / n).powi(2) - 2.0 * ((along / n).powi(2) + (across / n).powi(2));
-    variance.max(0.0).sqrt() / contrast
+    cosines
 }
 
-/// Grey level between the pixels, bilinear.
-pub(crate) fn level_at(frame: &Frame, u: f64, v: f64) -> f64 {
-    let (u, v) =
-        (u.clamp(0.0, (frame.width() - 1) as f64), v.clamp(0.0, (frame.height() - 1) as f64));
-    let (left, top) = (u as usize, v as usize);
-    let (right, bottom) = ((left + 1).min(frame.width() - 1), (top + 1).min(frame.height() - 1));
-    let (du, dv) = (u - left as f64, v - top as f64);
-    let row = |v: usize| {
-        let row = frame.row(v);
-        let (left, right) = (f64::from(row[left]), f64::from(row[right]));
-        left + (right - left) * du
-    };
-    row(top) + (row(bottom) - row(top)) * dv
+/// Of the points along the circle.
+const COS: [f32; POINTS] = circle(0);
+const SIN: [f32; POINTS] = circle(1);
+
+/// Half of the points' cosines or sines.
+#[inline(always)]
+fn half<S: Simd>(simd: S, values: &[f32; POINTS], half: usize) -> f32x16<S> {
+    f32x16::from_slice(simd, &values[half * 16..half * 16 + 16])
+}
+
+/// Grey levels along the rim, bilinear between pixels.
+#[simd]
+fn levels<S: Simd>(
+    simd: S,
+    patch: &Patch,
+    center: PixelPoint,
+    matrix: &Symmetric2,
+) -> [f32x16<S>; 2] {
+    let along_u = matrix.uu.sqrt() as f32;
+    let shear = matrix.uv as f32 / along_u;
+    let along_v = (matrix.vv as f32 - shear * shear).max(0.0).sqrt();
+    let center_u = (center.u - patch.window.left as f64) as f32;
+    let center_v = (center.v - patch.window.top as f64) as f32;
+    let zero = f32x16::splat(simd, 0.0);
+    let last_u = f32x16::splat(simd, patch.columns().saturating_sub(2) as f32);
+    let last_v = f32x16::splat(simd, patch.rows().saturating_sub(2) as f32);
+    let mut levels = [zero; 2];
+    for (part, level) in levels.iter_mut().enumerate() {
+        let (cos, sin) = (half(simd, &COS, part), half(simd, &SIN, part));
+        let u = (cos * along_u + center_u).max(zero).min(last_u);
+        let v = (cos * shear + sin * along_v + center_v).max(zero).min(last_v);
+        let (column, row) = (u.floor(), v.floor());
+        let [mut upper, mut upper_right, mut lower, mut lower_right] = [[0.0; 16]; 4];
+        for point in 0..16 {
+            let (u, v) = (column[point] as usize, row[point] as usize);
+            let grey = |u: usize, v: usize| {
+                f32::from(patch.grey[v * patch.words + u / WORD_PX][u % WORD_PX])
+            };
+            upper[point] = grey(u, v);
+            upper_right[point] = grey(u + 1, v);
+            lower[point] = grey(u, v + 1);
+            lower_right[point] = grey(u + 1, v + 1);
+        }
+        let (du, dv) = (u - column, v - row);
+        let upper = f32x16::load_array(simd, upper);
+        let upper = (f32x16::load_array(simd, upper_right) - upper).mul_add(du, upper);
+        let lower = f32x16::load_array(simd, lower);
+        let lower = (f32x16::load_array(simd, lower_right) - lower).mul_add(du, lower);
+        *level = (lower - upper).mul_add(dv, upper);
+    }
+    levels
+}
+
+/// Rms deviation of the levels from their mean, without the first harmonic.
+#[simd]
+fn deviation<S: Simd>(simd: S, levels: &[f32x16<S>; 2]) -> f64 {
+    let mean = (levels[0] + levels[1]).reduce_sum() / POINTS as f32;
+    let zero = f32x16::splat(simd, 0.0);
+    let [mut squares, mut along, mut across] = [zero; 3];
+    for (part, &level) in levels.iter().enumerate() {
+        let level = level - mean;
+        squares += level * level;
+        along += level * half(simd, &COS, part);
+        across += level * half(simd, &SIN, part);
+    }
+    let n = POINTS as f64;
+    let (squares, along, across) = (
+        f64::from(squares.reduce_sum()) / n,
+        f64::from(along.reduce_sum()) / n,
+        f64::from(across.reduce_sum()) / n,
+    );
+    // Parseval: the mean square less that of the first harmonic.
+    (squares - 2.0 * (along * along + across * across)).max(0.0).sqrt()
 }

@@ -154,7 +154,6 @@ impl Detector {
         let center = (candidate.center.0 as f64, candidate.center.1 as f64);
         let probe = Probe {
             center: candidate.center,
-            black: candidate.black,
             threshold: candidate.threshold,
             bounds: Window::around(frame, center, (reach(half_u), reach(half_v))),
         };

@@ -266,23 +266,7 @@ fn probe(frame: &Frame, track: &Track) -> Result<Probe, Reject> {
         (at.u.round() as usize).min(frame.width() - 1),
         (at.v.round() as usize).min(frame.height() - 1),
     );
-    let threshold = track.ring.threshold;
-    let row = frame.row(center.1);
-    if row[center.0] < threshold {
-        return Err(Reject::NoWhite);
-    }
-    let furthest = center.0.saturating_sub(half_u as usize + 2);
-    let first = (furthest..center.0).rev().find(|&u| row[u] < threshold);
-    let first = first.ok_or(Reject::NoBlack)?;
-    // A few pixels into the black, so that the seed is black at the next threshold as well.
-    let thickness = 0.5 * (track.ring.outer.semi_minor_px - track.ring.inner.semi_minor_px);
-    let deeper = first.saturating_sub(thickness as usize);
-    let black = if row[deeper] < threshold { deeper } else { first };
-    let reach = track.gate_px();
-    let bounds = Window::around(
-        frame,
-        (at.u, at.v),
-        (1.3 * half_u + reach + 2.0, 1.3 * half_v + reach + 2.0),
-    );
-    Ok(Probe { center, black: (black, center.1), threshold, bounds })
+    let slack = |half: f64| 1.3 * half + 5.0;
+    let bounds = Window::around(frame, (at.u, at.v), (slack(half_u), slack(half_v)));
+    Ok(Probe { center, threshold: track.ring.threshold, bounds })
 }

@@ -1,0 +1,151 @@
+//! Grey levels of a roundel's parts, and how they change across it.
+//!
+//! Black, disc and margin each have a level, the mean over pixels that the blur of the rims hardly
+//! reaches ([`crate::marker::belt`]). The margin's is used where what lies there is margin and nothing
+//! else; else it is taken to be as white as the disc.
+//!
+//! Under a gradient γ of the lighting, weights rise by γ·x / contrast on one side of a rim and fall on
+//! the other, which leaves the area but moves the centre: of a disc of the area A and the matrix M
+//! ([`crate::ellipse::Ellipse::matrix`]), whose belt has n pixels and so the second moments n M / 2, by
+//! n M γ / (2 A contrast); and of the roundel, whose weights are those of black, to the other side.
+//!
+//! Pixels in a ring similar to the rim and ρ times as large lie at ρ √M_uu cos t along u, so the means
+//! of its right and left halves differ by Δ_u = (4/π) ρ (M γ)_u / √M_uu. That gives M γ at once,
+//! whatever the ellipse's angle.
+
+use fearless_simd::Simd;
+use fearless_simd_macros::simd;
+
+use crate::{
+    camera::PixelPoint,
+    marker::{
+        belt::Belts,
+        blur::Weighed,
+        patch::WORD_PX,
+        weigh::{Grey, levels, square},
+    },
+};
+
+/// The margin is white where its level does not fall outwards by more than this share of the contrast
+/// and so many grey levels …
+const MARGIN_FALL: (f64, f64) = (0.012, 0.6);
+/// … and does not vary by more than this.
+const MARGIN_DEVIATION: (f64, f64) = (0.1, 3.0);
+/// Least level of the margin two or three pixels from the rim, as a share of the contrast, if it is to
+/// be wider than that.
+const NEAR_MARGIN: f64 = 0.5;
+/// Sum of squared differences, grey levels, that noise alone gives.
+const QUIET: f64 = 1.0;
+
+/// Differences of the means of two halves, grey levels by one.
+type Slope = (f64, f64);
+
+/// Levels of a roundel's parts.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct Levels {
+    pub disc: Grey,
+    pub black: Grey,
+    near: Grey,
+    far: Grey,
+    /// Σ I² over `far`.
+    far_square: u64,
+    /// Of black and margin.
+    slopes: (Slope, Slope),
+}
+
+impl Levels {
+    /// Levels, with halves to either side of column `middle.0` of the patch, which is even, and of row
+    /// `middle.1` of the belts.
+    #[simd]
+    pub fn new<S: Simd>(
+        simd: S,
+        grey: &[[u8; WORD_PX]],
+        belts: &Belts,
+        words: usize,
+        middle: (usize, usize),
+    ) -> Self {
+        let (top, bottom) = grey.split_at(middle.1 * words);
+        let sets = [belts.disc_core, belts.black, belts.near, belts.far];
+        let upper = sets.map(|set| &set[..top.len()]);
+        let lower = sets.map(|set| &set[top.len()..]);
+        let upper = levels(simd, top, upper, words, middle.0);
+        let lower = levels(simd, bottom, lower, words, middle.0);
+        let all = |set: usize| {
+            let [[a, b], [c, d]] = [upper[set], lower[set]];
+            a.joined(b).joined(c.joined(d))
+        };
+        let slope = |sets: [usize; 2]| {
+            let part = |from: &[[Grey; 2]; 4], half: usize| {
+                from[sets[0]][half].joined(from[sets[1]][half])
+            };
+            let [a, b, c, d] = [part(&upper, 0), part(&upper, 1), part(&lower, 0), part(&lower, 1)];
+            (b.joined(d).mean() - a.joined(c).mean(), c.joined(d).mean() - a.joined(b).mean())
+        };
+        Self {
+            disc: all(0),
+            black: all(1),
+            near: all(2),
+            far: all(3),
+            far_square: square(simd, grey, belts.far),
+            slopes: (slope([1, 1]), slope([2, 3])),
+        }
+    }
+
+    /// The margin's level, if what lies beside the belt is margin and nothing else: its level does not
+    /// fall outwards, and varies little.
+    pub fn margin(&self) -> Option<Grey> {
+        let contrast = self.disc.mean() - self.black.mean();
+        let (near, far) = (self.near.mean(), self.far.mean());
+        let variance = self.far_square as f64 / f64::from(self.far.pixels) - far * far;
+        let limit = (MARGIN_DEVIATION.0 * contrast).powi(2) + MARGIN_DEVIATION.1.powi(2);
+        let falls = near - far > MARGIN_FALL.0 * contrast + MARGIN_FALL.1;
+        // Without pixels none of this is a number.
+        // Where it falls at all, the blur of the margin's outer edge may have come as far as `far`.
+        let level = if near > far { self.near } else { self.near.joined(self.far) };
+        (variance <= limit && !falls).then_some(level)
+    }
+
+    /// Whether the margin is wide enough for the blur of its outer edge to stay out of the rim's.
+    pub fn has_near_margin(&self) -> bool {
+        let (black, white) = (self.black.mean(), self.disc.mean());
+        self.near.mean() - black > NEAR_MARGIN * (white - black)
+    }
+
+    /// Half the gradient's product with a rim's matrix, as a share of √M_uu and √M_vv and of the rim's
+    /// radius: γ/2 for a circle. Radii are those at which black and margin were looked at.
+    fn gradient(&self, black_px: f64, margin_px: f64) -> (f64, f64) {
+        let (b, m) = self.slopes;
+        let squares = b.0 * b.0 + b.1 * b.1 + m.0 * m.0 + m.1 * m.1;
+        // What noise may have made is not made a movement.
+        let sure = squares / (squares + QUIET);
+        if sure.is_nan() {
+            return (0.0, 0.0);
+        }
+        let scale = 0.25 * std::f64::consts::FRAC_PI_4 * sure;
+        (scale * (b.0 / black_px + m.0 / margin_px), scale * (b.1 / black_px + m.1 / margin_px))
+    }
+
+    /// By how much the lighting's gradient has moved the centres of outer and inner rim, whose belts
+    /// have so many pixels.
+    pub fn movement(
+        &self,
+        (outer, inner): (&Weighed, &Weighed),
+        (of_outer, of_inner): (u32, u32),
+        contrast: f64,
+    ) -> (PixelPoint, PixelPoint) {
+        let (r_o, r_i) = (outer.rim.mean_radius_px(), inner.rim.mean_radius_px());
+        let gradient = self.gradient(0.5 * (r_o + r_i), r_o + MARGIN_PX);
+        let moved = |weighed: &Weighed, radius_px: f64, pixels: u32, contrast: f64| {
+            let matrix = weighed.shape.matrix_of(&weighed.rim);
+            let scale = f64::from(pixels) * radius_px / (contrast * weighed.shape.area_px2);
+            PixelPoint {
+                u: scale * matrix.uu.sqrt() * gradient.0,
+                v: scale * matrix.vv.sqrt() * gradient.1,
+            }
+        };
+        (moved(outer, r_o, of_outer, -contrast), moved(inner, r_i, of_inner, contrast))
+    }
+}
+
+/// Distance of the margin looked at from the outer rim.
+const MARGIN_PX: f64 = 3.3;

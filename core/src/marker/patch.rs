@@ -1,0 +1,95 @@
+//! The pixels round one roundel, copied out of the frame, with one bit a pixel that says which are
+//! white.
+//!
+//! A row of the patch is one or more words of 64 columns: the grey values lie in blocks of 64 bytes,
+//! one after the other, and bit k of a word says whether column k is white (I ≥ τ). What follows works
+//! on words, so a row of a usual roundel costs a few instructions, and thresholding it one comparison
+//! of vectors.
+//!
+//! A white ring on black is made a black one on white here, by inverting its grey levels; nothing that
+//! follows has to know.
+
+use fearless_simd::{Simd, prelude::*, u8x64};
+use fearless_simd_macros::simd;
+
+use crate::{frame::Frame, marker::kind::Polarity, segment::Window};
+
+/// Columns of a word.
+pub(crate) const WORD_PX: usize = 64;
+
+/// A window of a frame, thresholded.
+#[derive(Debug, Default)]
+pub(crate) struct Patch {
+    /// Where it lies in the frame.
+    pub window: Window,
+    /// Words in a row.
+    pub words: usize,
+    /// Grey values, a block for each word, rows one after the other.
+    pub grey: Vec<[u8; WORD_PX]>,
+    /// I ≥ τ; columns beyond the window are neither.
+    pub white: Vec<u64>,
+    /// I < τ.
+    pub black: Vec<u64>,
+}
+
+impl Patch {
+    /// Rows.
+    pub fn rows(&self) -> usize {
+        self.window.height()
+    }
+
+    /// Columns.
+    pub fn columns(&self) -> usize {
+        self.window.width()
+    }
+
+    /// Copies and thresholds `window`, which must not be empty. Whole words are taken where the frame
+    /// is wide enough, so the patch may reach further to the sides than asked.
+    #[simd]
+    pub fn load<S: Simd>(
+        simd: S,
+        patch: &mut Patch,
+        frame: &Frame,
+        window: Window,
+        (threshold, polarity): (u8, Polarity),
+    ) {
+        let words = window.width().div_ceil(WORD_PX);
+        let left = window.left.min(frame.width().saturating_sub(words * WORD_PX));
+        let right = (left + words * WORD_PX).min(frame.width());
+        patch.window = Window { left, right, ..window };
+        patch.words = words;
+        let blocks = words * window.height();
+        if patch.grey.len() < blocks {
+            patch.grey.resize(blocks, [0; WORD_PX]);
+            patch.white.resize(blocks, 0);
+            patch.black.resize(blocks, 0);
+        }
+        let (flip, limit) = match polarity {
+            Polarity::BlackRing => (0, threshold),
+            // I < τ becomes 255 - I ≥ 256 - τ.
+            Polarity::WhiteRing => (255, 0u8.wrapping_sub(threshold)),
+        };
+        let (flip, limit) = (u8x64::splat(simd, flip), u8x64::splat(simd, limit));
+        let mut block = 0;
+        for v in window.top..window.bottom {
+            let row = &frame.row(v)[left..right];
+            for word in 0..words {
+                let part = &row[word * WORD_PX..];
+                let (grey, inside) = match part.first_chunk::<WORD_PX>() {
+                    Some(whole) => (*whole, u64::MAX),
+                    None => {
+                        let mut grey = [0; WORD_PX];
+                        grey[..part.len()].copy_from_slice(part);
+                        (grey, (1u64 << part.len()) - 1)
+                    }
+                };
+                let grey = u8x64::load_array(simd, grey) ^ flip;
+                let white = grey.simd_ge(limit).to_bitmask();
+                patch.grey[block] = grey.to_array();
+                patch.white[block] = white & inside;
+                patch.black[block] = !white & inside;
+                block += 1;
+            }
+        }
+    }
+}

@@ -1,0 +1,307 @@
+//! The white disc and the black ring round it, found on words of pixels.
+//!
+//! A segment is followed row by row from one of its pixels: in the next row, the runs of its class that
+//! touch the row before belong to it (neighbours are the four nearest pixels). Bit counting finds a
+//! run's ends without a loop over pixels. What a row holds is kept as one span, from its first run's
+//! start to its last run's end; pixels of the other class between them (noise, the teeth of a code)
+//! lie inside the segment. A segment that turns back, so that a row is reached only from beyond, is
+//! followed again until nothing is added.
+//!
+//! The segment is what is followed, not the window: neighbours and sheets in it stay outside, and a
+//! segment that reaches the window's edge is refused.
+
+use fearless_simd::Simd;
+use fearless_simd_macros::simd;
+
+/// Columns `first..end` of a row; empty if `end ≤ first`.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub(crate) struct Span {
+    pub first: u32,
+    pub end: u32,
+}
+
+impl Span {
+    /// The smallest span that holds both, neither of them empty.
+    fn joined(self, other: Span) -> Span {
+        Span { first: self.first.min(other.first), end: self.end.max(other.end) }
+    }
+
+    /// Its columns of one word, as bits.
+    #[inline(always)]
+    pub fn bits(self, word: usize) -> u64 {
+        let from = word as u32 * 64;
+        let first = self.first.saturating_sub(from);
+        let end = self.end.saturating_sub(from).min(64);
+        if first >= end { 0 } else { (u64::MAX << first) & (u64::MAX >> (64 - end)) }
+    }
+}
+
+/// Rows and columns that a segment reaches.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(crate) struct Extent {
+    pub top: usize,
+    /// Row after the last.
+    pub bottom: usize,
+    pub columns: Span,
+}
+
+impl Extent {
+    pub fn width(&self) -> usize {
+        (self.columns.end - self.columns.first) as usize
+    }
+
+    pub fn height(&self) -> usize {
+        self.bottom - self.top
+    }
+}
+
+/// Why there is no segment.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(crate) enum Spill {
+    /// The pixel to begin with is not of the class.
+    Seed,
+    /// It reaches an edge of the rows and columns given, having come so far.
+    Edge(Extent),
+}
+
+/// Rows of bits of one class.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct Bits<'a> {
+    bits: &'a [u64],
+    words: usize,
+    rows: usize,
+    columns: u32,
+}
+
+impl<'a> Bits<'a> {
+    /// `rows` rows of `words` words each, of which `columns` columns count.
+    pub fn new(bits: &'a [u64], words: usize, (rows, columns): (usize, usize)) -> Self {
+        Self { bits: &bits[..words * rows], words, rows, columns: columns as u32 }
+    }
+
+    #[inline(always)]
+    fn row<const ONE: bool>(&self, v: usize) -> &'a [u64] {
+        if ONE { &self.bits[v..=v] } else { &self.bits[v * self.words..(v + 1) * self.words] }
+    }
+}
+
+/// The segment that holds pixel (u, v), its spans by row.
+#[simd]
+pub(crate) fn follow_disc<S: Simd>(
+    simd: S,
+    white: &Bits,
+    (u, v): (u32, usize),
+    spans: &mut [Span],
+) -> Result<Extent, Spill> {
+    if white.words == 1 {
+        disc::<true>(white, (u, v), spans)
+    } else {
+        disc::<false>(white, (u, v), spans)
+    }
+}
+
+/// The black round the disc, together with what is inside it, its spans by row.
+#[simd]
+pub(crate) fn follow_ring<S: Simd>(
+    simd: S,
+    black: &Bits,
+    disc: (&Extent, &[Span]),
+    spans: &mut [Span],
+) -> Result<Extent, Spill> {
+    if black.words == 1 {
+        ring::<true>(black, disc, spans)
+    } else {
+        ring::<false>(black, disc, spans)
+    }
+}
+
+#[inline(always)]
+fn disc<const ONE: bool>(
+    white: &Bits,
+    (u, v): (u32, usize),
+    spans: &mut [Span],
+) -> Result<Extent, Spill> {
+    let seed = Span { first: u, end: u + 1 };
+    let run = runs_touching(white.row::<ONE>(v), seed).ok_or(Spill::Seed)?;
+    spans[v] = run;
+    let mut extent = Extent { top: v, bottom: v + 1, columns: run };
+    upwards::<ONE>(white, &mut extent, spans)?;
+    downwards::<ONE>(white, &mut extent, spans)?;
+    close::<ONE>(white, &mut extent, spans)?;
+    Ok(extent)
+}
+
+#[inline(always)]
+fn ring<const ONE: bool>(
+    black: &Bits,
+    (disc, discs): (&Extent, &[Span]),
+    spans: &mut [Span],
+) -> Result<Extent, Spill> {
+    let mut columns = disc.columns;
+    for v in disc.top..disc.bottom {
+        let row = black.row::<ONE>(v);
+        let span = Span {
+            first: start_of_run::<ONE>(row, discs[v].first),
+            end: end_of_run::<ONE>(row, discs[v].end),
+        };
+        columns = columns.joined(span);
+        spans[v] = span;
+    }
+    let mut extent = Extent { columns, ..*disc };
+    upwards::<ONE>(black, &mut extent, spans)?;
+    downwards::<ONE>(black, &mut extent, spans)?;
+    close::<ONE>(black, &mut extent, spans)?;
+    Ok(extent)
+}
+
+/// Goes on from the top row; it must not reach an edge.
+#[inline(always)]
+fn upwards<const ONE: bool>(
+    bits: &Bits,
+    extent: &mut Extent,
+    spans: &mut [Span],
+) -> Result<(), Spill> {
+    loop {
+        if extent.columns.first == 0 || extent.columns.end >= bits.columns || extent.top == 0 {
+            return Err(Spill::Edge(*extent));
+        }
+        let above = extent.top - 1;
+        let Some(span) = runs_touching(bits.row::<ONE>(above), spans[extent.top]) else {
+            return Ok(());
+        };
+        spans[above] = span;
+        extent.top = above;
+        extent.columns = extent.columns.joined(span);
+    }
+}
+
+/// Goes on from the bottom row; it must not reach an edge.
+#[inline(always)]
+fn downwards<const ONE: bool>(
+    bits: &Bits,
+    extent: &mut Extent,
+    spans: &mut [Span],
+) -> Result<(), Spill> {
+    loop {
+        if extent.columns.first == 0
+            || extent.columns.end >= bits.columns
+            || extent.bottom == bits.rows
+        {
+            return Err(Spill::Edge(*extent));
+        }
+        let below = extent.bottom;
+        let Some(span) = runs_touching(bits.row::<ONE>(below), spans[below - 1]) else {
+            return Ok(());
+        };
+        spans[below] = span;
+        extent.bottom = below + 1;
+        extent.columns = extent.columns.joined(span);
+    }
+}
+
+/// Adds what touches the segment from the side until nothing does.
+#[inline(always)]
+fn close<const ONE: bool>(
+    bits: &Bits,
+    extent: &mut Extent,
+    spans: &mut [Span],
+) -> Result<(), Spill> {
+    while leaks(bits, extent, spans) {
+        for v in extent.top + 1..extent.bottom {
+            spread::<ONE>(bits, v, spans[v - 1], &mut spans[v], extent);
+        }
+        for v in (extent.top..extent.bottom - 1).rev() {
+            spread::<ONE>(bits, v, spans[v + 1], &mut spans[v], extent);
+        }
+        upwards::<ONE>(bits, extent, spans)?;
+        downwards::<ONE>(bits, extent, spans)?;
+    }
+    Ok(())
+}
+
+#[inline(always)]
+fn spread<const ONE: bool>(
+    bits: &Bits,
+    v: usize,
+    neighbor: Span,
+    span: &mut Span,
+    extent: &mut Extent,
+) {
+    if let Some(runs) = runs_touching(bits.row::<ONE>(v), neighbor) {
+        *span = span.joined(runs);
+        extent.columns = extent.columns.joined(runs);
+    }
+}
+
+/// Whether a pixel of the class lies above or below the segment's spans, outside of them.
+#[inline(always)]
+fn leaks(bits: &Bits, extent: &Extent, spans: &[Span]) -> bool {
+    let rows = extent.top + 1..extent.bottom;
+    let mut leaking = 0;
+    for word in 0..bits.words {
+        for v in rows.clone() {
+            let (above, below) = (spans[v - 1].bits(word), spans[v].bits(word));
+            let (over, under) =
+                (bits.bits[(v - 1) * bits.words + word], bits.bits[v * bits.words + word]);
+            leaking |= (under & above & !below) | (over & below & !above);
+        }
+    }
+    leaking != 0
+}
+
+/// The smallest span that holds every run of the row that touches `span`.
+#[inline(always)]
+fn runs_touching(row: &[u64], span: Span) -> Option<Span> {
+    if let [word] = *row {
+        let touched = word & (u64::MAX << span.first) & (u64::MAX >> (64 - span.end));
+        if touched == 0 {
+            return None;
+        }
+        let (lowest, highest) = (touched.trailing_zeros(), 63 - touched.leading_zeros());
+        let below = !word & !(u64::MAX << lowest);
+        let above = !word & (u64::MAX << highest);
+        return Some(Span { first: 64 - below.leading_zeros(), end: above.trailing_zeros() });
+    }
+    let touched = |word: usize| row[word] & span.bits(word);
+    let words = span.first as usize / 64..(span.end as usize).div_ceil(64);
+    let low = words.clone().find(|&word| touched(word) != 0)?;
+    let high = words.rev().find(|&word| touched(word) != 0)?;
+    let lowest = low as u32 * 64 + touched(low).trailing_zeros();
+    let highest = high as u32 * 64 + 63 - touched(high).leading_zeros();
+    Some(Span { first: start_of_run::<false>(row, lowest), end: end_of_run::<false>(row, highest) })
+}
+
+/// First column of the run that ends before column `u`; `u` if column `u - 1` is not of the class.
+#[inline(always)]
+fn start_of_run<const ONE: bool>(row: &[u64], u: u32) -> u32 {
+    if ONE {
+        let others = !row[0] & !u64::MAX.checked_shl(u).unwrap_or(0);
+        return 64 - others.leading_zeros();
+    }
+    let mut word = u as usize / 64;
+    let mut others = if word < row.len() { !row[word] & !(u64::MAX << (u % 64)) } else { 0 };
+    while others == 0 && word > 0 {
+        word -= 1;
+        others = !row[word];
+    }
+    (word as u32 + 1) * 64 - others.leading_zeros()
+}
+
+/// Column after the run that begins with column `u`; `u` if it is not of the class.
+#[inline(always)]
+fn end_of_run<const ONE: bool>(row: &[u64], u: u32) -> u32 {
+    if ONE {
+        let others = !row[0] & u64::MAX.checked_shl(u).unwrap_or(0);
+        return others.trailing_zeros();
+    }
+    let mut word = u as usize / 64;
+    if word >= row.len() {
+        return u;
+    }
+    let mut others = !row[word] & (u64::MAX << (u % 64));
+    while others == 0 && word + 1 < row.len() {
+        word += 1;
+        others = !row[word];
+    }
+    word as u32 * 64 + others.trailing_zeros()
+}
