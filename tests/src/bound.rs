@@ -29,7 +29,7 @@ use nalgebra::{
 
 use crate::{
     optics::Pinhole,
-    render::{Canvas, Imaging, Print, Renderer, Seen},
+    render::{Canvas, Imaging, Outline, Print, Renderer, Seen},
 };
 
 /// Steps of the differences move a rim by about this, pixels.
@@ -91,11 +91,14 @@ pub fn bound(scene: &Scene<'_>, unknowns: Unknowns) -> Option<Bound> {
     let axes = Axes::of(&scene.pose);
     let steps = Steps::new(scene, &axes, seen.radius_px, unknowns);
     let renderer = Renderer::new(seen.camera(&scene.camera), scene.imaging);
+    // White on white: the sheet is of no use but would be drawn each time.
+    let sheet = Outline::Disc { diameter_m: 0.1 * scene.print.radius_m() };
+    let print = Print { sheet, inks: scene.print.inks.clone() };
     let mut columns = Vec::new();
     for &(unknown, step) in &steps.0 {
         let image = |step: f64| {
             let (pose, imaging) = axes.moved(scene, unknown, step);
-            draw(&renderer, imaging, scene.print, pose)
+            draw(&renderer, imaging, &print, pose)
         };
         let (ahead, behind) = (image(step), image(-step));
         let slope =
@@ -298,10 +301,7 @@ fn draw(renderer: &Renderer, imaging: Imaging, print: &Print, pose: Isometry3<f6
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::{
-        optics::Distortion,
-        render::{Ink, Outline},
-    };
+    use crate::{optics::Distortion, render::Ink};
 
     /// A roundel of this diameter, tilted about an axis in the image plane.
     fn scene(print: &Print, diameter_px: f64, tilt_deg: f64) -> Scene<'_> {

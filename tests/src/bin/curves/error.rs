@@ -39,7 +39,7 @@ type Point = (f64, [Summary; 2]);
 fn sweep(places: &[f64], count: usize, range: impl Fn(f64) -> Range) -> Vec<Point> {
     let point = |&place: &f64| {
         let trials = trials(&range(place), count, place.to_bits());
-        let of_mode = |mode| Summary::of(trials.iter().map(|trial| &trial.frames[1]), mode);
+        let of_mode = |mode| Summary::of(trials.iter().flat_map(|trial| &trial.frames), mode);
         (place, [of_mode(0), of_mode(1)])
     };
     places.iter().map(point).collect()

@@ -25,7 +25,7 @@ fn main() -> anyhow::Result<()> {
         plot::draw(&docs.join("detector-time.svg"), &time::panels(quick))?;
     }
     if all || given("errors") {
-        let count = if quick { 40 } else { 300 };
+        let count = if quick { 20 } else { 120 };
         plot::draw(&docs.join("detector-error.svg"), &error::panels(count))?;
     }
     Ok(())
