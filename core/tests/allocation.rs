@@ -3,7 +3,7 @@
 mod drawing;
 
 use drawing::{Drawing, Roundel, ellipse, frame};
-use roundel_core::marker::{Detector, Params, Scratch, Tracker};
+use roundel_core::marker::{Code, CodeLayout, Detector, Kind, Params, Pattern, Scratch, Tracker};
 
 const SIDE: usize = 300;
 
@@ -56,4 +56,33 @@ fn a_warm_tracker_allocates_nothing() {
     });
     assert_eq!(spent.count_total, 0);
     assert_eq!(tracker.process(&frame(&pictures[0], SIDE)).len(), 8);
+}
+
+#[test]
+fn a_warm_tracker_of_coded_roundels_allocates_nothing() {
+    let layout = CodeLayout { bits: 8, min_distance: 2 };
+    let teeth = layout.codes().unwrap().teeth(9).unwrap();
+    let kind = Kind { pattern: Pattern::Coded(layout), ..Kind::plain("robot", 0.16, 0.096) };
+    let detector = Detector::new(vec![kind], Params::default()).unwrap();
+    let picture = |shift: f64| {
+        let mut drawing = Drawing::new(SIDE, SIDE, 90.0, 0.7);
+        let outer = ellipse((150.0 + shift, 140.0), (30.0, 24.0), 0.4);
+        let roundel = Roundel { outer, ratio: 0.6, margin: 1.28, black: 40.0, white: 200.0 };
+        drawing.add_coded(&roundel, 90.0, &teeth);
+        drawing.picture(2.0, shift as u64)
+    };
+    let pictures: Vec<Vec<u8>> = (0..8).map(|i| picture(f64::from(i))).collect();
+    let mut tracker = Tracker::new(detector);
+    for picture in &pictures {
+        tracker.process(&frame(picture, SIDE));
+    }
+    let spent = allocation_counter::measure(|| {
+        for picture in pictures.iter().rev() {
+            let [tracked] = tracker.process(&frame(picture, SIDE)) else { panic!("not one") };
+            let read = tracked.ring.code.map(|reading| reading.code);
+            assert_eq!(read, Some(Code { bits: 8, number: 9 }));
+            assert_eq!(tracked.code.map(|voted| voted.code), read);
+        }
+    });
+    assert_eq!(spent.count_total, 0);
 }

@@ -58,7 +58,9 @@ mod threshold;
 mod tracker;
 mod weigh;
 
-pub use code::{Code, CodeError, CodeLayout, CodeReader, CodeReading, Dictionary, Tooth};
+pub use code::{
+    Code, CodeError, CodeLayout, CodeReader, CodeReading, Dictionary, Tooth, VotedCode,
+};
 pub use detector::{Detector, Scratch};
 pub use kind::{Kind, Pattern, Polarity, RATIO_LIMITS};
 pub use mask::{Mask, MaskError};
@@ -120,4 +122,6 @@ pub struct TrackedRing {
     pub track: TrackNumber,
     /// Where it is now.
     pub ring: Ring,
+    /// What all frames of the track say of its code; `None` if none was read yet.
+    pub code: Option<VotedCode>,
 }

@@ -15,6 +15,7 @@ use crate::{
     marker::{
         Ring, TrackedRing,
         claim::Claim,
+        code::Vote,
         detector::{Detector, Scratch},
         edge::ROW_STEP,
         examine::Probe,
@@ -57,12 +58,19 @@ struct Track {
     missed: u32,
     /// Frames in which it was seen.
     seen: u32,
+    vote: Vote,
 }
 
 impl Track {
     fn new(number: u64, ring: Ring) -> Self {
         let number = TrackNumber(number);
-        Self { number, ring, velocity: (0.0, 0.0), missed: 0, seen: 1 }
+        let mut vote = Vote::default();
+        ring.code.iter().for_each(|reading| vote.add(reading));
+        Self { number, ring, velocity: (0.0, 0.0), missed: 0, seen: 1, vote }
+    }
+
+    fn shown(&self) -> TrackedRing {
+        TrackedRing { track: self.number, ring: self.ring, code: self.vote.code() }
     }
 
     /// Where the centre is expected in the frame after `missed` ones without it.
@@ -96,6 +104,7 @@ impl Track {
         let gain = if self.seen == 1 { 1.0 } else { VELOCITY_GAIN };
         self.velocity.0 += gain * (motion.0 - self.velocity.0);
         self.velocity.1 += gain * (motion.1 - self.velocity.1);
+        ring.code.iter().for_each(|reading| self.vote.add(reading));
         self.ring = ring;
         self.missed = 0;
         self.seen = self.seen.saturating_add(1);
@@ -165,7 +174,7 @@ impl Tracker {
 
         self.output.clear();
         let seen = self.tracks.iter().filter(|track| track.missed == 0);
-        self.output.extend(seen.map(|track| TrackedRing { track: track.number, ring: track.ring }));
+        self.output.extend(seen.map(Track::shown));
         &self.output
     }
 

@@ -10,7 +10,12 @@
 use rand::SeedableRng;
 use rand_chacha::ChaCha8Rng;
 use rand_distr::{Distribution, Normal};
-use roundel_core::{camera::PixelPoint, ellipse::Ellipse, frame::Frame};
+use roundel_core::{
+    camera::PixelPoint,
+    ellipse::Ellipse,
+    frame::Frame,
+    marker::{CodeLayout, Tooth},
+};
 
 const STRIPS_PER_PX: usize = 16;
 
@@ -62,6 +67,36 @@ impl Drawing {
         self.add_disc(&scaled(&outer, margin), white - background);
         self.add_disc(&outer, black - white);
         self.add_disc(&roundel.inner(), white - black);
+    }
+
+    /// Adds a coded roundel, whose `ratio` is that of the white disc between the teeth, the print's right
+    /// along the major axis; the teeth's sides are as sharp as pixels, the round rims blurred.
+    pub fn add_coded(&mut self, roundel: &Roundel, background: f64, teeth: &[Tooth]) {
+        const FINE: usize = 6;
+        let core = roundel.ratio * CodeLayout::CORE_SHARE;
+        self.add(&Roundel { ratio: core, ..*roundel }, background);
+        let (outer, contrast) = (roundel.outer, roundel.white - roundel.black);
+        let (sin, cos) = outer.angle_rad.sin_cos();
+        let is_gap = |u: f64, v: f64| {
+            let (du, dv) = (u - outer.center.u, v - outer.center.v);
+            let x = (du * cos + dv * sin) / outer.semi_major_px;
+            // On the print y is up.
+            let y = -(dv * cos - du * sin) / outer.semi_minor_px;
+            let angle_rad = y.atan2(x).rem_euclid(std::f64::consts::TAU);
+            let radius = x.hypot(y);
+            let is_between = radius >= core && radius < roundel.ratio;
+            is_between && !teeth.iter().any(|t| t.from_rad <= angle_rad && angle_rad < t.to_rad)
+        };
+        let place = |k: usize| (k as f64 + 0.5) / FINE as f64 - 0.5;
+        let columns = self.columns(outer.center.u, outer.semi_major_px);
+        for v in self.rows(outer.center.v, outer.semi_major_px) {
+            for u in columns.clone() {
+                let inside = (0..FINE * FINE)
+                    .filter(|k| is_gap(u as f64 + place(k % FINE), v as f64 + place(k / FINE)));
+                let share = inside.count() as f64 / (FINE * FINE) as f64;
+                self.light[v * self.width + u] += contrast * share;
+            }
+        }
     }
 
     /// Adds `level` times the blurred disc.

@@ -8,6 +8,7 @@
 //! | grey levels round the teeth | `profile` |
 //! | from them to a word | `word` |
 //! | a reading, with its confidence and its zero | `reader` |
+//! | a track's readings together | `vote` |
 //! | a coded roundel's outline and rims | `spoke`, `contour`, `measure` |
 
 mod chart;
@@ -18,11 +19,14 @@ pub(crate) mod measure;
 mod profile;
 mod reader;
 mod spoke;
+mod vote;
 mod word;
 
 pub use dictionary::Dictionary;
 pub use layout::{CodeError, CodeLayout, Tooth};
 pub use reader::CodeReader;
+pub(crate) use vote::Vote;
+pub use vote::VotedCode;
 
 use crate::camera::PixelPoint;
 

@@ -2,7 +2,7 @@
 //!
 //! Teeth hang on the ring, so from the middle of the white core there is one stretch of black, whichever
 //! way one goes, and then the margin: its ends are corners of a polygon whose moments give the outer
-//! ellipse. From beside the middle a spoke may cut a tooth's corner and end in a gap, so the polygon is
+//! ellipse. From beside the middle a spoke may cut most of a tooth and end in a gap, so the polygon is
 //! rough, and within the ring rather than beyond it; what looks for the rim from there
 //! (`contour`) finds black inside and white outside.
 //!
@@ -26,6 +26,9 @@ use crate::{
 
 /// Spokes of the outline.
 const SPOKES: usize = 40;
+/// Black that ends before so large a share of the spoke is its own is a tooth whose corner it cuts: the
+/// ring has 280 of 700.
+const LEAST_BLACK: f64 = 0.3;
 /// Spokes that look for the centre, twice.
 const INNER_SPOKES: usize = 30;
 const TURNS: usize = 2;
@@ -85,15 +88,20 @@ fn walk(frame: &Frame, probe: &Probe, (du, dv): (f64, f64), flip: u8) -> Result<
     if level(0.0).is_none_or(|grey| grey < probe.threshold) {
         return Err(Reject::NoWhite);
     }
-    let begin = edge(1.0, true).ok_or(Reject::NoBlack)?;
     // Where the bounds are the frame's, the ring may be cut; elsewhere it is larger than looked for.
-    edge(begin + 1.5, false).ok_or_else(|| {
-        let at_edge = bounds.left == 0
-            || bounds.top == 0
-            || bounds.right == frame.width()
-            || bounds.bottom == frame.height();
-        if at_edge { Reject::FrameEdge } else { Reject::BlackTooLarge }
-    })
+    let at_edge = bounds.left == 0
+        || bounds.top == 0
+        || bounds.right == frame.width()
+        || bounds.bottom == frame.height();
+    let beyond = if at_edge { Reject::FrameEdge } else { Reject::BlackTooLarge };
+    let mut end = 0.0;
+    loop {
+        let begin = edge(end + 1.0, true).ok_or(Reject::NoBlack)?;
+        end = edge(begin + 1.5, false).ok_or(beyond)?;
+        if end - begin >= LEAST_BLACK * end {
+            return Ok(end);
+        }
+    }
 }
 
 /// Adds the triangle of the origin and two corners.

@@ -136,7 +136,7 @@ fn locate(locator: &mut Locator, print: &Print, frame: &Frame, roundel: &mut Rou
     let ring = roundel.ring;
     let Some(kind) = print.kind_of(&ring) else { return };
     let located = match (roundel.track, ring.kind) {
-        (Some(track), Some(_)) => locator.locate(frame, &TrackedRing { track, ring }),
+        (Some(track), Some(_)) => locator.locate(frame, &TrackedRing { track, ring, code: None }),
         _ => locator.locate_single(frame, &kind, &ring),
     };
     if let Ok(located) = located {

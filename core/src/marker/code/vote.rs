@@ -1,0 +1,131 @@
+//! What one track's readings say together.
+//!
+//! A reading of confidence c speaks for its code by the log-odds ln(c / (1 - c)), and against all
+//! others. Sums over a track's frames give the code that most speaks for. What one frame can say is
+//! bounded, since a scratch or a shadow misleads many frames alike; and what is known is bounded, so
+//! that a track whose roundel has been exchanged learns it: a code long established gives way after
+//! [`KNOWN`] / 2 / [`SPOKEN`] frames that agree on another one, and never to a single frame.
+
+use crate::marker::code::{Code, CodeReading};
+
+/// Log-odds that one frame speaks for at most: a likelihood of 0.998.
+const SPOKEN: f64 = 6.0;
+/// Log-odds that a code is known by at most.
+const KNOWN: f64 = 36.0;
+/// Codes that one track weighs against each other.
+const RIVALS: usize = 3;
+
+/// The code of a track.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct VotedCode {
+    /// The identity.
+    pub code: Code,
+    /// Likelihood against all others that the track has shown, 0 to 1.
+    pub confidence: f64,
+}
+
+/// A track's votes.
+#[derive(Clone, Copy, Debug, Default)]
+pub(crate) struct Vote {
+    /// Codes with their log-odds, the likeliest first; those of 0 or less are free places.
+    rivals: [Option<(Code, f64)>; RIVALS],
+}
+
+impl Vote {
+    /// Takes a frame's reading.
+    pub fn add(&mut self, reading: &CodeReading) {
+        let doubt = (1.0 - reading.confidence).max(f64::MIN_POSITIVE);
+        let spoken = (reading.confidence / doubt).ln().clamp(0.0, SPOKEN);
+        let mut is_known = false;
+        for (code, sum) in self.rivals.iter_mut().flatten() {
+            if *code == reading.code {
+                *sum = (*sum + spoken).min(KNOWN);
+                is_known = true;
+            } else {
+                *sum -= spoken;
+            }
+        }
+        for rival in &mut self.rivals {
+            *rival = rival.filter(|(_, sum)| *sum > 0.0);
+        }
+        if !is_known && spoken > 0.0 {
+            // The places are in order, and a free one comes last.
+            self.rivals[RIVALS - 1] = Some((reading.code, spoken));
+        }
+        let sum = |rival: &Option<(Code, f64)>| rival.map_or(0.0, |(_, sum)| sum);
+        // Stable: of two that are level, the one known before stays.
+        self.rivals.sort_by(|one, other| sum(other).total_cmp(&sum(one)));
+    }
+
+    /// The likeliest code; `None` before the first reading.
+    pub fn code(&self) -> Option<VotedCode> {
+        let (code, sum) = self.rivals[0]?;
+        let next = self.rivals[1].map_or(0.0, |(_, sum)| sum);
+        Some(VotedCode { code, confidence: 1.0 / (1.0 + (next - sum).exp()) })
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::camera::PixelPoint;
+
+    fn reading(number: u16, confidence: f64) -> CodeReading {
+        let code = Code { bits: 8, number };
+        CodeReading { confidence, ..CodeReading::certain(code, PixelPoint::default()) }
+    }
+
+    fn voted(votes: &Vote) -> Option<u16> {
+        votes.code().map(|voted| voted.code.number)
+    }
+
+    #[test]
+    fn a_single_frame_does_not_change_what_is_known() {
+        let mut vote = Vote::default();
+        assert_eq!(vote.code(), None);
+        vote.add(&reading(7, 0.999));
+        vote.add(&reading(7, 0.999));
+        assert!(vote.code().unwrap().confidence > 0.9999);
+        for number in [3, 9, 4] {
+            vote.add(&reading(number, 1.0));
+            assert_eq!(voted(&vote), Some(7));
+            vote.add(&reading(7, 1.0));
+            vote.add(&reading(7, 1.0));
+        }
+    }
+
+    #[test]
+    fn an_exchanged_roundel_is_learnt_in_a_few_frames() {
+        let mut vote = Vote::default();
+        for _ in 0..1_000 {
+            vote.add(&reading(7, 1.0));
+        }
+        let frames = (1..100).find(|_| {
+            vote.add(&reading(12, 1.0));
+            voted(&vote) == Some(12)
+        });
+        assert_eq!(frames, Some(4));
+    }
+
+    #[test]
+    fn doubtful_frames_weigh_less() {
+        let mut vote = Vote::default();
+        vote.add(&reading(7, 0.999));
+        vote.add(&reading(5, 0.6));
+        vote.add(&reading(5, 0.6));
+        assert_eq!(voted(&vote), Some(7));
+        // One that says nothing changes nothing.
+        let mut vote = Vote::default();
+        vote.add(&reading(7, 0.5));
+        assert_eq!(vote.code(), None);
+    }
+
+    #[test]
+    fn many_codes_leave_the_likeliest() {
+        let mut vote = Vote::default();
+        for number in [1, 2, 3, 4, 5, 6, 2, 7, 2, 8, 2] {
+            vote.add(&reading(number, 0.99));
+        }
+        assert_eq!(voted(&vote), Some(2));
+    }
+}
