@@ -1,25 +1,19 @@
 //! Draws what was found into a picture: outer rims green, inner rims cyan, centres of the outer rim
 //! red; on black beside them codes white with a `#` before them, and tracks' numbers yellow. What was
 //! rejected is an orange box with the reason, or a dim one without, if it had hardly begun to look like
-//! a ring.
+//! a ring. The edges of masked regions are magenta.
 
 mod glyph;
+mod rejected;
 
-use roundel_core::{
-    ellipse::Ellipse,
-    id::TrackNumber,
-    marker::{Reject, Rejected, Ring},
-};
-
-use crate::reason;
+use roundel_core::{camera::PixelPoint, ellipse::Ellipse, id::TrackNumber, marker::Ring};
 
 const GREEN: [u8; 3] = [40, 230, 80];
 const CYAN: [u8; 3] = [30, 200, 255];
 const RED: [u8; 3] = [255, 50, 50];
 const YELLOW: [u8; 3] = [255, 230, 60];
 const WHITE: [u8; 3] = [255, 255, 255];
-const ORANGE: [u8; 3] = [255, 150, 30];
-const DIM: [u8; 3] = [150, 110, 70];
+const MAGENTA: [u8; 3] = [255, 80, 230];
 const BLACK: [u8; 3] = [0, 0, 0];
 /// Half the length of the cross at a centre, pixels.
 const CROSS_PX: i64 = 3;
@@ -65,41 +59,42 @@ impl Canvas {
         }
     }
 
-    /// Draws what was rejected: boxes, and the reasons beside them where there is room. Those that
-    /// came furthest are drawn over the others, and get their reasons first.
-    pub(crate) fn draw_rejected(&mut self, rejected: &[Rejected]) {
-        let mut order: Vec<&Rejected> = rejected.iter().collect();
-        order.sort_by_key(|rejected| rejected.reject);
-        for rejected in &order {
-            self.draw_box(rejected);
-        }
-        let mut taken: Vec<Area> = Vec::new();
-        for rejected in order.iter().rev().filter(|it| was_measured(it.reject)) {
-            let text = reason::word(rejected.reject, ' ');
-            let Some((left, top, _, _)) = corners(rejected) else { continue };
-            let top = top.saturating_sub((glyph::ROWS + 2) * DOT_PX);
-            let area = Area::of_text(&text, left, top);
-            if !taken.iter().any(|other| other.meets(&area)) {
-                self.draw_text(&text, left, top, ORANGE);
-                taken.push(area);
-            }
+    /// Draws a polygon's edges.
+    pub(crate) fn draw_polygon(&mut self, corners: &[PixelPoint]) {
+        let next = corners.iter().cycle().skip(1);
+        for (from, to) in corners.iter().zip(next) {
+            self.draw_line(from, to, MAGENTA);
         }
     }
 
-    fn draw_box(&mut self, rejected: &Rejected) {
-        let Some((left, top, right, bottom)) = corners(rejected) else { return };
-        let color = if was_measured(rejected.reject) { ORANGE } else { DIM };
-        // Only what lies in the picture is walked along.
-        let columns = left.max(0)..=right.min(self.width - 1);
-        let rows = top.max(0)..=bottom.min(self.height - 1);
-        for u in columns {
-            self.set(u, top, color);
-            self.set(u, bottom, color);
+    fn draw_line(&mut self, from: &PixelPoint, to: &PixelPoint, color: [u8; 3]) {
+        let Some((first, last)) = self.part_inside(from, to) else { return };
+        let (along_u, along_v) = (to.u - from.u, to.v - from.v);
+        let steps = ((last - first) * along_u.abs().max(along_v.abs())).ceil().max(1.0);
+        for step in 0..=steps as usize {
+            let part = first + (last - first) * step as f64 / steps;
+            self.set(nearest(from.u + part * along_u), nearest(from.v + part * along_v), color);
         }
-        for v in rows {
-            self.set(left, v, color);
-            self.set(right, v, color);
+    }
+
+    /// Which part of a line, as shares of its length, can touch the picture (Liang, Barsky 1984).
+    fn part_inside(&self, from: &PixelPoint, to: &PixelPoint) -> Option<(f64, f64)> {
+        let (mut first, mut last) = (0.0_f64, 1.0_f64);
+        for (start, end, size) in [(from.u, to.u, self.width), (from.v, to.v, self.height)] {
+            let along = end - start;
+            let bounds = [-1.0 - start, size as f64 - start];
+            if along == 0.0 {
+                if bounds[0] > 0.0 || bounds[1] < 0.0 {
+                    return None;
+                }
+                continue;
+            }
+            let [one, other] = bounds.map(|bound| bound / along);
+            first = first.max(one.min(other));
+            last = last.min(one.max(other));
         }
+        // Not finite: no comparison holds.
+        (first <= last).then_some((first, last))
     }
 
     fn draw_ellipse(&mut self, ellipse: &Ellipse, color: [u8; 3]) {
@@ -164,45 +159,6 @@ fn columns_of(text: &str) -> i64 {
     text.chars().count() as i64 * (glyph::COLUMNS + 1) - 1
 }
 
-/// A rejected candidate's box: left, top, right, bottom.
-fn corners(rejected: &Rejected) -> Option<(i64, i64, i64, i64)> {
-    let (at, half) = (rejected.center, rejected.half_box_px);
-    let [left, top, right, bottom] =
-        [at.u - half.0, at.v - half.1, at.u + half.0, at.v + half.1].map(nearest);
-    let is_finite =
-        at.u.is_finite() && at.v.is_finite() && half.0.is_finite() && half.1.is_finite();
-    is_finite.then_some((left, top, right, bottom))
-}
-
-/// Whether it came past the search's own test: of the others there are thousands in a photograph.
-fn was_measured(reject: Reject) -> bool {
-    reject > Reject::Chord
-}
-
-/// What a text covers.
-#[derive(Clone, Copy)]
-struct Area {
-    left: i64,
-    top: i64,
-    right: i64,
-    bottom: i64,
-}
-
-impl Area {
-    fn of_text(text: &str, left: i64, top: i64) -> Self {
-        let right = left.saturating_add((columns_of(text) + 1) * DOT_PX);
-        let bottom = top.saturating_add((glyph::ROWS + 1) * DOT_PX);
-        Self { left: left.saturating_sub(DOT_PX), top: top.saturating_sub(DOT_PX), right, bottom }
-    }
-
-    fn meets(&self, other: &Self) -> bool {
-        self.left < other.right
-            && other.left < self.right
-            && self.top < other.bottom
-            && other.top < self.bottom
-    }
-}
-
 /// The pixel that a coordinate lies in; NaN counts as 0, and what is too far as very far.
 fn nearest(coordinate_px: f64) -> i64 {
     coordinate_px.round() as i64
@@ -210,10 +166,7 @@ fn nearest(coordinate_px: f64) -> i64 {
 
 #[cfg(test)]
 mod tests {
-    use roundel_core::{
-        camera::PixelPoint,
-        marker::{Code, CodeReading},
-    };
+    use roundel_core::marker::{Code, CodeReading};
 
     use super::*;
 
@@ -264,24 +217,16 @@ mod tests {
     }
 
     #[test]
-    fn what_was_rejected_has_a_box_and_one_reason_a_place() {
-        let rejected = |u, reject| {
-            let center = PixelPoint { u, v: 30.0 };
-            Rejected { center, half_box_px: (6.0, 5.0), reject }
-        };
+    fn polygons_are_closed_and_cut_at_the_edges() {
         let mut canvas = Canvas::of(64, 48, &[90; 64 * 48]);
-        let both = [rejected(20.0, Reject::Tilt), rejected(23.0, Reject::Similarity)];
-        canvas.draw_rejected(&[both[0], both[1], rejected(50.0, Reject::Chord)]);
-        assert_eq!(color(&canvas, 14, 30), ORANGE);
-        assert_eq!(color(&canvas, 26, 35), ORANGE);
-        assert_eq!(color(&canvas, 56, 30), DIM);
-        assert_eq!(color(&canvas, 22, 30), [90; 3]);
-        // The later reason is written from its own box on; the earlier has no room beside it.
-        let columns: Vec<usize> =
-            (0..64).filter(|&u| (8..23).any(|v| color(&canvas, u, v) == ORANGE)).collect();
-        assert_eq!(columns.first(), Some(&17));
-        let far = Rejected { half_box_px: (1e300, f64::NAN), ..rejected(1e300, Reject::Tilt) };
-        canvas.draw_rejected(&[far, Rejected { half_box_px: (1e300, 1e300), ..far }]);
+        let corners = [(10.0, 10.0), (1e9, 10.0), (10.0, 40.0)].map(|(u, v)| PixelPoint { u, v });
+        canvas.draw_polygon(&corners);
+        for (u, v) in [(10, 10), (63, 10), (10, 40), (10, 25), (63, 40)] {
+            assert_eq!(color(&canvas, u, v), MAGENTA, "{u} {v}");
+        }
+        assert_eq!(color(&canvas, 30, 25), [90; 3]);
+        canvas.draw_polygon(&[]);
+        canvas.draw_polygon(&[PixelPoint { u: f64::NAN, v: 1.0 }, corners[0], corners[1]]);
     }
 
     #[test]

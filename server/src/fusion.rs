@@ -156,7 +156,7 @@ mod tests {
             source_id: "s".into(),
             started: clock.now(),
             snapshot_rate_hz: 100.0,
-            cameras: vec![CameraInfo { name: "north".into(), source: "test".into() }],
+            cameras: vec![CameraInfo { name: "north".into(), source: "test".into(), mask: vec![] }],
             kinds: vec!["robot".into()],
             object_names: BTreeMap::from([(KindId(0), "robot one".into())]),
         }))

@@ -14,7 +14,7 @@ use std::{
 };
 
 use roundel_core::{
-    camera::Camera,
+    camera::{Camera, PixelPoint},
     id::{CameraId, KindId, ObjectId},
     marker::{Code, Reject},
     rigid::Rigid,
@@ -56,6 +56,8 @@ pub struct CameraInfo {
     pub name: String,
     /// The source's URL, safe to show.
     pub source: String,
+    /// Corners of the polygons in which nothing is looked for, raw pixels.
+    pub mask: Vec<Vec<PixelPoint>>,
 }
 
 impl Installation {
@@ -398,7 +400,7 @@ mod tests {
             source_id: "s".into(),
             started: Timestamp::default(),
             snapshot_rate_hz: 60.0,
-            cameras: vec![CameraInfo { name: "north".into(), source: "sim:".into() }],
+            cameras: vec![CameraInfo { name: "north".into(), source: "sim:".into(), mask: vec![] }],
             kinds: vec!["robot".into()],
             object_names: BTreeMap::new(),
         })

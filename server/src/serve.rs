@@ -278,7 +278,11 @@ fn installation(config: &Config, started: Timestamp) -> Installation {
         cameras: config
             .cameras
             .iter()
-            .map(|camera| CameraInfo { name: camera.name.clone(), source: camera.source.clone() })
+            .map(|camera| CameraInfo {
+                name: camera.name.clone(),
+                source: camera.source.clone(),
+                mask: camera.mask.clone(),
+            })
             .collect(),
         kinds: config.kinds.iter().map(|kind| kind.name.clone()).collect(),
         object_names: config

@@ -7,7 +7,7 @@ use std::sync::Arc;
 
 use axum::body::Bytes;
 use jpeg_encoder::{ColorType, Encoder};
-use roundel_core::id::CameraId;
+use roundel_core::{camera::PixelPoint, id::CameraId};
 use tokio::sync::Mutex;
 
 use super::error::ApiError;
@@ -32,8 +32,13 @@ impl Gallery {
         Self { newest: (0..cameras).map(|_| Mutex::default()).collect() }
     }
 
-    /// The picture of that camera as JPEG.
-    pub async fn jpeg(&self, camera: CameraId, picture: Arc<Picture>) -> Result<Bytes, ApiError> {
+    /// The picture of that camera as JPEG, with the edges of its masked regions.
+    pub async fn jpeg(
+        &self,
+        camera: CameraId,
+        picture: Arc<Picture>,
+        mask: &[Vec<PixelPoint>],
+    ) -> Result<Bytes, ApiError> {
         let Some(slot) = self.newest.get(camera.0 as usize) else {
             return Err(ApiError::Internal(format!("camera {} has no place here", camera.0)));
         };
@@ -44,18 +49,17 @@ impl Gallery {
         {
             return Ok(encoded.jpeg.clone());
         }
-        let drawn = picture.clone();
-        let jpeg =
-            tokio::task::spawn_blocking(move || encode(&drawn)).await.map_err(|error| {
-                ApiError::Internal(format!("drawing the picture ended early: {error}"))
-            })??;
+        let (drawn, mask) = (picture.clone(), mask.to_vec());
+        let jpeg = tokio::task::spawn_blocking(move || encode(&drawn, &mask)).await.map_err(
+            |error| ApiError::Internal(format!("drawing the picture ended early: {error}")),
+        )??;
         *newest = Some(Encoded { picture, jpeg: jpeg.clone() });
         Ok(jpeg)
     }
 }
 
-/// Draws the detections into the picture and encodes it.
-pub fn encode(picture: &Picture) -> Result<Bytes, ApiError> {
+/// Draws the mask and the detections into the picture and encodes it.
+pub fn encode(picture: &Picture, mask: &[Vec<PixelPoint>]) -> Result<Bytes, ApiError> {
     let sides = u16::try_from(picture.width).ok().zip(u16::try_from(picture.height).ok());
     let Some((width, height)) = sides.filter(|&(width, height)| width > 0 && height > 0) else {
         return Err(ApiError::Internal(format!(
@@ -71,6 +75,9 @@ pub fn encode(picture: &Picture) -> Result<Bytes, ApiError> {
         )));
     }
     let mut canvas = Canvas::of(picture.width, picture.height, &picture.pixels);
+    for corners in mask {
+        canvas.draw_polygon(corners);
+    }
     for detection in &picture.observations.detections {
         canvas.draw_ring(&detection.ring, Some(detection.track));
     }

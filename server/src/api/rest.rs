@@ -181,7 +181,9 @@ pub async fn frame(State(api): State<Arc<Api>>, name: Segment) -> Result<Respons
         )));
     };
     let capture_time = picture.observations.capture_time.as_ns();
-    let jpeg = api.pictures.jpeg(id, picture).await?;
+    let info = api.hub.installation().cameras.get(id.0 as usize);
+    let mask = info.map_or(&[][..], |info| &info.mask);
+    let jpeg = api.pictures.jpeg(id, picture, mask).await?;
     let headers = [
         (header::CONTENT_TYPE, HeaderValue::from_static("image/jpeg")),
         (header::CACHE_CONTROL, HeaderValue::from_static("no-store")),

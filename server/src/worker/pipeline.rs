@@ -128,3 +128,91 @@ impl Pipeline {
         })
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use roundel_core::{
+        camera::{Intrinsics, Lens, PixelPoint},
+        marker::Reject,
+    };
+
+    use super::*;
+
+    const WIDTH: usize = 320;
+    const HEIGHT: usize = 240;
+
+    /// White, with a black ring of 20 px round a white disc of 8 px at each place.
+    fn frame(places: &[(f64, f64)]) -> Vec<u8> {
+        let level = |u: f64, v: f64| {
+            let ink = places.iter().map(|place| {
+                let radius = (u - place.0).hypot(v - place.1);
+                (20.5 - radius).clamp(0.0, 1.0) - (8.5 - radius).clamp(0.0, 1.0)
+            });
+            (220.0 - 190.0 * ink.sum::<f64>()).round() as u8
+        };
+        let pixels = (0..HEIGHT).flat_map(|v| (0..WIDTH).map(move |u| (u, v)));
+        pixels.map(|(u, v)| level(u as f64, v as f64)).collect()
+    }
+
+    fn pipeline(mode: Mode, mask: &[Vec<PixelPoint>]) -> Pipeline {
+        let camera = Camera::new(Intrinsics {
+            width: WIDTH,
+            height: HEIGHT,
+            fx_px: 300.0,
+            fy_px: 300.0,
+            cx_px: 159.5,
+            cy_px: 119.5,
+            lens: Lens::PlumbBob([0.0; 5]),
+        });
+        let parts = PipelineParts {
+            kinds: vec![Kind::plain("robot", 0.16, 0.064)],
+            params: Params { mode, ..Params::default() },
+            mask: Mask::of_polygons(mask).unwrap(),
+            camera: camera.unwrap(),
+            line_time_s: 0.0,
+        };
+        Pipeline::new(parts).unwrap()
+    }
+
+    fn seen(pipeline: &mut Pipeline, pixels: &[u8]) -> Vec<Detection> {
+        let capture_time = Timestamp::default();
+        let info = FrameInfo { capture_time, width: WIDTH, height: HEIGHT, skipped: 0 };
+        let seen = pipeline.process(pixels, &info, 1, capture_time, CameraId(0));
+        seen.unwrap().detections
+    }
+
+    #[test]
+    fn nothing_is_seen_where_the_mask_lies() {
+        let pixels = frame(&[(80.0, 120.0), (240.0, 120.0)]);
+        let left = [(0.0, 0.0), (160.0, 0.0), (160.0, 240.0), (0.0, 240.0)];
+        let left = left.map(|(u, v)| PixelPoint { u, v }).to_vec();
+        assert_eq!(seen(&mut pipeline(Mode::Fast, &[]), &pixels).len(), 2);
+        let mut masked = pipeline(Mode::Fast, &[left]);
+        let found = seen(&mut masked, &pixels);
+        assert_eq!(found.len(), 1);
+        assert!((found[0].ring.outer.center.u - 240.0).abs() < 0.5, "{found:?}");
+        // Nor where one moves behind it.
+        assert_eq!(seen(&mut masked, &frame(&[(80.0, 120.0)])).len(), 0);
+        assert!(masked.counts().rejects[Reject::Masked as usize] > 0);
+    }
+
+    #[test]
+    fn what_became_of_rings_is_counted() {
+        let pixels = frame(&[(80.0, 120.0), (240.0, 120.0)]);
+        for mode in [Mode::Fast, Mode::Precise] {
+            let mut pipeline = pipeline(mode, &[]);
+            for _ in 0..3 {
+                let found = seen(&mut pipeline, &pixels);
+                let pose = found[0].pose.as_ref().unwrap();
+                // 300 px focal length, 160 mm over 40 px.
+                assert!((pose.position_m.z - 300.0 * 0.16 / 40.0).abs() < 0.02, "{pose:?}");
+            }
+            let counts = pipeline.counts();
+            assert_eq!(counts.precise + counts.fast + counts.unlocated, 6);
+            assert_eq!(counts.unlocated, 0);
+            assert!(mode == Mode::Precise || counts.precise == 0, "{counts:?}");
+            let times = pipeline.times();
+            assert!(times.find_ms > 0.0 && times.locate_ms > 0.0, "{times:?}");
+        }
+    }
+}

@@ -207,7 +207,7 @@ mod tests {
             source_id: "s".into(),
             started: clock.now(),
             snapshot_rate_hz: 60.0,
-            cameras: vec![CameraInfo { name: "north".into(), source: "test".into() }],
+            cameras: vec![CameraInfo { name: "north".into(), source: "test".into(), mask: vec![] }],
             kinds: Vec::new(),
             object_names: BTreeMap::new(),
         }));

@@ -111,6 +111,8 @@ async fn the_picture_shows_frame_and_detections() {
         red > 180 && green > 160 && blue < 160
     });
     assert!(yellow.count() > 20, "the track's number");
+    let [red, green, blue] = strongest(&pixels, 4, 9);
+    assert!(red > green + 30 && blue > green + 30, "the mask's edge: {red} {green} {blue}");
     let [red, green, blue] = strongest(&pixels, 130, 100);
     assert!(
         [red, green, blue].iter().all(|c| (c - 128).abs() < 6),

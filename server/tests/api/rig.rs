@@ -10,6 +10,7 @@ use http_body_util::BodyExt;
 use hyper_util::{client::legacy, rt::TokioExecutor};
 use nalgebra::{UnitQuaternion, Vector3};
 use roundel_core::{
+    camera::PixelPoint,
     id::{CameraId, KindId, ObjectId},
     marker::Code,
     rigid::Covariance6,
@@ -36,7 +37,13 @@ pub struct Rig {
 }
 
 pub fn hub(source_id: &str) -> Arc<Hub> {
-    let camera = |name: &str| CameraInfo { name: name.into(), source: format!("sim:?of={name}") };
+    // The upper left corner of every camera is masked.
+    let corners = [(4.0, 4.0), (14.0, 4.0), (4.0, 14.0)].map(|(u, v)| PixelPoint { u, v });
+    let camera = |name: &str| CameraInfo {
+        name: name.into(),
+        source: format!("sim:?of={name}"),
+        mask: vec![corners.to_vec()],
+    };
     Arc::new(Hub::new(Installation {
         name: "lab".into(),
         source_id: source_id.into(),

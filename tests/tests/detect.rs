@@ -1,0 +1,115 @@
+//! `roundel detect` on rendered pictures with known truth, and on prints that exist.
+
+use std::{
+    fs,
+    path::{Path, PathBuf},
+    process::Command,
+};
+
+use nalgebra::{Isometry3, Translation3, UnitQuaternion, Vector3};
+use roundel_tests::{
+    export::{camera_yaml, write_png},
+    normal::Random,
+    optics::{Distortion, Pinhole},
+    process::roundel,
+    render::{Canvas, Imaging, Print, Renderer, Seen},
+};
+use serde_json::Value;
+
+const OUTER_M: f64 = 0.16;
+const INNER_M: f64 = 0.064;
+
+/// A folder with a camera file and a picture of a roundel of 60 px at the place given back, among
+/// three dark squares.
+fn pictured() -> (tempfile::TempDir, Isometry3<f64>) {
+    let camera =
+        Pinhole::centered(640, 480, 600.0, Distortion::PlumbBob([-0.1, 0.02, 0.0, 0.0, 0.0]));
+    let facing = UnitQuaternion::from_euler_angles(std::f64::consts::PI, 0.0, 0.0);
+    let tilt = UnitQuaternion::from_euler_angles(0.0, 0.6, 0.2);
+    let pose =
+        Isometry3::from_parts(Translation3::new(0.2, -0.1, 600.0 * OUTER_M / 60.0), facing * tilt);
+    let renderer = Renderer::new(camera, Imaging::default());
+    let mut background = Canvas::flat(camera.width, camera.height, 140.0);
+    for (left, top) in [(60, 300), (120, 360), (400, 380)] {
+        for v in top..top + 40 {
+            background.grey[v * 640 + left..v * 640 + left + 40].fill(30.0);
+        }
+    }
+    let print = Print::plain(OUTER_M, INNER_M, 0.2);
+    let motion = move |_: f64| pose;
+    let seen = [Seen { print: &print, motion: &motion }];
+    let image = renderer.frame(&background, &seen, &mut Random::new(7, 0));
+    let folder = tempfile::tempdir().unwrap();
+    write_png(&folder.path().join("picture.png"), &image).unwrap();
+    fs::write(folder.path().join("camera.yaml"), camera_yaml("camera", &camera)).unwrap();
+    (folder, pose)
+}
+
+/// Runs `roundel detect` in a folder: the lines that it prints.
+fn detect(folder: &Path, arguments: &[&str]) -> Vec<Value> {
+    let mut command = Command::new(roundel().unwrap());
+    let output = command.arg("detect").args(arguments).current_dir(folder).output().unwrap();
+    let told = String::from_utf8_lossy(&output.stderr);
+    assert!(output.status.success(), "{arguments:?}: {told}");
+    let lines = String::from_utf8(output.stdout).unwrap();
+    lines.lines().map(|line| serde_json::from_str(line).unwrap()).collect()
+}
+
+fn vector(value: &Value) -> Vector3<f64> {
+    let numbers: Vec<f64> =
+        value.as_array().unwrap().iter().map(|number| number.as_f64().unwrap()).collect();
+    Vector3::from_column_slice(&numbers)
+}
+
+/// Red, green and blue of a PNG that was drawn into.
+fn drawn(path: PathBuf) -> Vec<[u8; 3]> {
+    let decoder = png::Decoder::new(std::io::BufReader::new(fs::File::open(path).unwrap()));
+    let mut reader = decoder.read_info().unwrap();
+    let mut pixels = vec![0; reader.output_buffer_size().unwrap()];
+    reader.next_frame(&mut pixels).unwrap();
+    pixels.chunks_exact(3).map(|pixel| [pixel[0], pixel[1], pixel[2]]).collect()
+}
+
+#[test]
+fn both_modes_place_a_roundel_where_it_is() {
+    let (folder, truth) = pictured();
+    for mode in ["precise", "fast"] {
+        let print = ["--camera", "camera.yaml", "--marker", "160:64", "--mode", mode];
+        let lines = detect(folder.path(), &[&print[..], &["picture.png"]].concat());
+        let found = lines[0]["detections"].as_array().unwrap();
+        assert_eq!(found.len(), 1, "{mode}: {}", lines[0]);
+        let roundel = &found[0];
+        let error_m = (vector(&roundel["position_m"]) - truth.translation.vector).norm();
+        assert!(error_m < 3e-3, "{mode}: {error_m} m");
+        let normals = [vector(&roundel["normal"]), vector(&roundel["other_normal"])];
+        let angle = normals.map(|normal| normal.angle(&(truth.rotation * Vector3::z())));
+        assert!(angle[0].min(angle[1]) < 0.02, "{mode}: {angle:?}");
+        assert_eq!(roundel["covariance"].as_array().unwrap().len(), 21);
+        // A plain roundel says neither who it is nor how it is turned.
+        assert_eq!((&roundel["id"], &roundel["yaw_rad"]), (&Value::Null, &Value::Null));
+    }
+}
+
+#[test]
+fn what_was_refused_is_told_and_drawn() {
+    let (folder, _) = pictured();
+    let plain = detect(folder.path(), &["--draw", "plain", "picture.png"]);
+    assert_eq!((&plain[0]["rejects"], &plain[0]["rejected"]), (&Value::Null, &Value::Null));
+    let told = detect(folder.path(), &["--explain", "--draw", "told", "picture.png"]);
+    let told = &told[0];
+    let counts = told["rejects"].as_object().unwrap();
+    let total: u64 = counts.values().map(|count| count.as_u64().unwrap()).sum();
+    let rejected = told["rejected"].as_array().unwrap();
+    assert!(total > 0 && rejected.len() as u64 <= total, "{told}");
+    for each in rejected {
+        assert!(counts.contains_key(each["reason"].as_str().unwrap()), "{each}");
+        let places = ["center_px", "half_box_px"].map(|key| each[key].as_array().unwrap().len());
+        assert_eq!(places, [2, 2]);
+    }
+    let [plain, told] =
+        ["plain", "told"].map(|it| drawn(folder.path().join(it).join("picture.png")));
+    assert_ne!(plain, told);
+    // What was found is drawn in both: the same green.
+    let green = |pixels: &[[u8; 3]]| pixels.iter().filter(|p| **p == [40, 230, 80]).count();
+    assert!(green(&plain) > 100, "{}", green(&plain));
+}
