@@ -37,7 +37,8 @@ pub struct Config {
     pub name: String,
     /// `[server]`.
     pub server: ServerConfig,
-    /// `[[roundel]]`, by [`KindId`]; at least one, ratios of diameters a tenth apart.
+    /// `[[roundel]]`, by [`KindId`]; at least one. Plain ones have ratios of diameters a tenth apart,
+    /// coded ones codes of different bits.
     pub kinds: Vec<Kind>,
     /// `[[camera]]`, by [`roundel_core::id::CameraId`]; at least one, names unique.
     pub cameras: Vec<CameraConfig>,

@@ -121,22 +121,41 @@ fn is_distinct(table: &Table<'_, '_>, kind: &Kind, earlier: &[Kind]) -> bool {
             table.fail_with_help(&table.span_of("name"), message, "give each its own name");
             return false;
         }
-        let (ratio, other_ratio) = (kind.ratio(), other.ratio());
-        let alike = (ratio - other_ratio).abs() < LEAST_RATIO_DIFFERENCE * ratio.max(other_ratio);
-        if alike {
-            table.fail_with_help(
-                &table.span_of("inner_mm"),
-                format!(
-                    "roundels \"{}\" and \"{name}\" cannot be told apart: inner to outer diameter \
-                     {other_ratio:.3} and {ratio:.3}",
-                    other.name
-                ),
-                "kinds are told apart by this ratio: make them differ by a tenth at least",
+        if let Some((common, remedy)) = common(kind, other) {
+            let message = format!(
+                "roundels \"{}\" and \"{name}\" cannot be told apart: {common}",
+                other.name
             );
+            let key = if table.value("code").is_some() { "code" } else { "inner_mm" };
+            table.fail_with_help(&table.span_of(key), message, remedy);
             return false;
         }
     }
     true
+}
+
+/// What two kinds have in common so that nothing tells them apart, and the remedy. A coded one and a
+/// plain one always differ.
+fn common(kind: &Kind, other: &Kind) -> Option<(String, &'static str)> {
+    match (kind.pattern, other.pattern) {
+        (Pattern::Plain, Pattern::Plain) => {
+            let (ratio, other_ratio) = (kind.ratio(), other.ratio());
+            let least = LEAST_RATIO_DIFFERENCE * ratio.max(other_ratio);
+            ((ratio - other_ratio).abs() < least).then(|| {
+                (
+                    format!("inner to outer diameter {other_ratio:.3} and {ratio:.3}"),
+                    "kinds are told apart by this ratio: make them differ by a tenth at least",
+                )
+            })
+        }
+        (Pattern::Coded(layout), Pattern::Coded(other)) => (layout.bits == other.bits).then(|| {
+            (
+                format!("both have codes of {} bits", layout.bits),
+                "give one of them codes of other bits; prints of one size need one [[roundel]] only",
+            )
+        }),
+        _ => None,
+    }
 }
 
 /// The kind that `roundel = …` names.
