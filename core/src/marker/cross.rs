@@ -87,9 +87,19 @@ impl Evenness {
     /// Whether left black, white and right black of these widths can be a chord.
     pub fn allows(&self, left: f64, white: f64, right: f64) -> bool {
         let total = left + white + right;
-        (left - right).abs() <= self.side_share * left.max(right) + SIDE_SLACK_PX
-            && white >= self.white.0 * total
-            && white <= self.white.1 * total
+        // All at once: a branch for each costs more than it saves.
+        ((left - right).abs() <= self.side_share * left.max(right) + SIDE_SLACK_PX)
+            & (white >= self.white.0 * total)
+            & (white <= self.white.1 * total)
+    }
+
+    /// Most steps that an even chord goes on, where it has the ring's black and the white beyond it so
+    /// many steps before.
+    fn room_after(&self, (black, white): (i32, i32)) -> usize {
+        let side = f64::from(white - black);
+        let other = (side + SIDE_SLACK_PX) / (1.0 - self.side_share);
+        let disc = self.white.1 / (1.0 - self.white.1) * (side + other);
+        (disc - f64::from(black) + other).max(0.0) as usize + 2
     }
 
     /// Four times the middle of a chord, from twice the ends of its two black sides.
@@ -199,12 +209,14 @@ impl Binary<'_> {
         }
     }
 
-    /// The chord through (u, v) in steps of (du, dv), at most `limit` of them on each side.
+    /// The chord through (u, v) in steps of (du, dv), at most `limit` of them on each side; of one that
+    /// is surely uneven, nothing.
     fn chord(
         &self,
         (u, v): (usize, usize),
         (du, dv): (isize, isize),
         limit: usize,
+        evenness: &Evenness,
     ) -> Option<Chord> {
         let from = v * self.stride + u;
         if !self.is_white(from) {
@@ -220,7 +232,7 @@ impl Binary<'_> {
         };
         let step = dv * self.stride as isize + du;
         let before = self.side(from, -step, rooms(-1))?;
-        let after = self.side(from, step, rooms(1))?;
+        let after = self.side(from, step, rooms(1).min(evenness.room_after(before)))?;
         Some(Chord { outer: (1 - before.1, after.1), inner: (1 - before.0, after.0) })
     }
 
@@ -231,7 +243,9 @@ impl Binary<'_> {
         limit: usize,
         evenness: &Evenness,
     ) -> Result<Chord, Reject> {
-        self.chord(at, step, limit).filter(|chord| chord.is_even(evenness)).ok_or(Reject::Chord)
+        self.chord(at, step, limit, evenness)
+            .filter(|chord| chord.is_even(evenness))
+            .ok_or(Reject::Chord)
     }
 }
 
@@ -368,27 +382,27 @@ mod tests {
     fn chords_must_be_even() {
         let evenness = Evenness::of_plain((0.2, 0.8));
         let line = [9, 0, 0, 0, 9, 9, 0, 0, 0, 9];
-        let even = binary(&line, 10).chord((4, 0), (1, 0), 10).unwrap();
+        let even = binary(&line, 10).chord((4, 0), (1, 0), 10, &evenness).unwrap();
         assert_eq!((even.outer, even.inner), ((-3, 5), (0, 2)));
         assert_eq!(even.middle(&evenness), 0);
         assert!(even.is_even(&evenness));
         // The same along a column, and with the roles changed.
         let column = Binary { flip: 255, threshold: 250, ..binary(&line, 1) };
-        assert!(column.chord((0, 4), (0, 1), 10).is_none());
+        assert!(column.chord((0, 4), (0, 1), 10, &evenness).is_none());
         let line: Vec<u8> = line.iter().map(|grey| 255 - grey).collect();
         let column = Binary { flip: 255, ..binary(&line, 1) };
-        assert!(column.chord((0, 4), (0, 1), 10).unwrap().is_even(&evenness));
+        assert!(column.chord((0, 4), (0, 1), 10, &evenness).unwrap().is_even(&evenness));
         // A tooth's corner is passed over.
         let line = [9, 0, 0, 0, 0, 9, 9, 9, 9, 0, 9, 0, 0, 0, 0, 9];
-        let cut = binary(&line, 16).chord((6, 0), (1, 0), 16).unwrap();
+        let cut = binary(&line, 16).chord((6, 0), (1, 0), 16, &evenness).unwrap();
         assert_eq!((cut.outer, cut.inner), ((-5, 4), (-1, 3)));
         let cut = Binary { black_share: 0.3, ..binary(&line, 16) };
-        assert_eq!(cut.chord((6, 0), (1, 0), 16).unwrap().outer, (-5, 9));
+        assert_eq!(cut.chord((6, 0), (1, 0), 16, &evenness).unwrap().outer, (-5, 9));
         let line = [9, 0, 9, 9, 0, 0, 0, 0, 0, 0, 0, 9];
-        let uneven = binary(&line, 12).chord((2, 0), (1, 0), 12).unwrap();
+        let uneven = binary(&line, 12).chord((2, 0), (1, 0), 12, &evenness).unwrap();
         assert!(!uneven.is_even(&evenness));
-        assert!(binary(&line, 12).chord((0, 0), (1, 0), 12).is_none());
-        assert!(binary(&line, 12).chord((2, 0), (1, 0), 3).is_none());
+        assert!(binary(&line, 12).chord((0, 0), (1, 0), 12, &evenness).is_none());
+        assert!(binary(&line, 12).chord((2, 0), (1, 0), 3, &evenness).is_none());
     }
 
     #[test]

@@ -11,7 +11,10 @@
 
 use crate::marker::{cross::Evenness, edge::RowEdges};
 
-/// An edge that is so many times weaker than one next to it may be texture or noise.
+/// Least steps of the edges that are looked at together, in least steps of all. Waves are up to a fifth
+/// of the contrast and edges at least half of it, so one of these lies between them.
+const LEAST_STEPS: [f64; 3] = [6.25, 2.5, 0.0];
+/// A margin's contrast to the ring is at least that of the disc over this.
 const TEXTURE: u16 = 4;
 /// The margin's level is looked for so far beyond the ring's edge, half pixels.
 const MARGIN_HALF_PX: i32 = 8;
@@ -37,123 +40,124 @@ pub(crate) struct HitRules {
     pub least_px: f64,
     /// Least difference of white and black.
     pub contrast: u8,
+    /// Least step of the edges.
+    pub step: u8,
 }
 
 /// From a fall of the light to a rise, in half pixels.
-#[derive(Clone, Copy, Debug, PartialEq)]
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
 struct Black {
     fall: i32,
     rise: i32,
 }
 
 /// An edge of a row.
-#[derive(Clone, Copy, Debug)]
+#[derive(Clone, Copy, Debug, Default)]
 struct Edge {
     /// Half pixels from the row's start.
     at: i32,
     /// Change of the light over two pixels.
-    step: u16,
-    falls: bool,
+    step: i32,
 }
 
 /// Memory of [`find_hits`].
 #[derive(Debug, Default)]
 pub(crate) struct HitScratch {
-    plain: Plain,
+    edges: Vec<Edge>,
     strong: Vec<Edge>,
-    /// The hits of the newest row, from left to right.
+    blacks: Vec<Black>,
+    rings: Vec<[Black; 2]>,
+    stronger: Vec<[Black; 2]>,
+    /// The hits of the newest row.
     pub hits: Vec<Hit>,
 }
 
-/// All hits of a row, from left to right. With `inverted`, rises and falls change their roles and
-/// levels are counted from white: a black disc in a white ring.
+/// All hits of a row, those of strong edges first. With `inverted`, rises and falls change their
+/// roles and levels are counted from white: a black disc in a white ring.
+///
+/// The waves that a camera's sharpening leaves beside an edge, and texture, part a ring's sides where
+/// weak edges count; where only strong ones do, a ring in the shadow has none. So the row is looked
+/// at with several least steps.
 pub(crate) fn find_hits(
     row: &RowEdges,
     rules: &HitRules,
     inverted: bool,
     scratch: &mut HitScratch,
 ) {
-    let (falls, rises) = if inverted { (&row.rises, &row.falls) } else { (&row.falls, &row.rises) };
-    let line = row.line();
-    let HitScratch { plain, strong, hits } = scratch;
-    *plain = Plain::default();
-    strong.clear();
+    let HitScratch { edges, strong, blacks, rings, stronger, hits } = scratch;
     hits.clear();
+    stronger.clear();
+    collect_edges(row, inverted, edges);
+    for times in LEAST_STEPS {
+        let least = (f64::from(rules.step) * times) as i32;
+        compress(edges.iter().map(|edge| (*edge, edge.step.abs() >= least)), strong);
+        // Of several falls the last one counts, of several rises the first.
+        let pairs = strong.windows(2).map(|pair| {
+            let black = Black { fall: pair[0].at, rise: pair[1].at };
+            (black, (pair[0].step < 0) & (pair[1].step > 0))
+        });
+        compress(pairs, blacks);
+        let pairs = blacks.windows(2).map(|pair| {
+            let ring = [pair[0], pair[1]];
+            (ring, is_even(&ring, rules))
+        });
+        compress(pairs, rings);
+        // Both are in the order of their places, and what strong edges make, weaker ones make again.
+        let mut known = stronger.iter().peekable();
+        for ring in &*rings {
+            while known.next_if(|known| known[1].rise < ring[1].rise).is_some() {}
+            if known.peek() != Some(&ring) {
+                hits.extend(hit(row.line(), ring, rules, inverted));
+            }
+        }
+        std::mem::swap(rings, stronger);
+    }
+}
+
+/// All edges of a row. Neighbouring bits are one edge; it lies in their middle.
+fn collect_edges(row: &RowEdges, inverted: bool, edges: &mut Vec<Edge>) {
+    edges.clear();
+    let line = row.line();
+    let sign = if inverted { -1 } else { 1 };
     let (mut before_fall, mut before_rise) = (0, 0);
-    for ((word, &down), &up) in (0..).zip(falls).zip(rises) {
-        // Neighbouring bits are one edge; it lies in their middle.
+    for ((word, &down), &up) in (0..).zip(&row.falls).zip(&row.rises) {
         let mut starts = (down & !(down << 1 | before_fall)) | (up & !(up << 1 | before_rise));
         (before_fall, before_rise) = (down >> 63, up >> 63);
         while starts != 0 {
             let bit = starts.trailing_zeros();
             starts &= starts - 1;
-            let falls = down >> bit & 1 == 1;
-            let run = (if falls { down } else { up } >> bit).trailing_ones();
+            // A pixel cannot do both, so only one of them is a run from here on.
+            let run = (down >> bit).trailing_ones() + (up >> bit).trailing_ones();
             let at = (128 * word + 2 * bit + run - 1) as i32;
             let middle = (at / 2) as usize;
-            let (before, after) =
-                (line[middle.saturating_sub(1)], line[(middle + 2).min(line.len() - 1)]);
-            let edge = Edge { at, step: before.abs_diff(after).into(), falls };
-            let by_strength = add_strong(strong, edge);
-            let by_order = plain.add(edge);
-            for ring in [by_strength, by_order.filter(|ring| by_strength != Some(*ring))] {
-                hits.extend(ring.and_then(|ring| hit(line, &ring, rules, inverted)));
-            }
+            let before = line[middle.saturating_sub(1)];
+            let after = line[(middle + 2).min(line.len() - 1)];
+            edges.push(Edge { at, step: sign * (i32::from(after) - i32::from(before)) });
         }
     }
 }
 
-/// Edges as they follow each other, whatever their strength: so the sides of a ring are found of
-/// which one lies in the shadow.
-#[derive(Debug, Default)]
-struct Plain {
-    fall: Option<i32>,
-    last: Option<Black>,
+/// The items that are wanted, without a branch for each: which ones are cannot be foretold.
+fn compress<T: Copy + Default>(items: impl ExactSizeIterator<Item = (T, bool)>, kept: &mut Vec<T>) {
+    if kept.len() < items.len() {
+        kept.resize(items.len(), T::default());
+    }
+    let mut count = 0;
+    for (item, wanted) in items {
+        kept[count] = item;
+        count += usize::from(wanted);
+    }
+    kept.truncate(count);
 }
 
-impl Plain {
-    /// The newest two blacks where an edge ends one. Of several falls the last one counts, of several
-    /// rises the first.
-    fn add(&mut self, edge: Edge) -> Option<[Black; 2]> {
-        if edge.falls {
-            self.fall = Some(edge.at);
-            return None;
-        }
-        let black = Black { fall: self.fall.take()?, rise: edge.at };
-        Some([self.last.replace(black)?, black])
-    }
-}
-
-/// The same without the edges between two that are much stronger: so texture, noise and the waves
-/// that a camera's sharpening leaves beside an edge part nothing.
-fn add_strong(edges: &mut Vec<Edge>, edge: Edge) -> Option<[Black; 2]> {
-    while edges.last().is_some_and(|last| TEXTURE * last.step < edge.step) {
-        edges.pop();
-    }
-    match edges.last_mut() {
-        Some(last) if last.falls == edge.falls => {
-            if edge.falls && TEXTURE * edge.step >= last.step {
-                *last = edge;
-            }
-            return None;
-        }
-        _ => edges.push(edge),
-    }
-    match edges[..] {
-        [.., a, b, c, d] if !d.falls => {
-            Some([Black { fall: a.at, rise: b.at }, Black { fall: c.at, rise: d.at }])
-        }
-        _ => None,
-    }
+fn is_even([left, right]: &[Black; 2], rules: &HitRules) -> bool {
+    let width = |from: i32, to: i32| 0.5 * f64::from(to - from);
+    let total_px = width(left.fall, right.rise);
+    let (a, b) = (width(left.fall, left.rise), width(left.rise, right.fall));
+    (total_px >= rules.least_px) & rules.evenness.allows(a, b, width(right.fall, right.rise))
 }
 
 fn hit(line: &[u8], [left, right]: &[Black; 2], rules: &HitRules, inverted: bool) -> Option<Hit> {
-    let (a, b, c) = (left.rise - left.fall, right.fall - left.rise, right.rise - right.fall);
-    let total = a + b + c;
-    let [a_px, b_px, c_px] = [a, b, c].map(|half_px| 0.5 * f64::from(half_px));
-    if 0.5 * f64::from(total) < rules.least_px || !rules.evenness.allows(a_px, b_px, c_px) {
-        return None;
-    }
     let flip = if inverted { 255 } else { 0 };
     let levels = |from: i32, to: i32| {
         let (from, to) = ((from / 2).max(0) as usize, (to as usize).div_ceil(2) + 1);
@@ -173,7 +177,12 @@ fn hit(line: &[u8], [left, right]: &[Black; 2], rules: &HitRules, inverted: bool
     let is_margin = TEXTURE * u16::from(margin.saturating_sub(black)) >= u16::from(disc - black);
     let white = if is_margin { disc.min(margin) } else { disc };
     let middle = rules.evenness.middle((left.fall, left.rise), (right.fall, right.rise));
-    Some(Hit { u: (middle / 4) as usize, half_px: 0.25 * f64::from(total), white, black })
+    Some(Hit {
+        u: (middle / 4) as usize,
+        half_px: 0.25 * f64::from(right.rise - left.fall),
+        white,
+        black,
+    })
 }
 
 #[cfg(test)]
@@ -188,7 +197,7 @@ mod tests {
         let mut row = RowEdges::default();
         row.read(Level::new(), &frame, 0, &Window::of(&frame), 12);
         let evenness = Evenness::of_plain((0.2, 0.8));
-        let rules = HitRules { evenness, least_px: 6.0, contrast: 20 };
+        let rules = HitRules { evenness, least_px: 6.0, contrast: 20, step: 12 };
         let mut scratch = HitScratch::default();
         find_hits(&row, &rules, inverted, &mut scratch);
         scratch.hits

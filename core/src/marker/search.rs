@@ -56,20 +56,26 @@ impl SearchRules {
     pub fn new(kinds: &[Kind], rules: &Rules, contrast: u8) -> Self {
         let coded = kinds.iter().any(|kind| matches!(kind.pattern, Pattern::Coded(_)));
         let mut evenness = Evenness::of_plain(rules.ratios);
+        let step = (STEP_SHARE * f64::from(contrast)) as u8;
         let mut black_at = None;
         if coded {
             evenness = evenness.with_teeth(CORE_SHARE);
             black_at = Some(CODED_BLACK);
         }
         Self {
-            hit: HitRules { evenness, least_px: LEAST_CHORD * rules.min_semi_minor_px, contrast },
+            hit: HitRules {
+                evenness,
+                least_px: LEAST_CHORD * rules.min_semi_minor_px,
+                contrast,
+                step,
+            },
             cross: CrossRules {
                 evenness,
                 min_axis_ratio: rules.min_axis_ratio,
                 min_semi_minor_px: rules.min_semi_minor_px,
                 black_at,
             },
-            step: (STEP_SHARE * f64::from(contrast)) as u8,
+            step,
         }
     }
 }
