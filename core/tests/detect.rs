@@ -9,7 +9,10 @@ use roundel_core::{
     ellipse::Ellipse,
     frame::Frame,
     id::KindId,
-    marker::{Detector, Kind, Mask, Params, Reject, Rejected, Ring, Scratch, TrackedRing, Tracker},
+    marker::{
+        Detector, Kind, Mask, Params, Polarity, Reject, Rejected, Ring, Scratch, TrackedRing,
+        Tracker,
+    },
 };
 
 const WIDTH: usize = 200;
@@ -347,4 +350,41 @@ fn candidates_that_die_are_explained_on_request() {
     scratch.explain(false);
     any_ring().detect(&frame(&picture, WIDTH), &mut scratch);
     assert!(scratch.rejected().is_empty());
+}
+
+#[test]
+fn a_white_ring_is_a_black_one_in_other_light() {
+    let roundels = [roundel((50.0, 80.0), 15.0, 0.4), roundel((140.0, 80.0), 12.0, 0.6)];
+    let picture = drawn(&roundels, 2.0, 1);
+    let inverted: Vec<u8> = picture.iter().map(|grey| 255 - grey).collect();
+    let black = vec![kind("robot", 0.4), kind("reference", 0.6)];
+    let white = |kind: &Kind| Kind { polarity: Polarity::WhiteRing, ..kind.clone() };
+    let both = [black.clone(), black.iter().map(white).collect()].concat();
+    let detector = |kinds| Detector::new(kinds, Params::default()).unwrap();
+    assert!(detect(&detector(black.clone()), &inverted, WIDTH).is_empty());
+    let expected = detect(&detector(black), &picture, WIDTH);
+    assert_eq!(expected.len(), 2);
+    let detector = detector(both);
+    assert_eq!(detect(&detector, &picture, WIDTH), expected);
+    let found = detect(&detector, &inverted, WIDTH);
+    let mut tracker = Tracker::new(detector);
+    for _ in 0..3 {
+        tracker.process(&frame(&inverted, WIDTH));
+    }
+    assert_eq!(tracker.rejects().count(Reject::NoWhite), 0);
+    let followed: Vec<Ring> =
+        tracker.process(&frame(&inverted, WIDTH)).iter().map(|tracked| tracked.ring).collect();
+    // Thresholds and means are rounded the other way.
+    for rings in [found, followed] {
+        assert_eq!(rings.len(), 2);
+        for (ring, expected) in rings.iter().zip(&expected) {
+            assert_eq!(ring.polarity, Polarity::WhiteRing);
+            assert_eq!(ring.kind.map(|kind| kind.0), expected.kind.map(|kind| kind.0 + 2));
+            let at = expected.outer.center;
+            assert!(distance(&ring.outer, (at.u, at.v)) < 0.02);
+            assert!((ring.inner.semi_major_px - expected.inner.semi_major_px).abs() < 0.02);
+            assert!((ring.black - (255.0 - expected.white)).abs() < 0.5);
+            assert!((ring.white - (255.0 - expected.black)).abs() < 0.5);
+        }
+    }
 }

@@ -12,7 +12,7 @@
 
 use crate::{
     frame::Frame,
-    marker::{reject::Reject, scan::Hit},
+    marker::{kind::Polarity, reject::Reject, scan::Hit},
 };
 
 /// White's share of two chords through the centre may differ by this much …
@@ -256,10 +256,10 @@ pub(crate) fn cross(
     (hit, v): (&Hit, usize),
     threshold: u8,
     rules: &CrossRules,
-    inverted: bool,
+    polarity: Polarity,
 ) -> Result<Candidate, Reject> {
     let (pixels, stride) = frame.pixels();
-    let flip = if inverted { 255 } else { 0 };
+    let flip = polarity.flip();
     let (width, height) = (frame.width(), frame.height());
     let evenness = &rules.evenness;
     let black_share = evenness.black_share;

@@ -15,7 +15,7 @@ use crate::{
         code::CodeReader,
         code::measure::{self as coded, CodedKind},
         examine::{Probe, Rules},
-        kind::{Kind, Pattern, RATIO_LIMITS},
+        kind::{Kind, Pattern, Polarity, RATIO_LIMITS},
         mask::Mask,
         measure::{MeasureScratch, measure},
         param::{self, DetectorError, Params},
@@ -33,6 +33,8 @@ pub struct Detector {
     params: Params,
     rules: Rules,
     pub(crate) search_rules: SearchRules,
+    /// Those that some kind has; without kinds, rings are black.
+    pub(crate) polarities: Vec<Polarity>,
     pub(crate) mask: Mask,
     /// What the processor can do, found out once.
     pub(crate) level: Level,
@@ -80,9 +82,14 @@ impl Detector {
             min_contrast: f64::from(params.min_contrast),
         };
         let search_rules = SearchRules::new(&kinds, &rules, params.min_contrast);
+        let has = |polarity| kinds.iter().any(|kind| kind.polarity == polarity);
+        let mut polarities = vec![Polarity::BlackRing, Polarity::WhiteRing];
+        polarities.retain(|&polarity| {
+            has(polarity) || kinds.is_empty() && polarity == Polarity::BlackRing
+        });
         let (mask, level) = (Mask::default(), Level::new());
         let coded = coded_kinds(&kinds)?;
-        Ok(Self { kinds, coded, params, rules, search_rules, mask, level })
+        Ok(Self { kinds, coded, params, rules, search_rules, polarities, mask, level })
     }
 
     /// The same detector, blind to roundels whose centre lies in the mask.

@@ -18,7 +18,7 @@
 
 use crate::{
     ellipse::{Ellipse, Shape, Symmetric2},
-    marker::{reject::Reject, spans::Extent},
+    marker::{kind::Polarity, reject::Reject, spans::Extent},
     segment::Window,
 };
 
@@ -54,6 +54,8 @@ pub(crate) struct Probe {
     pub center: (usize, usize),
     pub threshold: u8,
     pub bounds: Window,
+    /// Of a white ring all levels, the threshold too, are counted from white.
+    pub polarity: Polarity,
 }
 
 /// What counting says of a segment: its pixels, and the sides of its box.

@@ -61,6 +61,16 @@ pub enum Polarity {
     WhiteRing,
 }
 
+impl Polarity {
+    /// Bits of a grey level that are turned over to make the ring black.
+    pub(crate) fn flip(self) -> u8 {
+        match self {
+            Self::BlackRing => 0,
+            Self::WhiteRing => 255,
+        }
+    }
+}
+
 impl Kind {
     /// A black ring of these diameters, in metres, round a plain white disc.
     pub fn plain(name: impl Into<String>, outer_diameter_m: f64, inner_diameter_m: f64) -> Self {
@@ -84,7 +94,7 @@ pub(crate) fn shift_limit_px(outer: &Ellipse) -> f64 {
     SHIFT_PX + SHIFT_SHARE * outer.mean_radius_px()
 }
 
-/// The plain kind that two rims belong to, and the rims with their compensation (paper, section 3.5) for
+/// The plain kind of a polarity that two rims belong to, and the rims with their compensation (paper, section 3.5) for
 /// that kind; `None` if no kind is near enough.
 ///
 /// Compensation can bring any pair of rims to any ratio, so the kind cannot be chosen after it: it is
@@ -93,12 +103,13 @@ pub(crate) fn shift_limit_px(outer: &Ellipse) -> f64 {
 /// white is no disc ([`crate::marker::code::measure`]).
 pub(crate) fn nearest_kind(
     kinds: &[Kind],
+    polarity: Polarity,
     outer: &Ellipse,
     inner: &Ellipse,
 ) -> Option<(KindId, Ellipse, Ellipse)> {
     let limit_px = shift_limit_px(outer);
     let mut best: Option<(usize, f64)> = None;
-    let plain = |kind: &Kind| matches!(kind.pattern, Pattern::Plain);
+    let plain = |kind: &Kind| matches!(kind.pattern, Pattern::Plain) && kind.polarity == polarity;
     for (index, kind) in kinds.iter().enumerate().filter(|(_, kind)| plain(kind)) {
         let Some(shift_px) = rim_shift_px(outer, inner, kind.ratio()) else { continue };
         let nearer = best.is_none_or(|(_, known)| shift_px.abs() < known.abs());
@@ -129,7 +140,9 @@ mod tests {
     fn the_nearest_ratio_wins_and_a_far_one_is_refused() {
         let kind = |inner_diameter_m| Kind::plain("", 1.0, inner_diameter_m);
         let kinds = [kind(0.4), kind(0.5), kind(0.6)];
-        let find = |inner| nearest_kind(&kinds, &circle(20.0), &circle(inner)).map(|k| k.0);
+        let find = |inner| {
+            nearest_kind(&kinds, Polarity::BlackRing, &circle(20.0), &circle(inner)).map(|k| k.0)
+        };
         assert_eq!(find(8.3), Some(KindId(0)));
         assert_eq!(find(9.7), Some(KindId(1)));
         assert_eq!(find(12.6), Some(KindId(2)));

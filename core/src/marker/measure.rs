@@ -130,10 +130,21 @@ fn measure_with<S: Simd>(
         }
         (None, outer, inner)
     } else {
-        let (kind, outer, inner) = nearest_kind(kinds, &outer, &inner).ok_or(Reject::Kind)?;
+        let (kind, outer, inner) =
+            nearest_kind(kinds, probe.polarity, &outer, &inner).ok_or(Reject::Kind)?;
         (Some(kind), outer, inner)
     };
-    Ok(Ring { kind, threshold, black, white, unevenness, ..Ring::of_rims(outer, inner) })
+    let ring = Ring { kind, threshold, black, white, unevenness, ..Ring::of_rims(outer, inner) };
+    Ok(match probe.polarity {
+        Polarity::BlackRing => ring,
+        Polarity::WhiteRing => Ring {
+            threshold: 0u8.wrapping_sub(threshold),
+            black: 255.0 - white,
+            white: 255.0 - black,
+            polarity: Polarity::WhiteRing,
+            ..ring
+        },
+    })
 }
 
 #[simd]
@@ -145,7 +156,11 @@ fn rims<S: Simd>(
     scratch: &mut MeasureScratch,
 ) -> Result<(Unblurred, Outline), Reject> {
     let MeasureScratch { patch, discs, rings, belts, .. } = scratch;
-    Patch::load(simd, patch, frame, probe.bounds, (probe.threshold, Polarity::BlackRing));
+    let threshold = match probe.polarity {
+        Polarity::BlackRing => probe.threshold,
+        Polarity::WhiteRing => 0u8.wrapping_sub(probe.threshold),
+    };
+    Patch::load(simd, patch, frame, probe.bounds, (threshold, probe.polarity));
     let (rows, columns) = (patch.rows(), patch.columns());
     if discs.len() < rows {
         discs.resize(rows, Span::default());

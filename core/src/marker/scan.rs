@@ -9,7 +9,7 @@
 //! A row of edges costs a few instructions for each 64 pixels ([`crate::marker::edge`]), and a few
 //! for each edge; grey levels are looked at only where the widths agree.
 
-use crate::marker::{cross::Evenness, edge::RowEdges};
+use crate::marker::{cross::Evenness, edge::RowEdges, kind::Polarity};
 
 /// Least steps of the edges that are looked at together, in least steps of all. Waves are up to a fifth
 /// of the contrast and edges at least half of it, so one of these lies between them.
@@ -72,8 +72,8 @@ pub(crate) struct HitScratch {
     pub hits: Vec<Hit>,
 }
 
-/// All hits of a row, those of strong edges first. With `inverted`, rises and falls change their
-/// roles and levels are counted from white: a black disc in a white ring.
+/// All hits of a row, those of strong edges first. Of white rings, rises and
+/// falls change their roles and levels are counted from white.
 ///
 /// The waves that a camera's sharpening leaves beside an edge, and texture, part a ring's sides where
 /// weak edges count; where only strong ones do, a ring in the shadow has none. So the row is looked
@@ -81,13 +81,13 @@ pub(crate) struct HitScratch {
 pub(crate) fn find_hits(
     row: &RowEdges,
     rules: &HitRules,
-    inverted: bool,
+    polarity: Polarity,
     scratch: &mut HitScratch,
 ) {
     let HitScratch { edges, strong, blacks, rings, stronger, hits } = scratch;
     hits.clear();
     stronger.clear();
-    collect_edges(row, inverted, edges);
+    collect_edges(row, polarity, edges);
     for times in LEAST_STEPS {
         let least = (f64::from(rules.step) * times) as i32;
         compress(edges.iter().map(|edge| (*edge, edge.step.abs() >= least)), strong);
@@ -107,7 +107,7 @@ pub(crate) fn find_hits(
         for ring in &*rings {
             while known.next_if(|known| known[1].rise < ring[1].rise).is_some() {}
             if known.peek() != Some(&ring) {
-                hits.extend(hit(row.line(), ring, rules, inverted));
+                hits.extend(hit(row.line(), ring, rules, polarity));
             }
         }
         std::mem::swap(rings, stronger);
@@ -115,10 +115,10 @@ pub(crate) fn find_hits(
 }
 
 /// All edges of a row. Neighbouring bits are one edge; it lies in their middle.
-fn collect_edges(row: &RowEdges, inverted: bool, edges: &mut Vec<Edge>) {
+fn collect_edges(row: &RowEdges, polarity: Polarity, edges: &mut Vec<Edge>) {
     edges.clear();
     let line = row.line();
-    let sign = if inverted { -1 } else { 1 };
+    let sign = if polarity == Polarity::WhiteRing { -1 } else { 1 };
     let (mut before_fall, mut before_rise) = (0, 0);
     for ((word, &down), &up) in (0..).zip(&row.falls).zip(&row.rises) {
         let mut starts = (down & !(down << 1 | before_fall)) | (up & !(up << 1 | before_rise));
@@ -157,8 +157,13 @@ fn is_even([left, right]: &[Black; 2], rules: &HitRules) -> bool {
     (total_px >= rules.least_px) & rules.evenness.allows(a, b, width(right.fall, right.rise))
 }
 
-fn hit(line: &[u8], [left, right]: &[Black; 2], rules: &HitRules, inverted: bool) -> Option<Hit> {
-    let flip = if inverted { 255 } else { 0 };
+fn hit(
+    line: &[u8],
+    [left, right]: &[Black; 2],
+    rules: &HitRules,
+    polarity: Polarity,
+) -> Option<Hit> {
+    let flip = polarity.flip();
     let levels = |from: i32, to: i32| {
         let (from, to) = ((from / 2).max(0) as usize, (to as usize).div_ceil(2) + 1);
         line[from..to.min(line.len())].iter().map(move |&grey| grey ^ flip)
@@ -192,14 +197,14 @@ mod tests {
     use super::*;
     use crate::{frame::Frame, marker::cross::Evenness, segment::Window};
 
-    fn hits(line: &[u8], inverted: bool) -> Vec<Hit> {
+    fn hits(line: &[u8], polarity: Polarity) -> Vec<Hit> {
         let frame = Frame::new(line, line.len(), 1, line.len()).unwrap();
         let mut row = RowEdges::default();
         row.read(Level::new(), &frame, 0, &Window::of(&frame), 12);
         let evenness = Evenness::of_plain((0.2, 0.8));
         let rules = HitRules { evenness, least_px: 6.0, contrast: 20, step: 12 };
         let mut scratch = HitScratch::default();
-        find_hits(&row, &rules, inverted, &mut scratch);
+        find_hits(&row, &rules, polarity, &mut scratch);
         scratch.hits
     }
 
@@ -211,16 +216,16 @@ mod tests {
     #[test]
     fn a_disc_lies_between_two_equal_blacks() {
         let line = row(&[(70, 90), (5, 200), (6, 30), (8, 210), (6, 40), (5, 190), (9, 90)]);
-        let found = hits(&line, false);
+        let found = hits(&line, Polarity::BlackRing);
         let [hit] = found[..] else { panic!("{found:?}") };
         assert_eq!((hit.u, hit.white, hit.black), (84, 190, 40));
         assert!((hit.half_px - 10.0).abs() <= 0.5, "{hit:?}");
         let inverted: Vec<u8> = line.iter().map(|grey| 255 - grey).collect();
-        let found = hits(&inverted, true);
+        let found = hits(&inverted, Polarity::WhiteRing);
         let [hit] = found[..] else { panic!("{found:?}") };
         assert_eq!((hit.u, hit.white, hit.black), (84, 190, 40));
         let uneven = row(&[(70, 90), (5, 200), (6, 30), (8, 210), (14, 40), (5, 190), (9, 90)]);
-        assert!(hits(&uneven, false).is_empty());
+        assert!(hits(&uneven, Polarity::BlackRing).is_empty());
     }
 
     #[test]
@@ -238,7 +243,7 @@ mod tests {
             (3, 0),
             (9, 155),
         ]);
-        assert!(hits(&line, false).iter().any(|hit| (24..=26).contains(&hit.u)));
+        assert!(hits(&line, Polarity::BlackRing).iter().any(|hit| (24..=26).contains(&hit.u)));
     }
 
     #[test]
@@ -248,13 +253,16 @@ mod tests {
             if mirrored {
                 line.reverse();
             }
-            assert!(hits(&line, false).iter().any(|hit| (19..=20).contains(&hit.u)), "{mirrored}");
+            assert!(
+                hits(&line, Polarity::BlackRing).iter().any(|hit| (19..=20).contains(&hit.u)),
+                "{mirrored}"
+            );
         }
     }
 
     #[test]
     fn noise_below_the_contrast_makes_no_hit() {
         let line: Vec<u8> = (0..200).map(|u| 100 + (u * 7 % 19) as u8).collect();
-        assert!(hits(&line, false).is_empty());
+        assert!(hits(&line, Polarity::BlackRing).is_empty());
     }
 }

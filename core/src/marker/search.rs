@@ -15,7 +15,7 @@ use crate::{
         edge::{ROW_STEP, RowEdges},
         examine::{Probe, Rules},
         harmonic::check_rims,
-        kind::{Kind, Pattern},
+        kind::{Kind, Pattern, Polarity},
         reject::{Reject, Rejected},
         scan::{Hit, HitRules, HitScratch, find_hits},
         threshold::BinarySearch,
@@ -94,17 +94,19 @@ impl Detector {
                 break;
             }
             row.read(self.level, frame, v, &window, rules.step);
-            find_hits(row, &rules.hit, false, hits);
-            for hit in &mut hits.hits {
-                hit.u += window.left;
-                if scratch.found.len() >= most || claimed.contains(hit.u, v) {
-                    continue;
-                }
-                if let Some(ring) = self.try_hit(frame, (hit, v), scratch) {
-                    let claim = Claim::new(&ring);
-                    claimed.add(&claim);
-                    scratch.claims.push(claim);
-                    scratch.found.push(ring);
+            for &polarity in &self.polarities {
+                find_hits(row, &rules.hit, polarity, hits);
+                for hit in &mut hits.hits {
+                    hit.u += window.left;
+                    if scratch.found.len() >= most || claimed.contains(hit.u, v) {
+                        continue;
+                    }
+                    if let Some(ring) = self.try_hit(frame, (hit, v), polarity, scratch) {
+                        let claim = Claim::new(&ring);
+                        claimed.add(&claim);
+                        scratch.claims.push(claim);
+                        scratch.found.push(ring);
+                    }
                 }
             }
         }
@@ -116,6 +118,7 @@ impl Detector {
         &self,
         frame: &Frame,
         (hit, v): (&Hit, usize),
+        polarity: Polarity,
         scratch: &mut Scratch,
     ) -> Option<Ring> {
         let center = PixelPoint { u: hit.u as f64, v: v as f64 };
@@ -127,12 +130,12 @@ impl Detector {
         }
         let mut first = None;
         for threshold in BinarySearch::new(hit.black, hit.white, SEARCH_DEPTH) {
-            let tried = cross(frame, (hit, v), threshold, &self.search_rules.cross, false);
+            let tried = cross(frame, (hit, v), threshold, &self.search_rules.cross, polarity);
             let tried = tried.and_then(|candidate| {
                 let (u, v) = candidate.center;
                 rejected.center = PixelPoint { u: u as f64, v: v as f64 };
                 rejected.half_box_px = candidate.half_box_px;
-                self.measure_candidate(frame, &candidate, scratch)
+                self.measure_candidate(frame, &candidate, polarity, scratch)
             });
             match tried {
                 Ok(ring) => return Some(ring),
@@ -153,6 +156,7 @@ impl Detector {
         &self,
         frame: &Frame,
         candidate: &Candidate,
+        polarity: Polarity,
         scratch: &mut Scratch,
     ) -> Result<Ring, Reject> {
         let (half_u, half_v) = candidate.half_box_px;
@@ -162,6 +166,7 @@ impl Detector {
             center: candidate.center,
             threshold: candidate.threshold,
             bounds: Window::around(frame, center, (reach(half_u), reach(half_v))),
+            polarity,
         };
         let ring = self.measure(frame, &probe, &mut scratch.measure)?;
         check_rims(frame, &ring, self.has_plain_disc(&ring))?;

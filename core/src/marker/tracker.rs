@@ -19,6 +19,7 @@ use crate::{
         detector::{Detector, Scratch},
         edge::ROW_STEP,
         examine::Probe,
+        kind::Polarity,
         reject::{Reject, RejectCounts, Rejected},
     },
     segment::Window,
@@ -277,5 +278,10 @@ fn probe(frame: &Frame, track: &Track) -> Result<Probe, Reject> {
     );
     let slack = |half: f64| 1.3 * half + 5.0;
     let bounds = Window::around(frame, (at.u, at.v), (slack(half_u), slack(half_v)));
-    Ok(Probe { center, threshold: track.ring.threshold, bounds })
+    let polarity = track.ring.polarity;
+    let threshold = match polarity {
+        Polarity::BlackRing => track.ring.threshold,
+        Polarity::WhiteRing => 0u8.wrapping_sub(track.ring.threshold),
+    };
+    Ok(Probe { center, threshold, bounds, polarity })
 }

@@ -69,7 +69,7 @@ pub(crate) fn measure(
 ) -> Result<Ring, Reject> {
     let mut best: Option<Ring> = None;
     let mut last = Err(Reject::Kind);
-    for kind in kinds {
+    for kind in kinds.iter().filter(|kind| kind.polarity == probe.polarity) {
         last = measure_kind(frame, probe, rules, kind);
         let Ok(ring) = &last else { continue };
         let confidence = |ring: &Ring| ring.code.map_or(0.0, |code| code.confidence);
