@@ -215,6 +215,38 @@ impl Lens {
         }
     }
 
+    /// The point of the plane z = 1 that is distorted to `image`, with the derivative of the distortion
+    /// there; planar models only.
+    pub(super) fn undistorted(
+        &self,
+        reach: f64,
+        image: &Vector2<f64>,
+    ) -> Result<(Vector2<f64>, Matrix2<f64>), LensError> {
+        if !(image.x.is_finite() && image.y.is_finite()) {
+            return Err(LensError::NotFinite);
+        }
+        let planar = self.planar().ok_or(LensError::Outside)?;
+        self.undistort_planar(&planar, reach, image)
+    }
+
+    /// The angle to the axis, radians, at which the image has this radius, with the derivative of the
+    /// radius there; `equidistant` only.
+    pub(super) fn angle(&self, reach: f64, image_radius: f64) -> Result<(f64, f64), LensError> {
+        if !image_radius.is_finite() {
+            return Err(LensError::NotFinite);
+        }
+        let angle_rad = if image_radius == 0.0 {
+            0.0
+        } else {
+            self.invert_radial(reach, image_radius).ok_or(LensError::Outside)?
+        };
+        let slope = self.radial(angle_rad).ok_or(LensError::Outside)?.1;
+        if slope <= 0.0 || angle_rad >= reach {
+            return Err(LensError::Outside);
+        }
+        Ok((angle_rad, slope))
+    }
+
     /// Newton on both coordinates, from the distorted point itself; where that fails, from the radial
     /// model's exact inverse.
     fn undistort_planar(
@@ -271,11 +303,7 @@ impl Lens {
         if image_radius == 0.0 {
             return Ok(Ray { direction: Vector3::z(), by_image: [Vector3::x(), Vector3::y()] });
         }
-        let angle_rad = self.invert_radial(reach, image_radius).ok_or(LensError::Outside)?;
-        let slope = self.radial(angle_rad).ok_or(LensError::Outside)?.1;
-        if slope <= 0.0 || angle_rad >= reach {
-            return Err(LensError::Outside);
-        }
+        let (angle_rad, slope) = self.angle(reach, image_radius)?;
         let (sin, cos) = angle_rad.sin_cos();
         let (ux, uy) = (image.x / image_radius, image.y / image_radius);
         let along = Vector3::new(cos * ux, cos * uy, -sin) / slope;

@@ -6,11 +6,13 @@
 //! or a pixel that no ray reaches, is a [`LensError`], never a wrong number.
 
 mod lens;
+mod near;
 
 use nalgebra::{Matrix2x3, Matrix3x2, Vector2, Vector3};
 use thiserror::Error;
 
 pub use lens::Lens;
+pub(crate) use near::NearRays;
 
 /// Largest width or height of an image; beyond it the sums of moments could lose exactness.
 pub const MAX_SIDE_PX: usize = 16_384;

@@ -1,140 +1,346 @@
-//! A rim carried through the lens, and what is known of its errors.
+//! Rims carried through the lens, and what is known of their errors.
 //!
 //! A rim is taken at points c + a cos t + b sin t, t evenly spaced, with the semiaxes a and b as
 //! vectors. Another, slightly different ellipse crosses the line from the centre through such a point
-//! at 1 + q(t) times its distance, and to first order q = ψ·c with only five harmonics,
+//! at 1 + q(t) times its distance, and to first order q = ψ·h with only five harmonics,
 //! ψ = (1, √2 cos t, √2 sin t, √2 cos 2t, √2 sin 2t): size, shift along either axis, elongation and
-//! turn. Five numbers c therefore say all there is to say of a rim, and c = mean(ψ q), the mean over
+//! turn. Five numbers h therefore say all there is to say of a rim, and h = mean(ψ q), the mean over
 //! evenly spaced t, is just what the moments of a rim's area measure. (An area's change is ½∮q r×dr =
-//! ½ab∮q dt, and its first and second moments' are the other harmonics.)
+//! ½ab∮q dt, and its first and second moments' are the other harmonics.) Affine maps keep t and h.
+//!
+//! Eight points go through the lens ([`Camera::rays_near`]). Of their images y, the zeroth and first
+//! harmonics over t are the affine part of the lens there, averaged over the rim; in its coordinates y
+//! is nearly u = (cos t, sin t). The lens takes the line s u from the rim's centre to
+//! y(s) = y₀ + s P₁ + s² P₂ + s³ P₃, of which the middle's ray gives y₀ and P₁, and y at t and t + π the
+//! even and the odd part: so dy/ds at the rim is known too, and with it where the line crosses another
+//! ellipse, q = (1 - |y|)/(y/|y| · dy/ds) before the unit circle. The ellipse that is sought is the
+//! unit circle changed so that mean(ψ q) = 0, found by a few turns. Where the lens adds nothing, q is zero
+//! and the ellipse exact.
+//!
+//! The ellipse with centre c and semiaxes A = (a b), in homogeneous coordinates, is the *dual conic*
+//! D = (c cᵀ - A Aᵀ, c; cᵀ, 1), the set of its tangents l, lᵀ D l = 0. It turns with the frame:
+//! D → R D Rᵀ.
 
-use nalgebra::{Matrix3, SMatrix, SVector, Vector2};
+use nalgebra::{Matrix2, Matrix3, Vector2, Vector3};
 
-use super::RingNoise;
+use super::{PoseError, RingNoise};
 use crate::{
-    camera::{Camera, LensError, PixelPoint},
+    camera::{Camera, LensError, NearRays, PixelPoint},
     ellipse::Ellipse,
+    marker::Ring,
 };
 
-/// Points on a rim. Five harmonics need at least five; twice as many leave those that distortion and
-/// perspective add room not to be mistaken for them.
-pub const RIM_POINTS: usize = 12;
+/// Points on a rim. Five harmonics need at least five; eight keep those that a lens adds, up to the
+/// fifth, from being mistaken for them.
+const POINTS: usize = 8;
+/// Turns, at most, in which the ellipse through the points is found …
+const TURNS: usize = 8;
+/// … and what a turn that moves it by no more than this leaves is nothing: it gains two digits.
+const SETTLED: f64 = 1e-6;
 
 /// The floor's share of centre, elongation and turn: blur and bloom are nearly even around a rim.
 const REST_OF_FLOOR: f64 = 0.25;
 
 /// Five numbers of a rim.
-pub type Harmonics = SVector<f64, 5>;
+pub type Harmonics = [f64; 5];
 
-/// One point of a rim.
+/// A rim in the plane z = 1 of a local frame.
 #[derive(Clone, Copy, Debug)]
-pub struct RimPoint {
-    /// Where its ray meets the plane z = 1 of the local frame.
-    pub ray: Vector2<f64>,
-    /// How that moves with q.
-    pub radial: Vector2<f64>,
-    /// ψ(t).
-    pub basis: Harmonics,
-}
-
-/// A rim of a known circle.
-#[derive(Clone, Debug)]
 pub struct Rim {
     /// The circle's radius, metres.
     pub radius_m: f64,
-    /// Evenly spaced in t.
-    pub points: [RimPoint; RIM_POINTS],
-    /// Inverse covariance of the five numbers.
-    pub information: SMatrix<f64, 5, 5>,
+    /// Centre of the ellipse.
+    pub center: Vector2<f64>,
+    /// A Aᵀ.
+    pub shape: Matrix2<f64>,
+    /// A⁻¹, but for perspective's second order.
+    pub inverse: Matrix2<f64>,
+    /// Of its five numbers.
+    pub information: Information,
 }
 
-impl Rim {
-    /// Carries the rim `ellipse` of a circle through the lens. [`LensError`] if any of its points has
-    /// no ray, or lies 90° or more from the local axis.
-    pub fn new(
-        camera: &Camera,
-        local_from_camera: &Matrix3<f64>,
+/// Inverse covariance of a rim's five numbers; what is not here is zero.
+#[derive(Clone, Copy, Debug)]
+pub struct Information {
+    pub size: f64,
+    pub size_and_elongation: f64,
+    pub elongation: f64,
+    pub along: f64,
+    pub across: f64,
+    pub turn: f64,
+}
+
+/// Both rims, outer and inner, with the rows of the frame that they are in: its z is the axis of the
+/// outer rim's cone, so that a circle of which the rim is an image lies on it up to its tilt.
+#[inline(always)]
+pub fn carry(
+    camera: &Camera,
+    ring: &Ring,
+    radii_m: [f64; 2],
+    noise: &RingNoise,
+) -> Result<(Matrix3<f64>, [Rim; 2]), PoseError> {
+    let near = match camera.rays_near(ring.outer.center, &offsets(ring)) {
+        Ok(near) => near,
+        Err(source) => return Err(PoseError::Lens { rim: refused(camera, ring), source }),
+    };
+    // Rays of planar models are points of one plane, in which a lens without distortion is linear.
+    let base_from_camera =
+        if camera.is_planar() { Matrix3::identity() } else { frame_along(&near.middle) };
+    let outer = Flat::through(&near, 0, ring, &base_from_camera);
+    let inner = Flat::through(&near, 1, ring, &base_from_camera);
+    let behind = |rim| PoseError::Lens { rim, source: LensError::Behind };
+    let (outer, inner) = (outer.ok_or(behind("outer"))?, inner.ok_or(behind("inner"))?);
+    let local_from_base = frame_along(&outer.cone_axis());
+    let outer = outer.rim(&local_from_base, &ring.outer, radii_m[0], noise);
+    let inner = inner.rim(&local_from_base, &ring.inner, radii_m[1], noise);
+    match (outer, inner) {
+        (Some(outer), Some(inner)) => Ok((local_from_base * base_from_camera, [outer, inner])),
+        _ => Err(PoseError::NoCircle),
+    }
+}
+
+/// Rows of a right-handed frame whose z lies along `axis`, of any length.
+#[inline(always)]
+pub fn frame_along(axis: &Vector3<f64>) -> Matrix3<f64> {
+    let z = axis / axis.norm_squared().sqrt();
+    let across = if z.y.abs() < 0.9 {
+        Vector3::new(z.z, 0.0, -z.x) // y × z
+    } else {
+        Vector3::new(0.0, -z.z, z.y) // x × z
+    };
+    let x = across / across.norm_squared().sqrt();
+    let y = z.cross(&x);
+    Matrix3::new(x.x, x.y, x.z, y.x, y.y, y.z, z.x, z.y, z.z)
+}
+
+/// The rims' points from the outer rim's centre, pixels: the outer rim's, then the inner one's.
+#[inline(always)]
+fn offsets(ring: &Ring) -> [[f64; 2 * POINTS]; 2] {
+    let mut offsets = [[0.0; 2 * POINTS]; 2];
+    for (rim, ellipse) in [&ring.outer, &ring.inner].into_iter().enumerate() {
+        let (sin, cos) = ellipse.angle_rad.sin_cos();
+        let (a, b) = (ellipse.semi_major_px, ellipse.semi_minor_px);
+        let from = ring.outer.center;
+        let (du, dv) = (ellipse.center.u - from.u, ellipse.center.v - from.v);
+        for i in 0..POINTS {
+            let (x, y) = (a * COS[i], b * SIN[i]);
+            offsets[0][rim * POINTS + i] = du + cos * x - sin * y;
+            offsets[1][rim * POINTS + i] = dv + sin * x + cos * y;
+        }
+    }
+    offsets
+}
+
+/// The first rim of which a point has no ray.
+fn refused(camera: &Camera, ring: &Ring) -> &'static str {
+    let offsets = offsets(ring);
+    let outer: [[f64; POINTS]; 2] = offsets.map(|axis| std::array::from_fn(|i| axis[i]));
+    if camera.rays_near(ring.outer.center, &outer).is_err() { "outer" } else { "inner" }
+}
+
+/// An ellipse in the plane z = 1 of the base frame.
+struct Flat {
+    center: Vector2<f64>,
+    semiaxes: Matrix2<f64>,
+}
+
+impl Flat {
+    /// The ellipse through the images of a rim's points, the outer (0) or the inner one (1); `None` if
+    /// one lies 90° or more from the frame's axis.
+    #[inline(always)]
+    fn through(
+        near: &NearRays<{ 2 * POINTS }>,
+        rim: usize,
+        ring: &Ring,
+        base_from_camera: &Matrix3<f64>,
+    ) -> Option<Self> {
+        let turn = base_from_camera;
+        let (mut x, mut y, mut depths) = ([0.0; POINTS], [0.0; POINTS], [0.0; POINTS]);
+        let planar = *turn == Matrix3::identity();
+        for i in 0..POINTS {
+            x[i] = near.rays[0][rim * POINTS + i];
+            y[i] = near.rays[1][rim * POINTS + i];
+        }
+        for i in 0..POINTS {
+            if planar {
+                depths[i] = 1.0;
+                continue;
+            }
+            let [u, v, w] = [x[i], y[i], near.rays[2][rim * POINTS + i]];
+            depths[i] = turn.m31 * u + turn.m32 * v + turn.m33 * w;
+            x[i] = (turn.m11 * u + turn.m12 * v + turn.m13 * w) / depths[i];
+            y[i] = (turn.m21 * u + turn.m22 * v + turn.m23 * w) / depths[i];
+        }
+        if !depths.iter().fold(true, |ahead, depth| ahead & (*depth > 0.0)) {
+            return None;
+        }
+        let center = Vector2::new(mean(&x, &ONE), mean(&y, &ONE));
+        let affine = Matrix2::new(
+            2.0 * mean(&x, &COS),
+            2.0 * mean(&x, &SIN),
+            2.0 * mean(&y, &COS),
+            2.0 * mean(&y, &SIN),
+        );
+        let inverse = affine.try_inverse()?;
+        for i in 0..POINTS {
+            let (dx, dy) = (x[i] - center.x, y[i] - center.y);
+            x[i] = inverse.m11 * dx + inverse.m12 * dy;
+            y[i] = inverse.m21 * dx + inverse.m22 * dy;
+        }
+        let ellipse = [&ring.outer, &ring.inner][rim];
+        let (middle, linear) = Self::line(near, ring.outer.center, ellipse, turn);
+        let (middle, linear) = (inverse * (middle - center), inverse * linear);
+        // dy/ds = P₁ + 2 P₂ + 3 P₃, with the even part y₀ + P₂ and the odd one P₁ + P₃.
+        let (mut along_x, mut along_y) = ([0.0; POINTS], [0.0; POINTS]);
+        for i in 0..POINTS {
+            let opposite = (i + POINTS / 2) % POINTS;
+            let (even, odd) = (0.5 * (x[i] + x[opposite]), 0.5 * (x[i] - x[opposite]));
+            let first = linear.m11 * COS[i] + linear.m12 * SIN[i];
+            along_x[i] = 3.0 * odd - 2.0 * first + 2.0 * (even - middle.x);
+            let (even, odd) = (0.5 * (y[i] + y[opposite]), 0.5 * (y[i] - y[opposite]));
+            let first = linear.m21 * COS[i] + linear.m22 * SIN[i];
+            along_y[i] = 3.0 * odd - 2.0 * first + 2.0 * (even - middle.y);
+        }
+        // The unit circle's own ellipse: moved by `shift`, its points longer by the factor 1 + `grown`.
+        let mut shift = Vector2::zeros();
+        let mut grown = Matrix2::zeros();
+        for _ in 0..TURNS {
+            let back = (Matrix2::identity() + grown).try_inverse()?;
+            let mut q = [0.0; POINTS];
+            for i in 0..POINTS {
+                let (dx, dy) = (x[i] - shift.x, y[i] - shift.y);
+                let (dx, dy) = (back.m11 * dx + back.m12 * dy, back.m12 * dx + back.m22 * dy);
+                let (ex, ey) = (along_x[i], along_y[i]);
+                let (ex, ey) = (back.m11 * ex + back.m12 * ey, back.m12 * ex + back.m22 * ey);
+                // |y| - 1 is half of |y|² - 1 less its square's eighth.
+                let excess = dx * dx + dy * dy - 1.0;
+                let beyond = excess * (0.5 - 0.125 * excess);
+                q[i] = beyond * (1.0 + beyond) / (dx * ex + dy * ey);
+            }
+            let moved = Vector2::new(2.0 * mean(&q, &COS), 2.0 * mean(&q, &SIN));
+            let (size, elongation, turn) =
+                (mean(&q, &ONE), 2.0 * mean(&q, &COS_2), 2.0 * mean(&q, &SIN_2));
+            shift += moved;
+            grown += Matrix2::new(size + elongation, turn, turn, size - elongation);
+            let most = moved.x.abs() + moved.y.abs() + size.abs() + elongation.abs() + turn.abs();
+            if most <= SETTLED {
+                break;
+            }
+        }
+        let semiaxes = affine * (Matrix2::identity() + grown);
+        Some(Self { center: center + affine * shift, semiaxes })
+    }
+
+    /// Image of the rim's own centre, and of its semiaxes by the derivative there.
+    #[inline(always)]
+    fn line(
+        near: &NearRays<{ 2 * POINTS }>,
+        middle_px: PixelPoint,
+        ellipse: &Ellipse,
+        base_from_camera: &Matrix3<f64>,
+    ) -> (Vector2<f64>, Matrix2<f64>) {
+        let middle = base_from_camera * near.middle;
+        let per_depth = 1.0 / middle.z;
+        let flat = Vector2::new(middle.x, middle.y) * per_depth;
+        let [by_u, by_v] = near.by_pixel.map(|by| {
+            let by = base_from_camera * by;
+            (Vector2::new(by.x, by.y) - flat * by.z) * per_depth
+        });
+        let (sin, cos) = ellipse.angle_rad.sin_cos();
+        let (a, b) = (ellipse.semi_major_px, ellipse.semi_minor_px);
+        let (du, dv) = (ellipse.center.u - middle_px.u, ellipse.center.v - middle_px.v);
+        let major = (by_u * cos + by_v * sin) * a;
+        let minor = (by_v * cos - by_u * sin) * b;
+        (flat + by_u * du + by_v * dv, Matrix2::from_columns(&[major, minor]))
+    }
+
+    /// This rim as it is seen from another frame, with what is known of its errors.
+    #[inline(always)]
+    fn rim(
+        &self,
+        local_from_base: &Matrix3<f64>,
         ellipse: &Ellipse,
         radius_m: f64,
         noise: &RingNoise,
-    ) -> Result<Self, LensError> {
-        let (sin, cos) = ellipse.angle_rad.sin_cos();
-        let major = Vector2::new(cos, sin) * ellipse.semi_major_px;
-        let minor = Vector2::new(-sin, cos) * ellipse.semi_minor_px;
-        let empty =
-            RimPoint { ray: Vector2::zeros(), radial: Vector2::zeros(), basis: Harmonics::zeros() };
-        let mut points = [empty; RIM_POINTS];
-        for (index, point) in points.iter_mut().enumerate() {
-            let (cos, sin) = UNIT_CIRCLE[index];
-            let offset = major * cos + minor * sin;
-            let pixel =
-                PixelPoint { u: ellipse.center.u + offset.x, v: ellipse.center.v + offset.y };
-            let (ray, slope) = camera.ray_with_jacobian(pixel)?;
-            let ray = local_from_camera * ray;
-            let radial = local_from_camera * (slope * offset);
-            if ray.z <= 0.0 {
-                return Err(LensError::Behind);
-            }
-            let flat = Vector2::new(ray.x, ray.y) / ray.z;
-            point.ray = flat;
-            point.radial = (Vector2::new(radial.x, radial.y) - flat * radial.z) / ray.z;
-            point.basis = basis(cos, sin);
+    ) -> Option<Rim> {
+        let (center, shape, semiaxes) = self.seen_from(local_from_base)?;
+        let information = information(ellipse, noise)?;
+        Some(Rim { radius_m, center, shape, inverse: semiaxes.try_inverse()?, information })
+    }
+
+    /// The axis of the cone through the ellipse, that eigenvector of its dual conic which lies inside:
+    /// its other eigenvalues are smaller by the square of the ellipse's size, so that two turns of the
+    /// power method from the centre find it.
+    #[inline(always)]
+    fn cone_axis(&self) -> Vector3<f64> {
+        let shape = self.semiaxes * self.semiaxes.transpose();
+        let mut axis = self.center;
+        for _ in 0..2 {
+            let inside = self.center.dot(&axis) + 1.0;
+            axis = self.center - shape * axis / inside;
         }
-        let information = information(ellipse, noise).ok_or(LensError::NotFinite)?;
-        Ok(Self { radius_m, points, information })
+        axis.push(1.0)
     }
 
-    /// Information of the two numbers that tell a circle from an ellipse, their mean.
-    pub fn elongation_information(&self) -> f64 {
-        0.5 * (self.information[(3, 3)] + self.information[(4, 4)])
+    /// Centre, shape A Aᵀ and, but for perspective's second order, semiaxes in the plane z = 1 of another
+    /// frame; `None` if the ellipse is none there.
+    #[inline(always)]
+    fn seen_from(
+        &self,
+        local_from_base: &Matrix3<f64>,
+    ) -> Option<(Vector2<f64>, Matrix2<f64>, Matrix2<f64>)> {
+        // The dual conic is p pᵀ - a aᵀ - b bᵀ.
+        let [a, b] = [0, 1].map(|k| local_from_base * self.semiaxes.column(k).push(0.0));
+        let p = local_from_base * self.center.push(1.0);
+        let scale = p.z * p.z - a.z * a.z - b.z * b.z;
+        if scale.is_nan() || scale <= 0.0 {
+            return None;
+        }
+        let [fp, fa, fb] = [&p, &a, &b].map(|v| Vector2::new(v.x, v.y));
+        let per_scale = 1.0 / scale;
+        let center = (fp * p.z - fa * a.z - fb * b.z) * per_scale;
+        let dual = fp * fp.transpose() - fa * fa.transpose() - fb * fb.transpose();
+        let shape = center * center.transpose() - dual * per_scale;
+        let per_depth = 1.0 / p.z;
+        let flat = fp * per_depth;
+        let semiaxes =
+            Matrix2::from_columns(&[(fa - flat * a.z) * per_depth, (fb - flat * b.z) * per_depth]);
+        Some((center, shape, semiaxes))
     }
 }
 
-/// (cos t, sin t) of the points.
-const UNIT_CIRCLE: [(f64, f64); RIM_POINTS] = {
-    const H: f64 = 0.866_025_403_784_438_6;
-    [
-        (1.0, 0.0),
-        (H, 0.5),
-        (0.5, H),
-        (0.0, 1.0),
-        (-0.5, H),
-        (-H, 0.5),
-        (-1.0, 0.0),
-        (-H, -0.5),
-        (-0.5, -H),
-        (0.0, -1.0),
-        (0.5, -H),
-        (H, -0.5),
-    ]
-};
-
-fn basis(cos: f64, sin: f64) -> Harmonics {
-    let root = std::f64::consts::SQRT_2;
-    Harmonics::new(
-        1.0,
-        root * cos,
-        root * sin,
-        root * (cos * cos - sin * sin),
-        root * 2.0 * sin * cos,
-    )
+#[inline(always)]
+fn mean(values: &[f64; POINTS], weights: &[f64; POINTS]) -> f64 {
+    let mut sum = 0.0;
+    for i in 0..POINTS {
+        sum += values[i] * weights[i];
+    }
+    sum * (1.0 / POINTS as f64)
 }
+
+const H: f64 = std::f64::consts::FRAC_1_SQRT_2;
+const ONE: [f64; POINTS] = [1.0; POINTS];
+/// cos t of the points …
+const COS: [f64; POINTS] = [1.0, H, 0.0, -H, -1.0, -H, 0.0, H];
+/// … sin t …
+const SIN: [f64; POINTS] = [0.0, H, 1.0, H, 0.0, -H, -1.0, -H];
+/// … cos 2t …
+const COS_2: [f64; POINTS] = [1.0, 0.0, -1.0, 0.0, 1.0, 0.0, -1.0, 0.0];
+/// … and sin 2t.
+const SIN_2: [f64; POINTS] = [0.0, 1.0, 0.0, -1.0, 0.0, 1.0, 0.0, -1.0];
 
 /// Inverse covariance of a rim's five numbers.
 ///
 /// The rim's samples stray by n(s) across it, independently from one pixel of arc s to the next, so
-/// that q = g n / (ab) with g = ds/dt = √(a² sin² t + b² cos² t) and cov c = σ²/(2π a²b²) mean(g ψψᵀ);
-/// to that come the floor and, alike in all five, the unevenness. By symmetry only size and elongation are coupled.
-fn information(ellipse: &Ellipse, noise: &RingNoise) -> Option<SMatrix<f64, 5, 5>> {
+/// that q = g n / (ab) with g = ds/dt = √(a² sin² t + b² cos² t) and cov h = σ²/(2π a²b²) mean(g ψψᵀ);
+/// to that come the floor and, alike in all five, the unevenness. By symmetry only size and elongation
+/// are coupled. The means of g, g cos 2t and g cos 4t are those over the eight points.
+#[inline(always)]
+fn information(ellipse: &Ellipse, noise: &RingNoise) -> Option<Information> {
     let (a, b) = (ellipse.semi_major_px, ellipse.semi_minor_px);
-    let (mut g0, mut g2, mut g4) = (0.0, 0.0, 0.0);
-    for (cos, sin) in UNIT_CIRCLE {
-        let g = (a * sin).hypot(b * cos) / RIM_POINTS as f64;
-        let cos_2t = cos * cos - sin * sin;
-        g0 += g;
-        g2 += g * cos_2t;
-        g4 += g * (2.0 * cos_2t * cos_2t - 1.0);
-    }
+    let between = (0.5 * (a * a + b * b)).sqrt();
+    let (g0, g2, g4) =
+        (0.25 * (a + b + 2.0 * between), 0.25 * (b - a), 0.25 * (a + b - 2.0 * between));
     let edge = noise.edge_px * noise.edge_px / (std::f64::consts::TAU * a * a * b * b);
     // A shift η of the whole rim across itself: q = g η/(ab), whose numbers are size and elongation.
     let per_shift = noise.floor_px / (a * b);
@@ -153,13 +359,12 @@ fn information(ellipse: &Ellipse, noise: &RingNoise) -> Option<SMatrix<f64, 5, 5
     if !(determinant > 0.0 && along > 0.0 && across > 0.0 && turn > 0.0) {
         return None;
     }
-    let mut information = SMatrix::<f64, 5, 5>::zeros();
-    information[(0, 0)] = elongation / determinant;
-    information[(0, 3)] = -coupling / determinant;
-    information[(3, 0)] = -coupling / determinant;
-    information[(3, 3)] = size / determinant;
-    information[(1, 1)] = 1.0 / along;
-    information[(2, 2)] = 1.0 / across;
-    information[(4, 4)] = 1.0 / turn;
-    Some(information)
+    Some(Information {
+        size: elongation / determinant,
+        size_and_elongation: -coupling / determinant,
+        elongation: size / determinant,
+        along: 1.0 / along,
+        across: 1.0 / across,
+        turn: 1.0 / turn,
+    })
 }

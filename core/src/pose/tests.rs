@@ -180,12 +180,15 @@ struct Tally {
     wrong: usize,
     /// Sum of the likelihoods that they had of being so.
     expected_wrong: f64,
+    /// Sums of the depth's relative error, of its square, and of that over the stated variance.
+    depth: f64,
+    depth_squared: f64,
+    depth_normalized: f64,
 }
 
-fn tally(radius_px: f64, tilts_rad: std::ops::Range<f64>, runs: usize) -> Tally {
+fn tally(radius_px: f64, tilts_rad: std::ops::Range<f64>, runs: usize, noise: &RimNoise) -> Tally {
     let camera = camera(Lens::PlumbBob([-0.08, 0.02, 0.0003, -0.0004, 0.0]));
-    // Several times the detector's: the harder case, since errors grow past what is linear.
-    let (kind, noise) = (kind(), RimNoise { edge_px: 0.15, floor_px: 0.02 });
+    let kind = kind();
     let mut random = rand_chacha::ChaCha8Rng::seed_from_u64(7);
     let mut tally = Tally { runs, ..Tally::default() };
     for _ in 0..runs {
@@ -204,43 +207,77 @@ fn tally(radius_px: f64, tilts_rad: std::ops::Range<f64>, runs: usize) -> Tally 
         let outer = stray(&exact.outer, &of_ring, &mut draw);
         let inner = stray(&exact.inner, &of_ring, &mut draw);
         let found = Ring { outer, inner, ..exact };
-        let reported = locate(&camera, &kind, &found, &noise).unwrap();
+        let reported = locate(&camera, &kind, &found, noise).unwrap();
         let off_m = position_m - reported.position_m;
         let spread = reported.covariance.fixed_view::<3, 3>(0, 0).into_owned();
         tally.position_inside += usize::from(mahalanobis_squared(&off_m, &spread).unwrap() < 7.815);
-        let (local_from_camera, [first, second]) =
-            estimate(&camera, &kind, &found, &noise).unwrap();
-        let normal = local_from_camera * normal;
-        let right = (first.normal - normal).norm() <= (second.normal - normal).norm();
-        tally.wrong += usize::from(!right);
-        tally.expected_wrong += 1.0 - reported.normal_likelihood;
-        let nearer = if right { first } else { second };
-        let off_m = local_from_camera * position_m - nearer.position_m;
+        let radii_m = [0.5 * kind.outer_diameter_m, 0.5 * kind.inner_diameter_m];
+        let estimates = estimate(&camera, &found, radii_m, &of_ring).unwrap();
+        let nearer = match estimates.other {
+            Some((other, _)) => {
+                let off = |n: &Vector3<f64>| (n - normal).norm();
+                let right = off(&reported.normal) <= off(&reported.other_normal);
+                tally.wrong += usize::from(!right);
+                tally.expected_wrong += 1.0 - reported.normal_likelihood;
+                let first = if right { estimates.first } else { other };
+                finish(&Estimates { first, other: None, ..estimates })
+            }
+            None => reported,
+        };
+        let off_m = position_m - nearer.position_m;
         let turn = nearer.normal.cross(&normal);
         let error = SVector::<f64, 6>::new(off_m.x, off_m.y, off_m.z, turn.x, turn.y, turn.z);
         // The turn has nothing about the normal, whose variance is therefore of no matter.
-        let mut covariance = nearer.covariance;
-        let mut rotation = covariance.fixed_view_mut::<3, 3>(3, 3);
-        rotation += nearer.normal * nearer.normal.transpose();
-        tally.whole_inside +=
-            usize::from(mahalanobis_squared(&error, &covariance).unwrap() < 11.07);
+        let square = mahalanobis_squared(&error, &nearer.covariance).unwrap();
+        tally.whole_inside += usize::from(square < 11.07);
+        let axis = position_m.normalize();
+        let depth = -off_m.dot(&axis) / distance_m;
+        tally.depth += depth;
+        tally.depth_squared += depth * depth;
+        let stated = axis.dot(&(nearer.covariance.fixed_view::<3, 3>(0, 0) * axis));
+        tally.depth_normalized += (depth * distance_m).powi(2) / stated;
     }
     tally
 }
 
+/// Both modes' honesty, from small to large, from face-on to steep, in the detector's noise and in
+/// several times that, where errors grow past what is linear.
 #[test]
 fn covariance_is_that_of_the_errors() {
     let degrees = |range: std::ops::Range<f64>| range.start.to_radians()..range.end.to_radians();
-    for radius_px in [11.0, 15.0, 30.0, 60.0] {
-        for tilts in [0.0..5.0, 5.0..15.0, 15.0..30.0, 30.0..50.0] {
-            let tally = tally(radius_px, degrees(tilts.clone()), 800);
-            let share = |count: usize| count as f64 / tally.runs as f64;
-            let name = format!("{radius_px} px, {tilts:?} degrees: {tally:?}");
-            assert!((0.92..0.98).contains(&share(tally.whole_inside)), "{name}");
-            assert!((0.92..0.98).contains(&share(tally.position_inside)), "{name}");
-            if tilts.start >= 5.0 {
-                let surprise = share(tally.wrong) - tally.expected_wrong / tally.runs as f64;
-                assert!(surprise.abs() < 0.06, "{name}");
+    let loud = RimNoise { edge_px: 0.15, floor_px: 0.02 };
+    let cases = [
+        (RimNoise::default(), [6.0, 8.0, 11.0, 15.0, 30.0, 60.0].as_slice()),
+        (loud, [11.0, 15.0, 30.0, 60.0].as_slice()),
+    ];
+    println!("edge, radius, tilt: whole pose and position inside 95 %, wrong normals, depth");
+    for (noise, radii_px) in cases {
+        for &radius_px in radii_px {
+            for tilts in [0.0..0.01, 0.0..5.0, 5.0..15.0, 15.0..30.0, 30.0..50.0, 50.0..60.0] {
+                let tally = tally(radius_px, degrees(tilts.clone()), 800, &noise);
+                let share = |count: f64| count / tally.runs as f64;
+                let (bias, rms) = (share(tally.depth), share(tally.depth_squared).sqrt());
+                let whole = share(tally.whole_inside as f64);
+                let position = share(tally.position_inside as f64);
+                let (wrong, expected) = (share(tally.wrong as f64), share(tally.expected_wrong));
+                let name = format!(
+                    "{:.2} px, {radius_px:2} px, {:4.1}-{:4.1}°: {whole:.3} {position:.3}, \
+                     {wrong:.3} ({expected:.3}), bias {:+.2} of rms {:.4} %, {:.2} of stated",
+                    noise.edge_px,
+                    tilts.start,
+                    tilts.end,
+                    bias / rms,
+                    100.0 * rms,
+                    share(tally.depth_normalized).sqrt(),
+                );
+                println!("{name}");
+                // 800 runs stray by 0.8 points.
+                assert!((0.92..0.985).contains(&position), "{name}");
+                assert!(bias.abs() < rms / 3.0, "{name}");
+                // Exactly face-on, where the two hypotheses are least of a use, they miss the middle.
+                let least = if tilts.end > 1.0 { 0.92 } else { 0.89 };
+                assert!((least..0.985).contains(&whole), "{name}");
+                assert!(tilts.end < 1.0 || (wrong - expected).abs() < 0.05, "{name}");
             }
         }
     }
@@ -253,26 +290,29 @@ fn a_plain_small_ring_does_not_pretend_to_know_its_normal() {
         let pixel = PixelPoint { u: 900.0, v: 500.0 };
         let (position_m, normal) = pose(&camera, pixel, 0.08 * 1100.0 / radius_px, 0.6, 0.4);
         let ring = ring(&camera, &position_m, &normal);
-        let noise = RimNoise { edge_px: 0.29, floor_px: 0.03 };
-        locate(&camera, &kind(), &ring, &noise).unwrap().normal_likelihood
+        locate(&camera, &kind(), &ring, &RimNoise::default()).unwrap().normal_likelihood
     };
-    assert!((0.5..0.55).contains(&likelihood(6.0)), "{}", likelihood(6.0));
+    assert!((0.5..0.65).contains(&likelihood(6.0)), "{}", likelihood(6.0));
     assert!(likelihood(60.0) > 0.999, "{}", likelihood(60.0));
 }
 
 #[test]
-fn a_face_on_roundel_has_a_finite_honest_tilt() {
+fn a_face_on_roundel_has_one_broad_normal() {
     let camera = camera(Lens::PlumbBob([0.0; 5]));
     let axis = PixelPoint { u: 957.0, v: 541.0 };
     let (position_m, normal) = pose(&camera, axis, 6.0, 0.0, 0.0);
     let found =
         locate(&camera, &kind(), &ring(&camera, &position_m, &normal), &RimNoise::default())
             .unwrap();
-    assert!((found.position_m - position_m).norm() < 1e-5);
+    assert_eq!((found.normal, found.normal_likelihood), (found.other_normal, 1.0));
+    assert!(found.normal.angle(&normal) < 1e-3, "{}", found.normal);
+    let sigma_m = found.covariance[(2, 2)].sqrt();
+    assert!((found.position_m - position_m).norm() < sigma_m && sigma_m < 0.006);
     let sigma_rad = found.covariance[(3, 3)].sqrt();
-    assert!((0.02..0.1).contains(&sigma_rad), "{sigma_rad}");
+    assert!((0.01..0.1).contains(&sigma_rad), "{sigma_rad}");
     // Along the normal, here -z, nothing is known.
-    assert!((found.covariance[(5, 5)] - UNKNOWN_ANGLE_VARIANCE_RAD2).abs() < 1e-6);
+    assert!((found.covariance[(5, 5)] - UNKNOWN_ANGLE_VARIANCE_RAD2).abs() < 1e-2);
+    assert!(found.covariance.cholesky().is_some());
 }
 
 #[test]
