@@ -289,20 +289,17 @@ mod tests {
             ] {
                 let camera = camera(lens);
                 let middle = PixelPoint { u, v };
-                let mut offsets = [[0.0; 8]; 2];
-                for i in 0..8 {
-                    let (sin, cos) = (i as f64).sin_cos();
-                    (offsets[0][i], offsets[1][i]) = (radius_px * cos, radius_px * sin);
-                }
+                let angles: [f64; 8] = std::array::from_fn(|i| i as f64);
+                let offsets = [angles.map(|a| radius_px * a.cos()), angles.map(|a| radius_px * a.sin())];
                 let found = camera.rays_near(middle, &offsets);
                 let exact = camera.rays_one_by_one(middle, &offsets);
                 match (found, exact) {
-                    (Ok(found), Ok(exact)) => for i in 0..8 {
-                        for axis in 0..3 {
-                            let off = (found.rays[axis][i] - exact[axis][i]).abs();
+                    (Ok(found), Ok(exact)) => {
+                        for (one, other) in found.rays.iter().flatten().zip(exact.iter().flatten()) {
+                            let off = (one - other).abs();
                             prop_assert!(off < 1e-8 * radius_px / 700.0, "{lens:?}: {off}");
                         }
-                    },
+                    }
                     (found, exact) => prop_assert!(found.is_err() == exact.is_err(), "{lens:?}"),
                 }
             }

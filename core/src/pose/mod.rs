@@ -31,6 +31,7 @@ mod rim;
 #[cfg(test)]
 mod tests;
 mod upright;
+mod yaw;
 
 use fearless_simd::{Level, Simd, dispatch};
 use fearless_simd_macros::simd;
@@ -46,8 +47,9 @@ use crate::{
     time::Timestamp,
 };
 use cone::Circle;
-pub use locator::{Located, Locator};
+pub use locator::{ImageQuality, Located, Locator};
 use refine::Estimate;
+use rim::frame_along;
 
 /// Pose of a roundel in the camera frame.
 #[derive(Clone, Debug, PartialEq)]

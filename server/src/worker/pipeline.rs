@@ -78,6 +78,7 @@ impl Pipeline {
     /// Forgets all tracks, as after a gap in the frames.
     pub fn reset(&mut self) {
         self.tracker.reset();
+        self.locator.reset();
     }
 
     /// What is seen in one frame, each detection with the capture time of its own row. Pixels are

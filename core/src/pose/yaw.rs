@@ -1,0 +1,173 @@
+//! The turn of a coded roundel about its normal.
+//!
+//! The rays through the code's zero and its opposite meet the roundel's plane at
+//! X = m (n·p)/(n·m), and from one to the other runs the print's x axis. An error of the centre alone
+//! moves both alike and turns nothing; an error δn of the normal moves X by -X (δn·(X - p))/(n·p), along
+//! its ray, which for a tilted roundel turns the axis as well: with the tilt's error δθ, δn = δθ × n, the
+//! turn about the normal is
+//!
+//! φ = g·δθ + ε      g = -Σ± ± (n·(x̂ × X)) n × (X - p) / (|X₊ - X₋| n·p)
+//!
+//! so that the covariance of the whole rotation is T Σ Tᵀ + σ² n nᵀ, T = I + n gᵀ, with σ the
+//! deviation that the reading states.
+
+use nalgebra::Vector3;
+
+use super::RoundelPose;
+use crate::{
+    camera::{Camera, PixelPoint},
+    marker::CodeReading,
+    rigid::{Covariance6, UNKNOWN_ANGLE_VARIANCE_RAD2, orientation_of_normal},
+};
+
+/// Least deviation of a yaw, radians: what a print's own errors make, and no reading is without any.
+const LEAST_DEVIATION_RAD: f64 = 1e-3;
+
+/// Adds to a pose without yaw what the teeth say of it; without rays to the code's zero, or in a plane
+/// seen from its edge, the pose stays as it is.
+pub fn add(pose: &mut RoundelPose, camera: &Camera, reading: &CodeReading) {
+    let (p, n) = (pose.position_m, pose.normal);
+    let height = n.dot(&p);
+    let meet = |pixel: PixelPoint| {
+        let ray = camera.bearing(pixel).ok()?;
+        let along = height / n.dot(&ray);
+        (along > 0.0 && along.is_finite()).then(|| ray * along)
+    };
+    let Some(zero) = meet(reading.zero) else { return };
+    // Without an opposite the centre is the other end.
+    let known = (reading.opposite != reading.zero).then(|| meet(reading.opposite)).flatten();
+    let other = known.unwrap_or(p);
+    let across = zero - other;
+    let length = across.norm();
+    if length.is_nan() || length <= 0.0 {
+        return;
+    }
+    let axis = across / length;
+    let side = n.cross(&axis);
+    let orientation = orientation_of_normal(&n);
+    let (x, y) = (orientation * Vector3::x(), orientation * Vector3::y());
+    pose.yaw_rad = Some(axis.dot(&y).atan2(axis.dot(&x)));
+    let bend = |end: &Vector3<f64>| n.cross(&(end - p)) * side.dot(end);
+    let by_tilt = (bend(&zero) - bend(&other)) / (-length * height);
+    let by_shift = if known.is_some() { Vector3::zeros() } else { side / -length };
+    let deviation_rad = reading.yaw_deviation_rad.max(LEAST_DEVIATION_RAD);
+    pose.covariance = turned(&pose.covariance, &n, &by_shift, &by_tilt, deviation_rad.powi(2));
+}
+
+/// A covariance without knowledge about the normal, with what φ = s·δp + g·δθ + ε makes of it.
+fn turned(
+    covariance: &Covariance6,
+    normal: &Vector3<f64>,
+    by_shift: &Vector3<f64>,
+    by_tilt: &Vector3<f64>,
+    variance: f64,
+) -> Covariance6 {
+    let along = normal * normal.transpose();
+    let mut tilt = *covariance;
+    let mut rotation = tilt.fixed_view_mut::<3, 3>(3, 3);
+    rotation -= along * UNKNOWN_ANGLE_VARIANCE_RAD2;
+    let mut follow = Covariance6::identity();
+    let mut by_position = follow.fixed_view_mut::<3, 3>(3, 0);
+    by_position += normal * by_shift.transpose();
+    let mut by_rotation = follow.fixed_view_mut::<3, 3>(3, 3);
+    by_rotation += normal * by_tilt.transpose();
+    let mut whole = follow * tilt * follow.transpose();
+    let mut rotation = whole.fixed_view_mut::<3, 3>(3, 3);
+    rotation += along * variance;
+    (whole + whole.transpose()) * 0.5
+}
+
+#[cfg(test)]
+mod tests {
+    use nalgebra::UnitQuaternion;
+
+    use super::*;
+    use crate::{
+        camera::{Intrinsics, Lens},
+        marker::Code,
+    };
+
+    fn camera() -> Camera {
+        Camera::new(Intrinsics {
+            width: 1280,
+            height: 720,
+            fx_px: 800.0,
+            fy_px: 805.0,
+            cx_px: 640.0,
+            cy_px: 355.0,
+            lens: Lens::PlumbBob([-0.2, 0.05, 0.001, -0.001, 0.0]),
+        })
+        .unwrap()
+    }
+
+    fn plain(position_m: Vector3<f64>, normal: Vector3<f64>) -> RoundelPose {
+        let mut covariance = Covariance6::identity() * 1e-6;
+        let mut rotation = covariance.fixed_view_mut::<3, 3>(3, 3);
+        rotation += normal * normal.transpose() * UNKNOWN_ANGLE_VARIANCE_RAD2;
+        let (normal_likelihood, other_normal, yaw_rad) = (1.0, normal, None);
+        RoundelPose { position_m, normal, normal_likelihood, other_normal, yaw_rad, covariance }
+    }
+
+    fn reading(camera: &Camera, pose: &RoundelPose, yaw_rad: f64) -> CodeReading {
+        let turn = orientation_of_normal(&pose.normal)
+            * UnitQuaternion::from_axis_angle(&Vector3::z_axis(), yaw_rad);
+        let seen =
+            |x: f64| camera.project(&(pose.position_m + turn * Vector3::new(x, 0.0, 0.0))).unwrap();
+        let certain = CodeReading::certain(Code { bits: 8, number: 1 }, seen(0.03));
+        CodeReading { opposite: seen(-0.03), yaw_deviation_rad: 0.01, ..certain }
+    }
+
+    #[test]
+    fn the_yaw_of_a_drawn_code_comes_back() {
+        let camera = camera();
+        let normal = Vector3::new(0.5, -0.3, -0.8).normalize();
+        let pose = plain(Vector3::new(0.4, 0.2, 1.5), normal);
+        for yaw_rad in [-3.0, -1.2, 0.0, 0.7, 2.9] {
+            let drawn = reading(&camera, &pose, yaw_rad);
+            for opposite in [drawn.opposite, drawn.zero] {
+                let mut found = pose.clone();
+                add(&mut found, &camera, &CodeReading { opposite, ..drawn });
+                assert!((found.yaw_rad.unwrap() - yaw_rad).abs() < 1e-9);
+                assert!(found.covariance.cholesky().is_some());
+                let rotation = found.covariance.fixed_view::<3, 3>(3, 3);
+                let about = normal.dot(&(rotation * normal));
+                // Without the opposite, the centre's millimetre over 30 is most of it.
+                let most = if opposite == drawn.zero { 2e-3 } else { 2e-4 };
+                assert!(about > 1e-4 && about < most, "{about}");
+            }
+        }
+    }
+
+    #[test]
+    fn the_turn_that_a_wrong_normal_makes_is_in_the_covariance() {
+        let camera = camera();
+        let normal = Vector3::new(0.5, -0.3, -0.8).normalize();
+        let truth = plain(Vector3::new(0.4, 0.2, 1.5), normal);
+        let drawn = reading(&camera, &truth, 0.7);
+        let mut exact = truth.clone();
+        add(&mut exact, &camera, &drawn);
+        let orientation = |pose: &RoundelPose| {
+            orientation_of_normal(&pose.normal)
+                * UnitQuaternion::from_axis_angle(&Vector3::z_axis(), pose.yaw_rad.unwrap())
+        };
+        for axis in
+            [normal.cross(&Vector3::x()).normalize(), normal.cross(&Vector3::y()).normalize()]
+        {
+            let tilt = axis * 1e-5;
+            let turn = UnitQuaternion::from_scaled_axis(tilt);
+            let mut wrong = plain(truth.position_m, turn * normal);
+            add(&mut wrong, &camera, &drawn);
+            let error = (orientation(&wrong) * orientation(&exact).inverse()).scaled_axis();
+            // Of a tilt known to be 1 and nothing else, the covariance is that of (δθ, n φ).
+            let mut only = Covariance6::zeros();
+            let mut rotation = only.fixed_view_mut::<3, 3>(3, 3);
+            rotation += tilt * tilt.transpose();
+            rotation += normal * normal.transpose() * UNKNOWN_ANGLE_VARIANCE_RAD2;
+            let mut stated = RoundelPose { covariance: only, ..truth.clone() };
+            add(&mut stated, &camera, &drawn);
+            let rotation = stated.covariance.fixed_view::<3, 3>(3, 3).into_owned();
+            let expected = error * error.transpose() + normal * normal.transpose() * 1e-4;
+            assert!((rotation - expected).norm() < 1e-13, "{rotation} {expected}");
+        }
+    }
+}
