@@ -3,7 +3,10 @@
 
 use nalgebra::{Isometry3, Matrix3, Translation3, UnitQuaternion, Vector2, Vector3};
 use rayon::prelude::*;
-use roundel_core::pose::RoundelPose;
+use roundel_core::{
+    marker::{Mode, Params},
+    pose::RoundelPose,
+};
 use roundel_tests::{
     arena::Kind,
     normal::Random,
@@ -81,7 +84,7 @@ fn random_pose(
 }
 
 /// Random blur, noise, place and tilt to 60°, one roundel a frame.
-fn bin(low_px: f64, high_px: f64, count: usize) -> Bin {
+fn bin(low_px: f64, high_px: f64, count: usize, mode: Mode) -> Bin {
     let distortion = Distortion::PlumbBob([-0.08, 0.02, 4e-4, -3e-4, 0.0]);
     let camera = Pinhole::centered(640, 480, 700.0, distortion);
     let kind = Kind::robot();
@@ -101,7 +104,9 @@ fn bin(low_px: f64, high_px: f64, count: usize) -> Bin {
             let motion = |_: f64| truth;
             let seen = [Seen { print: &print, motion: &motion }];
             let image = renderer.frame(&Canvas::flat(640, 480, 120.0), &seen, &mut random);
-            let mut observer = Observer::new(&camera, std::slice::from_ref(&kind), 0.0).unwrap();
+            let params = Params { mode, ..Params::default() };
+            let kinds = std::slice::from_ref(&kind);
+            let mut observer = Observer::with_params(&camera, kinds, 0.0, params).unwrap();
             let found = observer.observe(&image, 0).unwrap();
             (truth, found.into_iter().find_map(|detection| detection.pose))
         })
@@ -115,6 +120,13 @@ fn bin(low_px: f64, high_px: f64, count: usize) -> Bin {
     bin
 }
 
+/// Both modes at all sizes.
+fn cases() -> Vec<(Mode, f64, f64)> {
+    let sizes = [(10.0, 14.0), (14.0, 20.0), (20.0, 30.0), (30.0, 60.0), (60.0, 110.0)];
+    let of = |mode| sizes.map(|(low, high)| (mode, low, high));
+    [of(Mode::Fast), of(Mode::Precise)].concat()
+}
+
 #[test]
 fn errors_stay_within_what_is_stated() {
     println!(
@@ -123,12 +135,12 @@ fn errors_stay_within_what_is_stated() {
     println!(
         "diameter | found |        depth          |     across     |            normal          | position"
     );
-    for (low, high) in [(10.0, 14.0), (14.0, 20.0), (20.0, 30.0), (30.0, 60.0), (60.0, 110.0)] {
-        let bin = bin(low, high, 150);
+    for (mode, low, high) in cases() {
+        let bin = bin(low, high, 150, mode);
         let found = bin.found as f64;
         let share = bin.position.share_within(CHI2_95_3);
         println!(
-            "{low:3}-{high:3} px|{:5.1} %|{:6.3} % {:+6.3} % {:5.2}|{:6.3} mm {:5.2} |{:6.2}° {:5.2} {:5.1} % {:4.1} %|{:5.1} %",
+            "{mode:?} {low:3}-{high:3} px|{:5.1} %|{:6.3} % {:+6.3} % {:5.2}|{:6.3} mm {:5.2} |{:6.2}° {:5.2} {:5.1} % {:4.1} %|{:5.1} %",
             100.0 * found / bin.shown as f64,
             100.0 * bin.depth.rms(),
             100.0 * bin.depth_bias / found,
@@ -143,7 +155,7 @@ fn errors_stay_within_what_is_stated() {
         );
         if low >= 20.0 {
             assert_eq!(bin.found, bin.shown, "{low} to {high} px");
-            assert!(share >= 0.92, "{low} to {high} px: {share}");
+            assert!(share >= 0.92, "{mode:?}, {low} to {high} px: {share}");
             assert!(bin.depth.rms() < 0.01, "{low} to {high} px: {}", bin.depth.rms());
         }
     }

@@ -128,6 +128,11 @@ impl Default for FitScratch {
 
 /// How far outside the outer rim pixels count: pixels, and in blurs.
 const REACH: (f64, f64) = (3.0, 3.5);
+/// They end before the white margin does, which may be as narrow as this share of the outer semiaxis,
+/// less so many pixels for the blur of its own edge: what lies beyond is not in the model …
+const MARGIN: (f64, f64) = (0.3, 0.8);
+/// … but never nearer than this.
+const LEAST_REACH_PX: f64 = 0.6;
 /// Nodes stand this many blurs apart.
 const SPACING: f64 = 1.3;
 /// The window is so much wider than the pixels that count, so that contours may move.
@@ -152,7 +157,8 @@ pub fn fit(
     let spread = 1.05 * radius_m / range_m;
     let lens = LocalLens::new(camera, local_from_camera, spread, &scratch.plan)?;
     let blur_px = start.blur_px.clamp(BLUR_LIMITS_PX.0, BLUR_LIMITS_PX.1);
-    let reach_px = REACH.0.max(REACH.1 * blur_px);
+    let margin_px = (MARGIN.0 * ring.outer.semi_minor_px - MARGIN.1).max(LEAST_REACH_PX);
+    let reach_px = REACH.0.max(REACH.1 * blur_px).min(margin_px);
     let counted = ring.outer.grown(reach_px);
     lay(&mut scratch.window, &counted);
     let problem = Problem { frame, kind, radius_m, lens: &lens, chords: Chords::new(&counted) };
