@@ -245,6 +245,12 @@ impl Chords {
         }
     }
 
+    /// Highest and lowest row of the ellipse.
+    pub fn rows(&self) -> (f64, f64) {
+        let half = self.inverse_vv.recip().sqrt();
+        (self.center.v - half, self.center.v + half)
+    }
+
     /// Where row `v` enters and leaves the ellipse; twice the same place if it misses it.
     pub fn span(&self, v: f64) -> (f64, f64) {
         let dv = v - self.center.v;

@@ -17,7 +17,7 @@ use fearless_simd_macros::simd;
 
 use super::{
     blur::{FUNCTIONS, Kernel, PHASES, fall_shift},
-    normal::{COLUMNS, Sums, column},
+    normal::Sums,
     view::Nodes,
 };
 use crate::{ellipse::Chords, frame::Frame};
@@ -26,6 +26,8 @@ use crate::{ellipse::Chords, frame::Frame};
 const IMAGES: usize = 4;
 /// Rows are padded to whole vectors of any width.
 const LANES: usize = 16;
+/// The lanes' numbers.
+const COUNT: [f32; LANES] = [0., 1., 2., 3., 4., 5., 6., 7., 8., 9., 10., 11., 12., 13., 14., 15.];
 
 /// Part of a frame round a roundel, with its four images.
 #[derive(Clone, Debug, Default)]
@@ -38,6 +40,8 @@ pub struct Window {
     height: usize,
     /// Row by row, the four images side by side; zero between calls.
     images: Vec<f32>,
+    /// First and last row that the nodes reach.
+    touched: (usize, usize),
     /// d of the row at hand.
     share: Vec<f32>,
     /// Grey values of the row at hand.
@@ -63,8 +67,6 @@ pub struct Model {
     pub plane: [[f32; 3]; 2],
     /// n₁/s, n₂/s, n₃ times R/p₃: how a step along the normal moves t.
     pub lift: [f32; 3],
-    /// a and b, alike: how steps in the plane move t. `None` without yaw.
-    pub turn: Option<[[f32; 3]; 2]>,
     /// p₁/(s p₃), p₂/(s p₃): where the middle is.
     pub middle: [f32; 2],
 }
@@ -84,21 +86,28 @@ impl Window {
         self.grey.resize(self.width.max(self.grey.len()), 0.0);
     }
 
-    /// Whether every node's pixels lie in the window.
-    fn holds(&self, nodes: &Nodes, reach: usize) -> bool {
-        let within = |list: &[f32], size: usize| {
-            let (low, high) = ((reach / 2) as f32, size as f32 - (reach / 2 + 2) as f32);
-            // Also false for what is no number.
-            list.iter().all(|&at| at >= low && at < high)
+    /// First and last row that nodes reach; `None` unless every node's pixels lie in the window.
+    fn rows(&self, nodes: &Nodes, reach: usize) -> Option<(usize, usize)> {
+        let bounds = |steps: &[i32]| {
+            let least = steps.iter().fold(i32::MAX, |a, &b| a.min(b));
+            let most = steps.iter().fold(i32::MIN, |a, &b| a.max(b));
+            // What is no number has become a step below the window or above.
+            (least >> PHASES.ilog2(), most >> PHASES.ilog2())
         };
-        within(&nodes.x, self.width) && within(&nodes.y, self.height)
+        let half = (reach / 2) as i32;
+        let (left, right) = bounds(&nodes.steps[0]);
+        let (top, bottom) = bounds(&nodes.steps[1]);
+        let within = left >= half
+            && top >= half
+            && right < self.width as i32 - half - 1
+            && bottom < self.height as i32 - half - 1;
+        within.then(|| ((top + 1 - half) as usize, (bottom + half + 1) as usize))
     }
 
     /// Scatters the nodes; false, with nothing done, if one lies outside the window.
     pub fn scatter(&mut self, level: Level, nodes: &Nodes, kernel: &Kernel) -> bool {
-        if !self.holds(nodes, kernel.width) {
-            return false;
-        }
+        let Some(rows) = self.rows(nodes, kernel.width) else { return false };
+        self.touched = rows;
         let images = &mut self.images[..];
         let (width, table) = (self.width, &kernel.table[..]);
         match kernel.width {
@@ -108,7 +117,8 @@ impl Window {
         true
     }
 
-    /// Sums the frame against the model over the pixels within `chords`, and clears the images.
+    /// Sums the frame against the model over the pixels within `chords`, and clears the images. All
+    /// products of the columns, or only those with the residual.
     pub fn gather(
         &mut self,
         level: Level,
@@ -116,49 +126,79 @@ impl Window {
         chords: &Chords,
         model: &Model,
         sums: &mut Sums,
+        products: bool,
     ) {
-        self.share[..self.width].fill(0.0);
         sums.clear();
-        for row in 0..self.height {
-            let v = self.origin.1 + row as i64;
-            let span = if (0..frame.height() as i64).contains(&v) {
-                span(frame, chords, v)
-            } else {
-                (0, 0)
-            };
-            let images = &mut self.images[row * self.width * IMAGES..][..self.width * IMAGES];
-            for (share, fall) in self.share[..self.width].iter_mut().zip(&images[..]) {
-                *share += fall;
-            }
-            if span.0 < span.1 {
-                // Whole vectors from the frame; beyond its edges weights are zero.
-                let (from, to) = (span.0 - self.origin.0, span.1 - self.origin.0);
-                let (from, to) = (from.max(0) as usize, (to.max(0) as usize).min(self.width));
-                let pixels = &frame.row(v as usize)[span.0 as usize..span.1 as usize];
-                for (grey, &pixel) in self.grey[from..to].iter_mut().zip(pixels) {
-                    *grey = f32::from(pixel);
-                }
-                let line = Line {
-                    row,
-                    span: (from, to),
-                    grey: &self.grey[..self.width],
-                    share: &self.share[..self.width],
-                    images,
-                };
-                dispatch!(level, simd => add_row(simd, &line, model, sums));
-            }
-            images.fill(0.0);
+        if products {
+            dispatch!(level, simd => gather_all::<_, true>(simd, self, (frame, chords), model, sums));
+            sums.finish(level);
+        } else {
+            dispatch!(level, simd => gather_all::<_, false>(simd, self, (frame, chords), model, sums));
+            sums.finish_gradient();
         }
-        sums.finish(level);
+    }
+
+    /// Columns of the window, in row `v` of the frame, within the chords and the frame.
+    #[inline(always)]
+    fn span(&self, frame: &Frame, chords: &Chords, v: i64) -> (usize, usize) {
+        if !(0..frame.height() as i64).contains(&v) {
+            return (0, 0);
+        }
+        let (from, to) = chords.span(v as f64);
+        let least = (-self.origin.0).max(0);
+        let most = (frame.width() as i64 - self.origin.0).clamp(least, self.width as i64);
+        let from = (ceil(from) - self.origin.0).clamp(least, most);
+        let to = (ceil(to) - self.origin.0).clamp(from, most);
+        (from as usize, to as usize)
     }
 }
 
-/// Columns of row `v` within the chords and the frame.
-fn span(frame: &Frame, chords: &Chords, v: i64) -> (i64, i64) {
-    let (from, to) = chords.span(v as f64);
-    let from = (from.ceil() as i64).clamp(0, frame.width() as i64);
-    let to = (to.ceil() as i64).clamp(from, frame.width() as i64);
-    (from, to)
+/// The standard library's is a call without SSE 4.1.
+#[inline(always)]
+fn ceil(value: f64) -> i64 {
+    let cut = value as i64;
+    cut + i64::from(value > cut as f64)
+}
+
+#[simd]
+fn gather_all<S: Simd, const PRODUCTS: bool>(
+    simd: S,
+    window: &mut Window,
+    (frame, chords): (&Frame, &Chords),
+    model: &Model,
+    sums: &mut Sums,
+) {
+    let width = window.width;
+    window.share[..width].fill(0.0);
+    let (top, bottom) = window.touched;
+    let (begin, end) = chords.rows();
+    let first = (ceil(begin) - window.origin.1).clamp(0, top as i64) as usize;
+    let last = ceil(end) - window.origin.1;
+    let last = last.clamp(bottom as i64, window.height as i64 - 1) as usize;
+    for row in first..=last {
+        let v = window.origin.1 + row as i64;
+        let (from, to) = window.span(frame, chords, v);
+        let images = &mut window.images[row * width * IMAGES..][..width * IMAGES];
+        for (share, fall) in window.share[..width].iter_mut().zip(&images[..]) {
+            *share += fall;
+        }
+        if from < to {
+            let first = (window.origin.0 + from as i64) as usize;
+            let pixels = &frame.row(v as usize)[first..first + to - from];
+            for (grey, &pixel) in window.grey[from..to].iter_mut().zip(pixels) {
+                *grey = f32::from(pixel);
+            }
+            let line = Line {
+                row,
+                span: (from, to),
+                grey: &window.grey[..width],
+                share: &window.share[..width],
+                images,
+            };
+            add_row::<S, PRODUCTS>(simd, &line, model, sums);
+        }
+        images.fill(0.0);
+    }
 }
 
 /// One row of the window.
@@ -170,11 +210,21 @@ struct Line<'a> {
     images: &'a [f32],
 }
 
-/// The order of the nodes: quarters side by side, since two neighbours in a row would write to the
-/// pixels that the one before has just written, and wait for it.
-fn interleaved(count: usize) -> impl Iterator<Item = usize> {
-    let quarter = count / 4;
-    (0..quarter).flat_map(move |i| (0..4).map(move |k| i + k * quarter))
+/// One of the table's functions at a phase, `rest` of a step beyond it; `values` are followed by
+/// their rise.
+#[inline(always)]
+fn look<S: Simd>(simd: S, values: &[f32], half: usize, rest: f32) -> f32x8<S> {
+    let reach = values.len() / 2;
+    let low = f32x8::from_slice(simd, &values[8 * half..8 * half + 8]);
+    let rise = f32x8::from_slice(simd, &values[reach + 8 * half..reach + 8 * half + 8]);
+    rise.mul_add(f32x8::splat(simd, rest), low)
+}
+
+/// Adds `value` times `factor` to eight pixels.
+#[inline(always)]
+fn add<S: Simd>(simd: S, pixels: &mut [f32], value: f32x8<S>, factor: f32) {
+    let sum = f32x8::from_slice(simd, pixels);
+    value.mul_add(f32x8::splat(simd, factor), sum).store_slice(pixels);
 }
 
 #[simd]
@@ -185,114 +235,139 @@ fn scatter_all<S: Simd, const HALVES: usize>(
     images: &mut [f32],
     width: usize,
 ) {
-    let reach = 8 * HALVES;
-    // One of the table's functions at a phase, `rest` of a step beyond it.
-    let look = |phase: usize, rest: f32, which: usize| -> [f32x8<S>; HALVES] {
-        let values = &table[(phase * FUNCTIONS + which) * 2 * reach..][..2 * reach];
-        std::array::from_fn(|half| {
-            let low = f32x8::from_slice(simd, &values[8 * half..8 * half + 8]);
-            let rise = f32x8::from_slice(simd, &values[reach + 8 * half..reach + 8 * half + 8]);
-            rise.mul_add(rest, low)
-        })
-    };
-    let phase = |rest: f32| {
-        let place = rest * PHASES as f32;
-        let phase = (place as usize).min(PHASES - 1);
-        (phase, place - phase as f32)
-    };
-    for i in interleaved(nodes.x.len()) {
-        let (x, y) = (nodes.x[i], nodes.y[i]);
-        let (column, row) = (x as usize, y as usize);
-        let (phase_x, rest_x) = phase(x - column as f32);
-        let (phase_y, rest_y) = phase(y - row as f32);
-        let (kx, slope_x) = (look(phase_x, rest_x, 0), look(phase_x, rest_x, 2));
-        let ky = look(phase_y, rest_y, 0);
-        let fall = look(phase_y, rest_y, 1);
-        let slope_y = look(phase_y, rest_y, 2);
-        let (dx, dy) = (nodes.dx[i], nodes.dy[i]);
-        let (g1, g2) = (nodes.by_t[0][i], nodes.by_t[1][i]);
-        let mut factors = [[[0.0; 8]; 5]; HALVES];
-        for half in 0..HALVES {
-            (fall[half] * dx).store_slice(&mut factors[half][0]);
-            (ky[half] * g1).store_slice(&mut factors[half][1]);
-            (ky[half] * g2).store_slice(&mut factors[half][2]);
-            (ky[half] * dy).store_slice(&mut factors[half][3]);
-            (slope_y[half] * -dx).store_slice(&mut factors[half][4]);
+    let quarter = nodes.x.len() / 4;
+    for i in 0..quarter {
+        // Quarters side by side: two neighbours in a row would write to the pixels that the one
+        // before has just written, and wait for it.
+        for k in 0..4 {
+            scatter_one::<S, HALVES>(simd, (nodes, i + k * quarter), table, images, width);
         }
-        let left = column + 1 - reach / 2;
-        let top = row + 1 - reach / 2;
-        let fall_top = top + fall_shift(phase_y);
-        for j in 0..reach {
-            let at = |which: usize| factors[j / 8][which][j % 8];
-            for half in 0..HALVES {
-                let mut add = |row: usize, image: usize, terms: &[(f32x8<S>, f32)]| {
-                    let start = (row * IMAGES + image) * width + left + 8 * half;
-                    let place = &mut images[start..start + 8];
-                    let mut sum = f32x8::from_slice(simd, place);
-                    for (value, factor) in terms {
-                        sum = value.mul_add(*factor, sum);
-                    }
-                    sum.store_slice(place);
-                };
-                add(fall_top + j, 0, &[(kx[half], at(0))]);
-                add(top + j, 1, &[(kx[half], at(1))]);
-                add(top + j, 2, &[(kx[half], at(2))]);
-                add(top + j, 3, &[(slope_x[half], at(3)), (kx[half], at(4))]);
+    }
+}
+
+#[inline(always)]
+fn scatter_one<S: Simd, const HALVES: usize>(
+    simd: S,
+    (nodes, i): (&Nodes, usize),
+    table: &[f32],
+    images: &mut [f32],
+    width: usize,
+) {
+    let reach = 8 * HALVES;
+    let phase_len = FUNCTIONS * 2 * reach;
+    // Never negative, as has been seen to.
+    let (step_x, step_y) = (nodes.steps[0][i] as usize, nodes.steps[1][i] as usize);
+    let (column, row) = (step_x / PHASES, step_y / PHASES);
+    let (phase_x, phase_y) = (step_x % PHASES, step_y % PHASES);
+    let (rest_x, rest_y) = (nodes.rest[0][i], nodes.rest[1][i]);
+    let along_x = &table[phase_x * phase_len..][..phase_len];
+    let along_y = &table[phase_y * phase_len..][..phase_len];
+    let (dx, dy) = (nodes.dx[i], nodes.dy[i]);
+    let (g1, g2) = (nodes.by_t[0][i], nodes.by_t[1][i]);
+    let left = column + 1 - reach / 2;
+    let top = row + 1 - reach / 2;
+    let fall_top = top + fall_shift(phase_y);
+    for upper in 0..HALVES {
+        let k = look(simd, &along_y[..2 * reach], upper, rest_y);
+        let fall = look(simd, &along_y[2 * reach..4 * reach], upper, rest_y);
+        let slope = look(simd, &along_y[4 * reach..], upper, rest_y);
+        let [mut falls, mut firsts, mut seconds, mut slants, mut bends] = [[0.0; 8]; 5];
+        (fall * dx).store_slice(&mut falls);
+        (k * g1).store_slice(&mut firsts);
+        (k * g2).store_slice(&mut seconds);
+        (k * dy).store_slice(&mut slants);
+        (slope * -dx).store_slice(&mut bends);
+        for half in 0..HALVES {
+            let k = look(simd, &along_x[..2 * reach], half, rest_x);
+            let slope = look(simd, &along_x[4 * reach..], half, rest_x);
+            let left = left + 8 * half;
+            for j in 0..8 {
+                let line = 8 * upper + j;
+                let fall_start = (fall_top + line) * IMAGES * width + left;
+                add(simd, &mut images[fall_start..fall_start + 8], k, falls[j]);
+                let start = ((top + line) * IMAGES + 1) * width + left;
+                let pixels = &mut images[start..start + 2 * width + 8];
+                add(simd, &mut pixels[..8], k, firsts[j]);
+                add(simd, &mut pixels[width..width + 8], k, seconds[j]);
+                let pixels = &mut pixels[2 * width..2 * width + 8];
+                let sum = f32x8::from_slice(simd, pixels);
+                let sum = slope.mul_add(f32x8::splat(simd, slants[j]), sum);
+                k.mul_add(f32x8::splat(simd, bends[j]), sum).store_slice(pixels);
             }
         }
     }
 }
 
-#[simd]
-fn add_row<S: Simd>(simd: S, line: &Line, model: &Model, sums: &mut Sums) {
+/// A function that is linear in t: constant, t₁ and t₂ terms.
+#[inline(always)]
+fn linear<S: Simd>(simd: S, terms: &[f32; 3], t1: S::f32s, t2: S::f32s) -> S::f32s {
+    let inner = t2.mul_add(S::f32s::splat(simd, terms[2]), S::f32s::splat(simd, terms[0]));
+    t1.mul_add(S::f32s::splat(simd, terms[1]), inner)
+}
+
+/// How d changes where the plane's points move along a vector: `radial` is g·t.
+#[inline(always)]
+fn moved<S: Simd>(
+    simd: S,
+    along: &[f32; 3],
+    (g1, g2, radial): (S::f32s, S::f32s, S::f32s),
+) -> S::f32s {
+    let across = g2.mul_add(S::f32s::splat(simd, along[1]), radial * -along[2]);
+    g1.mul_add(S::f32s::splat(simd, along[0]), across)
+}
+
+#[inline(always)]
+fn add_row<S: Simd, const PRODUCTS: bool>(simd: S, line: &Line, model: &Model, sums: &mut Sums) {
     let lanes = S::f32s::LEN;
     let width = line.grey.len();
-    let splat = |value: f32| S::f32s::splat(simd, value);
-    let counted = S::f32s::from_fn(simd, |lane| lane as f32);
+    let counted = S::f32s::from_slice(simd, &COUNT[..lanes]);
     let v = line.row as f32;
     let (from, to) = (line.span.0 as f32, line.span.1 as f32);
     let first = line.span.0 / LANES * LANES;
     let end = line.span.1.next_multiple_of(LANES).min(width);
-    let (one, zero) = (splat(1.0), splat(0.0));
+    let (one, zero) = (S::f32s::splat(simd, 1.0), S::f32s::splat(simd, 0.0));
+    let row_t1 = S::f32s::splat(simd, model.t[0][0] + v * model.t[0][2]);
+    let row_t2 = S::f32s::splat(simd, model.t[1][0] + v * model.t[1][2]);
     for start in (first..end).step_by(lanes) {
         let u = counted + start as f32;
-        let weight = (splat(to) - u).min(one).max(zero) * (u - (from - 1.0)).min(one).max(zero);
-        let load = |list: &[f32], at: usize| S::f32s::from_slice(simd, &list[at..at + lanes]);
-        let grey = load(line.grey, start);
-        let share = load(line.share, start);
-        let g1 = load(line.images, width + start) * weight;
-        let g2 = load(line.images, 2 * width + start) * weight;
-        let curvature = load(line.images, 3 * width + start);
-        let [t1, t2] = model.t.map(|[c, by_u, by_v]| u.mul_add(by_u, splat(v.mul_add(by_v, c))));
-        let plane = |[c, by_1, by_2]: [f32; 3]| t1.mul_add(by_1, t2.mul_add(by_2, splat(c)));
-        let level = (share + curvature * model.blur).mul_add(model.step, splat(model.white));
-        let shade = t1.mul_add(model.light[0], t2 * model.light[1]);
+        let before = (S::f32s::splat(simd, to) - u).min(one).max(zero);
+        let weight = before * (u - (from - 1.0)).min(one).max(zero);
+        let at = |image: usize| &line.images[image * width + start..][..lanes];
+        let grey = S::f32s::from_slice(simd, &line.grey[start..start + lanes]);
+        let share = S::f32s::from_slice(simd, &line.share[start..start + lanes]);
+        let g1 = S::f32s::from_slice(simd, at(1)) * weight;
+        let g2 = S::f32s::from_slice(simd, at(2)) * weight;
+        let curvature = S::f32s::from_slice(simd, at(3));
+        let t1 = u.mul_add(S::f32s::splat(simd, model.t[0][1]), row_t1);
+        let t2 = u.mul_add(S::f32s::splat(simd, model.t[1][1]), row_t2);
+        let blurred = curvature.mul_add(S::f32s::splat(simd, model.blur), share);
+        let step = S::f32s::splat(simd, model.step);
+        let level = blurred.mul_add(step, S::f32s::splat(simd, model.white));
+        let shade = t1.mul_add(S::f32s::splat(simd, model.light[0]), t2 * model.light[1]);
         let level = level.mul_add(shade, level);
-        let near = plane(model.nearness);
-        let (x, y) = (plane(model.plane[0]), plane(model.plane[1]));
+        let near = linear(simd, &model.nearness, t1, t2);
+        let x = linear(simd, &model.plane[0], t1, t2);
+        let y = linear(simd, &model.plane[1], t1, t2);
         let radial = t1.mul_add(g1, t2 * g2);
-        let moved = |[along_1, along_2, away]: [f32; 3]| {
-            g1.mul_add(along_1, g2.mul_add(along_2, radial * -away))
-        };
-        let lift = moved(model.lift);
-        let to_middle = g1.mul_add(model.middle[0], g2.mul_add(model.middle[1], -radial));
-        let mut columns = sums.next(lanes);
-        columns.put(column::RESIDUAL, ((grey - level) * weight).as_slice());
-        columns.put(column::WHITE, weight.as_slice());
-        columns.put(column::STEP, (share * weight).as_slice());
-        columns.put(column::BLUR, (curvature * weight).as_slice());
+        let lift = moved(simd, &model.lift, (g1, g2, radial));
+        let [middle_1, middle_2] = model.middle;
+        let to_middle = moved(simd, &[middle_1, middle_2, 1.0], (g1, g2, radial));
         let lit = level * weight;
-        columns.put(column::LIGHT, (lit * t1).as_slice());
-        columns.put(column::LIGHT + 1, (lit * t2).as_slice());
-        columns.put(column::SHIFT, (near * g1).as_slice());
-        columns.put(column::SHIFT + 1, (near * g2).as_slice());
-        columns.put(column::RANGE, (near * to_middle).as_slice());
-        columns.put(column::TILT, (y * lift).as_slice());
-        columns.put(column::TILT + 1, (x * -lift).as_slice());
-        if let Some([along_a, along_b]) = model.turn {
-            columns.put(column::YAW, (x * moved(along_b) - y * moved(along_a)).as_slice());
-        }
-        columns.done(simd);
+        // In the order of `normal::column`; the last makes whole groups.
+        let columns = [
+            (grey - level) * weight,
+            weight,
+            share * weight,
+            curvature * weight,
+            lit * t1,
+            lit * t2,
+            near * g1,
+            near * g2,
+            near * to_middle,
+            y * lift,
+            zero - x * lift,
+            zero,
+        ];
+        if PRODUCTS { sums.keep(simd, &columns) } else { sums.add_gradient(simd, &columns) }
     }
-    const { assert!(COLUMNS == 12) };
 }

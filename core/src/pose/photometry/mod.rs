@@ -22,8 +22,23 @@
 //! to black, σ², and the light's gradient over the ring (expected within a tenth), which otherwise
 //! would pass for tilt. Gauss and Newton's steps, damped where they fail (`state`).
 //!
+//! **Two normals.** Mirrored along the line of sight, the roundel looks nearly the same. The mirrored
+//! place's residual is projected with the information of the first; if it promises a smaller misfit, it
+//! is fitted too. The likelihoods of the two follow from the difference of their misfits over the noise.
+//! Face-on the image depends on the tilt's square only; a curvature of the elongation's information
+//! keeps steps and covariance finite there, as in [`super::locate`].
+//!
 //! **Noise.** A pixel's variance is that of the residuals, so what the model does not explain (covers,
 //! motion, JPEG) widens the covariance with it.
+//!
+//! **Accuracy** (`roundel-tests`, `tests/photometry.rs`: tilt 15° to 60°, blur 0.5 to 1.1 px and noise 1
+//! to 4 unknown, contrast 160): rms of the depth over the Cramér-Rao bound 0.94 at 12 to 20 px, 1.04 at
+//! 20 to 30, 0.94 at 30 to 60, 0.83 at 60 to 110 (80 roundels each, so to 8 %); no bias; normals alike;
+//! 93 to 99 % of the positions inside the stated 95 % ellipsoid. Time: `benches/fit.rs`.
+//!
+//! **Limits.** Rims only, without yaw: an elliptical disc or teeth need a contour that turns, and are
+//! refused. White that saturates is taken as it is. Paper is expected to go on for 3 px, or 3.5 blurs,
+//! round the outer rim.
 
 mod blur;
 mod contour;
@@ -32,6 +47,8 @@ mod lens;
 mod normal;
 mod solve;
 mod state;
+#[cfg(test)]
+mod tests;
 mod view;
 
 use fearless_simd::Level;
@@ -43,14 +60,14 @@ use crate::{
     camera::{Camera, LensError},
     ellipse::{Chords, Ellipse},
     frame::Frame,
-    marker::{Kind, Ring},
+    marker::{Kind, Pattern, Ring},
 };
 use blur::{BLUR_LIMITS_PX, Kernels};
 use contour::Contours;
 use image::Window;
 use lens::{LocalLens, Plan};
 use normal::Sums;
-use state::{Problem, Solution, State};
+use state::{Glance, Problem, Solution, State};
 use view::{Nodes, Place};
 
 /// Where a fit starts.
@@ -86,6 +103,9 @@ pub enum FitError {
     /// The start is no pose in front of the camera.
     #[error("expected a start in front of the camera and facing it, found another")]
     Start,
+    /// The print is not round.
+    #[error("expected a plain roundel, found one with a pattern")]
+    Pattern,
     /// The lens gives no pixels there.
     #[error("round the start: {0}")]
     Lens(#[from] LensError),
@@ -134,9 +154,9 @@ const MARGIN: (f64, f64) = (0.3, 0.8);
 /// … but never nearer than this.
 const LEAST_REACH_PX: f64 = 0.6;
 /// Nodes stand this many blurs apart.
-const SPACING: f64 = 1.3;
+const SPACING: f64 = 1.45;
 /// The window is so much wider than the pixels that count, so that contours may move.
-const SLACK_PX: f64 = 12.0;
+const SLACK_PX: f64 = 9.0;
 
 /// Fits the pose of a roundel of a known kind, from a start, to the frame's pixels.
 pub fn fit(
@@ -151,6 +171,9 @@ pub fn fit(
     let facing = start.pose.normal.dot(&start.pose.position_m) < 0.0;
     if !(facing && range_m.is_finite() && ring.outer.is_valid() && start.blur_px.is_finite()) {
         return Err(FitError::Start);
+    }
+    if kind.pattern != Pattern::Plain {
+        return Err(FitError::Pattern);
     }
     let radius_m = 0.5 * kind.outer_diameter_m;
     let local_from_camera = frame_along(&(start.pose.position_m / range_m));
@@ -169,15 +192,24 @@ pub fn fit(
     let first = State::new(place(&start.pose.normal), ring, blur_px);
     let mut solution = state::solve(&problem, first, scratch)?;
     let mirrored = solution.state.mirrored();
-    let mut other_misfit = state::glance(&problem, &mirrored, &solution, scratch);
-    if other_misfit < solution.misfit
-        && let Ok(other) = state::solve(&problem, mirrored, scratch)
-        && other.misfit < solution.misfit
+    let mut other = state::glance(&problem, &mirrored, &solution, scratch);
+    if other.as_ref().is_some_and(|other| other.misfit < solution.misfit)
+        && let Ok(found) = state::solve(&problem, mirrored, scratch)
     {
-        other_misfit = solution.misfit;
-        solution = other;
+        let normal = |solution: &Solution| solution.state.place.axes.column(2).into_owned();
+        let back = normal(&found).dot(&normal(&solution));
+        // Near face-on the mirrored place may have no minimum of its own; then it counts as it is.
+        let own = back < normal(&found).dot(&solution.state.mirrored().place.axes.column(2));
+        let apart_m = found.state.place.position_m - solution.state.place.position_m;
+        let misfit = match &other {
+            Some(other) if !own => other.unmoved,
+            _ => found.misfit.max(solution.misfit),
+        };
+        let better = found.misfit < solution.misfit;
+        other = Some(Glance { misfit, unmoved: misfit, apart_m });
+        solution = if better { found } else { solution };
     }
-    Ok(finish(&problem, ring, &solution, other_misfit, scratch))
+    Ok(finish(&problem, ring, &solution, other.as_ref(), scratch))
 }
 
 /// Lays the window round the pixels that count.
@@ -201,7 +233,7 @@ fn finish(
     problem: &Problem,
     ring: &Ring,
     solution: &Solution,
-    other_misfit: f64,
+    second: Option<&Glance>,
     scratch: &mut FitScratch,
 ) -> Fit {
     let state = &solution.state;
@@ -209,15 +241,21 @@ fn finish(
     let camera_from_local = problem.lens.local_from_camera.transpose();
     let normal = camera_from_local * state.place.axes.column(2);
     let other = state.mirrored();
-    let normal_likelihood =
-        1.0 / (1.0 + (-0.5 * (other_misfit - solution.misfit).max(0.0) / noise2).exp());
+    let normal_likelihood = second.map_or(1.0, |second| {
+        1.0 / (1.0 + (-0.5 * (second.misfit - solution.misfit).max(0.0) / noise2).exp())
+    });
+    let mut covariance = solution.covariance(&camera_from_local);
+    // The two normals put the centre at slightly different places, and which is right is not known.
+    let apart = camera_from_local * second.map_or(Vector3::zeros(), |second| second.apart_m);
+    let mut position = covariance.fixed_view_mut::<3, 3>(0, 0);
+    position += apart * apart.transpose() * (1.0 - normal_likelihood);
     let pose = RoundelPose {
         position_m: camera_from_local * state.place.position_m,
         normal,
         normal_likelihood,
         other_normal: camera_from_local * other.place.axes.column(2),
         yaw_rad: None,
-        covariance: solution.covariance(&camera_from_local),
+        covariance,
     };
     let (outer, inner) = state::rims(problem, state, scratch).unwrap_or((ring.outer, ring.inner));
     let ring = Ring { outer, inner, black: state.white + state.step, white: state.white, ..*ring };

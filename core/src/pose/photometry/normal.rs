@@ -7,7 +7,7 @@ use fearless_simd::{Level, dispatch, prelude::*};
 use fearless_simd_macros::simd;
 use nalgebra::SMatrix;
 
-/// Columns: the residual, and what the parameters move.
+/// Columns: the residual, what the parameters move, and as many more as make whole groups.
 pub const COLUMNS: usize = 12;
 /// Columns multiplied at once.
 const GROUP: usize = 3;
@@ -16,10 +16,8 @@ const PIXELS: usize = 256;
 /// Lanes of the widest vector.
 const LANES: usize = 16;
 
-/// Places of the columns.
+/// Places of the columns; the residual is the first, and the last is empty.
 pub mod column {
-    /// Frame less model, grey levels.
-    pub const RESIDUAL: usize = 0;
     /// Of the white level.
     pub const WHITE: usize = 1;
     /// Of the step from white to black.
@@ -34,8 +32,6 @@ pub mod column {
     pub const RANGE: usize = 8;
     /// Of turns about the print's x and y.
     pub const TILT: usize = 9;
-    /// Of a turn about the normal.
-    pub const YAW: usize = 11;
 }
 
 /// All products' sums.
@@ -44,7 +40,7 @@ pub type Products = SMatrix<f64, COLUMNS, COLUMNS>;
 /// Pixels not yet multiplied, and sums of those that are.
 #[derive(Clone, Debug)]
 pub struct Sums {
-    kept: Vec<[f32; PIXELS]>,
+    kept: Vec<f32>,
     count: usize,
     lanes: Vec<[f32; LANES]>,
     /// After [`Sums::finish`]: Σ over pixels of column times column.
@@ -54,33 +50,10 @@ pub struct Sums {
 impl Default for Sums {
     fn default() -> Self {
         Self {
-            kept: vec![[0.0; PIXELS]; COLUMNS],
+            kept: vec![0.0; PIXELS * COLUMNS + LANES],
             count: 0,
             lanes: vec![[0.0; LANES]; COLUMNS * COLUMNS],
             products: Products::zeros(),
-        }
-    }
-}
-
-/// One vector's place in all columns.
-pub struct Columns<'a> {
-    sums: &'a mut Sums,
-    start: usize,
-    lanes: usize,
-}
-
-impl Columns<'_> {
-    /// Writes one column's values.
-    #[inline(always)]
-    pub fn put(&mut self, column: usize, values: &[f32]) {
-        self.sums.kept[column][self.start..self.start + self.lanes].copy_from_slice(values);
-    }
-
-    /// Multiplies, once enough pixels are together.
-    #[inline(always)]
-    pub fn done<S: Simd>(self, simd: S) {
-        if self.sums.count == PIXELS {
-            multiply(simd, self.sums);
         }
     }
 }
@@ -92,12 +65,40 @@ impl Sums {
         self.lanes.fill([0.0; LANES]);
     }
 
-    /// The next so many pixels.
+    /// Keeps a vector of pixels, and multiplies once enough are together.
     #[inline(always)]
-    pub fn next(&mut self, lanes: usize) -> Columns<'_> {
-        let start = self.count;
+    pub fn keep<S: Simd>(&mut self, simd: S, columns: &[S::f32s; COLUMNS]) {
+        let lanes = S::f32s::LEN;
+        let kept = &mut self.kept[self.count..self.count + (COLUMNS - 1) * PIXELS + LANES];
+        for column in 0..COLUMNS {
+            let place = &mut kept[column * PIXELS..column * PIXELS + lanes];
+            columns[column].store_slice(place);
+        }
         self.count += lanes;
-        Columns { sums: self, start, lanes }
+        if self.count == PIXELS {
+            multiply(simd, self);
+        }
+    }
+
+    /// Adds a vector's products with the residual.
+    #[inline(always)]
+    pub fn add_gradient<S: Simd>(&mut self, simd: S, columns: &[S::f32s; COLUMNS]) {
+        let lanes = S::f32s::LEN;
+        let lists = &mut self.lanes[..COLUMNS];
+        for column in 0..COLUMNS {
+            let place = &mut lists[column][..lanes];
+            let sum = S::f32s::from_slice(simd, place);
+            columns[column].mul_add(columns[0], sum).store_slice(place);
+        }
+    }
+
+    /// Adds up what [`Sums::add_gradient`] was given; all other products stay as they were.
+    pub fn finish_gradient(&mut self) {
+        for column in 0..COLUMNS {
+            let sum = f64::from(self.lanes[column].iter().sum::<f32>());
+            self.products[(0, column)] = sum;
+            self.products[(column, 0)] = sum;
+        }
     }
 
     /// Multiplies what is left, and adds up.
@@ -115,29 +116,46 @@ impl Sums {
 
 #[simd]
 fn multiply<S: Simd>(simd: S, sums: &mut Sums) {
-    let width = S::f32s::LEN;
-    let count = sums.count;
-    for first in (0..COLUMNS).step_by(GROUP) {
-        for second in (first..COLUMNS).step_by(GROUP) {
-            let left: [&[f32]; GROUP] = std::array::from_fn(|i| &sums.kept[first + i][..count]);
-            let right: [&[f32]; GROUP] = std::array::from_fn(|i| &sums.kept[second + i][..count]);
-            let mut block = [[S::f32s::splat(simd, 0.0); GROUP]; GROUP];
-            for start in (0..count).step_by(width) {
-                let load = |list: &[f32]| S::f32s::from_slice(simd, &list[start..start + width]);
-                let (left, right) = (left.map(load), right.map(load));
-                for i in 0..GROUP {
-                    for j in 0..GROUP {
-                        block[i][j] = left[i].mul_add(right[j], block[i][j]);
-                    }
-                }
-            }
-            for (i, row) in block.iter().enumerate() {
-                for (j, value) in row.iter().enumerate() {
-                    let sum = &mut sums.lanes[(first + i) * COLUMNS + second + j][..width];
-                    (S::f32s::from_slice(simd, sum) + *value).store_slice(sum);
-                }
-            }
+    for first in 0..COLUMNS / GROUP {
+        for second in first..COLUMNS / GROUP {
+            multiply_groups(simd, sums, GROUP * first, GROUP * second);
         }
     }
     sums.count = 0;
+}
+
+/// Products of the three columns from `first` on with the three from `second` on.
+#[inline(always)]
+fn multiply_groups<S: Simd>(simd: S, sums: &mut Sums, first: usize, second: usize) {
+    let width = S::f32s::LEN;
+    let count = sums.count;
+    let column = |index: usize| &sums.kept[index * PIXELS..][..count];
+    let (a0, a1, a2) = (column(first), column(first + 1), column(first + 2));
+    let (b0, b1, b2) = (column(second), column(second + 1), column(second + 2));
+    let mut block = [S::f32s::splat(simd, 0.0); GROUP * GROUP];
+    let lists = a0.chunks_exact(width).zip(a1.chunks_exact(width)).zip(a2.chunks_exact(width));
+    let lists = lists.zip(b0.chunks_exact(width)).zip(b1.chunks_exact(width));
+    for (((((a0, a1), a2), b0), b1), b2) in lists.zip(b2.chunks_exact(width)) {
+        let a0 = S::f32s::from_slice(simd, a0);
+        let a1 = S::f32s::from_slice(simd, a1);
+        let a2 = S::f32s::from_slice(simd, a2);
+        let b0 = S::f32s::from_slice(simd, b0);
+        let b1 = S::f32s::from_slice(simd, b1);
+        let b2 = S::f32s::from_slice(simd, b2);
+        block[0] = a0.mul_add(b0, block[0]);
+        block[1] = a0.mul_add(b1, block[1]);
+        block[2] = a0.mul_add(b2, block[2]);
+        block[3] = a1.mul_add(b0, block[3]);
+        block[4] = a1.mul_add(b1, block[4]);
+        block[5] = a1.mul_add(b2, block[5]);
+        block[6] = a2.mul_add(b0, block[6]);
+        block[7] = a2.mul_add(b1, block[7]);
+        block[8] = a2.mul_add(b2, block[8]);
+    }
+    for i in 0..GROUP {
+        for j in 0..GROUP {
+            let sum = &mut sums.lanes[(first + i) * COLUMNS + second + j][..width];
+            (S::f32s::from_slice(simd, sum) + block[GROUP * i + j]).store_slice(sum);
+        }
+    }
 }

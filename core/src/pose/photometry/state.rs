@@ -59,23 +59,34 @@ pub struct Solution {
 #[derive(Clone, Debug)]
 struct Linear {
     information: [[f64; MOST]; MOST],
+    /// From columns to unknowns.
+    scale: [f64; MOST],
     gradient: [f64; MOST],
     misfit: f64,
     pixels: f64,
+    /// Whether the information is that of an earlier state.
+    reused: bool,
     /// Information of a rim's elongation, both rims.
     elongation: f64,
     /// p₃ s: metres that a unit of shift is.
     unit_m: f64,
 }
 
-/// Unknowns of a roundel without yaw.
+/// Unknowns.
 const UNKNOWNS: usize = 10;
 /// Steps at most.
 const MAX_STEPS: usize = 12;
 /// A step that lowers the misfit by less than this many variances is the last one.
 const LAST_STEP: f64 = 0.5;
+/// After a step that was to lower the misfit by less than this many variances the information is
+/// not taken anew.
+const SMALL_STEP: f64 = 100.0;
+/// A step that promises less than this many variances, and does not keep it, is left out.
+const SETTLED: f64 = 4.0;
 /// Deviation of the light's gradient: relative change over a radius.
 const LIGHT_PRIOR: f64 = 0.1;
+/// Least difference of black and white, grey levels.
+const MIN_STEP: f64 = 5.0;
 /// Fewest pixels.
 const MIN_PIXELS: f64 = 30.0;
 /// Largest turn of one step, radians.
@@ -115,6 +126,12 @@ impl State {
         Self { place, ..self.clone() }
     }
 
+    /// Whether the blur is at the end of its range, and a change would take it out.
+    fn blur_ends(&self, change: f64) -> bool {
+        let (low, high) = BLUR_LIMITS_PX;
+        (change < 0.0 && self.blur2 <= low * low) || (change > 0.0 && self.blur2 >= high * high)
+    }
+
     /// Moved by a solution; `None` if that is no roundel in front of the camera.
     fn moved(&self, linear: &Linear, change: &[f64; MOST]) -> Option<Self> {
         let mut next = self.clone();
@@ -151,46 +168,84 @@ pub fn solve(
     scratch: &mut FitScratch,
 ) -> Result<Solution, FitError> {
     let mut state = start;
-    let mut linear = linearize(problem, &state, scratch)?;
+    let mut linear = linearize(problem, &state, None, scratch)?;
     let mut damping = 0.0;
     for step in 1..=MAX_STEPS {
         let noise2 = linear.noise2();
         let (factor, tilted) = linear.factor(&state, noise2, damping).ok_or(FitError::Flat)?;
-        let change = factor.solve(&tilted);
+        let mut change = factor.solve(&tilted);
+        if state.blur_ends(change[BLUR]) {
+            linear.hold(BLUR);
+            let (factor, tilted) = linear.factor(&state, noise2, damping).ok_or(FitError::Flat)?;
+            change = factor.solve(&tilted);
+        }
         let gain: f64 = change.iter().zip(&linear.gradient).map(|(x, g)| x * g).sum();
         let next = state.moved(&linear, &change).ok_or(FitError::Away)?;
         let left = (linear.misfit - gain).max(0.0);
         let last = damping < 1e-3 && gain < LAST_STEP * linear.noise2_of(left);
+        if last && next.step.abs() < MIN_STEP {
+            return Err(FitError::Flat);
+        }
         if last {
             let noise2 = linear.noise2_of(left);
             return Ok(Solution { state: next, misfit: left, noise2, iterations: step, linear });
         }
-        match linearize(problem, &next, scratch) {
+        // The information hardly changes over a small step; the residual does.
+        let small = gain < SMALL_STEP * noise2 && damping == 0.0;
+        let known = (small && !linear.reused).then_some(&linear);
+        match linearize(problem, &next, known, scratch) {
             // Another blur's table moves the misfit by less than a variance.
             Ok(found) if found.misfit <= linear.misfit + noise2 => {
                 (state, linear) = (next, found);
                 damping *= 0.1;
             }
             Err(FitError::Flat) => return Err(FitError::Flat),
+            // Rounding, not the model, stands in the way of so little.
+            Ok(_) if gain < SETTLED * noise2 => {
+                let misfit = linear.misfit;
+                return Ok(Solution { state, misfit, noise2, iterations: step, linear });
+            }
             _ => damping = (10.0 * damping).max(0.01),
         }
     }
     Err(FitError::Restless)
 }
 
-/// The misfit that a state would have after one step.
-pub fn glance(problem: &Problem, state: &State, known: &Solution, scratch: &mut FitScratch) -> f64 {
-    let Ok(linear) = linearize(problem, state, scratch) else { return f64::INFINITY };
-    let Some((factor, tilted)) = linear.factor(state, known.noise2, 0.0) else {
-        return f64::INFINITY;
-    };
-    let change = factor.solve(&tilted);
-    linear.misfit - change.iter().zip(&linear.gradient).map(|(x, g)| x * g).sum::<f64>()
+/// What the mirrored place of a solution comes to.
+pub struct Glance {
+    /// Sum of squared residuals after one step, grey levels².
+    pub misfit: f64,
+    /// The same without the step.
+    pub unmoved: f64,
+    /// How far from the solution's that step's position is, local frame, metres.
+    pub apart_m: Vector3<f64>,
+}
+
+/// The mirrored place after one step; `None` where it has none.
+///
+/// Both places move the image alike, but that it turns the other way with each tilt: the solution's
+/// information serves, with that sign, and only the residual is looked at anew.
+pub fn glance(
+    problem: &Problem,
+    mirrored: &State,
+    known: &Solution,
+    scratch: &mut FitScratch,
+) -> Option<Glance> {
+    let mut linear = linearize(problem, mirrored, Some(&known.linear), scratch).ok()?;
+    linear.gradient[TILT] *= -1.0;
+    linear.gradient[TILT + 1] *= -1.0;
+    let (factor, gradient) = linear.factor(mirrored, known.noise2, 0.0)?;
+    let change = factor.solve(&gradient);
+    let gain: f64 = change.iter().zip(&linear.gradient).map(|(x, g)| x * g).sum();
+    let apart_m = Vector3::new(change[SHIFT], change[SHIFT + 1], 0.0) * linear.unit_m
+        + mirrored.place.position_m * change[RANGE];
+    Some(Glance { misfit: linear.misfit - gain, unmoved: linear.misfit, apart_m })
 }
 
 fn linearize(
     problem: &Problem,
     state: &State,
+    known: Option<&Linear>,
     scratch: &mut FitScratch,
 ) -> Result<Linear, FitError> {
     let kernel = scratch.kernels.near(state.blur2.sqrt());
@@ -210,8 +265,18 @@ fn linearize(
     }
     let model = model(problem, state, kernel.blur_px, scratch.window.origin);
     let sums = &mut scratch.sums;
-    scratch.window.gather(scratch.level, problem.frame, &problem.chords, &model, sums);
-    let linear = Linear::new(problem, state, &sums.products, radius_px);
+    scratch.window.gather(
+        scratch.level,
+        problem.frame,
+        &problem.chords,
+        &model,
+        sums,
+        known.is_none(),
+    );
+    let linear = match known {
+        None => Linear::new(problem, state, &sums.products, radius_px),
+        Some(known) => known.updated(&sums.products),
+    };
     if linear.pixels < MIN_PIXELS { Err(FitError::Flat) } else { Ok(linear) }
 }
 
@@ -263,7 +328,6 @@ fn model(problem: &Problem, state: &State, table_px: f64, window: (i64, i64)) ->
         nearness: plane(nearness),
         plane: [plane(in_plane(a)), plane(in_plane(b))],
         lift: [lift.x as f32, lift.y as f32, lift.z as f32],
-        turn: None,
         middle: [(p.x / (s * p.z)) as f32, (p.y / (s * p.z)) as f32],
     }
 }
@@ -289,12 +353,35 @@ impl Linear {
             std::f64::consts::TAU * edge * radius_px * radius_px * (1.0 + ratio * ratio);
         Self {
             information,
+            scale,
             gradient,
             misfit: products[(0, 0)],
             pixels: products[(column::WHITE, column::WHITE)],
+            reused: false,
             elongation,
             unit_m: state.place.position_m.z * problem.lens.spread,
         }
+    }
+
+    /// The same information, with the residual's products of another state near by.
+    fn updated(&self, products: &Products) -> Self {
+        let mut next = self.clone();
+        for i in 0..UNKNOWNS {
+            next.gradient[i] = products[(0, i + 1)] * self.scale[i];
+        }
+        next.misfit = products[(0, 0)];
+        next.reused = true;
+        next
+    }
+
+    /// Holds an unknown where it is.
+    fn hold(&mut self, unknown: usize) {
+        for other in 0..UNKNOWNS {
+            self.information[unknown][other] = 0.0;
+            self.information[other][unknown] = 0.0;
+        }
+        self.information[unknown][unknown] = 1.0;
+        self.gradient[unknown] = 0.0;
     }
 
     fn noise2(&self) -> f64 {

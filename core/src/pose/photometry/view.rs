@@ -9,6 +9,7 @@ use fearless_simd_macros::simd;
 use nalgebra::{Matrix3, Vector3};
 
 use super::{
+    blur::PHASES,
     contour::{Contour, PACK},
     lens::{LocalLens, TERMS},
 };
@@ -35,6 +36,10 @@ pub struct Nodes {
     pub dy: Vec<f32>,
     /// dx and dy as shares of the gradient by t.
     pub by_t: [Vec<f32>; 2],
+    /// Column and row in whole steps of the kernel's phase …
+    pub steps: [Vec<i32>; 2],
+    /// … and what is left of a step.
+    pub rest: [Vec<f32>; 2],
     /// How many are the outer rim's: the first ones.
     pub outer: usize,
 }
@@ -42,9 +47,14 @@ pub struct Nodes {
 impl Nodes {
     /// Makes room for as many nodes.
     fn resize(&mut self, count: usize) {
-        let [first, second] = &mut self.by_t;
-        for list in [&mut self.x, &mut self.y, &mut self.dx, &mut self.dy, first, second] {
+        for list in [&mut self.x, &mut self.y, &mut self.dx, &mut self.dy] {
             list.resize(count, 0.0);
+        }
+        for list in self.by_t.iter_mut().chain(&mut self.rest) {
+            list.resize(count, 0.0);
+        }
+        for list in &mut self.steps {
+            list.resize(count, 0);
         }
     }
 }
@@ -94,58 +104,63 @@ pub fn project(
 fn project_all<S: Simd>(simd: S, view: &View, contour: &Contour, nodes: &mut Nodes) {
     let width = S::f32s::LEN;
     debug_assert!(PACK.is_multiple_of(width));
-    let splat = |value: f32| S::f32s::splat(simd, value);
+    let one = S::f32s::splat(simd, 1.0);
+    let [[c1, x1, y1], [c2, x2, y2]] = view.above;
+    let [m11, m12, m21, m22] = view.slope;
     for start in (0..contour.x.len()).step_by(width) {
-        let lanes = start..start + width;
-        let load = |list: &[f32]| S::f32s::from_slice(simd, &list[lanes.clone()]);
-        let (x, y) = (load(&contour.x), load(&contour.y));
-        let (dx, dy) = (load(&contour.dx), load(&contour.dy));
-        let below = x * view.below[0] + y * view.below[1] + splat(1.0);
-        let per_below = splat(1.0) / below;
+        let end = start + width;
+        let x = S::f32s::from_slice(simd, &contour.x[start..end]);
+        let y = S::f32s::from_slice(simd, &contour.y[start..end]);
+        let dx = S::f32s::from_slice(simd, &contour.dx[start..end]);
+        let dy = S::f32s::from_slice(simd, &contour.dy[start..end]);
+        let per_below = one / (x * view.below[0] + y * view.below[1] + one);
         let along_below = dx * view.below[0] + dy * view.below[1];
-        let ray = view.above.map(|[constant, by_x, by_y]| {
-            let t = (x * by_x + y * by_y + splat(constant)) * per_below;
-            (t, (dx * by_x + dy * by_y - t * along_below) * per_below)
-        });
-        let [(t1, dt1), (t2, dt2)] = ray;
-        let at = view.terms.each_ref().map(|terms| {
-            let (value, [by_t1, by_t2]) = polynomial(simd, terms, t1, t2);
-            (value, (by_t1 * dt1 + by_t2 * dt2) * view.sign)
-        });
-        let [(u, du), (v, dv)] = at;
-        let [m11, m12, m21, m22] = view.slope;
-        (u + view.shift[0]).store_slice(&mut nodes.x[lanes.clone()]);
-        (v + view.shift[1]).store_slice(&mut nodes.y[lanes.clone()]);
-        du.store_slice(&mut nodes.dx[lanes.clone()]);
-        dv.store_slice(&mut nodes.dy[lanes.clone()]);
-        (dv * m11 - du * m21).store_slice(&mut nodes.by_t[0][lanes.clone()]);
-        (dv * m12 - du * m22).store_slice(&mut nodes.by_t[1][lanes.clone()]);
+        let t1 = (x * x1 + y * y1 + c1) * per_below;
+        let t2 = (x * x2 + y * y2 + c2) * per_below;
+        let dt1 = (dx * x1 + dy * y1 - t1 * along_below) * per_below;
+        let dt2 = (dx * x2 + dy * y2 - t2 * along_below) * per_below;
+        let (u, u1, u2) = polynomial(simd, &view.terms[0], t1, t2);
+        let (v, v1, v2) = polynomial(simd, &view.terms[1], t1, t2);
+        let du = (u1 * dt1 + u2 * dt2) * view.sign;
+        let dv = (v1 * dt1 + v2 * dt2) * view.sign;
+        let (u, v) = (u + view.shift[0], v + view.shift[1]);
+        u.store_slice(&mut nodes.x[start..end]);
+        v.store_slice(&mut nodes.y[start..end]);
+        let (fine_u, fine_v) = (u * PHASES as f32, v * PHASES as f32);
+        let (whole_u, whole_v) = (fine_u.floor(), fine_v.floor());
+        whole_u.to_int::<S::i32s>().store_slice(&mut nodes.steps[0][start..end]);
+        whole_v.to_int::<S::i32s>().store_slice(&mut nodes.steps[1][start..end]);
+        (fine_u - whole_u).store_slice(&mut nodes.rest[0][start..end]);
+        (fine_v - whole_v).store_slice(&mut nodes.rest[1][start..end]);
+        du.store_slice(&mut nodes.dx[start..end]);
+        dv.store_slice(&mut nodes.dy[start..end]);
+        (dv * m11 - du * m21).store_slice(&mut nodes.by_t[0][start..end]);
+        (dv * m12 - du * m22).store_slice(&mut nodes.by_t[1][start..end]);
     }
 }
 
 /// A polynomial's value and its derivatives by both variables.
-#[simd]
+#[inline(always)]
 fn polynomial<S: Simd>(
     simd: S,
     terms: &[f32; TERMS],
     t1: S::f32s,
     t2: S::f32s,
-) -> (S::f32s, [S::f32s; 2]) {
+) -> (S::f32s, S::f32s, S::f32s) {
     let zero = S::f32s::splat(simd, 0.0);
     let (mut value, mut by_t1, mut by_t2) = (zero, zero, zero);
     let mut end = TERMS;
     // From the highest power of t₁, whose only factor is a constant, down.
     for count in 1..=6 {
-        let row = &terms[end - count..end];
-        end -= count;
         let (mut inner, mut slope) = (zero, zero);
-        for &term in row.iter().rev() {
+        for place in (end - count..end).rev() {
             slope = slope.mul_add(t2, inner);
-            inner = inner.mul_add(t2, S::f32s::splat(simd, term));
+            inner = inner.mul_add(t2, S::f32s::splat(simd, terms[place]));
         }
+        end -= count;
         by_t1 = by_t1.mul_add(t1, value);
         value = value.mul_add(t1, inner);
         by_t2 = by_t2.mul_add(t1, slope);
     }
-    (value, [by_t1, by_t2])
+    (value, by_t1, by_t2)
 }
