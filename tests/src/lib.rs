@@ -10,6 +10,7 @@
 //! | [`coverage`] | how much of each pixel a shape covers, blurred, exact by a contour integral |
 //! | [`render`] | 8-bit frames of roundels that move, over a background |
 //! | [`bound`] | the Cramér-Rao bound of a roundel's pose in such a frame |
+//! | [`coded`] | coded roundels, shown and read |
 //! | [`clutter`] | seeded backgrounds that hold no roundel |
 //! | [`decoy`] | what resembles a roundel and is none |
 //! | [`arena`] | cameras and robots on smooth paths, with the truth at any time |
@@ -26,6 +27,7 @@
 pub mod arena;
 pub mod bound;
 pub mod clutter;
+pub mod coded;
 pub mod coverage;
 pub mod decoy;
 pub mod export;

@@ -203,7 +203,7 @@ impl Binary<'_> {
         };
         loop {
             let (black, white) = (walk(false)?, walk(true)?);
-            if f64::from(white - black) >= self.black_share * f64::from(white) {
+            if f64::from(white - black + 1) >= self.black_share * f64::from(white) {
                 return Some((black, white));
             }
         }

@@ -26,8 +26,8 @@ use crate::{
 
 /// Spokes of the outline.
 const SPOKES: usize = 40;
-/// Black that ends before so large a share of the spoke is its own is a tooth whose corner it cuts: the
-/// ring has 280 of 700.
+/// Black that ends before so large a share of the spoke is its own, give or take a pixel, is a tooth
+/// whose corner it cuts: the ring has 280 of 700.
 const LEAST_BLACK: f64 = 0.3;
 /// Spokes that look for the centre, twice.
 const INNER_SPOKES: usize = 30;
@@ -98,7 +98,7 @@ fn walk(frame: &Frame, probe: &Probe, (du, dv): (f64, f64), flip: u8) -> Result<
     loop {
         let begin = edge(end + 1.0, true).ok_or(Reject::NoBlack)?;
         end = edge(begin + 1.5, false).ok_or(beyond)?;
-        if end - begin >= LEAST_BLACK * end {
+        if end - begin + 1.0 >= LEAST_BLACK * end {
             return Ok(end);
         }
     }
