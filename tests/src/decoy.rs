@@ -13,7 +13,7 @@ use nalgebra::{Matrix2, Rotation2, Vector2};
 use crate::{coverage::Contour, normal::Random};
 
 /// Least size of what is wrong with a decoy, pixels.
-pub const LEAST_FAULT_PX: f64 = 2.0;
+pub const LEAST_FAULT_PX: f64 = 2.5;
 
 /// One area of even grey.
 pub type Area = (Contour, f64);
@@ -138,11 +138,12 @@ impl<'a> Pen<'a> {
         self.polygon(&(0..corners).map(corner).collect::<Vec<_>>(), grey);
     }
 
-    /// Three, or up to `most` corners where those of a regular polygon of this radius still stand out.
-    fn corners(&mut self, most: usize, radius: f64) -> usize {
+    /// Up to `most` corners where those of a regular polygon of this radius still stand out; `None`
+    /// where not even three do.
+    fn corners(&mut self, most: usize, radius: f64) -> Option<usize> {
         let corners = 3 + (self.random.next_u64() % (most as u64 - 2)) as usize;
         let stands_out = |n: usize| radius * (1.0 - (TAU / (2 * n) as f64).cos()) >= self.least;
-        (3..=corners).rev().find(|&n| stands_out(n)).unwrap_or(3)
+        (3..=corners).rev().find(|&n| stands_out(n))
     }
 
     fn square(&mut self, at: [f64; 2], half: f64, grey: f64) {
@@ -183,14 +184,15 @@ impl<'a> Pen<'a> {
         match self.random.next_u64() % 3 {
             0 => self.ellipse([0.0; 2], [0.7, 0.3], self.white),
             _ => {
-                let corners = self.corners(4, 0.75);
-                self.regular(corners, 0.75, self.white);
+                if let Some(corners) = self.corners(4, 0.75) {
+                    self.regular(corners, 0.75, self.white);
+                }
             }
         }
     }
 
     fn frame(&mut self) {
-        let corners = self.corners(5, 1.3);
+        let Some(corners) = self.corners(5, 1.3) else { return };
         self.regular(corners, 2.0, self.white);
         self.regular(corners, 1.3, self.black);
         let disc = self.random.uniform(0.3, 0.5);
