@@ -8,7 +8,7 @@
 //! | --- | --- |
 //! | [`time`], [`id`], [`rigid`], [`camera`] | instants, names, rigid transforms with covariance, lens models |
 //! | [`frame`] | a view of 8-bit grey pixels |
-//! | [`segment`] | connected pixels of one class |
+//! | [`segment`] | windows, and moments of runs of pixels |
 //! | [`ellipse`] | rims from moments |
 //! | [`marker`] | rings found in a frame, and followed from frame to frame |
 //! | [`pose`] | where a ring is in the camera frame, with covariance |

@@ -274,11 +274,11 @@ fn a_roundel_elsewhere_is_another_one() {
 #[test]
 fn a_new_roundel_is_found_while_another_is_followed() {
     let (first, second) = (roundel((40.0, 40.0), 14.0, 0.5), roundel((150.0, 120.0), 9.0, 0.5));
+    let found_after = Params::default().search_frames as usize + 1;
     let mut frames = vec![vec![first]; 2];
-    frames.extend(vec![vec![first, second]; 5]);
+    frames.extend(vec![vec![first, second]; found_after]);
     let tracked = follow(&mut Tracker::new(any_ring()), &frames);
     assert!(tracked.iter().all(|tracked| tracked[0].track.0 == 1));
-    let found_after = Params::default().search_frames as usize + 1;
     assert_eq!(numbers(&tracked[1 + found_after]), [1, 2]);
 }
 

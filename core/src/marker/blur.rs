@@ -17,7 +17,7 @@
 
 use crate::{
     ellipse::{Ellipse, Moments, Shape},
-    marker::weigh::Grey,
+    marker::{belt::WIDE_PX, weigh::Grey},
 };
 
 /// Deviation of the blurred edge, pixels, where the measured one is out of this range: pixels behind a
@@ -78,19 +78,21 @@ pub(crate) fn unblur(
     let spreads = (outer.shape.spread_px2_of(&outer.rim), inner.shape.spread_px2_of(&inner.rim));
     let mut spread_px2 = spreads.1;
     let mut mixed = Mixed::default();
-    let mut blur_px = 0.0;
-    for _ in 0..TURNS {
-        blur_px = spread_px2.max(0.0).sqrt().clamp(BLUR_LIMITS_PX.0, BLUR_LIMITS_PX.1);
-        mixed = Mixed::new((r_o, r_i), (black, white, margin), blur_px);
-        let of_outer = seen(spreads.0, &outer.cuts, (mixed.black, mixed.margin), blur_px);
-        let of_inner = seen(spreads.1, &inner.cuts, (mixed.white, mixed.black), blur_px);
+    let mut blur = Blur::new(spread_px2);
+    for turn in 0..TURNS {
+        if turn > 0 {
+            blur = Blur::new(spread_px2);
+        }
+        mixed = Mixed::new((r_o, r_i), (black, white, margin), &blur);
+        let of_outer = seen(spreads.0, &outer.cuts, (mixed.black, mixed.margin), &blur);
+        let of_inner = seen(spreads.1, &inner.cuts, (mixed.white, mixed.black), &blur);
         // Without a margin, something else is in the outer one.
         spread_px2 = if margin.is_some() { 0.5 * (of_outer + of_inner) } else { of_inner };
     }
     let contrast = (white.level.mean() - black.level.mean()) / (1.0 - mixed.white - mixed.black);
     Unblurred {
-        outer: outer.rim.grown(growth_px(r_o, &outer.cuts, (mixed.black, mixed.margin), blur_px)),
-        inner: inner.rim.grown(growth_px(r_i, &inner.cuts, (mixed.white, mixed.black), blur_px)),
+        outer: outer.rim.grown(growth_px(r_o, &outer.cuts, (mixed.black, mixed.margin), &blur)),
+        inner: inner.rim.grown(growth_px(r_i, &inner.cuts, (mixed.white, mixed.black), &blur)),
         black: black.level.mean() - mixed.black * contrast,
         white: white.level.mean() + mixed.white * contrast,
     }
@@ -114,14 +116,14 @@ impl Mixed {
     fn new(
         (r_o, r_i): (f64, f64),
         (black, white, margin): (&Taken, &Taken, Option<&Taken>),
-        blur_px: f64,
+        blur: &Blur,
     ) -> Self {
         let share = |taken: &Taken, radius_px: f64| {
             // So near to the edge, levels tell more of how a camera sharpens than of its blur.
             if taken.distance_px < LEAST_DISTANCE_PX {
                 return 0.0;
             }
-            let moved_px = Beyond::new(taken.distance_px, blur_px).moved_px;
+            let moved_px = blur.beyond(taken.distance_px).moved_px;
             let share = std::f64::consts::TAU * radius_px.max(0.0) * moved_px;
             (share / f64::from(taken.level.pixels)).min(MOST_MIXED)
         };
@@ -134,19 +136,37 @@ impl Mixed {
 }
 
 /// σ² from the spread between the cuts, with the shares by which the levels (inside, outside) are off.
-fn seen(spread_px2: f64, cuts: &Cuts, (inside, outside): (f64, f64), blur_px: f64) -> f64 {
+fn seen(spread_px2: f64, cuts: &Cuts, (inside, outside): (f64, f64), blur: &Blur) -> f64 {
     let (near, far) = (cuts.inside_px, cuts.outside_px);
-    let beyond = Beyond::new(near, blur_px).spread + Beyond::new(far, blur_px).spread;
+    let beyond = blur.beyond(near).spread + blur.beyond(far).spread;
     (spread_px2 + inside * near * near + outside * far * far) / (1.0 - 2.0 * beyond).max(0.3)
 }
 
 /// What a rim of this radius is to be grown by.
-fn growth_px(radius_px: f64, cuts: &Cuts, (inside, outside): (f64, f64), blur_px: f64) -> f64 {
+fn growth_px(radius_px: f64, cuts: &Cuts, (inside, outside): (f64, f64), blur: &Blur) -> f64 {
     let (near, far) = (cuts.inside_px, cuts.outside_px);
-    let outer = (radius_px + far) * Beyond::new(far, blur_px).moved_px;
-    let inner = (radius_px - near) * Beyond::new(near, blur_px).moved_px;
+    let outer = (radius_px + far) * blur.beyond(far).moved_px;
+    let inner = (radius_px - near) * blur.beyond(near).moved_px;
     let levels = outside * (radius_px + 0.5 * far) * far - inside * (radius_px - 0.5 * near) * near;
     (outer - inner + levels) / radius_px
+}
+
+/// A blur, with what it carries past the cut that most rims have.
+#[derive(Clone, Copy, Debug)]
+struct Blur {
+    deviation_px: f64,
+    wide: Beyond,
+}
+
+impl Blur {
+    fn new(spread_px2: f64) -> Self {
+        let deviation_px = spread_px2.max(0.0).sqrt().clamp(BLUR_LIMITS_PX.0, BLUR_LIMITS_PX.1);
+        Self { deviation_px, wide: Beyond::new(WIDE_PX, deviation_px) }
+    }
+
+    fn beyond(&self, distance_px: f64) -> Beyond {
+        if distance_px == WIDE_PX { self.wide } else { Beyond::new(distance_px, self.deviation_px) }
+    }
 }
 
 /// What of an edge's light lies beyond a cut parallel to it.

@@ -22,6 +22,11 @@ impl Claim {
         Self { outer: ring.outer, half_box_px: ring.outer.half_box_px() }
     }
 
+    /// Half the sides of its box, along u and v, pixels.
+    pub fn half_box_px(&self) -> (f64, f64) {
+        self.half_box_px
+    }
+
     /// Whether the ring's centre lies in it.
     pub fn covers(&self, ring: &Ring) -> bool {
         let (from, to) = (self.outer.center, ring.outer.center);

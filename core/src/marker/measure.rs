@@ -167,10 +167,14 @@ fn rims<S: Simd>(
         rings.resize(rows, Span::default());
     }
     let window = patch.window;
-    let seed = ((probe.center.0 - window.left) as u32, probe.center.1 - window.top);
+    let center = (probe.center.0 - window.left, probe.center.1 - window.top);
     let white = Bits::new(&patch.white, patch.words, (rows, columns));
     let black = Bits::new(&patch.black, patch.words, (rows, columns));
-    let disc = follow_disc(simd, &white, seed, discs).map_err(|spill| match spill {
+    let disc = seeds(patch, center)
+        .map(|seed| follow_disc(simd, &white, seed, discs))
+        .find(|disc| disc.is_ok())
+        .unwrap_or(Err(Spill::Seed));
+    let disc = disc.map_err(|spill| match spill {
         Spill::Seed => Reject::NoWhite,
         Spill::Edge(_) => Reject::WhiteTooLarge,
     })?;
@@ -256,6 +260,22 @@ fn cut_px(threshold: f64, black: f64, white: f64) -> f64 {
     USUAL_BLUR_PX * (2.0 * pi).sqrt() * (p + p * p * p * pi / 3.0)
 }
 
+/// White pixels to begin the disc with: the centre if it is white. A small ring that moved may have its
+/// black there; then the nearest white ones along row and column.
+fn seeds(patch: &Patch, (u, v): (usize, usize)) -> impl Iterator<Item = (u32, usize)> {
+    let white = |u: usize, v: usize| patch.white[v * patch.words + u / 64] >> (u % 64) & 1 == 1;
+    let seeds = if white(u, v) {
+        [Some((u, v)), None, None, None]
+    } else {
+        let left = (0..u).rev().find(|&u| white(u, v)).map(|u| (u, v));
+        let right = (u + 1..patch.columns()).find(|&u| white(u, v)).map(|u| (u, v));
+        let up = (0..v).rev().find(|&v| white(u, v)).map(|v| (u, v));
+        let down = (v + 1..patch.rows()).find(|&v| white(u, v)).map(|v| (u, v));
+        [left, right, up, down]
+    };
+    seeds.into_iter().flatten().map(|(u, v)| (u as u32, v))
+}
+
 /// Whether the rim lies far enough from the frame's edge to be measured.
 fn check_edge(frame: &Frame, center: PixelPoint, matrix: &Symmetric2) -> Result<(), Reject> {
     let (half_u, half_v) = (matrix.uu.sqrt() + EDGE_PX, matrix.vv.sqrt() + EDGE_PX);
@@ -283,10 +303,12 @@ fn counts(
     (ring, rings): (&Extent, &[Span]),
 ) -> (Counted, Counted) {
     let count = |extent: &Extent, spans: &[Span], bits: &[u64]| {
+        let rows = extent.top * patch.words..extent.bottom * patch.words;
+        let rows = bits[rows].chunks_exact(patch.words);
         let mut pixels = 0;
-        for v in extent.top..extent.bottom {
-            for word in 0..patch.words {
-                pixels += (bits[v * patch.words + word] & spans[v].bits(word)).count_ones();
+        for (row, span) in rows.zip(&spans[extent.top..extent.bottom]) {
+            for (word, bits) in row.iter().enumerate() {
+                pixels += (bits & span.bits(word)).count_ones();
             }
         }
         Counted::new(pixels, extent)

@@ -48,7 +48,7 @@ impl Default for Params {
             min_semi_minor_px: 4.0,
             min_contrast: 20,
             min_axis_ratio: 0.25,
-            search_frames: 4,
+            search_frames: 16,
             coast_frames: 5,
         }
     }

@@ -305,3 +305,95 @@ fn end_of_run<const ONE: bool>(row: &[u64], u: u32) -> u32 {
     }
     word as u32 * 64 + others.trailing_zeros()
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use fearless_simd::{Level, dispatch};
+    use proptest::prelude::*;
+
+    /// The rule itself, pixel by pixel: spans grow by the runs that touch a neighbouring row's span
+    /// until none does.
+    fn plain(rows: &[Vec<bool>], (u, v): (usize, usize)) -> Vec<Option<(usize, usize)>> {
+        let run = |row: &[bool], u: usize| {
+            let first = (0..u).rev().take_while(|&u| row[u]).last().unwrap_or(u);
+            (first, (u..row.len()).take_while(|&u| row[u]).last().unwrap_or(u) + 1)
+        };
+        let mut spans = vec![None; rows.len()];
+        spans[v] = Some(run(&rows[v], u));
+        loop {
+            let before = spans.clone();
+            for v in 0..rows.len() {
+                let near = [v.checked_sub(1), Some(v + 1)].into_iter().flatten();
+                for (first, end) in near.filter_map(|near| *before.get(near)?) {
+                    for u in (first..end).filter(|&u| rows[v][u]) {
+                        let (a, b) = run(&rows[v], u);
+                        let (first, end) = spans[v].unwrap_or((a, b));
+                        spans[v] = Some((first.min(a), end.max(b)));
+                    }
+                }
+            }
+            if spans == before {
+                return spans;
+            }
+        }
+    }
+
+    proptest! {
+        #[test]
+        fn words_equal_pixels(
+            width in 3usize..140,
+            height in 3usize..12,
+            bits in proptest::collection::vec(proptest::bool::weighted(0.6), 1680),
+            at in 0usize..1680,
+        ) {
+            let mut rows: Vec<Vec<bool>> = bits.chunks(width).take(height).map(<[bool]>::to_vec).collect();
+            // Mostly closed off, so that not all segments reach an edge.
+            for (v, row) in rows.iter_mut().enumerate() {
+                row[0] = false;
+                row[width - 1] = false;
+                if v == 0 || v == height - 1 {
+                    row.fill(false);
+                }
+            }
+            let (u, v) = (at % width, at / width % height);
+            let words = width.div_ceil(64);
+            let packed: Vec<u64> = rows
+                .iter()
+                .flat_map(|row| {
+                    (0..words).map(move |word| {
+                        let part = row.iter().skip(word * 64).take(64).enumerate();
+                        part.fold(0, |bits, (k, &set)| bits | u64::from(set) << k)
+                    })
+                })
+                .collect();
+            let white = Bits::new(&packed, words, (height, width));
+            let mut spans = vec![Span::default(); height];
+            let found = dispatch!(Level::new(), simd => {
+                follow_disc(simd, &white, (u as u32, v), &mut spans)
+            });
+            if !rows[v][u] {
+                prop_assert_eq!(found, Err(Spill::Seed));
+                return Ok(());
+            }
+            let extent = found.unwrap();
+            for (v, known) in plain(&rows, (u, v)).into_iter().enumerate() {
+                prop_assert_eq!((extent.top..extent.bottom).contains(&v), known.is_some());
+                if let Some((first, end)) = known {
+                    prop_assert_eq!((spans[v].first as usize, spans[v].end as usize), (first, end));
+                    prop_assert!(extent.columns.first as usize <= first);
+                    prop_assert!(extent.columns.end as usize >= end);
+                }
+            }
+        }
+    }
+
+    #[test]
+    fn a_segment_that_reaches_the_edge_is_refused() {
+        let rows = [0b0000u64, 0b1110, 0b0100, 0b0000];
+        let white = Bits::new(&rows, 1, (4, 4));
+        let mut spans = [Span::default(); 4];
+        let found = dispatch!(Level::new(), simd => follow_disc(simd, &white, (2, 2), &mut spans));
+        assert!(matches!(found, Err(Spill::Edge(_))), "{found:?}");
+    }
+}

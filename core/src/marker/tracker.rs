@@ -34,6 +34,10 @@ const GATE_RADIUS_PX: f64 = 1.0;
 const GATE_SHARE: f64 = 1.0;
 /// See [`GATE_SHARE`].
 const GATE_PX: f64 = 6.0;
+/// The window looked at first: this share of the ring's box, and pixels on top.
+const NEAR_SHARE: f64 = 1.3;
+/// See [`NEAR_SHARE`].
+const NEAR_PX: f64 = 5.0;
 /// Share of a frame's measured motion in the velocity; the rest is the velocity known.
 const VELOCITY_GAIN: f64 = 0.7;
 
@@ -47,6 +51,7 @@ pub struct Tracker {
     next_number: u64,
     size: (usize, usize),
     next_row: usize,
+    occupied: Occupied,
 }
 
 #[derive(Clone, Copy, Debug)]
@@ -123,6 +128,7 @@ impl Tracker {
             next_number: 1,
             size: (0, 0),
             next_row: 0,
+            occupied: Occupied::default(),
         }
     }
 
@@ -181,19 +187,23 @@ impl Tracker {
 
     /// Measures every track's ring at its prediction.
     fn follow(&mut self, frame: &Frame) {
+        self.occupied.begin(frame);
         for track in &mut self.tracks {
             let scratch = &mut self.scratch;
             let measured = probe(frame, track)
                 .and_then(|probe| self.detector.measure(frame, &probe, &mut scratch.measure))
                 .and_then(|ring| {
-                    if scratch.claims.iter().any(|claim| claim.covers(&ring)) {
+                    let near = self.occupied.holds(ring.outer.center);
+                    if near && scratch.claims.iter().any(|claim| claim.covers(&ring)) {
                         return Err(Reject::Claimed);
                     }
                     track.distance_px(&ring).map(|_| ring).ok_or(Reject::Gate)
                 });
             match measured {
                 Ok(ring) => {
-                    scratch.claims.push(Claim::new(&ring));
+                    let claim = Claim::new(&ring);
+                    self.occupied.add(ring.outer.center, claim.half_box_px());
+                    scratch.claims.push(claim);
                     track.update(ring);
                 }
                 Err(reject) => {
@@ -263,7 +273,55 @@ impl Tracker {
     }
 }
 
-/// Where to fill for a track: the disc at its prediction, and the black to the left of it.
+/// Side of a cell, pixels.
+const CELL_PX: f64 = 16.0;
+
+/// Cells of the frame that claims reach into, so that a ring is compared with its neighbours and not
+/// with all rings of the frame.
+#[derive(Debug, Default)]
+struct Occupied {
+    /// The number of the frame in which a claim reached into the cell last.
+    cells: Vec<u64>,
+    columns: usize,
+    frame: u64,
+}
+
+impl Occupied {
+    /// Begins a new frame; cells are not touched for it.
+    fn begin(&mut self, frame: &Frame) {
+        let cells = |side: usize| (side as f64 / CELL_PX) as usize + 1;
+        let (columns, rows) = (cells(frame.width()), cells(frame.height()));
+        if self.columns != columns || self.cells.len() != columns * rows {
+            self.columns = columns;
+            self.cells.clear();
+            self.cells.resize(columns * rows, 0);
+        }
+        self.frame += 1;
+    }
+
+    /// The cell of a coordinate; the last of `count` if it lies beyond.
+    fn cell(x: f64, count: usize) -> usize {
+        ((x / CELL_PX).max(0.0) as usize).min(count - 1)
+    }
+
+    fn add(&mut self, center: PixelPoint, (half_u, half_v): (f64, f64)) {
+        let rows = self.cells.len() / self.columns;
+        let left = Self::cell(center.u - half_u, self.columns);
+        let right = Self::cell(center.u + half_u, self.columns);
+        for row in Self::cell(center.v - half_v, rows)..=Self::cell(center.v + half_v, rows) {
+            self.cells[row * self.columns + left..=row * self.columns + right].fill(self.frame);
+        }
+    }
+
+    fn holds(&self, center: PixelPoint) -> bool {
+        let rows = self.cells.len() / self.columns;
+        let (row, column) = (Self::cell(center.v, rows), Self::cell(center.u, self.columns));
+        self.cells[row * self.columns + column] == self.frame
+    }
+}
+
+/// Where to look for a track: within half a radius or so, since most move less from where they are
+/// expected. The few others are searched for.
 fn probe(frame: &Frame, track: &Track) -> Result<Probe, Reject> {
     let at = track.predicted();
     let (half_u, half_v) = track.ring.outer.half_box_px();
@@ -276,7 +334,7 @@ fn probe(frame: &Frame, track: &Track) -> Result<Probe, Reject> {
         (at.u.round() as usize).min(frame.width() - 1),
         (at.v.round() as usize).min(frame.height() - 1),
     );
-    let slack = |half: f64| 1.3 * half + 5.0;
+    let slack = |half: f64| NEAR_SHARE * half + NEAR_PX;
     let bounds = Window::around(frame, (at.u, at.v), (slack(half_u), slack(half_v)));
     let polarity = track.ring.polarity;
     let threshold = match polarity {
