@@ -148,6 +148,8 @@ pub fn camera(installation: &Installation, id: CameraId, state: &CameraState) ->
         detections: pixels(state.detections),
         detect_ms: state.detect_ms,
         latency_ms: state.latency_ms,
+        blur_px: state.blur_px,
+        noise: state.noise,
     }
 }
 

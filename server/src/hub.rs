@@ -141,6 +141,10 @@ pub struct CameraState {
     pub find_ms: f64,
     /// The part of it that locating takes, median, milliseconds.
     pub locate_ms: f64,
+    /// Deviation of the blur, median over fitted roundels of the newest frames, pixels; 0 before any.
+    pub blur_px: f64,
+    /// Deviation of the noise, likewise, grey levels.
+    pub noise: f64,
     /// What became of rings and candidates since the start.
     pub counts: DetectionCounts,
     /// Median from capture to fused, milliseconds.

@@ -1,4 +1,5 @@
-//! `roundel detect` on rendered pictures with known truth, and on prints that exist.
+//! `roundel detect` on rendered pictures with known truth, and on prints that exist (WhyCode's, of
+//! `../shared/data/whycode`; skipped by name where they are not).
 
 use std::{
     fs,
@@ -7,12 +8,14 @@ use std::{
 };
 
 use nalgebra::{Isometry3, Translation3, UnitQuaternion, Vector3};
+use roundel_server::image_file;
 use roundel_tests::{
     export::{camera_yaml, write_png},
     normal::Random,
     optics::{Distortion, Pinhole},
     process::roundel,
-    render::{Canvas, Imaging, Print, Renderer, Seen},
+    render::{Canvas, Image, Imaging, Print, Renderer, Seen},
+    shared_data::shared_data,
 };
 use serde_json::Value;
 
@@ -112,4 +115,48 @@ fn what_was_refused_is_told_and_drawn() {
     // What was found is drawn in both: the same green.
     let green = |pixels: &[[u8; 3]]| pixels.iter().filter(|p| **p == [40, 230, 80]).count();
     assert!(green(&plain) > 100, "{}", green(&plain));
+}
+
+/// A quarter turn of the paper, counter-clockwise as seen.
+fn turned(image: &Image) -> Image {
+    let (width, height) = (image.height, image.width);
+    let pixels = (0..height).flat_map(|v| (0..width).map(move |u| (u, v)));
+    let pixels = pixels.map(|(u, v)| image.pixels[u * image.width + (image.width - 1 - v)]);
+    Image { width, height, pixels: pixels.collect() }
+}
+
+/// Where the print's right points, in the camera frame.
+fn right_of(roundel: &Value) -> Vector3<f64> {
+    let yaw =
+        UnitQuaternion::from_axis_angle(&Vector3::z_axis(), roundel["yaw_rad"].as_f64().unwrap());
+    let upright = UnitQuaternion::rotation_between(&Vector3::z(), &vector(&roundel["normal"]));
+    upright.unwrap() * yaw * Vector3::x()
+}
+
+#[test]
+fn prints_are_read_with_their_number_and_their_turn() {
+    let Some(prints) = shared_data("prints_are_read_with_their_number_and_their_turn", "whycode")
+    else {
+        return;
+    };
+    let camera = Pinhole::centered(600, 600, 800.0, Distortion::PlumbBob([0.0; 5]));
+    let folder = tempfile::tempdir().unwrap();
+    fs::write(folder.path().join("camera.yaml"), camera_yaml("camera", &camera)).unwrap();
+    for (bits, code) in [("bits5", "5"), ("bits7", "7:2")] {
+        for number in 1..=if bits == "bits5" { 6 } else { 9 } {
+            let print = image_file::load(&prints.join(bits).join(format!("{number}.png"))).unwrap();
+            let upright =
+                Image { width: print.width, height: print.height, pixels: print.pixels.clone() };
+            for (image, right) in [(turned(&upright), -Vector3::y()), (upright, Vector3::x())] {
+                write_png(&folder.path().join("print.png"), &image).unwrap();
+                let options = ["--camera", "camera.yaml", "--marker", "122", "--code", code];
+                let lines = detect(folder.path(), &[&options[..], &["print.png"]].concat());
+                let found = lines[0]["detections"].as_array().unwrap();
+                assert_eq!(found.len(), 1, "{bits} {number}: {}", lines[0]);
+                assert_eq!(found[0]["id"], number, "{bits}");
+                let off = right_of(&found[0]).angle(&right);
+                assert!(off < 0.02, "{bits} {number}: turned by {off} rad");
+            }
+        }
+    }
 }

@@ -126,7 +126,8 @@ class Card {
       this.statusShown = camera.status;
       this.status.replaceChildren(glyph(camera.status), STATUS_WORDS[camera.status]);
     }
-    setAttribute(this.head, "title", `${camera.source}, ${camera.width} × ${camera.height} px`);
+    const blur = camera.blurPx === null ? "" : `, blurred by ${fixed(camera.blurPx, 2)} px`;
+    setAttribute(this.head, "title", `${camera.source}, ${camera.width} × ${camera.height} px${blur}`);
     const words = trouble(camera);
     this.note.hidden = words === "";
     setText(this.note, words);

@@ -64,6 +64,7 @@ import { errorEllipse, headingRad, sigmasM, tiltRad } from "./geometry.js";
  * @property {number} detections
  * @property {number} detectMs
  * @property {number} latencyMs
+ * @property {number | null} blurPx null before it is known
  */
 
 /** @typedef {{sequence: number, timeMs: number, kind: string, objectId: number, camera: string, message: string}} Event */
@@ -159,6 +160,8 @@ function readCamera(raw) {
     detections: count(raw?.detections),
     detectMs: count(raw?.detect_ms),
     latencyMs: count(raw?.latency_ms),
+    // 0 is "not fitted".
+    blurPx: number(raw?.blur_px) || null,
   };
 }
 

@@ -156,7 +156,7 @@ fn write_server(page: &mut Page, api: &Api) {
 /// A number of each camera: name, type, help, and where it stands.
 type CameraFamily = (&'static str, &'static str, &'static str, fn(&CameraState) -> f64);
 
-const CAMERA_FAMILIES: [CameraFamily; 8] = [
+const CAMERA_FAMILIES: [CameraFamily; 10] = [
     ("roundel_camera_up", "gauge", "1 while frames arrive.", |camera| {
         f64::from(u8::from(camera.status == CameraStatus::Running))
     }),
@@ -190,6 +190,18 @@ const CAMERA_FAMILIES: [CameraFamily; 8] = [
         "gauge",
         "From capture to fused, median of the newest frames.",
         |camera| camera.latency_ms * 1e-3,
+    ),
+    (
+        "roundel_camera_blur_pixels",
+        "gauge",
+        "Standard deviation of the blur, median of the newest frames; 0 where none was fitted.",
+        |camera| camera.blur_px,
+    ),
+    (
+        "roundel_camera_noise_levels",
+        "gauge",
+        "Standard deviation of the noise, grey levels of 255, likewise.",
+        |camera| camera.noise,
     ),
 ];
 

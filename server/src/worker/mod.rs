@@ -96,6 +96,8 @@ pub struct Worker {
     detect_ms: Median,
     find_ms: Median,
     locate_ms: Median,
+    blur_px: Median,
+    noise: Median,
     pixels: Vec<u8>,
     /// Since when frames arrive.
     running_since: Option<Instant>,
@@ -138,6 +140,8 @@ impl Worker {
             detect_ms: Median::default(),
             find_ms: Median::default(),
             locate_ms: Median::default(),
+            blur_px: Median::default(),
+            noise: Median::default(),
             pixels: Vec::new(),
             running_since: None,
         }
@@ -171,6 +175,10 @@ impl Worker {
         let times = self.parts.pipeline.times();
         self.find_ms.add(times.find_ms);
         self.locate_ms.add(times.locate_ms);
+        if let Some(quality) = self.parts.pipeline.image_quality() {
+            self.blur_px.add(quality.blur_px);
+            self.noise.add(quality.noise);
+        }
         let observations = match result {
             Ok(observations) => Arc::new(observations),
             Err(error) => {
@@ -255,6 +263,7 @@ impl Worker {
             state.detect_ms = self.detect_ms.value();
             state.find_ms = self.find_ms.value();
             state.locate_ms = self.locate_ms.value();
+            (state.blur_px, state.noise) = (self.blur_px.value(), self.noise.value());
             state.counts = *self.parts.pipeline.counts();
         });
         hub.publish_observations(observations);

@@ -7,7 +7,7 @@ use roundel_core::{
     frame::{Frame, FrameError},
     id::CameraId,
     marker::{Detector, DetectorError, Kind, Mask, Mode, Params, Tracker},
-    pose::{Detection, Locator},
+    pose::{Detection, ImageQuality, Locator},
     time::{Timestamp, row_time},
     world::FrameObservations,
 };
@@ -48,6 +48,8 @@ pub struct Pipeline {
     line_time_s: f64,
     counts: DetectionCounts,
     times: StageTimes,
+    /// Of the rings of the newest frame that were fitted.
+    qualities: Vec<ImageQuality>,
 }
 
 impl Pipeline {
@@ -57,7 +59,7 @@ impl Pipeline {
         let locator = Locator::new(camera, kinds.clone(), params.mode);
         let tracker = Tracker::new(Detector::new(kinds, params)?.with_mask(mask));
         let (counts, times) = (DetectionCounts::default(), StageTimes::default());
-        Ok(Self { tracker, locator, line_time_s, counts, times })
+        Ok(Self { tracker, locator, line_time_s, counts, times, qualities: Vec::new() })
     }
 
     /// What became of all rings and candidates so far.
@@ -68,6 +70,17 @@ impl Pipeline {
     /// How long the newest frame took.
     pub fn times(&self) -> StageTimes {
         self.times
+    }
+
+    /// How sharp and how clean the newest frame is: medians over its rings that were fitted, each for
+    /// itself; `None` without any, as in fast mode.
+    pub fn image_quality(&self) -> Option<ImageQuality> {
+        let median = |number: fn(&ImageQuality) -> f64| {
+            let mut numbers: Vec<f64> = self.qualities.iter().map(number).collect();
+            numbers.sort_by(f64::total_cmp);
+            numbers.get(numbers.len() / 2).copied()
+        };
+        Some(ImageQuality { blur_px: median(|it| it.blur_px)?, noise: median(|it| it.noise)? })
     }
 
     /// The camera's model.
@@ -97,6 +110,7 @@ impl Pipeline {
         let rings = self.tracker.process(&view);
         let found = Instant::now();
         let mut detections = Vec::with_capacity(rings.len());
+        self.qualities.clear();
         for tracked in rings {
             let row_px = tracked.ring.outer.center.v;
             let located = self.locator.locate(&view, tracked).ok();
@@ -106,6 +120,7 @@ impl Pipeline {
                 None => &mut self.counts.unlocated,
             };
             *counted += 1;
+            self.qualities.extend(located.as_ref().and_then(|located| located.image));
             let (ring, pose) = located.map_or((tracked.ring, None), |it| (it.ring, Some(it.pose)));
             let capture_time = row_time(info.capture_time, row_px, info.height, self.line_time_s);
             detections.push(Detection { track: tracked.track, ring, capture_time, pose });

@@ -259,6 +259,7 @@ async fn metrics_tell_of_cameras_objects_and_clients() {
         camera.frames = 1234;
         camera.detect_ms = 2.5;
         (camera.find_ms, camera.locate_ms) = (2.0, 0.5);
+        (camera.blur_px, camera.noise) = (0.75, 2.25);
         (camera.counts.precise, camera.counts.fast, camera.counts.unlocated) = (900, 30, 1);
         camera.counts.rejects[Reject::FrameEdge as usize] = 44;
     });
@@ -284,6 +285,8 @@ async fn metrics_tell_of_cameras_objects_and_clients() {
         "roundel_camera_up{camera=\"north\"} 1",
         "roundel_camera_up{camera=\"south side\"} 0",
         "roundel_camera_detect_seconds{camera=\"north\"} 0.0025",
+        "roundel_camera_blur_pixels{camera=\"north\"} 0.75",
+        "roundel_camera_noise_levels{camera=\"north\"} 2.25",
         "roundel_camera_stage_seconds{camera=\"north\",stage=\"find\"} 0.002",
         "roundel_camera_stage_seconds{camera=\"north\",stage=\"locate\"} 0.0005",
         "roundel_camera_located_total{camera=\"north\",by=\"precise\"} 900",

@@ -94,6 +94,11 @@ test("cameras without place or lens are cameras all the same", () => {
   assert.equal(camera.rateHz, 0);
 });
 
+test("a blur that was not fitted is not known", () => {
+  const blurs = readCameras([{ blur_px: 0.72 }, { blur_px: 0 }, {}]).map((camera) => camera.blurPx);
+  assert.deepEqual(blurs, [0.72, null, null]);
+});
+
 test("events and the server's own words are read", () => {
   const event = readEvent({ sequence: 4, time_ns: "1700000000000000000", kind: "object_lost", object_id: 9, message: "gone" });
   assert.deepEqual(event, { sequence: 4, timeMs: 1.7e12, kind: "object_lost", objectId: 9, camera: "", message: "gone" });
