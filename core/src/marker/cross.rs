@@ -15,6 +15,16 @@ use crate::{
     marker::{kind::Polarity, reject::Reject, scan::Hit},
 };
 
+/// Perspective moves the disc off the ring's middle by (1 - ratio²)·(R/f)·tan(tilt) of the shorter
+/// semiaxis: for a tilt to 60° and no less than half of the frame's width as focal length f, the
+/// sides of a chord of so many frame widths differ by this share …
+const PERSPECTIVE_SHARE: f64 = 2.4;
+/// … and never by more.
+const MOST_SIDE_SHARE: f64 = 0.55;
+/// The ring's middle may be off the disc's by this share of the ring's radius there …
+const CENTER_SHARE: f64 = 0.3;
+/// … and by so many pixels.
+const CENTER_PX: f64 = 1.5;
 /// White's share of two chords through the centre may differ by this much …
 const RATIO_SLACK: f64 = 0.1;
 /// … and by a pixel and a half of the shorter half chord.
@@ -48,6 +58,8 @@ const WRONG_POINTS: usize = 1;
 pub(crate) struct Evenness {
     /// The sides' difference as a share of the wider one.
     pub side_share: f64,
+    /// What each pixel of a chord adds to it, for the perspective of large rings.
+    pub share_per_px: f64,
     /// Least and largest share of white.
     pub white: (f64, f64),
     /// White's shares of two chords through the centre may differ by this much.
@@ -65,6 +77,7 @@ impl Evenness {
         // asked for.
         Self {
             side_share: 0.25,
+            share_per_px: 0.0,
             white: (0.5 * least, 0.5 * (1.0 + most)),
             ratio_slack: RATIO_SLACK,
             outer_middle: false,
@@ -77,6 +90,7 @@ impl Evenness {
     pub fn with_teeth(self, core_share: f64) -> Self {
         Self {
             side_share: TEETH_SIDE_SHARE,
+            share_per_px: self.share_per_px,
             white: (core_share * self.white.0, self.white.1),
             ratio_slack: TEETH_RATIO_SLACK,
             outer_middle: true,
@@ -84,11 +98,21 @@ impl Evenness {
         }
     }
 
+    /// The same in a frame of this width.
+    pub fn seen_in(self, width: usize) -> Self {
+        Self { share_per_px: PERSPECTIVE_SHARE / width as f64, ..self }
+    }
+
+    fn side_share_of(&self, total: f64) -> f64 {
+        let most = MOST_SIDE_SHARE.max(self.side_share);
+        (self.side_share + self.share_per_px * total).min(most)
+    }
+
     /// Whether left black, white and right black of these widths can be a chord.
     pub fn allows(&self, left: f64, white: f64, right: f64) -> bool {
         let total = left + white + right;
         // All at once: a branch for each costs more than it saves.
-        ((left - right).abs() <= self.side_share * left.max(right) + SIDE_SLACK_PX)
+        ((left - right).abs() <= self.side_share_of(total) * left.max(right) + SIDE_SLACK_PX)
             & (white >= self.white.0 * total)
             & (white <= self.white.1 * total)
     }
@@ -97,7 +121,7 @@ impl Evenness {
     /// many steps before.
     fn room_after(&self, (black, white): (i32, i32)) -> usize {
         let side = f64::from(white - black);
-        let other = (side + SIDE_SLACK_PX) / (1.0 - self.side_share);
+        let other = (side + SIDE_SLACK_PX) / (1.0 - self.side_share_of(4.0 * f64::from(white)));
         let disc = self.white.1 / (1.0 - self.white.1) * (side + other);
         (disc - f64::from(black) + other).max(0.0) as usize + 2
     }
@@ -113,6 +137,8 @@ impl Evenness {
 pub(crate) struct Candidate {
     /// A pixel of the disc near its centre.
     pub center: (usize, usize),
+    /// The ring's centre, off the disc's where perspective moves it.
+    pub ring_center: (f64, f64),
     /// Half the sides of the ring's box, along u and v.
     pub half_box_px: (f64, f64),
     /// Pixels below it are black.
@@ -273,18 +299,26 @@ pub(crate) fn cross(
     let center = (u.wrapping_add_signed(moved), v);
     let slack = evenness.ratio_slack + RATIO_SLACK_PX / row.half().min(column.half());
     let mut diagonals = [0.0; 2];
-    for (half, step) in diagonals.iter_mut().zip([(1, 1), (1, -1)]) {
+    let mut middles = [0.0; 2];
+    let through = diagonals.iter_mut().zip(&mut middles);
+    for ((half, middle), step) in through.zip([(1, 1), (1, -1)]) {
         let chord = binary.even_chord(center, step, limit, evenness)?;
         if (chord.white_share() - row.white_share()).abs() > slack {
             return Err(Reject::Chord);
         }
         *half = std::f64::consts::SQRT_2 * chord.half();
+        *middle = 0.5 * f64::from(chord.outer.0 + chord.outer.1 - 1);
     }
     let shape = Halves { along_u: row.half(), along_v: column.half(), diagonals }.shape(rules)?;
     let share = row.white_share();
     let black_at = rules.black_at.unwrap_or(0.5 * (1.0 + share));
-    shape.check_round(&binary, center, black_at, share)?;
-    Ok(Candidate { center, half_box_px: shape.half_box_px(), threshold })
+    let (du, dv) = shape.center(middles);
+    if shape.radii((du, dv)) > CENTER_SHARE && du.hypot(dv) > CENTER_PX {
+        return Err(Reject::Chord);
+    }
+    let ring_center = (center.0 as f64 + du, center.1 as f64 + dv);
+    shape.check_round(&binary, center, ring_center, (black_at, share))?;
+    Ok(Candidate { center, ring_center, half_box_px: shape.half_box_px(), threshold })
 }
 
 /// Half chords through an ellipse's centre.
@@ -336,27 +370,45 @@ impl Coarse {
         ((self.c / determinant).sqrt(), (self.a / determinant).sqrt())
     }
 
-    /// Whether disc, ring and margin are there between the directions of the four chords.
+    /// A distance from the centre in radii of that direction.
+    fn radii(&self, (u, v): (f64, f64)) -> f64 {
+        (self.a * u * u + 2.0 * self.b * u * v + self.c * v * v).sqrt()
+    }
+
+    /// The ellipse's centre x, from the place where its diagonal chords meet: the middle of a chord
+    /// along d is t = dᵀ M x / dᵀ M d steps away, for d = (1, 1) and (1, -1).
+    fn center(&self, [falling, rising]: [f64; 2]) -> (f64, f64) {
+        let Self { a, b, c } = self;
+        let (right_1, right_2) = (falling * (a + 2.0 * b + c), rising * (a - 2.0 * b + c));
+        let determinant = 2.0 * (b * b - a * c);
+        let u = (right_1 * (b - c) - right_2 * (b + c)) / determinant;
+        let v = (right_2 * (a + b) - right_1 * (a - b)) / determinant;
+        (u, v)
+    }
+
+    /// Whether ring and margin are there between the directions of the four chords: black between
+    /// the rims about the disc's centre, white beyond the ring about its own.
     fn check_round(
         &self,
         binary: &Binary,
         (u, v): (usize, usize),
-        black_at: f64,
-        white_share: f64,
+        ring_center: (f64, f64),
+        (black_at, white_share): (f64, f64),
     ) -> Result<(), Reject> {
         let (mut open, mut bridged) = (0, 0);
         // 22.5° and on in steps of 45°.
         let (near, far) = (0.923_879_532_511_286_7, 0.382_683_432_365_089_8);
         for (x, y) in [(near, far), (far, near), (-far, near), (-near, far)] {
-            let radius = 1.0 / (self.a * x * x + 2.0 * self.b * x * y + self.c * y * y).sqrt();
+            let radius = 1.0 / self.radii((x, y));
             if radius * (1.0 - white_share) < ROUND_PX {
                 continue;
             }
             let beyond = radius + (MARGIN.0 * radius).max(MARGIN.1);
             for (x, y) in [(x, y), (-x, -y)] {
-                let at = |r: f64| (u as f64 + r * x, v as f64 + r * y);
-                open += usize::from(binary.is_white_at(at(black_at * radius)));
-                bridged += usize::from(!binary.is_white_at(at(beyond)));
+                let at = |(u, v): (f64, f64), r: f64| (u + r * x, v + r * y);
+                let disc_center = (u as f64, v as f64);
+                open += usize::from(binary.is_white_at(at(disc_center, black_at * radius)));
+                bridged += usize::from(!binary.is_white_at(at(ring_center, beyond)));
             }
         }
         if open > WRONG_POINTS {
@@ -393,11 +445,14 @@ mod tests {
         let column = Binary { flip: 255, ..binary(&line, 1) };
         assert!(column.chord((0, 4), (0, 1), 10, &evenness).unwrap().is_even(&evenness));
         // A tooth's corner is passed over.
-        let line = [9, 0, 0, 0, 0, 9, 9, 9, 9, 0, 9, 0, 0, 0, 0, 9];
-        let cut = binary(&line, 16).chord((6, 0), (1, 0), 16, &evenness).unwrap();
-        assert_eq!((cut.outer, cut.inner), ((-5, 4), (-1, 3)));
-        let cut = Binary { black_share: 0.3, ..binary(&line, 16) };
-        assert_eq!(cut.chord((6, 0), (1, 0), 16, &evenness).unwrap().outer, (-5, 9));
+        let mut line = [0; 24];
+        line[7..16].fill(9);
+        [line[0], line[17], line[23]] = [9; 3];
+        let cut = binary(&line, 24).chord((9, 0), (1, 0), 24, &evenness).unwrap();
+        assert_eq!((cut.outer, cut.inner), ((-8, 8), (-2, 7)));
+        let toothed = Binary { black_share: 0.3, ..binary(&line, 24) };
+        let whole = toothed.chord((9, 0), (1, 0), 24, &evenness).unwrap();
+        assert_eq!((whole.outer, whole.inner), ((-8, 14), (-2, 9)));
         let line = [9, 0, 9, 9, 0, 0, 0, 0, 0, 0, 0, 9];
         let uneven = binary(&line, 12).chord((2, 0), (1, 0), 12, &evenness).unwrap();
         assert!(!uneven.is_even(&evenness));

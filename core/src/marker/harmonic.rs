@@ -63,7 +63,8 @@ pub(crate) fn check_rims(frame: &Frame, ring: &Ring, plain: bool) -> Result<(), 
     Ok(())
 }
 
-fn levels_along(frame: &Frame, rim: &Ellipse) -> [f64; POINTS] {
+/// Grey levels along an ellipse, at even steps of its angle.
+pub(super) fn levels_along(frame: &Frame, rim: &Ellipse) -> [f64; POINTS] {
     let (sin_tilt, cos_tilt) = rim.angle_rad.sin_cos();
     std::array::from_fn(|point| {
         let (cos, sin) = TURN[point];

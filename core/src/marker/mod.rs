@@ -12,7 +12,7 @@
 //! | rims to a fraction of a pixel | `weigh`, `blur` | eqs. (4), (6) |
 //! | areas, roundness, shapes | `examine`, `outline` | 3.1, 3.3, eqs. (1), (2), (5) |
 //! | kind by ratio of diameters | `kind` | 3.4 |
-//! | rims that are ellipses | `harmonic` | – |
+//! | rims that are ellipses, a disc white to its middle | `harmonic`, `middle` | – |
 //! | compensation of the rims | [`rim`] | 3.5, eqs. (7), (8) |
 //! | all rings of a frame | `detector` | 3.6 |
 //! | from frame to frame | `tracker` | 3, 3.6 |
@@ -46,6 +46,7 @@ mod kind;
 mod levels;
 mod mask;
 mod measure;
+mod middle;
 mod outline;
 mod param;
 mod patch;

@@ -16,6 +16,7 @@ use crate::{
         examine::{Probe, Rules},
         harmonic::check_rims,
         kind::{Kind, Pattern, Polarity},
+        middle::check_middle,
         reject::{Reject, Rejected},
         scan::{Hit, HitRules, HitScratch, find_hits},
         threshold::BinarySearch,
@@ -78,6 +79,13 @@ impl SearchRules {
             step,
         }
     }
+
+    /// The same for a frame of this width.
+    fn seen_in(mut self, width: usize) -> Self {
+        self.hit.evenness = self.hit.evenness.seen_in(width);
+        self.cross.evenness = self.cross.evenness.seen_in(width);
+        self
+    }
 }
 
 impl Detector {
@@ -88,7 +96,7 @@ impl Detector {
         let SearchScratch { row, hits, claimed } = &mut memory;
         claimed.clear(window);
         scratch.claims.iter().for_each(|claim| claimed.add(claim));
-        let rules = &self.search_rules;
+        let rules = &self.search_rules.seen_in(frame.width());
         for v in (window.top..window.bottom).step_by(ROW_STEP) {
             if scratch.found.len() >= most {
                 break;
@@ -101,7 +109,7 @@ impl Detector {
                     if scratch.found.len() >= most || claimed.contains(hit.u, v) {
                         continue;
                     }
-                    if let Some(ring) = self.try_hit(frame, (hit, v), polarity, scratch) {
+                    if let Some(ring) = self.try_hit(frame, (hit, v), polarity, rules, scratch) {
                         let claim = Claim::new(&ring);
                         claimed.add(&claim);
                         scratch.claims.push(claim);
@@ -119,6 +127,7 @@ impl Detector {
         frame: &Frame,
         (hit, v): (&Hit, usize),
         polarity: Polarity,
+        rules: &SearchRules,
         scratch: &mut Scratch,
     ) -> Option<Ring> {
         let center = PixelPoint { u: hit.u as f64, v: v as f64 };
@@ -130,7 +139,7 @@ impl Detector {
         }
         let mut first = None;
         for threshold in BinarySearch::new(hit.black, hit.white, SEARCH_DEPTH) {
-            let tried = cross(frame, (hit, v), threshold, &self.search_rules.cross, polarity);
+            let tried = cross(frame, (hit, v), threshold, &rules.cross, polarity);
             let tried = tried.and_then(|candidate| {
                 let (u, v) = candidate.center;
                 rejected.center = PixelPoint { u: u as f64, v: v as f64 };
@@ -161,7 +170,7 @@ impl Detector {
     ) -> Result<Ring, Reject> {
         let (half_u, half_v) = candidate.half_box_px;
         let reach = |half: f64| half * BEYOND.0 + BEYOND.1;
-        let center = (candidate.center.0 as f64, candidate.center.1 as f64);
+        let center = candidate.ring_center;
         let probe = Probe {
             center: candidate.center,
             threshold: candidate.threshold,
@@ -169,7 +178,11 @@ impl Detector {
             polarity,
         };
         let ring = self.measure(frame, &probe, &mut scratch.measure)?;
-        check_rims(frame, &ring, self.has_plain_disc(&ring))?;
+        let plain = self.has_plain_disc(&ring);
+        check_rims(frame, &ring, plain)?;
+        if plain {
+            check_middle(frame, &ring)?;
+        }
         let covered = scratch.claims.iter().any(|claim| claim.covers(&ring));
         if covered { Err(Reject::Claimed) } else { Ok(ring) }
     }
