@@ -24,9 +24,8 @@
 //! over many pictures of one face-on roundel that would still be 1.2 σ where the truth is zero. Instead
 //! it is the function of the data whose mean over pictures is nearest to |w|² at every tilt, which
 //! nothing keeps from being negative: the posterior's mean less a share that dies out with s
-//! ([`UNBIASED`]). The depth's bias is then within a third of its rms everywhere, and its rms smaller
-//! than that of the most likely tilt (`tests::depth_is_unbiased_at_every_tilt`); the variance stated
-//! is about that value.
+//! ([`UNBIASED`]). The depth's bias is then within a third of its rms everywhere
+//! (`tests::covariance_is_that_of_the_errors`); the variance stated is about that value.
 
 use nalgebra::{Matrix2, Vector2};
 
@@ -195,7 +194,7 @@ fn power(x: f64) -> f64 {
 
 /// e^{iφ/2} of a complex number with the angle φ; 1 for zero.
 #[inline(always)]
-fn half_angle(of: &Vector2<f64>, length: f64) -> Vector2<f64> {
+pub fn half_angle(of: &Vector2<f64>, length: f64) -> Vector2<f64> {
     if length <= 0.0 {
         return Vector2::new(1.0, 0.0);
     }

@@ -26,7 +26,7 @@
 //! place's residual is projected with the information of the first; if it promises a smaller misfit, it
 //! is fitted too. The likelihoods of the two follow from the difference of their misfits over the noise.
 //! Face-on the image depends on the tilt's square only; a curvature of the elongation's information
-//! keeps steps and covariance finite there, as in [`super::locate`].
+//! keeps steps finite there, and the pose is the posterior's mean (`upright`), as in [`super::locate`].
 //!
 //! **Noise.** A pixel's variance is that of the residuals, so what the model does not explain (covers,
 //! motion, JPEG) widens the covariance with it.
@@ -49,6 +49,7 @@ mod solve;
 mod state;
 #[cfg(test)]
 mod tests;
+mod upright;
 mod view;
 
 use fearless_simd::Level;
@@ -61,6 +62,7 @@ use crate::{
     ellipse::{Chords, Ellipse},
     frame::Frame,
     marker::{Kind, Pattern, Ring},
+    rigid::Covariance6,
 };
 use blur::{BLUR_LIMITS_PX, Kernels};
 use contour::Contours;
@@ -68,6 +70,7 @@ use image::Window;
 use lens::{LocalLens, Plan};
 use normal::Sums;
 use state::{Glance, Problem, Solution, State};
+use upright::{Leaning, Upright};
 use view::{Nodes, Place};
 
 /// Where a fit starts.
@@ -191,10 +194,63 @@ pub fn fit(
     };
     let first = State::new(place(&start.pose.normal), ring, blur_px);
     let mut solution = state::solve(&problem, first, scratch)?;
+    let mut found = upright::estimate(&problem, &solution, scratch);
+    if let Upright::Further(state) = found {
+        solution = state::solve(&problem, state, scratch)?;
+        found = upright::estimate(&problem, &solution, scratch);
+    }
+    let placed = match found {
+        Upright::Facing(first, other, likelihood) => {
+            upright(&problem, &solution, (first, other, likelihood))
+        }
+        _ => tilted(&problem, solution, scratch)?,
+    };
+    Ok(finish(&problem, ring, &placed, scratch))
+}
+
+/// What a fit comes to, in the local frame but for the covariance, which is the camera's.
+struct Placed {
+    state: State,
+    other_normal: Vector3<f64>,
+    likelihood: f64,
+    /// From this position to that of the other normal.
+    apart_m: Vector3<f64>,
+    /// With this normal.
+    covariance: Covariance6,
+    noise2: f64,
+    iterations: usize,
+}
+
+/// One lean, or two, of a roundel that nearly faces the camera.
+fn upright(
+    problem: &Problem,
+    solution: &Solution,
+    (first, other, likelihood): (Leaning, Option<Leaning>, f64),
+) -> Placed {
+    let Leaning { state, covariance, turns } = first;
+    let covariance = solution.carried(problem, &state, &covariance, &turns);
+    let second = other.map_or(state.place, |other| other.state.place);
+    Placed {
+        other_normal: second.axes.column(2).into_owned(),
+        likelihood,
+        apart_m: second.position_m - state.place.position_m,
+        covariance,
+        noise2: solution.noise2,
+        iterations: solution.iterations,
+        state,
+    }
+}
+
+/// The solution, or that of the mirrored place if it is nearer to the pixels.
+fn tilted(
+    problem: &Problem,
+    mut solution: Solution,
+    scratch: &mut FitScratch,
+) -> Result<Placed, FitError> {
     let mirrored = solution.state.mirrored();
-    let mut other = state::glance(&problem, &mirrored, &solution, scratch);
+    let mut other = state::glance(problem, &mirrored, &solution, scratch);
     if other.as_ref().is_some_and(|other| other.misfit < solution.misfit)
-        && let Ok(found) = state::solve(&problem, mirrored, scratch)
+        && let Ok(found) = state::solve(problem, mirrored, scratch)
     {
         let normal = |solution: &Solution| solution.state.place.axes.column(2).into_owned();
         let back = normal(&found).dot(&normal(&solution));
@@ -209,7 +265,19 @@ pub fn fit(
         other = Some(Glance { misfit, unmoved: misfit, apart_m });
         solution = if better { found } else { solution };
     }
-    Ok(finish(&problem, ring, &solution, other.as_ref(), scratch))
+    let likelihood = other.as_ref().map_or(1.0, |other| {
+        let worse = (other.misfit - solution.misfit).max(0.0) / solution.noise2;
+        1.0 / (1.0 + (-0.5 * worse).exp())
+    });
+    Ok(Placed {
+        other_normal: solution.state.mirrored().place.axes.column(2).into_owned(),
+        likelihood,
+        apart_m: other.map_or(Vector3::zeros(), |other| other.apart_m),
+        covariance: solution.covariance(problem).ok_or(FitError::Flat)?,
+        noise2: solution.noise2,
+        iterations: solution.iterations,
+        state: solution.state,
+    })
 }
 
 /// Lays the window round the pixels that count.
@@ -228,32 +296,20 @@ fn axes_of(normal: &Vector3<f64>) -> Matrix3<f64> {
     Matrix3::from_columns(&[b.cross(normal), b, *normal])
 }
 
-/// The solution in the camera's frame.
-fn finish(
-    problem: &Problem,
-    ring: &Ring,
-    solution: &Solution,
-    second: Option<&Glance>,
-    scratch: &mut FitScratch,
-) -> Fit {
-    let state = &solution.state;
-    let noise2 = solution.noise2;
+/// A fit in the camera's frame.
+fn finish(problem: &Problem, ring: &Ring, placed: &Placed, scratch: &mut FitScratch) -> Fit {
+    let state = &placed.state;
     let camera_from_local = problem.lens.local_from_camera.transpose();
-    let normal = camera_from_local * state.place.axes.column(2);
-    let other = state.mirrored();
-    let normal_likelihood = second.map_or(1.0, |second| {
-        1.0 / (1.0 + (-0.5 * (second.misfit - solution.misfit).max(0.0) / noise2).exp())
-    });
-    let mut covariance = solution.covariance(&camera_from_local);
+    let mut covariance = placed.covariance;
     // The two normals put the centre at slightly different places, and which is right is not known.
-    let apart = camera_from_local * second.map_or(Vector3::zeros(), |second| second.apart_m);
+    let apart = camera_from_local * placed.apart_m;
     let mut position = covariance.fixed_view_mut::<3, 3>(0, 0);
-    position += apart * apart.transpose() * (1.0 - normal_likelihood);
+    position += apart * apart.transpose() * (1.0 - placed.likelihood);
     let pose = RoundelPose {
         position_m: camera_from_local * state.place.position_m,
-        normal,
-        normal_likelihood,
-        other_normal: camera_from_local * other.place.axes.column(2),
+        normal: camera_from_local * state.place.axes.column(2),
+        normal_likelihood: placed.likelihood,
+        other_normal: camera_from_local * placed.other_normal,
         yaw_rad: None,
         covariance,
     };
@@ -263,7 +319,7 @@ fn finish(
         pose,
         ring,
         blur_px: state.blur2.sqrt(),
-        noise: noise2.sqrt(),
-        iterations: solution.iterations,
+        noise: placed.noise2.sqrt(),
+        iterations: placed.iterations,
     }
 }

@@ -52,16 +52,19 @@ pub struct Solution {
     /// Variance of a pixel, grey levels².
     pub noise2: f64,
     pub iterations: usize,
-    linear: Linear,
+    pub linear: Linear,
 }
+
+/// Over shift, shift, logarithm of the range and two turns.
+pub type Covariance5 = SMatrix<f64, 5, 5>;
 
 /// The linear problem at a state.
 #[derive(Clone, Debug)]
-struct Linear {
-    information: [[f64; MOST]; MOST],
+pub struct Linear {
+    pub information: [[f64; MOST]; MOST],
     /// From columns to unknowns.
     scale: [f64; MOST],
-    gradient: [f64; MOST],
+    pub gradient: [f64; MOST],
     misfit: f64,
     pixels: f64,
     /// Whether the information is that of an earlier state.
@@ -69,7 +72,7 @@ struct Linear {
     /// Information of a rim's elongation, both rims.
     elongation: f64,
     /// p₃ s: metres that a unit of shift is.
-    unit_m: f64,
+    pub unit_m: f64,
 }
 
 /// Unknowns.
@@ -92,13 +95,13 @@ const MIN_PIXELS: f64 = 30.0;
 /// Largest turn of one step, radians.
 const MAX_TURN_RAD: f64 = 0.3;
 
-const WHITE: usize = column::WHITE - 1;
-const STEP: usize = column::STEP - 1;
-const BLUR: usize = column::BLUR - 1;
-const LIGHT: usize = column::LIGHT - 1;
-const SHIFT: usize = column::SHIFT - 1;
-const RANGE: usize = column::RANGE - 1;
-const TILT: usize = column::TILT - 1;
+pub const WHITE: usize = column::WHITE - 1;
+pub const STEP: usize = column::STEP - 1;
+pub const BLUR: usize = column::BLUR - 1;
+pub const LIGHT: usize = column::LIGHT - 1;
+pub const SHIFT: usize = column::SHIFT - 1;
+pub const RANGE: usize = column::RANGE - 1;
+pub const TILT: usize = column::TILT - 1;
 
 impl State {
     pub fn new(place: Place, ring: &Ring, blur_px: f64) -> Self {
@@ -127,9 +130,15 @@ impl State {
     }
 
     /// Whether the blur is at the end of its range, and a change would take it out.
-    fn blur_ends(&self, change: f64) -> bool {
+    pub fn blur_ends(&self, change: f64) -> bool {
         let (low, high) = BLUR_LIMITS_PX;
         (change < 0.0 && self.blur2 <= low * low) || (change > 0.0 && self.blur2 >= high * high)
+    }
+
+    /// The blur's variance changed, within its limits.
+    pub fn widen(&mut self, change: f64) {
+        let (low, high) = BLUR_LIMITS_PX;
+        self.blur2 = (self.blur2 + change).clamp(low * low, high * high);
     }
 
     /// Moved by a solution; `None` if that is no roundel in front of the camera.
@@ -142,8 +151,7 @@ impl State {
         if !(0.2..5.0).contains(&ratio) {
             return Some(next);
         }
-        next.blur2 += ratio * change[BLUR];
-        next.blur2 = next.blur2.clamp(BLUR_LIMITS_PX.0.powi(2), BLUR_LIMITS_PX.1.powi(2));
+        next.widen(ratio * change[BLUR]);
         next.light += Vector2::new(change[LIGHT], change[LIGHT + 1]);
         let turn = Vector2::new(change[TILT], change[TILT + 1]) * ratio;
         // A turn too large for its own linearization is cut, and all else with it.
@@ -242,7 +250,7 @@ pub fn glance(
     Some(Glance { misfit: linear.misfit - gain, unmoved: linear.misfit, apart_m })
 }
 
-fn linearize(
+pub fn linearize(
     problem: &Problem,
     state: &State,
     known: Option<&Linear>,
@@ -375,7 +383,7 @@ impl Linear {
     }
 
     /// Holds an unknown where it is.
-    fn hold(&mut self, unknown: usize) {
+    pub fn hold(&mut self, unknown: usize) {
         for other in 0..UNKNOWNS {
             self.information[unknown][other] = 0.0;
             self.information[other][unknown] = 0.0;
@@ -393,15 +401,22 @@ impl Linear {
         (misfit / (self.pixels - UNKNOWNS as f64).max(1.0)).max(1.0 / 12.0)
     }
 
-    /// The factor of the information with what is known beforehand, and the gradient with it.
-    fn factor(&self, state: &State, noise2: f64, damping: f64) -> Option<(Factor, [f64; MOST])> {
-        let mut information = self.information;
-        let mut gradient = self.gradient;
+    /// Information and gradient with what is known beforehand.
+    pub fn with_prior(&self, state: &State, noise2: f64) -> ([[f64; MOST]; MOST], [f64; MOST]) {
+        let (mut information, mut gradient) = (self.information, self.gradient);
+        let prior = noise2 / (LIGHT_PRIOR * LIGHT_PRIOR);
         for axis in 0..2 {
-            let prior = noise2 / (LIGHT_PRIOR * LIGHT_PRIOR);
             information[LIGHT + axis][LIGHT + axis] += prior;
             gradient[LIGHT + axis] -= prior * state.light[axis];
-            let curvature = self.tilt_curvature(state, noise2);
+        }
+        (information, gradient)
+    }
+
+    /// The factor of the information for a step, and the gradient.
+    fn factor(&self, state: &State, noise2: f64, damping: f64) -> Option<(Factor, [f64; MOST])> {
+        let (mut information, gradient) = self.with_prior(state, noise2);
+        let curvature = self.tilt_curvature(state, noise2);
+        for axis in 0..2 {
             information[TILT + axis][TILT + axis] += curvature;
         }
         for (i, row) in information.iter_mut().enumerate().take(UNKNOWNS) {
@@ -425,44 +440,38 @@ impl Linear {
     }
 }
 
-/// Variance that face-on adds to the tilt, in units of the elongation's standard deviation…
-const FACE_ON: f64 = 1.5;
-/// … up to an elongation of about so many standard deviations.
-const FACE_ON_END: f64 = 2.5;
-
 impl Solution {
     /// Of (position, rotation) in the camera's frame.
-    pub fn covariance(&self, camera_from_local: &Matrix3<f64>) -> Covariance6 {
-        let place = &self.state.place;
-        let linear = &self.linear;
-        let mut covariance = Covariance6::zeros();
-        let Some((factor, _)) = linear.factor(&self.state, self.noise2, 0.0) else {
-            return Covariance6::identity() * UNKNOWN_ANGLE_VARIANCE_RAD2;
-        };
-        // Rows of (position, rotation) by shift, shift, range, tilt, tilt.
-        let unit_m = linear.unit_m;
+    pub fn covariance(&self, problem: &Problem) -> Option<Covariance6> {
+        let (information, _) = self.linear.with_prior(&self.state, self.noise2);
+        let factor = Factor::new(&information, UNKNOWNS)?;
+        let columns: [_; 5] = std::array::from_fn(|column| factor.inverse_column(SHIFT + column));
+        let own = Covariance5::from_fn(|row, column| columns[column][SHIFT + row] * self.noise2);
+        let axes = &self.state.place.axes;
+        let turns = [0, 1].map(|axis| axes.column(axis).into_owned());
+        Some(self.carried(problem, &self.state, &own, &turns))
+    }
+
+    /// A covariance over shift, range and turns about these axes as one of (position, rotation) in the
+    /// camera's frame, with nothing about the normal, for a state near the solution's.
+    pub fn carried(
+        &self,
+        problem: &Problem,
+        state: &State,
+        own: &Covariance5,
+        turns: &[Vector3<f64>; 2],
+    ) -> Covariance6 {
+        let camera_from_local = problem.lens.local_from_camera.transpose();
+        let (unit_m, place) = (self.linear.unit_m, &state.place);
         let mut map = SMatrix::<f64, 6, 5>::zeros();
         let along = [Vector3::x() * unit_m, Vector3::y() * unit_m, place.position_m];
         for (column, along) in along.into_iter().enumerate() {
             map.fixed_view_mut::<3, 1>(0, column).copy_from(&(camera_from_local * along));
         }
-        for axis in 0..2 {
-            let turn = camera_from_local * place.axes.column(axis);
-            map.fixed_view_mut::<3, 1>(3, 3 + axis).copy_from(&turn);
+        for (axis, turn) in turns.iter().enumerate() {
+            map.fixed_view_mut::<3, 1>(3, 3 + axis).copy_from(&(camera_from_local * turn));
         }
-        let mut inner = SMatrix::<f64, 5, 5>::zeros();
-        for column in 0..5 {
-            let inverse = factor.inverse_column(SHIFT + column);
-            for row in 0..5 {
-                inner[(row, column)] = inverse[SHIFT + row] * self.noise2;
-            }
-        }
-        let unit = (2.0 * self.noise2 / linear.elongation).sqrt();
-        let seen = linear.tilt_information(&self.state) / self.noise2 * unit;
-        let face_on = FACE_ON * (-(seen / FACE_ON_END).powi(4)).exp() * unit;
-        inner[(3, 3)] += face_on;
-        inner[(4, 4)] += face_on;
-        covariance += map * (0.5 * (inner + inner.transpose())) * map.transpose();
+        let mut covariance = map * (0.5 * (own + own.transpose())) * map.transpose();
         let normal = camera_from_local * place.axes.column(2);
         let mut rotation = covariance.fixed_view_mut::<3, 3>(3, 3);
         rotation += normal * normal.transpose() * UNKNOWN_ANGLE_VARIANCE_RAD2;
