@@ -13,10 +13,10 @@
 //! and its grey level W + C d: exact for any size and tilt, where a local edge fails for a disc as
 //! small as the blur. Nodes at 1.3 σ along the contour are enough (`contour`, `view`, `image`).
 //!
-//! **Motion.** If a parameter moves the contour by v, then ∂d/∂θ = ∮ K (v₁ dy - v₂ dx). v varies
-//! slowly, so it is taken at the pixel: ∂d/∂θ ≈ v(p, q)·∮ K (dy, -dx), two images for all of a pose's
-//! parameters. Only these columns are approximate, and they cost precision only in second order, since
-//! the residual, which is exact, averages to nothing at the truth. ∂d/∂σ² = ½∇²d, a contour integral too.
+//! **Motion.** If a parameter moves the contour by v, d changes by -v·∇d where v varies slowly, which it
+//! does over the width of a rim. So ∇d and ∇²d = 2 ∂d/∂σ², differences of the image itself (`image`), give
+//! all columns. Only these are approximate, and they cost precision only in second order, since the
+//! residual, which is exact, averages to nothing at the truth.
 //!
 //! **Unknowns.** Shift across the line of sight, logarithm of the range, two tilts; white level, step
 //! to black, σ², and the light's gradient over the ring (expected within a tenth), which otherwise

@@ -4,7 +4,7 @@ use nalgebra::{Matrix3, Rotation3, SMatrix, Vector2, Vector3};
 
 use super::{
     FitError, FitScratch, SPACING,
-    blur::BLUR_LIMITS_PX,
+    blur::{BLUR_LIMITS_PX, Taps},
     image::Model,
     lens::LocalLens,
     normal::{Products, column},
@@ -78,12 +78,17 @@ pub struct Linear {
 /// Unknowns.
 const UNKNOWNS: usize = 10;
 /// Steps at most.
-const MAX_STEPS: usize = 12;
+const MAX_STEPS: usize = 16;
 /// A step that lowers the misfit by less than this many variances is the last one.
 const LAST_STEP: f64 = 0.5;
 /// After a step that was to lower the misfit by less than this many variances the information is
 /// not taken anew.
 const SMALL_STEP: f64 = 100.0;
+/// The least damping, other than none.
+const LEAST_DAMPING: f64 = 0.01;
+/// Nor is it where a step turned the plane by more than this share of its tilt: of a roundel that is
+/// seen face-on the information about its tilt comes with the tilt.
+const SMALL_TURN: f64 = 0.3;
 /// A step that promises less than this many variances, and does not keep it, is left out.
 const SETTLED: f64 = 4.0;
 /// Deviation of the light's gradient: relative change over a radius.
@@ -141,6 +146,13 @@ impl State {
         self.blur2 = (self.blur2 + change).clamp(low * low, high * high);
     }
 
+    /// Whether a change turns the plane by little, compared to its tilt.
+    fn is_turned_little(&self, change: &[f64; MOST]) -> bool {
+        let cosine = self.place.axes.column(2).dot(&self.place.position_m.normalize());
+        let turn2 = change[TILT].powi(2) + change[TILT + 1].powi(2);
+        turn2 < SMALL_TURN * SMALL_TURN * (1.0 - cosine * cosine)
+    }
+
     /// Moved by a solution; `None` if that is no roundel in front of the camera.
     fn moved(&self, linear: &Linear, change: &[f64; MOST]) -> Option<Self> {
         let mut next = self.clone();
@@ -190,7 +202,7 @@ pub fn solve(
         let gain: f64 = change.iter().zip(&linear.gradient).map(|(x, g)| x * g).sum();
         let next = state.moved(&linear, &change).ok_or(FitError::Away)?;
         let left = (linear.misfit - gain).max(0.0);
-        let last = damping < 1e-3 && gain < LAST_STEP * linear.noise2_of(left);
+        let last = damping == 0.0 && gain < LAST_STEP * linear.noise2_of(left);
         if last && next.step.abs() < MIN_STEP {
             return Err(FitError::Flat);
         }
@@ -199,13 +211,13 @@ pub fn solve(
             return Ok(Solution { state: next, misfit: left, noise2, iterations: step, linear });
         }
         // The information hardly changes over a small step; the residual does.
-        let small = gain < SMALL_STEP * noise2 && damping == 0.0;
+        let small = gain < SMALL_STEP * noise2 && damping == 0.0 && state.is_turned_little(&change);
         let known = (small && !linear.reused).then_some(&linear);
         match linearize(problem, &next, known, scratch) {
             // Another blur's table moves the misfit by less than a variance.
             Ok(found) if found.misfit <= linear.misfit + noise2 => {
                 (state, linear) = (next, found);
-                damping *= 0.1;
+                damping = if damping > LEAST_DAMPING { 0.1 * damping } else { 0.0 };
             }
             Err(FitError::Flat) => return Err(FitError::Flat),
             // Rounding, not the model, stands in the way of so little.
@@ -213,7 +225,7 @@ pub fn solve(
                 let misfit = linear.misfit;
                 return Ok(Solution { state, misfit, noise2, iterations: step, linear });
             }
-            _ => damping = (10.0 * damping).max(0.01),
+            _ => damping = (10.0 * damping).max(LEAST_DAMPING),
         }
     }
     Err(FitError::Restless)
@@ -331,6 +343,8 @@ fn model(problem: &Problem, state: &State, table_px: f64, window: (i64, i64)) ->
         white: state.white as f32,
         step: state.step as f32,
         blur: (0.5 * (state.blur2 - table_px * table_px)) as f32,
+        taps: Taps::of(table_px),
+        slope: [lens.slope.m11, lens.slope.m12, lens.slope.m21, lens.slope.m22].map(|m| m as f32),
         light: [state.light.x as f32, state.light.y as f32],
         t: [0, 1].map(|i| [constant[i] as f32, inverse[(i, 0)] as f32, inverse[(i, 1)] as f32]),
         nearness: plane(nearness),

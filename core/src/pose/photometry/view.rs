@@ -34,8 +34,6 @@ pub struct Nodes {
     pub dx: Vec<f32>,
     /// Share of the way.
     pub dy: Vec<f32>,
-    /// dx and dy as shares of the gradient by t.
-    pub by_t: [Vec<f32>; 2],
     /// Column and row in whole steps of the kernel's phase …
     pub steps: [Vec<i32>; 2],
     /// … and what is left of a step.
@@ -50,7 +48,7 @@ impl Nodes {
         for list in [&mut self.x, &mut self.y, &mut self.dx, &mut self.dy] {
             list.resize(count, 0.0);
         }
-        for list in self.by_t.iter_mut().chain(&mut self.rest) {
+        for list in &mut self.rest {
             list.resize(count, 0.0);
         }
         for list in &mut self.steps {
@@ -70,7 +68,6 @@ struct View {
     shift: [f32; 2],
     /// -1 where the projection turns counter-clockwise into clockwise.
     sign: f32,
-    slope: [f32; 4],
 }
 
 /// Carries a contour into the window whose top left pixel is `window`.
@@ -93,7 +90,6 @@ pub fn project(
         terms: lens.terms,
         shift: [(lens.origin.u as i64 - window.0) as f32, (lens.origin.v as i64 - window.1) as f32],
         sign: if turn * slope.determinant() > 0.0 { 1.0 } else { -1.0 },
-        slope: [slope.m11, slope.m12, slope.m21, slope.m22].map(|value| value as f32),
     };
     nodes.resize(contour.x.len());
     nodes.outer = contour.outer;
@@ -106,7 +102,6 @@ fn project_all<S: Simd>(simd: S, view: &View, contour: &Contour, nodes: &mut Nod
     debug_assert!(PACK.is_multiple_of(width));
     let one = S::f32s::splat(simd, 1.0);
     let [[c1, x1, y1], [c2, x2, y2]] = view.above;
-    let [m11, m12, m21, m22] = view.slope;
     for start in (0..contour.x.len()).step_by(width) {
         let end = start + width;
         let x = S::f32s::from_slice(simd, &contour.x[start..end]);
@@ -134,8 +129,6 @@ fn project_all<S: Simd>(simd: S, view: &View, contour: &Contour, nodes: &mut Nod
         (fine_v - whole_v).store_slice(&mut nodes.rest[1][start..end]);
         du.store_slice(&mut nodes.dx[start..end]);
         dv.store_slice(&mut nodes.dy[start..end]);
-        (dv * m11 - du * m21).store_slice(&mut nodes.by_t[0][start..end]);
-        (dv * m12 - du * m22).store_slice(&mut nodes.by_t[1][start..end]);
     }
 }
 
