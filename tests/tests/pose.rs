@@ -1,162 +1,129 @@
-//! Poses of single roundels in single frames against the independent renderer: how large are the
-//! errors, and are they as large as the covariances say?
+//! Do single poses reach what the pixels hold, and are they as good as they say? A small seeded part of
+//! `cargo bench -p roundel-tests --bench precision`, which has the tables.
+//!
+//! Bars hold for what chance leaves of them: a share or mean of so few is allowed two deviations more.
 
-use nalgebra::{Isometry3, Matrix3, Translation3, UnitQuaternion, Vector2, Vector3};
-use rayon::prelude::*;
-use roundel_core::{
-    marker::{Mode, Params},
-    pose::RoundelPose,
-};
-use roundel_tests::{
-    arena::Kind,
-    normal::Random,
-    optics::{Distortion, Pinhole},
-    pipeline::Observer,
-    render::{Canvas, Imaging, Print, Renderer, Seen},
-    score::{CHI2_95_2, CHI2_95_3, Errors, normal_error, normalized3},
+use std::sync::LazyLock;
+
+use roundel_core::marker::Mode;
+use roundel_tests::precision::{
+    MODES, NARROW_MARGIN, Range, Shot, Summary, Trial, WIDE_MARGIN, trials,
 };
 
-/// Errors of the poses of one range of sizes.
-#[derive(Default)]
-struct Bin {
-    shown: usize,
-    found: usize,
-    /// Relative, with their normalized squares of one degree of freedom.
-    depth: Errors,
-    depth_bias: f64,
-    /// Metres, two degrees of freedom.
-    lateral: Errors,
-    /// Three degrees of freedom.
-    position: Errors,
-    /// Of the nearer of the two normals, radians, two degrees of freedom.
-    normal: Errors,
-    /// Poses whose first normal was the wrong one.
-    mistaken: usize,
-}
+/// Diameters, pixels, and the most that the depth's rms may be over its bound.
+const SIZES: [((f64, f64), f64); 4] =
+    [((12.0, 20.0), 3.0), ((20.0, 30.0), 2.0), ((30.0, 50.0), 1.5), ((50.0, 110.0), 1.5)];
+const TILTS_DEG: [(f64, f64); 4] = [(0.0, 5.0), (5.0, 20.0), (20.0, 40.0), (40.0, 60.0)];
+/// Trials of each size and tilt, two frames each.
+const TRIALS: usize = 25;
 
-impl Bin {
-    fn take(&mut self, pose: &RoundelPose, truth: &Isometry3<f64>) {
-        let error = pose.position_m - truth.translation.vector;
-        let position: Matrix3<f64> = pose.covariance.fixed_view::<3, 3>(0, 0).into();
-        let range_m = truth.translation.vector.norm();
-        let ray = truth.translation.vector / range_m;
-        let along = error.dot(&ray);
-        let depth_variance = (ray.transpose() * position * ray)[0];
-        self.depth.push(along / range_m, along * along / depth_variance);
-        self.depth_bias += along / range_m;
-        let x = ray.cross(&Vector3::y()).normalize();
-        let y = ray.cross(&x);
-        let block =
-            nalgebra::Matrix2::from_fn(|i, j| ([x, y][i].transpose() * position * [x, y][j])[0]);
-        let across = Vector2::new(error.dot(&x), error.dot(&y));
-        let square = across.dot(&block.cholesky().unwrap().solve(&across));
-        self.lateral.push(across.norm(), square);
-        self.position.push(error.norm(), normalized3(&error, &position).unwrap());
-        let true_normal = truth.rotation * Vector3::z();
-        let angle = |normal: &Vector3<f64>| normal.angle(&true_normal);
-        let mistaken = angle(&pose.other_normal) + 1e-6 < angle(&pose.normal);
-        self.mistaken += usize::from(mistaken);
-        if !mistaken {
-            let rotation: Matrix3<f64> = pose.covariance.fixed_view::<3, 3>(3, 3).into();
-            let (angle, square) = normal_error(&pose.normal, &true_normal, &rotation).unwrap();
-            self.normal.push(angle, square);
-        }
-        self.found += 1;
-    }
-}
+const FAST: usize = 0;
+const PRECISE: usize = 1;
 
-/// A roundel of this size at a random place, tilted up to `max_tilt_rad`.
-fn random_pose(
-    camera: &Pinhole,
-    diameter_px: f64,
-    max_tilt_rad: f64,
-    random: &mut Random,
-) -> Isometry3<f64> {
-    let z = camera.focal_px[0] * Kind::robot().outer_diameter_m / diameter_px;
-    let at = [random.uniform(-0.3, 0.3), random.uniform(-0.2, 0.2)];
-    let position = Vector3::new(at[0] * z, at[1] * z, z);
-    // Tilt is against the line of sight, cosines evenly spread as for normals in all directions.
-    let tilt = random.uniform(max_tilt_rad.cos(), 1.0).acos();
-    let axis = random.uniform(0.0, std::f64::consts::TAU);
-    let facing = UnitQuaternion::rotation_between(&Vector3::z(), &-position).unwrap();
-    let lean = UnitQuaternion::from_scaled_axis(Vector3::new(axis.cos(), axis.sin(), 0.0) * tilt);
-    Isometry3::from_parts(Translation3::from(position), facing * lean)
-}
+/// A roundel narrower than this may be missed.
+const SURE_PX: f64 = 10.0;
 
-/// Random blur, noise, place and tilt to 60°, one roundel a frame.
-fn bin(low_px: f64, high_px: f64, count: usize, mode: Mode) -> Bin {
-    let distortion = Distortion::PlumbBob([-0.08, 0.02, 4e-4, -3e-4, 0.0]);
-    let camera = Pinhole::centered(640, 480, 700.0, distortion);
-    let kind = Kind::robot();
-    let print = Print::plain(kind.outer_diameter_m, kind.inner_diameter_m, 0.25);
-    let results: Vec<_> = (0..count)
-        .into_par_iter()
-        .map(|i| {
-            let mut random = Random::new(i as u64, low_px.to_bits());
-            let imaging = Imaging {
-                blur_px: random.uniform(0.5, 0.9),
-                noise: random.uniform(1.0, 3.0),
-                ..Imaging::default()
-            };
-            let diameter_px = random.uniform(low_px, high_px);
-            let truth = random_pose(&camera, diameter_px, 60f64.to_radians(), &mut random);
-            let renderer = Renderer::new(camera, imaging);
-            let motion = |_: f64| truth;
-            let seen = [Seen { print: &print, motion: &motion }];
-            let image = renderer.frame(&Canvas::flat(640, 480, 120.0), &seen, &mut random);
-            let params = Params { mode, ..Params::default() };
-            let kinds = std::slice::from_ref(&kind);
-            let mut observer = Observer::with_params(&camera, kinds, 0.0, params).unwrap();
-            let found = observer.observe(&image, 0).unwrap();
-            (truth, found.into_iter().find_map(|detection| detection.pose))
-        })
-        .collect();
-    let mut bin = Bin { shown: count, ..Bin::default() };
-    for (truth, pose) in results {
-        if let Some(pose) = pose {
-            bin.take(&pose, &truth);
+static WIDE: LazyLock<Vec<Trial>> = LazyLock::new(|| drawn(TRIALS, WIDE_MARGIN));
+static NARROW: LazyLock<Vec<Trial>> = LazyLock::new(|| drawn(TRIALS / 2, NARROW_MARGIN));
+
+fn drawn(count: usize, margin: f64) -> Vec<Trial> {
+    let mut all = Vec::new();
+    for (diameter_px, _) in SIZES {
+        for tilt_deg in TILTS_DEG {
+            let (blur_px, noise) = ((0.5, 1.1), (1.0, 4.0));
+            let range = Range { diameter_px, tilt_deg, blur_px, noise, margin };
+            all.extend(trials(&range, count, 77 + all.len() as u64));
         }
     }
-    bin
+    all
 }
 
-/// Both modes at all sizes.
-fn cases() -> Vec<(Mode, f64, f64)> {
-    let sizes = [(10.0, 14.0), (14.0, 20.0), (20.0, 30.0), (30.0, 60.0), (60.0, 110.0)];
-    let of = |mode| sizes.map(|(low, high)| (mode, low, high));
-    [of(Mode::Fast), of(Mode::Precise)].concat()
+fn chosen(all: &[Trial], mode: usize, choose: impl Fn(&Trial) -> bool) -> Summary {
+    let shots: Vec<&Shot> =
+        all.iter().filter(|trial| choose(trial)).flat_map(|trial| &trial.frames).collect();
+    Summary::of(shots, mode)
+}
+
+fn within(value: f64, (low, high): (f64, f64)) -> bool {
+    (low..high).contains(&value)
+}
+
+fn print(name: &str, summary: &Summary) {
+    println!(
+        "{name}: depth {:.4} % rms, {:.2} over the bound, bias {:+.2} of it; inside 95 %: position \
+         {:.1} %, pose {:.1} %; {} of {} missed",
+        100.0 * summary.depth_rms(),
+        summary.depth_over_bound(),
+        summary.bias_over_rms(),
+        100.0 * summary.position_share(),
+        100.0 * summary.pose_share(),
+        summary.missed,
+        summary.shots,
+    );
+}
+
+/// What two deviations of chance are in a share of 95 %.
+fn room(summary: &Summary) -> f64 {
+    2.0 * (0.95 * 0.05 / summary.found() as f64).sqrt()
+}
+
+/// The bias is below a third of the rms, and 95 ± 3 % are inside what is stated.
+fn assert_honest(name: &str, summary: &Summary) {
+    print(name, summary);
+    let bias = summary.bias_over_rms().abs();
+    assert!(bias < 1.0 / 3.0 + 2.0 / (summary.found() as f64).sqrt(), "{name}: {bias}");
+    for share in [summary.position_share(), summary.pose_share()] {
+        assert!((share - 0.95).abs() <= 0.03 + room(summary), "{name}: {share}");
+    }
 }
 
 #[test]
-fn errors_stay_within_what_is_stated() {
-    println!(
-        "rms and actual over stated errors; the share of them inside the stated 95 % ellipsoid"
-    );
-    println!(
-        "diameter | found |        depth          |     across     |            normal          | position"
-    );
-    for (mode, low, high) in cases() {
-        let bin = bin(low, high, 150, mode);
-        let found = bin.found as f64;
-        let share = bin.position.share_within(CHI2_95_3);
-        println!(
-            "{mode:?} {low:3}-{high:3} px|{:5.1} %|{:6.3} % {:+6.3} % {:5.2}|{:6.3} mm {:5.2} |{:6.2}° {:5.2} {:5.1} % {:4.1} %|{:5.1} %",
-            100.0 * found / bin.shown as f64,
-            100.0 * bin.depth.rms(),
-            100.0 * bin.depth_bias / found,
-            bin.depth.mean_normalized().sqrt(),
-            1e3 * bin.lateral.rms(),
-            (bin.lateral.mean_normalized() / 2.0).sqrt(),
-            bin.normal.rms().to_degrees(),
-            (bin.normal.mean_normalized() / 2.0).sqrt(),
-            100.0 * bin.normal.share_within(CHI2_95_2),
-            100.0 * bin.mistaken as f64 / found,
-            100.0 * share,
-        );
-        if low >= 20.0 {
-            assert_eq!(bin.found, bin.shown, "{low} to {high} px");
-            assert!(share >= 0.92, "{mode:?}, {low} to {high} px: {share}");
-            assert!(bin.depth.rms() < 0.01, "{low} to {high} px: {}", bin.depth.rms());
+fn precise_depth_is_near_the_bound_at_every_size() {
+    assert_eq!(MODES[PRECISE], Mode::Precise);
+    for (size, bar) in SIZES {
+        let summary = chosen(&WIDE, PRECISE, |trial| within(trial.diameter_px, size));
+        assert_honest(&format!("{size:?} px"), &summary);
+        let over = summary.depth_over_bound();
+        assert!(over <= bar, "{size:?}: {over}");
+    }
+}
+
+#[test]
+fn precise_poses_are_as_good_as_they_say_at_every_tilt() {
+    for tilt in TILTS_DEG {
+        let summary = chosen(&WIDE, PRECISE, |trial| within(trial.tilt_deg, tilt));
+        assert_honest(&format!("{tilt:?}°"), &summary);
+    }
+}
+
+#[test]
+fn precise_normals_of_tilted_roundels_are_right_to_a_tenth_of_a_degree() {
+    let summary = chosen(&WIDE, PRECISE, |trial| {
+        within(trial.diameter_px, (40.0, 110.0)) && within(trial.tilt_deg, (20.0, 60.0))
+    });
+    let (median, p95) = (summary.normal_deg(0.5), summary.normal_deg(0.95));
+    println!("normal: median {median:.3}°, 95 % within {p95:.3}°, of {}", summary.found());
+    assert!(median <= 0.1 && p95 <= 0.6, "{median} {p95}");
+}
+
+/// A margin as prints have it, and the closed form: less exact, and as honest.
+#[test]
+fn either_mode_knows_its_errors_beside_a_narrow_margin() {
+    for (mode, name) in MODES.iter().enumerate() {
+        for (size, _) in SIZES {
+            let summary = chosen(&NARROW, mode, |trial| within(trial.diameter_px, size));
+            print(&format!("{name:?} mode, {size:?} px"), &summary);
+            let share = summary.position_share();
+            assert!(share >= 0.92 - room(&summary), "{name:?}, {size:?}: {share}");
         }
+    }
+}
+
+#[test]
+fn roundels_ten_pixels_wide_are_found() {
+    for all in [&WIDE, &NARROW] {
+        let width = |trial: &Trial| trial.diameter_px * trial.tilt_deg.to_radians().cos();
+        let summary = chosen(all, FAST, |trial| width(trial) > SURE_PX);
+        assert_eq!(summary.missed, 0, "of {}", summary.shots);
     }
 }
