@@ -40,6 +40,8 @@ const NEAR_SHARE: f64 = 1.3;
 const NEAR_PX: f64 = 5.0;
 /// Share of a frame's measured motion in the velocity; the rest is the velocity known.
 const VELOCITY_GAIN: f64 = 0.7;
+/// Most tracks that there is room for from the start.
+const MOST_ROOM: usize = 1024;
 
 /// Follows all roundels of one camera.
 #[derive(Debug)]
@@ -120,11 +122,12 @@ impl Track {
 impl Tracker {
     /// A tracker with no tracks yet; its first frame is searched wholly.
     pub fn new(detector: Detector) -> Self {
+        let room = detector.params().max_roundels.min(MOST_ROOM);
         Self {
             detector,
             scratch: Scratch::default(),
-            tracks: Vec::new(),
-            output: Vec::new(),
+            tracks: Vec::with_capacity(room),
+            output: Vec::with_capacity(room),
             next_number: 1,
             size: (0, 0),
             next_row: 0,
