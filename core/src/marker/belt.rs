@@ -47,6 +47,9 @@ const LEAST_BLACK: u32 = 8;
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct Belts<'a> {
     pub top: usize,
+    /// The disc, and the roundel, by their thresholds.
+    pub white: &'a [u64],
+    pub whole: &'a [u64],
     pub disc_core: &'a [u64],
     pub disc_belt: &'a [u64],
     pub ring_core: &'a [u64],
@@ -167,6 +170,8 @@ impl<'a> Belts<'a> {
         let rows = |plane: &'a mut [u64]| -> &'a [u64] { &plane[words..length - words] };
         Self {
             top,
+            white: rows(white),
+            whole: rows(whole),
             disc_core: rows(disc_core),
             disc_belt: rows(disc_belt),
             ring_core: rows(ring_core),

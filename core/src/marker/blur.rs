@@ -17,16 +17,16 @@
 
 use crate::{
     ellipse::{Ellipse, Moments, Shape},
-    marker::{belt::WIDE_PX, weigh::Grey},
+    marker::{belt::WIDE_PX, thin::Depths, weigh::Grey},
 };
 
 /// Deviation of the blurred edge, pixels, where the measured one is out of this range: pixels behind a
 /// sharp lens have the least.
-const BLUR_LIMITS_PX: (f64, f64) = (0.55, 1.7);
+const BLUR_LIMITS_PX: (f64, f64) = (0.4, 1.7);
 /// Least distance from a rim of levels that are unmixed, pixels.
 const LEAST_DISTANCE_PX: f64 = 0.5;
 /// Largest share of the other level that a level is taken to hold.
-const MOST_MIXED: f64 = 0.2;
+const MOST_MIXED: f64 = 0.3;
 /// Turns in which σ and what it mixes are found.
 const TURNS: usize = 2;
 
@@ -56,8 +56,16 @@ impl Weighed {
 /// A level, and how far from a rim it is taken.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct Taken {
-    pub level: Grey,
+    pub level: f64,
+    /// Number of pixels.
+    pub pixels: u32,
     pub distance_px: f64,
+}
+
+impl Taken {
+    pub fn new(grey: Grey, distance_px: f64) -> Self {
+        Self { level: grey.mean(), pixels: grey.pixels, distance_px }
+    }
 }
 
 /// Levels and rims without the blur.
@@ -70,31 +78,60 @@ pub(crate) struct Unblurred {
 }
 
 /// Undoes the blur. `margin` is `None` where the margin is taken to be as white as the disc.
+///
+/// `thin` has the black's pixels of a ring whose blur reaches all of them.
 pub(crate) fn unblur(
     (outer, inner): (&Weighed, &Weighed),
     (black, white, margin): (&Taken, &Taken, Option<&Taken>),
+    thin: Option<&Depths>,
 ) -> Unblurred {
     let (r_o, r_i) = (rim_radius_px(&outer.rim), rim_radius_px(&inner.rim));
     let spreads = (outer.shape.spread_px2_of(&outer.rim), inner.shape.spread_px2_of(&inner.rim));
     let mut spread_px2 = spreads.1;
     let mut mixed = Mixed::default();
-    let mut blur = Blur::new(spread_px2);
-    for turn in 0..TURNS {
-        if turn > 0 {
-            blur = Blur::new(spread_px2);
-        }
-        mixed = Mixed::new((r_o, r_i), (black, white, margin), &blur);
-        let of_outer = seen(spreads.0, &outer.cuts, (mixed.black, mixed.margin), &blur);
-        let of_inner = seen(spreads.1, &inner.cuts, (mixed.white, mixed.black), &blur);
+    let mut grown_px = (0.0, 0.0);
+    for _ in 0..TURNS {
+        let blur = Blur::new(spread_px2);
+        let black_share = thin.map(|depths| {
+            let level = depths.level(white.level, grown_px, blur.deviation_px);
+            ((black.level - level) / (white.level - level)).clamp(-MOST_MIXED, MOST_MIXED)
+        });
+        mixed = Mixed::new((r_o, r_i), (black, white, margin), black_share, &blur);
+        // Weights are shares of the contrast as measured.
+        let scale = 1.0 / (1.0 - mixed.white - mixed.black);
+        let weighed = |share: f64| scale * share;
+        let width_px = r_o + grown_px.0 - r_i - grown_px.1;
+        let (of_outer, of_inner) = (
+            Edge {
+                radius_px: r_o,
+                cuts: &outer.cuts,
+                mixed: (weighed(mixed.black), weighed(mixed.margin)),
+            },
+            Edge {
+                radius_px: r_i,
+                cuts: &inner.cuts,
+                mixed: (weighed(mixed.white), weighed(mixed.black)),
+            },
+        );
+        let leaks = match thin {
+            Some(_) => (
+                Leak::new(r_i, width_px - outer.cuts.inside_px, outer.cuts.inside_px, &blur),
+                Leak::new(-r_o, width_px - inner.cuts.outside_px, inner.cuts.outside_px, &blur),
+            ),
+            None => Default::default(),
+        };
+        let seen =
+            (of_outer.seen(spreads.0, &leaks.0, &blur), of_inner.seen(spreads.1, &leaks.1, &blur));
+        grown_px = (of_outer.growth_px(&leaks.0, &blur), of_inner.growth_px(&leaks.1, &blur));
         // Without a margin, something else is in the outer one.
-        spread_px2 = if margin.is_some() { 0.5 * (of_outer + of_inner) } else { of_inner };
+        spread_px2 = if margin.is_some() { 0.5 * (seen.0 + seen.1) } else { seen.1 };
     }
-    let contrast = (white.level.mean() - black.level.mean()) / (1.0 - mixed.white - mixed.black);
+    let contrast = (white.level - black.level) / (1.0 - mixed.white - mixed.black);
     Unblurred {
-        outer: outer.rim.grown(growth_px(r_o, &outer.cuts, (mixed.black, mixed.margin), &blur)),
-        inner: inner.rim.grown(growth_px(r_i, &inner.cuts, (mixed.white, mixed.black), &blur)),
-        black: black.level.mean() - mixed.black * contrast,
-        white: white.level.mean() + mixed.white * contrast,
+        outer: outer.rim.grown(grown_px.0),
+        inner: inner.rim.grown(grown_px.1),
+        black: black.level - mixed.black * contrast,
+        white: white.level + mixed.white * contrast,
     }
 }
 
@@ -116,6 +153,7 @@ impl Mixed {
     fn new(
         (r_o, r_i): (f64, f64),
         (black, white, margin): (&Taken, &Taken, Option<&Taken>),
+        black_share: Option<f64>,
         blur: &Blur,
     ) -> Self {
         let share = |taken: &Taken, radius_px: f64| {
@@ -125,30 +163,66 @@ impl Mixed {
             }
             let moved_px = blur.beyond(taken.distance_px).moved_px;
             let share = std::f64::consts::TAU * radius_px.max(0.0) * moved_px;
-            (share / f64::from(taken.level.pixels)).min(MOST_MIXED)
+            (share / f64::from(taken.pixels)).min(MOST_MIXED)
         };
         // Both rims give light to the black, one from each side.
-        let of_black = share(black, r_o + r_i);
+        let of_black = black_share.unwrap_or_else(|| share(black, r_o + r_i));
         let of_white = share(white, r_i - white.distance_px);
         let of_margin = margin.map_or(of_white, |margin| share(margin, r_o + margin.distance_px));
         Self { black: of_black, white: of_white, margin: of_margin }
     }
 }
 
-/// σ² from the spread between the cuts, with the shares by which the levels (inside, outside) are off.
-fn seen(spread_px2: f64, cuts: &Cuts, (inside, outside): (f64, f64), blur: &Blur) -> f64 {
-    let (near, far) = (cuts.inside_px, cuts.outside_px);
-    let beyond = blur.beyond(near).spread + blur.beyond(far).spread;
-    (spread_px2 + inside * near * near + outside * far * far) / (1.0 - 2.0 * beyond).max(0.3)
+/// Light of the other rim in a rim's belt, where the black is thin.
+#[derive(Clone, Copy, Debug, Default)]
+struct Leak {
+    /// What it adds to the area over 2π, px².
+    area: f64,
+    /// What it adds to σ².
+    spread_px2: f64,
 }
 
-/// What a rim of this radius is to be grown by.
-fn growth_px(radius_px: f64, cuts: &Cuts, (inside, outside): (f64, f64), blur: &Blur) -> f64 {
-    let (near, far) = (cuts.inside_px, cuts.outside_px);
-    let outer = (radius_px + far) * blur.beyond(far).moved_px;
-    let inner = (radius_px - near) * blur.beyond(near).moved_px;
-    let levels = outside * (radius_px + 0.5 * far) * far - inside * (radius_px - 0.5 * near) * near;
-    (outer - inner + levels) / radius_px
+impl Leak {
+    /// From a rim of this radius, negative if the black is inside of it, to a belt that begins so far
+    /// from it, and reaches so far into the black.
+    fn new(radius_px: f64, distance_px: f64, reach_px: f64, blur: &Blur) -> Self {
+        let moved_px = blur.beyond(distance_px).moved_px;
+        Self {
+            // Of the disc's light the roundel's weights lose what the disc's own would gain.
+            area: -(radius_px + distance_px) * moved_px,
+            spread_px2: 2.0 * reach_px * moved_px,
+        }
+    }
+}
+
+/// A rim, its belt, and the shares by which the levels (inside, outside) are off.
+#[derive(Clone, Copy, Debug)]
+struct Edge<'a> {
+    radius_px: f64,
+    cuts: &'a Cuts,
+    mixed: (f64, f64),
+}
+
+impl Edge<'_> {
+    /// σ² from the spread between the cuts.
+    fn seen(&self, spread_px2: f64, leak: &Leak, blur: &Blur) -> f64 {
+        let (near, far) = (self.cuts.inside_px, self.cuts.outside_px);
+        let (inside, outside) = self.mixed;
+        let beyond = blur.beyond(near).spread + blur.beyond(far).spread;
+        let spread_px2 = spread_px2 - leak.spread_px2;
+        (spread_px2 + inside * near * near + outside * far * far) / (1.0 - 2.0 * beyond).max(0.3)
+    }
+
+    /// What the rim is to be grown by.
+    fn growth_px(&self, leak: &Leak, blur: &Blur) -> f64 {
+        let (near, far) = (self.cuts.inside_px, self.cuts.outside_px);
+        let (inside, outside) = self.mixed;
+        let r = self.radius_px;
+        let outer = (r + far) * blur.beyond(far).moved_px;
+        let inner = (r - near) * blur.beyond(near).moved_px;
+        let levels = outside * (r + 0.5 * far) * far - inside * (r - 0.5 * near) * near;
+        (outer - inner + levels - leak.area) / r
+    }
 }
 
 /// A blur, with what it carries past the cut that most rims have.

@@ -42,9 +42,10 @@ use crate::{
         kind::{Kind, Polarity, RATIO_LIMITS, nearest_kind},
         levels::Levels,
         outline::unevenness,
-        patch::Patch,
+        patch::{Patch, WORD_PX},
         reject::Reject,
         spans::{Bits, Extent, Span, Spill, follow_disc, follow_ring},
+        thin::Depths,
         weigh::{Weights, moments},
     },
 };
@@ -53,6 +54,8 @@ use crate::{
 /// this share of the contrast; than the second, if the threshold has cut its rim.
 const RETHRESHOLD_SHARE: (f64, f64) = (0.15, 0.02);
 
+/// Turns in which a thin ring's black level and its rims are found.
+const THIN_TURNS: usize = 2;
 /// Deviation of a blurred edge where none is measured, pixels.
 const USUAL_BLUR_PX: f64 = 0.75;
 /// Least distance of the outer rim from the frame's edge, pixels.
@@ -66,6 +69,7 @@ pub(crate) struct MeasureScratch {
     discs: Vec<Span>,
     rings: Vec<Span>,
     belts: BeltScratch,
+    depths: Depths,
 }
 
 impl Default for MeasureScratch {
@@ -76,6 +80,7 @@ impl Default for MeasureScratch {
             discs: Vec::new(),
             rings: Vec::new(),
             belts: BeltScratch::new(),
+            depths: Depths::default(),
         }
     }
 }
@@ -155,7 +160,7 @@ fn rims<S: Simd>(
     rules: &Rules,
     scratch: &mut MeasureScratch,
 ) -> Result<(Unblurred, Outline), Reject> {
-    let MeasureScratch { patch, discs, rings, belts, .. } = scratch;
+    let MeasureScratch { patch, discs, rings, belts, depths, .. } = scratch;
     let threshold = match probe.polarity {
         Polarity::BlackRing => probe.threshold,
         Polarity::WhiteRing => 0u8.wrapping_sub(probe.threshold),
@@ -202,16 +207,9 @@ fn rims<S: Simd>(
         return Err(Reject::Contrast);
     }
     let margin = levels.margin();
-    let origin = (window.left + column, window.top + belts.top + row);
-    let first = (-(column as f32), -(row as f32));
-    let sets = (belts.disc_core, belts.disc_belt);
-    let weights = Weights::between(black, white);
-    let sums = moments(simd, grey, sets, words, first, weights);
-    let around = Cuts { inside_px: belts.core_px, outside_px: belts.inside_px };
-    let inner = Weighed::new(&sums, origin, around).ok_or(Reject::TooSmall)?;
     let cut_px = cut_px(f64::from(probe.threshold) - 0.5, black, white);
     let cut = margin.is_none() && !levels.has_near_margin();
-    let (sets, cuts) = match margin {
+    let (of_outer, cuts) = match margin {
         Some(_) => (
             (belts.ring_core, belts.ring_belt),
             Cuts { inside_px: belts.inside_px, outside_px: WIDE_PX },
@@ -223,26 +221,45 @@ fn rims<S: Simd>(
             ((belts.thin_core, belts.half_belt), Cuts { inside_px: THIN_PX, outside_px: cut_px })
         }
     };
-    let weights = Weights::between(margin.map_or(white, |margin| margin.mean()), black);
-    let sums = moments(simd, grey, sets, words, first, weights);
-    let outer = Weighed::new(&sums, origin, cuts).ok_or(Reject::TooSmall)?;
+    let around = Cuts { inside_px: belts.core_px, outside_px: belts.inside_px };
+    let zones = Zones {
+        grey,
+        words,
+        origin: (window.left + column, window.top + belts.top + row),
+        first: (-(column as f32), -(row as f32)),
+        outer: (of_outer, cuts),
+        inner: ((belts.disc_core, belts.disc_belt), around),
+        white: (margin.map_or(white, |margin| margin.mean()), white),
+    };
+    let mut outer = zones.outer(simd, black)?;
+    let mut inner = zones.inner(simd, black)?;
+    let of_white = Taken::new(levels.disc, belts.core_px);
+    let of_margin = margin.map(|margin| Taken::new(margin, WIDE_PX));
+    let mut of_black = Taken::new(levels.black, belts.black_px);
+    let thin = belts.black_px < WIDE_PX;
+    let mut undo = |of_black: &Taken, outer: &Weighed, inner: &Weighed| {
+        if thin {
+            let first = (window.left, window.top + belts.top);
+            let ring = belts.whole.iter().zip(belts.white).map(|(whole, white)| whole & !white);
+            depths.measure((grey, ring, words), first, (outer, inner));
+        }
+        let levels = (of_black, &of_white, of_margin.as_ref());
+        unblur((outer, inner), levels, thin.then_some(&*depths))
+    };
+    let mut found = undo(&of_black, &outer, &inner);
+    for _ in 0..if thin { THIN_TURNS } else { 0 } {
+        of_black.level = found.black;
+        (outer, inner) = (zones.outer(simd, of_black.level)?, zones.inner(simd, of_black.level)?);
+        found = undo(&of_black, &outer, &inner);
+    }
 
     check_boxes((&of_ring, &outer.shape), (&of_disc, &inner.shape), rules)?;
     check_shapes((&outer.shape, &outer.rim), (&inner.shape, &inner.rim), rules)?;
     let matrix = outer.shape.matrix_of(&outer.rim);
     check_edge(frame, outer.shape.center, &matrix)?;
     let unevenness = unevenness(simd, patch, outer.shape.center, &matrix, contrast)?;
-    let taken = |level, distance_px| Taken { level, distance_px };
-    let mut found = unblur(
-        (&outer, &inner),
-        (
-            &taken(levels.black, belts.black_px),
-            &taken(levels.disc, belts.core_px),
-            margin.map(|margin| taken(margin, WIDE_PX)).as_ref(),
-        ),
-    );
     if margin.is_some() {
-        let belts = (pixels_in(sets.1), pixels_in(belts.disc_belt));
+        let belts = (pixels_in(of_outer.1), pixels_in(belts.disc_belt));
         let (of_outer, of_inner) = levels.movement((&outer, &inner), belts, contrast);
         for (rim, moved) in [(&mut found.outer, of_outer), (&mut found.inner, of_inner)] {
             rim.center.u -= moved.u;
@@ -250,6 +267,36 @@ fn rims<S: Simd>(
         }
     }
     Ok((found, Outline { unevenness, cut }))
+}
+
+/// The pixels by which both rims are weighed.
+struct Zones<'a> {
+    grey: &'a [[u8; WORD_PX]],
+    words: usize,
+    /// The pixel that sums are counted from, and the first one of the rows counted from it.
+    origin: (usize, usize),
+    first: (f32, f32),
+    /// Core and belt of each rim.
+    outer: ((&'a [u64], &'a [u64]), Cuts),
+    inner: ((&'a [u64], &'a [u64]), Cuts),
+    /// Level outside of the roundel, and of the disc.
+    white: (f64, f64),
+}
+
+impl Zones<'_> {
+    #[inline(always)]
+    fn outer<S: Simd>(&self, simd: S, black: f64) -> Result<Weighed, Reject> {
+        let weights = Weights::between(self.white.0, black);
+        let sums = moments(simd, self.grey, self.outer.0, self.words, self.first, weights);
+        Weighed::new(&sums, self.origin, self.outer.1).ok_or(Reject::TooSmall)
+    }
+
+    #[inline(always)]
+    fn inner<S: Simd>(&self, simd: S, black: f64) -> Result<Weighed, Reject> {
+        let weights = Weights::between(black, self.white.1);
+        let sums = moments(simd, self.grey, self.inner.0, self.words, self.first, weights);
+        Weighed::new(&sums, self.origin, self.inner.1).ok_or(Reject::TooSmall)
+    }
 }
 
 /// How far outside of the rim the threshold cuts its blurred edge, for a usual blur.

@@ -55,6 +55,7 @@ pub mod rim;
 mod scan;
 mod search;
 mod spans;
+mod thin;
 mod threshold;
 mod tracker;
 mod weigh;
