@@ -371,7 +371,10 @@ fn add_row<S: Simd, const PRODUCTS: bool>(simd: S, line: &Line, model: &Model, s
         let [middle_1, middle_2] = model.middle;
         let to_middle = moved(simd, &[middle_1, middle_2, 1.0], (g1, g2, radial));
         let lit = level * weight;
-        // In the order of `normal::column`; the last makes whole groups.
+        // Mirrored, a point's ray t grows by 1/(2 nearness - 1), from the middle.
+        let twice = near + near - one;
+        let mirror = to_middle * (twice - one) / twice;
+        // In the order of `normal::column`.
         let columns = [
             (grey - level) * weight,
             weight,
@@ -384,7 +387,7 @@ fn add_row<S: Simd, const PRODUCTS: bool>(simd: S, line: &Line, model: &Model, s
             near * to_middle,
             y * lift,
             zero - x * lift,
-            zero,
+            mirror,
         ];
         if PRODUCTS { sums.keep(simd, &columns) } else { sums.add_gradient(simd, &columns) }
     }

@@ -44,6 +44,7 @@ mod blur;
 mod contour;
 mod image;
 mod lens;
+mod mirror;
 mod normal;
 mod solve;
 mod state;
@@ -68,8 +69,9 @@ use blur::{BLUR_LIMITS_PX, Kernels};
 use contour::Contours;
 use image::Window;
 use lens::{LocalLens, Plan};
+use mirror::{Glance, glance};
 use normal::Sums;
-use state::{Glance, Problem, Solution, State};
+use state::{Problem, Solution, State};
 use upright::{Leaning, Upright};
 use view::{Nodes, Place};
 
@@ -247,10 +249,11 @@ fn tilted(
     mut solution: Solution,
     scratch: &mut FitScratch,
 ) -> Result<Placed, FitError> {
-    let mirrored = solution.state.mirrored();
-    let mut other = state::glance(problem, &mirrored, &solution, scratch);
-    if other.as_ref().is_some_and(|other| other.misfit < solution.misfit)
-        && let Ok(found) = state::solve(problem, mirrored, scratch)
+    let at = (&solution.linear, solution.noise2);
+    let mut other = glance(problem, &solution.state, at, scratch);
+    if let Some(better) = &other
+        && better.misfit < solution.misfit
+        && let Ok(found) = state::solve(problem, better.state.clone(), scratch)
     {
         let normal = |solution: &Solution| solution.state.place.axes.column(2).into_owned();
         let back = normal(&found).dot(&normal(&solution));
@@ -262,7 +265,7 @@ fn tilted(
             _ => found.misfit.max(solution.misfit),
         };
         let better = found.misfit < solution.misfit;
-        other = Some(Glance { misfit, unmoved: misfit, apart_m });
+        other = Some(Glance { misfit, unmoved: misfit, apart_m, state: found.state.clone() });
         solution = if better { found } else { solution };
     }
     let likelihood = other.as_ref().map_or(1.0, |other| {

@@ -7,7 +7,7 @@ use fearless_simd::{Level, dispatch, prelude::*};
 use fearless_simd_macros::simd;
 use nalgebra::SMatrix;
 
-/// Columns: the residual, what the parameters move, and as many more as make whole groups.
+/// Columns: the residual, what the parameters move, and what the mirrored place does.
 pub const COLUMNS: usize = 12;
 /// Columns multiplied at once.
 const GROUP: usize = 3;
@@ -16,7 +16,7 @@ const PIXELS: usize = 256;
 /// Lanes of the widest vector.
 const LANES: usize = 16;
 
-/// Places of the columns; the residual is the first, and the last is empty.
+/// Places of the columns; the residual is the first.
 pub mod column {
     /// Of the white level.
     pub const WHITE: usize = 1;
@@ -32,6 +32,8 @@ pub mod column {
     pub const RANGE: usize = 8;
     /// Of turns about the print's x and y.
     pub const TILT: usize = 9;
+    /// What the mirrored place moves.
+    pub const MIRROR: usize = 11;
 }
 
 /// All products' sums.

@@ -65,8 +65,13 @@ pub struct Linear {
     /// From columns to unknowns.
     scale: [f64; MOST],
     pub gradient: [f64; MOST],
-    misfit: f64,
+    pub misfit: f64,
     pixels: f64,
+    /// Products of what tells the mirrored place from this one: with the unknowns, with the residual and
+    /// with itself.
+    pub mirror: ([f64; MOST], f64, f64),
+    /// How far the mirrored place moves the outer rim, pixels.
+    pub apart_px: f64,
     /// Whether the information is that of an earlier state.
     reused: bool,
     /// Information of a rim's elongation, both rims.
@@ -76,7 +81,9 @@ pub struct Linear {
 }
 
 /// Unknowns.
-const UNKNOWNS: usize = 10;
+pub const UNKNOWNS: usize = 10;
+/// Column of the mirrored place.
+const MIRROR: usize = column::MIRROR;
 /// Steps at most.
 const MAX_STEPS: usize = 16;
 /// A step that lowers the misfit by less than this many variances is the last one.
@@ -154,7 +161,7 @@ impl State {
     }
 
     /// Moved by a solution; `None` if that is no roundel in front of the camera.
-    fn moved(&self, linear: &Linear, change: &[f64; MOST]) -> Option<Self> {
+    pub fn moved(&self, linear: &Linear, change: &[f64; MOST]) -> Option<Self> {
         let mut next = self.clone();
         next.white += change[WHITE];
         next.step += change[STEP];
@@ -208,6 +215,7 @@ pub fn solve(
         }
         if last {
             let noise2 = linear.noise2_of(left);
+            linear.carry(&change, left);
             return Ok(Solution { state: next, misfit: left, noise2, iterations: step, linear });
         }
         // The information hardly changes over a small step; the residual does.
@@ -229,37 +237,6 @@ pub fn solve(
         }
     }
     Err(FitError::Restless)
-}
-
-/// What the mirrored place of a solution comes to.
-pub struct Glance {
-    /// Sum of squared residuals after one step, grey levels².
-    pub misfit: f64,
-    /// The same without the step.
-    pub unmoved: f64,
-    /// How far from the solution's that step's position is, local frame, metres.
-    pub apart_m: Vector3<f64>,
-}
-
-/// The mirrored place after one step; `None` where it has none.
-///
-/// Both places move the image alike, but that it turns the other way with each tilt: the solution's
-/// information serves, with that sign, and only the residual is looked at anew.
-pub fn glance(
-    problem: &Problem,
-    mirrored: &State,
-    known: &Solution,
-    scratch: &mut FitScratch,
-) -> Option<Glance> {
-    let mut linear = linearize(problem, mirrored, Some(&known.linear), scratch).ok()?;
-    linear.gradient[TILT] *= -1.0;
-    linear.gradient[TILT + 1] *= -1.0;
-    let (factor, gradient) = linear.factor(mirrored, known.noise2, 0.0)?;
-    let change = factor.solve(&gradient);
-    let gain: f64 = change.iter().zip(&linear.gradient).map(|(x, g)| x * g).sum();
-    let apart_m = Vector3::new(change[SHIFT], change[SHIFT + 1], 0.0) * linear.unit_m
-        + mirrored.place.position_m * change[RANGE];
-    Some(Glance { misfit: linear.misfit - gain, unmoved: linear.misfit, apart_m })
 }
 
 pub fn linearize(
@@ -294,7 +271,7 @@ pub fn linearize(
         known.is_none(),
     );
     let linear = match known {
-        None => Linear::new(problem, state, &sums.products, radius_px),
+        None => Linear::new(problem, state, (&sums.products, &model), radius_px),
         Some(known) => known.updated(&sums.products),
     };
     if linear.pixels < MIN_PIXELS { Err(FitError::Flat) } else { Ok(linear) }
@@ -355,17 +332,24 @@ fn model(problem: &Problem, state: &State, table_px: f64, window: (i64, i64)) ->
 }
 
 impl Linear {
-    fn new(problem: &Problem, state: &State, products: &Products, radius_px: f64) -> Self {
+    fn new(
+        problem: &Problem,
+        state: &State,
+        (products, model): (&Products, &Model),
+        radius_px: f64,
+    ) -> Self {
         let mut scale = [1.0; MOST];
         scale[BLUR] = 0.5 * state.step;
         scale[SHIFT..UNKNOWNS].fill(state.step);
         let mut information = [[0.0; MOST]; MOST];
-        let mut gradient = [0.0; MOST];
+        let (mut gradient, mut mirror) = ([0.0; MOST], [0.0; MOST]);
+        let step = state.step;
         for i in 0..UNKNOWNS {
             for j in 0..UNKNOWNS {
                 information[i][j] = products[(i + 1, j + 1)] * scale[i] * scale[j];
             }
             gradient[i] = products[(0, i + 1)] * scale[i];
+            mirror[i] = products[(i + 1, MIRROR)] * scale[i] * step;
         }
         // A straight edge of deviation τ tells its place by C²/(2 √π τ) a pixel's length.
         let spread_px = (state.blur2 + 1.0 / 12.0).sqrt();
@@ -378,6 +362,12 @@ impl Linear {
             scale,
             gradient,
             misfit: products[(0, 0)],
+            mirror: (
+                mirror,
+                products[(0, MIRROR)] * step,
+                products[(MIRROR, MIRROR)] * step * step,
+            ),
+            apart_px: 2.0 * radius_px * model.nearness[1].hypot(model.nearness[2]) as f64,
             pixels: products[(column::WHITE, column::WHITE)],
             reused: false,
             elongation,
@@ -392,8 +382,18 @@ impl Linear {
             next.gradient[i] = products[(0, i + 1)] * self.scale[i];
         }
         next.misfit = products[(0, 0)];
+        next.mirror.1 = products[(0, MIRROR)] * self.scale[SHIFT];
         next.reused = true;
         next
+    }
+
+    /// Carries what depends on the residual over a change that leaves this misfit.
+    fn carry(&mut self, change: &[f64; MOST], misfit: f64) {
+        for (gradient, row) in self.gradient.iter_mut().zip(&self.information) {
+            *gradient -= row.iter().zip(change).map(|(a, b)| a * b).sum::<f64>();
+        }
+        self.mirror.1 -= self.mirror.0.iter().zip(change).map(|(a, b)| a * b).sum::<f64>();
+        self.misfit = misfit;
     }
 
     /// Holds an unknown where it is.
@@ -404,6 +404,7 @@ impl Linear {
         }
         self.information[unknown][unknown] = 1.0;
         self.gradient[unknown] = 0.0;
+        self.mirror.0[unknown] = 0.0;
     }
 
     fn noise2(&self) -> f64 {
@@ -427,7 +428,12 @@ impl Linear {
     }
 
     /// The factor of the information for a step, and the gradient.
-    fn factor(&self, state: &State, noise2: f64, damping: f64) -> Option<(Factor, [f64; MOST])> {
+    pub fn factor(
+        &self,
+        state: &State,
+        noise2: f64,
+        damping: f64,
+    ) -> Option<(Factor, [f64; MOST])> {
         let (mut information, gradient) = self.with_prior(state, noise2);
         let curvature = self.tilt_curvature(state, noise2);
         for axis in 0..2 {

@@ -1,0 +1,85 @@
+//! The other place that looks nearly the same: the roundel mirrored along the line of sight.
+//!
+//! Where a point of the plane has the relative inverse depth q (1 in the middle), it has 2 - 1/q over q
+//! in the mirrored place, so its ray t goes to t/(2 q - 1). The image changes by this displacement times
+//! -∇d, one column m more beside those of the unknowns (J, residual r): the mirrored place leaves r - m,
+//! and both places move the image alike, but that it turns the other way with each tilt. So with the
+//! products of m all that a step from there comes to is known without looking at the picture again.
+//! Linear in the displacement, this serves up to [`LINEAR_BLURS`]; beyond, the picture decides, unless
+//! the mirrored place is worse by [`EXCLUDED`] variances even so.
+
+use nalgebra::Vector3;
+
+use super::{
+    FitScratch,
+    state::{Linear, Problem, RANGE, SHIFT, State, TILT, linearize},
+};
+
+/// Displacement of the outer rim up to which the image follows it linearly, in deviations of its edges.
+const LINEAR_BLURS: f64 = 0.6;
+/// A place whose misfit is greater by so many variances is not the right one.
+const EXCLUDED: f64 = 200.0;
+
+/// What the mirrored place of a solution comes to.
+pub struct Glance {
+    /// Sum of squared residuals after one step, grey levels².
+    pub misfit: f64,
+    /// The same without the step.
+    pub unmoved: f64,
+    /// How far from the solution's that step's position is, local frame, metres.
+    pub apart_m: Vector3<f64>,
+    /// Where the step leads.
+    pub state: State,
+}
+
+/// The mirrored place after one step; `None` where it has none. `known` is the linear problem at the
+/// state, of which a pixel's variance is `noise2`.
+pub fn glance(
+    problem: &Problem,
+    state: &State,
+    (known, noise2): (&Linear, f64),
+    scratch: &mut FitScratch,
+) -> Option<Glance> {
+    let mirrored = state.mirrored();
+    let linear = known.mirrored();
+    let found = step(&mirrored, linear, noise2)?;
+    let edge_px = (state.blur2 + 1.0 / 12.0).sqrt();
+    let is_linear = known.apart_px < LINEAR_BLURS * edge_px;
+    if is_linear || found.misfit > known.misfit + EXCLUDED * noise2 {
+        return Some(found);
+    }
+    let mut linear = linearize(problem, &mirrored, Some(known), scratch).ok()?;
+    linear.turn_round();
+    step(&mirrored, linear, noise2)
+}
+
+/// One step from the mirrored place, with the information of the other.
+fn step(mirrored: &State, linear: Linear, noise2: f64) -> Option<Glance> {
+    let (factor, gradient) = linear.factor(mirrored, noise2, 0.0)?;
+    let change = factor.solve(&gradient);
+    let gain: f64 = change.iter().zip(&linear.gradient).map(|(x, g)| x * g).sum();
+    let apart_m = Vector3::new(change[SHIFT], change[SHIFT + 1], 0.0) * linear.unit_m
+        + mirrored.place.position_m * change[RANGE];
+    let state = mirrored.moved(&linear, &change)?;
+    Some(Glance { misfit: linear.misfit - gain, unmoved: linear.misfit, apart_m, state })
+}
+
+impl Linear {
+    /// That of the mirrored place, with this one's information.
+    fn mirrored(&self) -> Self {
+        let mut other = self.clone();
+        let (with_unknowns, with_residual, own) = &self.mirror;
+        for (gradient, product) in other.gradient.iter_mut().zip(with_unknowns) {
+            *gradient -= product;
+        }
+        other.misfit += own - 2.0 * with_residual;
+        other.turn_round();
+        other
+    }
+
+    /// The gradient, where the information is the other place's.
+    fn turn_round(&mut self) {
+        self.gradient[TILT] *= -1.0;
+        self.gradient[TILT + 1] *= -1.0;
+    }
+}
