@@ -28,6 +28,12 @@ const BOX_TOLERANCE: f64 = 0.15;
 const ROUNDNESS_TOLERANCE: (f64, f64) = (0.02, 0.6);
 /// Distance of the centres as a share of the outer mean radius, and in pixels on top.
 const CENTER_TOLERANCE: (f64, f64) = (0.06, 0.4);
+/// Perspective moves the centres apart along the shorter axis, the more the shorter the focal length;
+/// this is the shortest that is allowed for, pixels …
+const LEAST_FOCAL_PX: f64 = 350.0;
+/// … and far from the picture's middle, where it stretches what is seen, along the longer axis by
+/// this share of that.
+const ASIDE_SHARE: f64 = 0.4;
 /// Difference of the two normalized shapes, and what a disc of r pixels adds to it as 1/r.
 const SIMILARITY_TOLERANCE: (f64, f64) = (0.1, 0.4);
 /// Largest variance that blur and the pixels' width add to a shape, px²: a blur of 1.2 px.
@@ -127,11 +133,7 @@ pub(crate) fn check_shapes(
     if outer_rim.semi_minor_px < rules.min_axis_ratio * outer_rim.semi_major_px {
         return Err(Reject::Tilt);
     }
-    let (du, dv) = (outer.center.u - inner.center.u, outer.center.v - inner.center.v);
-    let apart_px = (du * du + dv * dv).sqrt();
-    if apart_px > CENTER_TOLERANCE.0 * outer_rim.mean_radius_px() + CENTER_TOLERANCE.1 {
-        return Err(Reject::Concentricity);
-    }
+    check_centers((outer, outer_rim), (inner, inner_rim))?;
     for (shape, rim) in [(outer, outer_rim), (inner, inner_rim)] {
         let tolerance = ROUNDNESS_TOLERANCE.0 + ROUNDNESS_TOLERANCE.1 / rim.semi_minor_px;
         // By eq. (5) a spread of σ² makes an ellipse's moments those of one larger by this share.
@@ -142,6 +144,30 @@ pub(crate) fn check_shapes(
         }
     }
     check_similarity((outer, outer_rim), (inner, inner_rim))
+}
+
+/// Of a circle with the semiaxes a, b in a picture of the focal length f, tilted by θ, the image's
+/// centre lies (a²/f) sin θ cos θ off that of the circle, along the shorter axis, where cos θ = b/a;
+/// of the disc's rim it is less by the square of the ratio of diameters.
+fn check_centers(
+    (outer, outer_rim): (&Shape, &Ellipse),
+    (inner, inner_rim): (&Shape, &Ellipse),
+) -> Result<(), Reject> {
+    let (a, b) = (outer_rim.semi_major_px, outer_rim.semi_minor_px);
+    let ratio2 = inner_rim.semi_major_px * inner_rim.semi_minor_px / (a * b);
+    let perspective_px = (a * a - b * b).sqrt() * b / a * (1.0 - ratio2) * a / LEAST_FOCAL_PX;
+    let (du, dv) = (outer.center.u - inner.center.u, outer.center.v - inner.center.v);
+    let (sin, cos) = outer_rim.angle_rad.sin_cos();
+    let (along_major, along_minor) = (du * cos + dv * sin, dv * cos - du * sin);
+    let tolerance = CENTER_TOLERANCE.0 * outer_rim.mean_radius_px() + CENTER_TOLERANCE.1;
+    let beyond = |px: f64, allowed_px: f64| (px.abs() - allowed_px).max(0.0);
+    let along_minor = beyond(along_minor, perspective_px);
+    let along_major = beyond(along_major, ASIDE_SHARE * perspective_px);
+    if along_major * along_major + along_minor * along_minor > tolerance * tolerance {
+        Err(Reject::Concentricity)
+    } else {
+        Ok(())
+    }
 }
 
 /// Both rims are images of circles in one plane, so their shapes are the same but for perspective.
