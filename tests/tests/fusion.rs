@@ -58,6 +58,11 @@ fn score(arena: &Arena, frames: &[FrameObservations], params: FusionParams) -> S
 
 /// Stated covariances are neither too small nor too large, even where neighbours' sheets
 /// cover parts of one another's rings.
+///
+/// Too large shows in the mean of the normalized squares, 3 where all is Gaussian. Precise poses leave
+/// errors that are those of the motion model more than of the pixels: a path whose accelerations are
+/// bounded strays less than white acceleration may, so that almost none lie outside the ellipsoid
+/// though it is hardly too large.
 #[test]
 fn errors_of_a_crowd_are_those_stated() {
     for seed in [2, 3] {
@@ -67,7 +72,9 @@ fn errors_of_a_crowd_are_those_stated() {
         let lost = (score.swaps, score.strays, score.extra_ids, score.misses, score.unusable);
         assert_eq!(lost, (0, 0, 0, 0, 0));
         let share = score.position.share_within(CHI2_95_3);
-        assert!((0.92..=0.98).contains(&share), "seed {seed}: {share}");
+        assert!(share >= 0.92, "seed {seed}: {share}");
+        let normalized = score.position.mean_normalized();
+        assert!((2.0..=4.0).contains(&normalized), "seed {seed}: {normalized}");
         assert!(score.velocity.share_within(CHI2_95_3) >= 0.92);
         assert!(score.position.rms() < 0.001, "{}", score.position.rms());
     }

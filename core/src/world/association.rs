@@ -39,14 +39,8 @@ pub(super) struct Sighting {
     pub(super) measurement: Measurement,
 }
 
-/// What was decided about one sighting.
-#[derive(Clone, Copy, Debug, Default)]
-pub(super) struct Decision {
-    /// Index of the track, and how well it fits.
-    pub(super) track: Option<(usize, Innovation)>,
-    /// A track that the camera took it for lies outside the gate.
-    pub(super) gated: bool,
-}
+/// Index of the track that a sighting belongs to, and how well it fits; `None`: it fits no track.
+pub(super) type Decision = Option<(usize, Innovation)>;
 
 #[derive(Clone, Copy, Debug)]
 struct Pair {
@@ -80,7 +74,7 @@ pub(super) fn associate(
     (params, model): (&FusionParams, &MotionModel),
     scratch: &mut Scratch,
 ) -> Vec<Decision> {
-    let mut decisions = vec![Decision::default(); sightings.len()];
+    let mut decisions = vec![None; sightings.len()];
     let Some(first) = sightings.first() else { return decisions };
     let time = first.measurement.time;
     scratch.coarse.clear();
@@ -99,17 +93,14 @@ pub(super) fn associate(
     scratch.pairs.clear();
     for (index, sighting) in sightings.iter().enumerate() {
         let gate = params.gate_distance_squared;
-        decisions[index].gated = possible(index, sighting, tracks, (gate, model), time, scratch);
+        possible(index, sighting, tracks, (gate, model), time, scratch);
     }
     group(sightings.len(), tracks.len(), scratch);
     solve(&mut decisions, scratch);
-    for decision in &mut decisions {
-        decision.gated &= decision.track.is_none();
-    }
     decisions
 }
 
-/// Collects a sighting's possible pairs; says whether a track of its number was out of the gate.
+/// Collects a sighting's possible pairs.
 fn possible(
     index: usize,
     sighting: &Sighting,
@@ -117,13 +108,12 @@ fn possible(
     (gate, model): (f64, &MotionModel),
     frame_time: crate::time::Timestamp,
     scratch: &mut Scratch,
-) -> bool {
+) {
     let seen = &sighting.measurement;
     let deviation_m = seen.position_noise.total.trace().sqrt();
     let offset_s = seen.time.seconds_since(frame_time);
     let reach = (gate * CONTINUITY_GATE).sqrt() * 1.5;
     let noise_det = seen.position_noise.total.determinant().max(f64::MIN_POSITIVE).ln();
-    let mut out_of_gate = false;
     for (number, (coarse, track)) in scratch.coarse.iter().zip(tracks).enumerate() {
         if track.kind != sighting.kind {
             continue;
@@ -146,7 +136,6 @@ fn possible(
         let continued = track.is_continued_by(seen);
         let limit = if continued { gate * CONTINUITY_GATE } else { gate };
         if innovation.distance_squared > limit {
-            out_of_gate |= continued;
             continue;
         }
         let cost = innovation.distance_squared + innovation.log_det()
@@ -155,7 +144,6 @@ fn possible(
             + if track.is_tentative() { TENTATIVE_COST } else { 0.0 };
         scratch.pairs.push(Pair { sighting: index, track: number, cost, innovation });
     }
-    out_of_gate
 }
 
 /// Numbers the groups of sightings and tracks that share pairs, by their lowest sighting.
@@ -186,7 +174,7 @@ fn solve(decisions: &mut [Decision], scratch: &mut Scratch) {
     for pairs in scratch.pairs.chunk_by(|a, b| groups[a.sighting] == groups[b.sighting]) {
         if let [only] = pairs {
             if only.cost < UNASSIGNED_COST {
-                decisions[only.sighting].track = Some((only.track, only.innovation));
+                decisions[only.sighting] = Some((only.track, only.innovation));
             }
             continue;
         }
@@ -210,7 +198,7 @@ fn solve(decisions: &mut [Decision], scratch: &mut Scratch) {
             let Some(&track) = columns.get(column) else { continue };
             let chosen =
                 pairs.iter().find(|pair| pair.sighting == rows[row] && pair.track == track);
-            decisions[rows[row]].track = chosen.map(|pair| (track, pair.innovation));
+            decisions[rows[row]] = chosen.map(|pair| (track, pair.innovation));
         }
     }
 }

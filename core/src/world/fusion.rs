@@ -17,7 +17,7 @@ use crate::{
     id::{CameraId, KindId, ObjectId},
     rigid::{Covariance6, Rigid},
     time::Timestamp,
-    track::{Inserted, MotionModel},
+    track::{Inserted, Measurement, MotionModel},
 };
 
 /// Events kept for a caller that does not fetch them; the oldest give way.
@@ -71,6 +71,8 @@ pub struct FusionCounts {
     pub invalid: u64,
     /// Detections outside the gate of the object that their camera took them for.
     pub gated: u64,
+    /// Of these, detections dropped since other cameras see that object elsewhere.
+    pub contradicted: u64,
     /// Detections that would have begun a track beyond the greatest number of objects.
     pub over_max_objects: u64,
     /// Tracks joined with another of the same object.
@@ -249,9 +251,10 @@ impl Fusion {
         let mut seen = vec![false; known];
         for (index, decision) in decisions.iter().enumerate() {
             let sighting = self.sightings[index];
-            self.counts.gated += u64::from(decision.gated);
-            let Some((track, innovation)) = decision.track else {
-                self.begin(&sighting);
+            let Some((track, innovation)) = *decision else {
+                if !self.is_contradiction(&sighting.measurement, known) {
+                    self.begin(&sighting);
+                }
                 continue;
             };
             seen[track] = true;
@@ -281,6 +284,19 @@ impl Fusion {
                 track.miss(frame.camera, frame.capture_time);
             }
         }
+    }
+
+    /// Whether a sighting that fits no track is an error about one of the first `known`: its camera
+    /// takes it for that object, and others see the object where it is expected.
+    fn is_contradiction(&mut self, seen: &Measurement, known: usize) -> bool {
+        let Some(track) = self.tracks[..known].iter().find(|track| track.is_continued_by(seen))
+        else {
+            return false;
+        };
+        self.counts.gated += 1;
+        let contradicted = track.is_witnessed_against(seen, &self.params);
+        self.counts.contradicted += u64::from(contradicted);
+        contradicted
     }
 
     fn begin(&mut self, sighting: &Sighting) {

@@ -22,6 +22,8 @@ const DROPPED_SCORE: f64 = -5.0;
 const MISS_SCORE: f64 = -2.0;
 /// -ln λ: one false detection a frame in 100 m³.
 const CLUTTER_SCORE: f64 = 4.6;
+/// A camera that contradicts all others for longer than this is believed to see something else.
+const CONTRADICTION_NS: i64 = 1_000_000_000;
 /// ln 2π · 3 / 2.
 const GAUSS_CONSTANT: f64 = 2.756_815_6;
 
@@ -82,6 +84,18 @@ impl Track {
     /// Whether the camera's tracker says that this is the roundel it saw as this track before.
     pub(super) fn is_continued_by(&self, seen: &Measurement) -> bool {
         self.view(seen.camera).is_ok_and(|index| self.views[index].number == seen.number)
+    }
+
+    /// Whether a measurement that its camera takes for this object, but that does not fit, is the
+    /// camera's error (a ring half covered, the other normal): another camera sees the object now, and
+    /// not long ago this one agreed with it.
+    pub(super) fn is_witnessed_against(&self, seen: &Measurement, params: &FusionParams) -> bool {
+        let within = |view: &View, span_ns: i64| seen.time.ns_since(view.time) <= span_ns;
+        let agreed =
+            self.view(seen.camera).is_ok_and(|index| within(&self.views[index], CONTRADICTION_NS));
+        let is_witness =
+            |view: &View| view.camera != seen.camera && within(view, params.predicted_after_ns);
+        agreed && !self.is_tentative() && self.views.iter().any(is_witness)
     }
 
     /// Takes in a measurement; gives what became of it and what happened to the track.

@@ -138,6 +138,24 @@ fn a_camera_that_stops_and_returns() {
     });
 }
 
+/// As when a neighbour's sheet covers part of a ring: too far away, and sure of it.
+#[test]
+fn a_camera_that_errs_about_an_object_for_half_a_second() {
+    let counts = unharmed(|mut frames| {
+        for frame in &mut frames {
+            let t = frame.capture_time.seconds_since(START);
+            if frame.camera != CameraId(2) || !(2.0..2.5).contains(&t) {
+                continue;
+            }
+            let pose = frame.detections.first_mut().and_then(|seen| seen.pose.as_mut());
+            pose.into_iter().for_each(|pose| pose.position_m *= 1.1);
+        }
+        frames
+    });
+    assert!((12..=15).contains(&counts.contradicted), "{counts:?}");
+    assert_eq!(counts.begun, 9, "{counts:?}");
+}
+
 #[test]
 fn every_camera_stops_for_a_second() {
     let arena = Arena::new(Setting { still: 1, ..setting() });
@@ -208,6 +226,7 @@ fn detections_without_what_is_needed() {
         + counts.no_camera_pose
         + counts.no_pose
         + counts.invalid
+        + counts.contradicted
         + counts.over_max_objects;
     assert_eq!(sum, counts.detections, "{counts:?}");
 }

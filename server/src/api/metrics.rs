@@ -302,6 +302,7 @@ fn write_fusion_counts(page: &mut Page, counts: &FusionCounts) {
         ("no_pose", counts.no_pose),
         ("invalid", counts.invalid),
         ("gated", counts.gated),
+        ("contradicted", counts.contradicted),
         ("over_max_objects", counts.over_max_objects),
     ] {
         page.sample(name, &[("outcome", outcome)], count as f64);

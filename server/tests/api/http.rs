@@ -268,6 +268,7 @@ async fn metrics_tell_of_cameras_objects_and_clients() {
         late_frames: 3,
         used: 70,
         gated: 2,
+        contradicted: 1,
         ..Default::default()
     });
     let mut client = crate::grpc::connect(&rig).await;
@@ -302,6 +303,7 @@ async fn metrics_tell_of_cameras_objects_and_clients() {
         "roundel_fusion_frames_total{outcome=\"late\"} 3",
         "roundel_fusion_detections_total{outcome=\"used\"} 70",
         "roundel_fusion_detections_total{outcome=\"gated\"} 2",
+        "roundel_fusion_detections_total{outcome=\"contradicted\"} 1",
         "roundel_snapshots_total 1",
         "roundel_subscribers 1",
         "roundel_snapshots_sent_total 1",
