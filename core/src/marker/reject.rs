@@ -115,7 +115,8 @@ pub struct Rejected {
     pub reject: Reject,
 }
 
-/// Rejected candidates of one frame that are kept at most; all are counted.
+/// Rejected candidates of one frame that are kept at most; all are counted. Where there are more,
+/// those that died first are thinned out, evenly over the frame: what came furthest tells most.
 pub const MAX_REJECTED: usize = 4096;
 
 /// What died in one frame.
@@ -124,12 +125,15 @@ pub(crate) struct Rejects {
     pub counts: RejectCounts,
     /// The newest frame's rejected candidates, if they are wanted.
     pub list: Option<Vec<Rejected>>,
+    /// Of each stage one candidate of so many is kept, as a power of two.
+    thinned: [u32; Reject::ALL.len()],
 }
 
 impl Rejects {
     /// Forgets all.
     pub fn clear(&mut self) {
         self.counts = RejectCounts::default();
+        self.thinned = Default::default();
         self.list.iter_mut().for_each(Vec::clear);
     }
 
@@ -140,11 +144,30 @@ impl Rejects {
 
     /// Counts a candidate, and keeps it where wanted.
     pub fn add(&mut self, rejected: Rejected) {
+        let number = self.counts.count(rejected.reject);
         self.counts.add(rejected.reject);
-        if let Some(list) = self.list.as_mut().filter(|list| list.len() < MAX_REJECTED) {
-            list.push(rejected);
+        let Some(list) = &mut self.list else { return };
+        if number.trailing_zeros() < self.thinned[rejected.reject as usize] {
+            return;
         }
+        list.push(rejected);
+        while list.len() > MAX_REJECTED && thin(list, &mut self.thinned) {}
     }
+}
+
+/// Leaves out every other candidate of the earliest stage that has more than one; false if none has.
+fn thin(list: &mut Vec<Rejected>, thinned: &mut [u32; Reject::ALL.len()]) -> bool {
+    let mut kept = [0usize; Reject::ALL.len()];
+    list.iter().for_each(|rejected| kept[rejected.reject as usize] += 1);
+    let Some(stage) = kept.iter().position(|&count| count > 1) else { return false };
+    thinned[stage] += 1;
+    let mut odd = false;
+    list.retain(|rejected| {
+        let is_of_stage = rejected.reject as usize == stage;
+        odd ^= is_of_stage;
+        !is_of_stage || odd
+    });
+    true
 }
 
 #[cfg(test)]
@@ -171,11 +194,37 @@ mod tests {
         rejects.add(rejected);
         assert_eq!(rejects.list, None);
         rejects.keep(true);
-        (0..=MAX_REJECTED).for_each(|_| rejects.add(rejected));
+        (0..MAX_REJECTED).for_each(|_| rejects.add(rejected));
         assert_eq!(rejects.list.as_ref().unwrap().len(), MAX_REJECTED);
-        assert_eq!(rejects.counts.count(Reject::Tilt) as usize, MAX_REJECTED + 2);
+        assert_eq!(rejects.counts.count(Reject::Tilt) as usize, MAX_REJECTED + 1);
         rejects.clear();
         assert_eq!(rejects.list, Some(Vec::new()));
         assert_eq!(rejects.counts.total(), 0);
+    }
+
+    #[test]
+    fn too_many_candidates_lose_the_least_telling_ones_evenly() {
+        let rejected = |row: usize, reject| {
+            let center = PixelPoint { u: 0.0, v: row as f64 };
+            Rejected { center, half_box_px: (3.0, 4.0), reject }
+        };
+        let mut rejects = Rejects::default();
+        rejects.keep(true);
+        let rows = 10 * MAX_REJECTED;
+        for row in 0..rows {
+            rejects.add(rejected(row, Reject::Chord));
+            if row % 100 == 0 {
+                rejects.add(rejected(row, Reject::Profile));
+            }
+        }
+        let list = rejects.list.as_ref().unwrap();
+        assert!((MAX_REJECTED / 2..=MAX_REJECTED).contains(&list.len()), "{}", list.len());
+        let of = |stage| list.iter().filter(move |it| it.reject == stage);
+        assert_eq!(of(Reject::Profile).count(), rows.div_ceil(100));
+        let below = |share: usize| {
+            of(Reject::Chord).filter(|it| it.center.v < (rows * share / 4) as f64).count() as f64
+        };
+        let even = of(Reject::Chord).count() as f64 / 4.0;
+        assert!((1..4).all(|share| (below(share) - even * share as f64).abs() <= 2.0));
     }
 }
