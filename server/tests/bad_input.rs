@@ -57,7 +57,7 @@ fn the_example_is_a_configuration() {
     let folder = lab();
     let config = Config::parse(EXAMPLE, folder.path()).map_err(|p| format!("{p:#?}")).unwrap();
     assert_eq!(config.name, "lab");
-    assert_eq!((config.kinds.len(), config.cameras.len(), config.references.len()), (3, 2, 4));
+    assert_eq!((config.kinds.len(), config.cameras.len(), config.references.len()), (4, 2, 4));
     // What stands in the example as a default is one: a file without it reads the same.
     let sections = ["[server]", "[detection]", "[fusion]", "[limits]"];
     let mut kept = String::new();
@@ -190,6 +190,17 @@ fn wrong_values_are_named_with_their_line() {
             "mode = \"precise\"",
             "mode = \"precice\"",
             "`mode` must be \"precise\" or \"fast\", found the text \"precice\"; did you mean \"precise\"?",
+        ),
+        (
+            "polarity = \"white_ring\"",
+            "polarity = \"white-ring\"",
+            "`polarity` must be \"black_ring\" or \"white_ring\", found the text \"white-ring\"; did \
+             you mean \"white_ring\"?",
+        ),
+        (
+            "polarity = \"white_ring\"",
+            "polarity = \"black_ring\"",
+            "roundels \"robot\" and \"dark\" cannot be told apart",
         ),
         ("mode = \"fast\"", "mode = 1", "`mode` must be \"precise\" or \"fast\", found 1"),
         (

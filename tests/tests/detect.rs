@@ -94,6 +94,29 @@ fn both_modes_place_a_roundel_where_it_is() {
 }
 
 #[test]
+fn white_rings_are_found_where_they_are_asked_for() {
+    let (folder, truth) = pictured();
+    let black = image_file::load(&folder.path().join("picture.png")).unwrap();
+    let pixels = black.pixels.iter().map(|level| 255 - level).collect();
+    let white = Image { width: black.width, height: black.height, pixels };
+    write_png(&folder.path().join("white.png"), &white).unwrap();
+    for print in ["160", "160:64"] {
+        for (polarity, found) in [("white-ring", [0, 1]), ("black-ring", [1, 0])] {
+            let options = ["--camera", "camera.yaml", "--marker", print, "--polarity", polarity];
+            let files = ["picture.png", "white.png"];
+            let lines = detect(folder.path(), &[&options[..], &files].concat());
+            let roundels =
+                [0, 1].map(|index: usize| lines[index]["detections"].as_array().unwrap());
+            assert_eq!(roundels.map(Vec::len), found, "{print} {polarity}: {lines:?}");
+            let roundel = roundels.into_iter().flatten().next().unwrap();
+            let error_m = (vector(&roundel["position_m"]) - truth.translation.vector).norm();
+            // Without the inner diameter the ratio is the one seen, which is off by some of a pixel.
+            assert!(error_m < 0.02, "{print} {polarity}: {error_m} m");
+        }
+    }
+}
+
+#[test]
 fn what_was_refused_is_told_and_drawn() {
     let (folder, _) = pictured();
     let plain = detect(folder.path(), &["--draw", "plain", "picture.png"]);

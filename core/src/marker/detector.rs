@@ -97,6 +97,14 @@ impl Detector {
         Self { mask, ..self }
     }
 
+    /// The same detector; without any kinds it looks for rings of this polarity, instead of black ones.
+    pub fn with_polarity_of_any(mut self, polarity: Polarity) -> Self {
+        if self.kinds.is_empty() {
+            self.polarities = vec![polarity];
+        }
+        self
+    }
+
     /// The kinds, in the order that [`crate::id::KindId`] counts them.
     pub fn kinds(&self) -> &[Kind] {
         &self.kinds

@@ -14,7 +14,7 @@ use std::{
 
 use anyhow::Context;
 use clap::{Args, ValueEnum};
-use roundel_core::marker::{CodeLayout, Mode, Params};
+use roundel_core::marker::{CodeLayout, Mode, Params, Polarity};
 
 use self::{
     print::{Diameters, Print},
@@ -29,6 +29,7 @@ use crate::{camera_file, drawing::Canvas};
     roundel detect photo.jpg\n  \
     roundel detect --camera north.yaml --marker 160:64 --format json frames/*.png\n  \
     roundel detect --camera north.yaml --marker 122 --code 8:2 photo.jpg\n  \
+    roundel detect --polarity white-ring --marker 160:64 photo.jpg\n  \
     roundel detect --sequence --mode fast --draw drawn video/*.png\n  \
     roundel detect --explain --draw drawn photo.jpg\n\n\
     Poses need both --camera and --marker. An image that cannot be read is reported, the others are\n\
@@ -48,6 +49,9 @@ pub struct DetectArgs {
     /// distance: 1]
     #[arg(long, value_name = "BITS[:DISTANCE]", value_parser = print::code)]
     code: Option<CodeLayout>,
+    /// Which of ring and disc is black; a white ring stands on black
+    #[arg(long, value_enum, default_value_t)]
+    polarity: PolarityWord,
     /// What is worth more, precision or time
     #[arg(long, value_enum, default_value_t)]
     mode: ModeWord,
@@ -82,6 +86,16 @@ enum ModeWord {
     Precise,
     /// Rims from moments, poses in closed form
     Fast,
+}
+
+/// Words for polarities.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, ValueEnum)]
+enum PolarityWord {
+    /// Black ring, white disc, on white
+    #[default]
+    BlackRing,
+    /// White ring, black disc, on black
+    WhiteRing,
 }
 
 /// Searches all images and prints what was found, in the order given.
@@ -126,8 +140,12 @@ fn wish(arguments: &DetectArgs) -> anyhow::Result<Wish> {
         ModeWord::Precise => Mode::Precise,
         ModeWord::Fast => Mode::Fast,
     };
+    let polarity = match arguments.polarity {
+        PolarityWord::BlackRing => Polarity::BlackRing,
+        PolarityWord::WhiteRing => Polarity::WhiteRing,
+    };
     Ok(Wish {
-        print: Print { diameters: arguments.marker, code: arguments.code },
+        print: Print { diameters: arguments.marker, code: arguments.code, polarity },
         camera: arguments.camera.as_deref().map(camera_file::load).transpose()?,
         params: Params { mode, ..Params::default() },
         sequence: arguments.sequence,

@@ -2,14 +2,17 @@
 
 use roundel_core::{
     id::KindId,
-    marker::{CodeLayout, Kind, Pattern, RATIO_LIMITS},
+    marker::{CodeLayout, Kind, Pattern, Polarity, RATIO_LIMITS},
 };
 
 use super::reader::{Allowed, Table};
 use crate::suggestion::{list, nearest};
 
-const ROUNDEL_KEYS: [&str; 4] = ["name", "outer_mm", "inner_mm", "code"];
+const ROUNDEL_KEYS: [&str; 5] = ["name", "outer_mm", "inner_mm", "code", "polarity"];
 const CODE_KEYS: [&str; 2] = ["bits", "min_distance"];
+/// The words for polarities.
+const POLARITIES: [(&str, Polarity); 2] =
+    [("black_ring", Polarity::BlackRing), ("white_ring", Polarity::WhiteRing)];
 
 /// Kinds whose ratios of diameters differ by less than this, relatively, are mixed up.
 const LEAST_RATIO_DIFFERENCE: f64 = 0.1;
@@ -47,6 +50,10 @@ fn kind(table: &Table<'_, '_>) -> Option<Kind> {
     let name = table.required_text("name", "\"robot\"");
     let outer_mm = table.required_number("outer_mm", size, "160.0");
     let pattern = pattern(table);
+    let polarity = match table.value("polarity") {
+        Some(_) => table.choice("polarity", &POLARITIES),
+        None => Some(Polarity::default()),
+    };
     let inner_mm = match (&pattern, outer_mm) {
         // Coded prints have one ratio, so it need not be written.
         (Some(Pattern::Coded(_)), Some(outer_mm)) if table.value("inner_mm").is_none() => {
@@ -54,7 +61,8 @@ fn kind(table: &Table<'_, '_>) -> Option<Kind> {
         }
         _ => table.required_number("inner_mm", size, "64.0"),
     };
-    let (name, outer_mm, inner_mm, pattern) = (name?, outer_mm?, inner_mm?, pattern?);
+    let (name, outer_mm, inner_mm) = (name?, outer_mm?, inner_mm?);
+    let (pattern, polarity) = (pattern?, polarity?);
     if inner_mm >= outer_mm {
         table.fail(
             &table.span_of("inner_mm"),
@@ -62,7 +70,7 @@ fn kind(table: &Table<'_, '_>) -> Option<Kind> {
         );
         return None;
     }
-    let kind = Kind { pattern, ..Kind::plain(name, outer_mm * 1e-3, inner_mm * 1e-3) };
+    let kind = Kind { pattern, polarity, ..Kind::plain(name, outer_mm * 1e-3, inner_mm * 1e-3) };
     let (least, most) = RATIO_LIMITS;
     if !(least..=most).contains(&kind.ratio()) {
         table.fail_with_help(
@@ -135,8 +143,11 @@ fn is_distinct(table: &Table<'_, '_>, kind: &Kind, earlier: &[Kind]) -> bool {
 }
 
 /// What two kinds have in common so that nothing tells them apart, and the remedy. A coded one and a
-/// plain one always differ.
+/// plain one always differ, and so do black and white rings.
 fn common(kind: &Kind, other: &Kind) -> Option<(String, &'static str)> {
+    if kind.polarity != other.polarity {
+        return None;
+    }
     match (kind.pattern, other.pattern) {
         (Pattern::Plain, Pattern::Plain) => {
             let (ratio, other_ratio) = (kind.ratio(), other.ratio());

@@ -1,6 +1,6 @@
 //! The print as told on the command line: its diameters and its code.
 
-use roundel_core::marker::{CodeLayout, Kind, Pattern, Ring};
+use roundel_core::marker::{CodeLayout, Kind, Pattern, Polarity, Ring};
 
 /// Diameters as given with `--marker`.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -14,6 +14,7 @@ pub(super) struct Diameters {
 pub(super) struct Print {
     pub(super) diameters: Option<Diameters>,
     pub(super) code: Option<CodeLayout>,
+    pub(super) polarity: Polarity,
 }
 
 impl Print {
@@ -24,7 +25,7 @@ impl Print {
         let written = self.diameters.and_then(|diameters| diameters.inner_m);
         let inner_m = written.or(self.code.map(|_| outer_m * CodeLayout::RATIO))?;
         let pattern = self.code.map_or(Pattern::Plain, Pattern::Coded);
-        Some(Kind { pattern, ..Kind::plain("", outer_m, inner_m) })
+        Some(Kind { pattern, polarity: self.polarity, ..Kind::plain("", outer_m, inner_m) })
     }
 
     /// The kind that a ring's pose follows from; `None` if nothing says its size. Where the inner
@@ -33,7 +34,9 @@ impl Print {
     pub(super) fn kind_of(&self, ring: &Ring) -> Option<Kind> {
         let outer_m = self.diameters?.outer_m;
         let ratio = ring.inner.mean_radius_px() / ring.outer.mean_radius_px();
-        Some(self.kind().unwrap_or_else(|| Kind::plain("", outer_m, outer_m * ratio)))
+        let as_seen =
+            || Kind { polarity: self.polarity, ..Kind::plain("", outer_m, outer_m * ratio) };
+        Some(self.kind().unwrap_or_else(as_seen))
     }
 }
 
@@ -115,12 +118,13 @@ mod tests {
 
     #[test]
     fn a_coded_print_has_the_ratio_of_all_coded_prints() {
-        let print = |diameters, code| Print { diameters, code };
+        let print = |diameters, code| Print { diameters, code, polarity: Polarity::WhiteRing };
         let layout = CodeLayout { bits: 8, min_distance: 2 };
         let outer = Some(Diameters { outer_m: 0.16, inner_m: None });
         let kind = print(outer, Some(layout)).kind().unwrap();
         assert!((kind.inner_diameter_m - 0.096).abs() < 1e-12);
         assert_eq!(kind.pattern, Pattern::Coded(layout));
+        assert_eq!(kind.polarity, Polarity::WhiteRing);
         // Without any diameter codes are read as well, but there is no pose.
         let ring = {
             let rim = |semi_px: f64| roundel_core::ellipse::Ellipse {
@@ -137,6 +141,8 @@ mod tests {
         // Without the inner one it is as seen.
         let seen = print(outer, None);
         assert_eq!(seen.kind(), None);
-        assert!((seen.kind_of(&ring).unwrap().inner_diameter_m - 0.08).abs() < 1e-12);
+        let kind = seen.kind_of(&ring).unwrap();
+        assert!((kind.inner_diameter_m - 0.08).abs() < 1e-12);
+        assert_eq!(kind.polarity, Polarity::WhiteRing);
     }
 }

@@ -61,7 +61,8 @@ impl Search {
         let Wish { print, camera, params, sequence, explain } = wish;
         let mode = params.mode;
         let kinds = print.kind().into_iter().collect();
-        let detector = Detector::new(kinds, params).context("--marker")?;
+        let detector =
+            Detector::new(kinds, params).context("--marker")?.with_polarity_of_any(print.polarity);
         let locator = camera.map(|camera| Locator::new(camera, detector.kinds().to_vec(), mode));
         let finder = if sequence {
             let mut tracker = Box::new(Tracker::new(detector));
