@@ -34,6 +34,7 @@ mod ray;
 mod render;
 mod rig;
 mod scenario;
+mod teeth;
 
 pub use params::{CameraMount, ImageParams, Optics, ScenarioError, ScenarioParams};
 pub use render::{BufferError, Renderer};

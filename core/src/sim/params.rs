@@ -5,7 +5,7 @@ use thiserror::Error;
 use crate::{
     camera::{CameraError, Lens, LensError},
     frame::MAX_SIDE_PX,
-    marker::Kind,
+    marker::{CodeError, CodeLayout, Kind, Pattern},
 };
 
 /// Everything that a scenario follows from; the same numbers always give the same pixels.
@@ -113,6 +113,19 @@ pub enum ScenarioError {
         /// How many were asked for.
         found: usize,
     },
+    /// More robots than there are codes.
+    #[error("scenario: expected at most {most} robots with codes of {bits} bits, found {found}")]
+    Codes {
+        /// The codes' bits.
+        bits: u8,
+        /// How many codes there are.
+        most: usize,
+        /// How many robots carry one.
+        found: usize,
+    },
+    /// There are no such codes.
+    #[error("scenario: {0}")]
+    NoCodes(#[from] CodeError),
     /// Too little of the arena is seen.
     #[error(
         "scenario: expected the cameras to see a connected middle of the arena at heights of \
@@ -142,12 +155,13 @@ pub enum ScenarioError {
 
 impl ScenarioParams {
     /// R4, the reference installation: 10 × 8 m, four cameras 1920x1080 at 60 Hz, 24 robots with
-    /// plain roundels of 160 mm, a third of them flying, 4 standing still.
+    /// coded roundels of 160 mm (8 bits), a third of them flying, 4 standing still.
     pub fn r4(seed: u64) -> Self {
         let mounts = [(-1.0, -1.0), (1.0, -1.0), (-1.0, 1.0), (1.0, 1.0)].map(|(x, y)| {
             CameraMount { position_m: [2.5 * x, 2.0 * y, 5.0], target_m: [1.25 * x, y, 0.0] }
         });
-        let kind = Kind::plain("robot", 0.160, 0.064);
+        let pattern = Pattern::Coded(CodeLayout { bits: 8, min_distance: 1 });
+        let kind = Kind { pattern, ..Kind::plain("robot", 0.160, 0.160 * CodeLayout::RATIO) };
         Self {
             seed,
             arena_m: [10.0, 8.0],
@@ -181,7 +195,7 @@ impl ScenarioParams {
         }
     }
 
-    /// R4 for the demo: the same with 1280x720 pixels at 30 Hz.
+    /// R4 for the demo: the same with 1280x720 pixels at 30 Hz, too few for teeth, so with plain roundels.
     pub fn r4_lite(seed: u64) -> Self {
         let mut params = Self::r4(seed);
         let optics = &mut params.optics;
@@ -189,6 +203,7 @@ impl ScenarioParams {
         optics.focal_px *= 1280.0 / 1920.0;
         optics.center_offset_px *= 1280.0 / 1920.0;
         optics.rate_hz = 30.0;
+        params.kinds = vec![Kind::plain("robot", 0.160, 0.064)];
         params
     }
 

@@ -14,7 +14,7 @@
 
 use nalgebra::{Isometry3, Matrix2, Matrix3, Point3, Vector2, Vector3};
 
-use super::{light::falloff, noise::STEPS_PER_LEVEL, ray::RayRow};
+use super::{light::falloff, noise::STEPS_PER_LEVEL, ray::RayRow, teeth::Teeth};
 use crate::camera::{Camera, PixelPoint};
 
 /// Coverage beyond so many standard deviations of an edge is left out.
@@ -33,6 +33,8 @@ pub(super) enum Shape {
     Bar { half_m: [f32; 2], albedo: f32 },
     /// Black ring, white disc, on a white sheet.
     Roundel { outer_radius_m: f32, inner_radius_m: f32, sheet: Sheet },
+    /// The same with teeth round the disc.
+    Coded { outer_radius_m: f32, teeth: Teeth, sheet: Sheet },
 }
 
 /// The white sheet round a roundel.
@@ -160,11 +162,14 @@ impl Patch {
         let reach_m = self.reach_m();
         match *shape {
             Shape::Shadow { radius_m, .. } => circle(f64::from(radius_m)),
-            Shape::Disc { radius_m, .. } | Shape::Roundel { sheet: Sheet::Disc(radius_m), .. } => {
+            Shape::Disc { radius_m, .. }
+            | Shape::Roundel { sheet: Sheet::Disc(radius_m), .. }
+            | Shape::Coded { sheet: Sheet::Disc(radius_m), .. } => {
                 circle(f64::from(radius_m) + reach_m)
             }
             Shape::Bar { half_m, .. } => rectangle(half_m.map(|half| f64::from(half) + reach_m)),
-            Shape::Roundel { sheet: Sheet::Square(half_m), .. } => {
+            Shape::Roundel { sheet: Sheet::Square(half_m), .. }
+            | Shape::Coded { sheet: Sheet::Square(half_m), .. } => {
                 rectangle([f64::from(half_m) + reach_m; 2])
             }
         }
@@ -206,6 +211,16 @@ impl Patch {
                     let edge = at.radial();
                     let albedo = edge.ring_albedo(outer_radius_m, inner_radius_m);
                     (edge.inside(radius_m), albedo)
+                });
+            }
+            Shape::Coded { outer_radius_m, teeth, sheet: Sheet::Square(half_m) } => {
+                self.paint_with(rays, row, |at| {
+                    (at.within([half_m; 2]), at.coded_albedo(outer_radius_m, &teeth))
+                });
+            }
+            Shape::Coded { outer_radius_m, teeth, sheet: Sheet::Disc(radius_m) } => {
+                self.paint_with(rays, row, |at| {
+                    (at.radial().inside(radius_m), at.coded_albedo(outer_radius_m, &teeth))
                 });
             }
         }
@@ -299,6 +314,28 @@ impl PlanePoint {
             sharpness: radius_m * self.sharpness(gradient),
             half_variance_m2: 0.5 * self.variance(along) / squared,
         }
+    }
+
+    /// Coverage of what lies counter-clockwise of the ray from the origin that has this cosine and
+    /// sine, up to half a turn.
+    #[inline(always)]
+    fn beside(&self, cosine: f32, sine: f32) -> f32 {
+        let gradient = [0, 1].map(|axis| cosine * self.y_by_px[axis] - sine * self.x_by_px[axis]);
+        normal_cdf((cosine * self.y_m - sine * self.x_m) * self.sharpness(gradient))
+    }
+
+    #[inline(always)]
+    fn coded_albedo(&self, outer_radius_m: f32, teeth: &Teeth) -> f32 {
+        let radial = self.radial();
+        let disc = radial.inside(teeth.inner_radius_m);
+        let mut share = 0.0;
+        for [from_cosine, from_sine, to_cosine, to_sine] in teeth.edges() {
+            share +=
+                self.beside(*from_cosine, *from_sine) * (1.0 - self.beside(*to_cosine, *to_sine));
+        }
+        let black = radial.inside(outer_radius_m) - disc
+            + (disc - radial.inside(teeth.core_radius_m)) * share.min(1.0);
+        WHITE - (WHITE - BLACK) * black
     }
 
     /// Coverage of a rectangle.

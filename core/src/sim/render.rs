@@ -18,8 +18,9 @@ use super::{
     ray::RayGrid,
     rig::SimCamera,
     scenario::{RobotTruth, Scenario},
+    teeth::Teeth,
 };
-use crate::rigid::Rigid;
+use crate::{marker::Pattern, rigid::Rigid};
 
 /// Paints the frames of one camera. Each frame depends on scenario, camera and frame number alone.
 pub struct Renderer {
@@ -174,7 +175,13 @@ impl Renderer {
             Sheet::Square(1.35 * outer_radius_m)
         };
         let inner_radius_m = (kind.inner_diameter_m / 2.0) as f32;
-        let shape = Shape::Roundel { outer_radius_m, inner_radius_m, sheet };
+        let shape = match (kind.pattern, self.scenario.word(robot.index)) {
+            (Pattern::Coded(layout), Some(word)) => {
+                let teeth = Teeth::new(layout, word, inner_radius_m);
+                Shape::Coded { outer_radius_m, teeth, sheet }
+            }
+            _ => Shape::Roundel { outer_radius_m, inner_radius_m, sheet },
+        };
         self.paint_on(&robot.world_from_roundel, &robot.velocity_m_s, &[shape]);
     }
 
@@ -222,7 +229,12 @@ impl Renderer {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::sim::ScenarioParams;
+    use crate::{
+        camera::PixelPoint,
+        frame::Frame,
+        marker::{Detector, Params, Scratch},
+        sim::ScenarioParams,
+    };
 
     #[test]
     fn frames_repeat_bit_by_bit_in_any_order() {
@@ -263,6 +275,41 @@ mod tests {
             assert!(share(150, 254) > 0.005, "camera {camera}: sheets are white");
             assert!(share(1, 35) > 0.002, "camera {camera}: rings are black");
         }
+    }
+
+    #[test]
+    fn teeth_say_which_robot_it_is_and_how_it_is_turned() {
+        let scenario = Scenario::r4(3);
+        let params = scenario.params();
+        let detector = Detector::new(params.kinds.clone(), Params::default()).unwrap();
+        let (mut read, mut large) = (0, 0);
+        for (index, camera) in scenario.cameras().iter().enumerate() {
+            let (width, height) = (camera.camera.width(), camera.camera.height());
+            let mut pixels = vec![0; width * height];
+            let time_s = Renderer::new(&scenario, index).unwrap().render(70, &mut pixels).unwrap();
+            let frame = Frame::new(&pixels, width, height, width).unwrap();
+            for ring in detector.detect(&frame, &mut Scratch::default()) {
+                let seen = ring.outer.center;
+                let time_s = camera.row_time_s(time_s, seen.v);
+                let off_px = |at: PixelPoint, x_m: f64, robot: &RobotTruth| {
+                    let place = robot.world_from_roundel * Point3::new(x_m, 0.0, 0.0);
+                    let pixel = camera.project(&place).unwrap();
+                    (pixel.u - at.u).hypot(pixel.v - at.v)
+                };
+                let robots = scenario.truth(time_s);
+                let robot = robots
+                    .iter()
+                    .min_by(|a, b| off_px(seen, 0.0, a).total_cmp(&off_px(seen, 0.0, b)))
+                    .unwrap();
+                large += usize::from(2.0 * ring.outer.semi_minor_px >= 36.0);
+                let Some(reading) = ring.code else { continue };
+                read += 1;
+                assert_eq!(Some(reading.code), robot.code, "at {seen:?}");
+                let radius_m = 0.5 * params.kinds[0].inner_diameter_m;
+                assert!(off_px(reading.zero, radius_m, robot) < 1.5, "at {seen:?}");
+            }
+        }
+        assert!(large >= 5 && read >= large, "{read} read, {large} of 36 px and more");
     }
 
     #[test]

@@ -7,6 +7,7 @@ use rand_chacha::ChaCha8Rng;
 use crate::{
     camera::{Camera, Intrinsics},
     id::KindId,
+    marker::{Code, Pattern},
     rigid::Rigid,
 };
 
@@ -25,6 +26,15 @@ pub struct Scenario {
     cameras: Vec<SimCamera>,
     paths: Vec<Path>,
     booms: Vec<Boom>,
+    /// By robot.
+    codes: Vec<Option<PrintedCode>>,
+}
+
+/// What the teeth of a robot's roundel say, and as which word they are printed.
+#[derive(Clone, Copy, Debug)]
+struct PrintedCode {
+    code: Code,
+    word: u16,
 }
 
 /// The truth about one robot at one instant.
@@ -34,6 +44,8 @@ pub struct RobotTruth {
     pub index: usize,
     /// Kind of its roundel, a place in [`ScenarioParams::kinds`].
     pub kind: KindId,
+    /// What its teeth say; `None` for a plain roundel.
+    pub code: Option<Code>,
     /// Pose of its roundel: origin at the rings' centre, z out of the print.
     pub world_from_roundel: Rigid,
     /// Of the roundel's centre, world frame, m/s.
@@ -84,7 +96,8 @@ impl Scenario {
         let cameras = cameras(&params, &mut stream(1))?;
         let paths = layout::lay_out(&params, &cameras, &mut stream(2))?;
         let booms = booms(&params, &mut stream(3));
-        Ok(Self { params, cameras, paths, booms })
+        let codes = codes(&params)?;
+        Ok(Self { params, cameras, paths, booms, codes })
     }
 
     /// The demo's installation, [`ScenarioParams::r4_lite`].
@@ -120,6 +133,7 @@ impl Scenario {
         RobotTruth {
             index,
             kind: KindId((index % self.params.kinds.len()) as u16),
+            code: self.codes[index].map(|printed| printed.code),
             world_from_roundel: Rigid::from_parts(
                 Translation3::from(motion.position_m),
                 attitude.orientation,
@@ -130,6 +144,11 @@ impl Scenario {
             flying: path.is_flying(),
             still: path.is_still(),
         }
+    }
+
+    /// The word that a robot's teeth are printed as; `None` for a plain roundel.
+    pub(super) fn word(&self, index: usize) -> Option<u16> {
+        self.codes[index].map(|printed| printed.word)
     }
 
     /// Whether the whole roundel lies in a camera's image, whatever may hide it.
@@ -169,6 +188,24 @@ impl Scenario {
     pub(super) fn booms_at(&self, time_s: f64) -> Vec<BoomPose> {
         self.booms.iter().map(|boom| boom.pose(time_s)).collect()
     }
+}
+
+/// Each robot's code: those of its kind one after the other.
+fn codes(params: &ScenarioParams) -> Result<Vec<Option<PrintedCode>>, ScenarioError> {
+    let mut codes = vec![None; params.robots];
+    for (first, kind) in params.kinds.iter().enumerate() {
+        let Pattern::Coded(layout) = kind.pattern else { continue };
+        let dictionary = layout.codes()?;
+        let robots = codes.iter_mut().skip(first).step_by(params.kinds.len());
+        let (found, most) = (robots.len(), dictionary.len());
+        if found > most {
+            return Err(ScenarioError::Codes { bits: layout.bits, most, found });
+        }
+        for (robot, (code, word)) in robots.zip(dictionary.iter()) {
+            *robot = Some(PrintedCode { code, word });
+        }
+    }
+    Ok(codes)
 }
 
 impl Boom {
@@ -234,6 +271,7 @@ fn booms(params: &ScenarioParams, rng: &mut ChaCha8Rng) -> Vec<Boom> {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::marker::CodeLayout;
     use crate::sim::CameraMount;
 
     /// Instants over ten minutes, and one a month later.
@@ -318,6 +356,7 @@ mod tests {
             })
             .collect();
         (params.robots, params.still) = (200, 20);
+        params.kinds[0].pattern = Pattern::Coded(CodeLayout { bits: 12, min_distance: 1 });
         let scenario = Scenario::new(params).unwrap();
         for time_s in instants().step_by(50) {
             check_traffic(&scenario, time_s);

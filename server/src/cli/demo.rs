@@ -8,7 +8,7 @@ use std::{
 };
 
 use anyhow::Context;
-use clap::Args;
+use clap::{Args, ValueEnum};
 use roundel_core::{marker::Mode, sim::Scenario};
 
 use super::{
@@ -29,13 +29,17 @@ const REPORT_EVERY: Duration = Duration::from_secs(1);
 /// Try it without a camera: four simulated cameras, 24 robots, the dashboard.
 #[derive(Debug, Args)]
 #[command(after_help = "Example:\n  \
-    roundel demo --duration 20\n\n\
+    roundel demo --duration 20\n  \
+    roundel demo --preset r4\n\n\
     Prints the dashboard's address, and once a second how far the poses are off the truth (root\n\
     mean square of the position's error).")]
 pub struct DemoArgs {
     /// End after so many seconds
     #[arg(long, value_name = "SECONDS", value_parser = seconds)]
     duration: Option<Duration>,
+    /// How much is simulated
+    #[arg(long, value_enum, default_value_t)]
+    preset: PresetWord,
     /// Another seed is another world
     #[arg(long, default_value_t = 1)]
     seed: u64,
@@ -47,10 +51,24 @@ pub struct DemoArgs {
     listen: SocketAddr,
 }
 
+/// Words for simulated installations.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, ValueEnum)]
+enum PresetWord {
+    /// Four cameras of 1280x720 at 30 Hz, plain roundels
+    #[default]
+    #[value(name = "r4_lite")]
+    R4Lite,
+    /// Four cameras of 1920x1080 at 60 Hz, coded roundels: identities and headings; wants some cores
+    R4,
+}
+
 /// Runs the demo until a signal or the end of `--duration`.
 pub(super) async fn run(arguments: DemoArgs) -> anyhow::Result<ExitCode> {
     let address = SimAddress {
-        preset: SimPreset::R4Lite,
+        preset: match arguments.preset {
+            PresetWord::R4Lite => SimPreset::R4Lite,
+            PresetWord::R4 => SimPreset::R4,
+        },
         seed: arguments.seed,
         robots: arguments.robots,
         camera: 0,

@@ -19,6 +19,9 @@ pub(super) struct Score {
     pub tracked: usize,
     /// Of these, objects without a robot near them.
     pub astray: usize,
+    /// Of these, objects whose teeth were read, and those of them that were misread.
+    pub read: usize,
+    pub misread: usize,
 }
 
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
@@ -56,6 +59,8 @@ impl Score {
             match nearest.map(|robot| (robot, distance_m(robot))) {
                 Some((robot, error_m)) if error_m <= SAME_M => {
                     if robot.still { &mut self.still } else { &mut self.moving }.add(error_m);
+                    self.read += usize::from(object.code.is_some());
+                    self.misread += usize::from(object.code.is_some() && object.code != robot.code);
                 }
                 _ => self.astray += 1,
             }
@@ -71,6 +76,8 @@ impl Score {
         self.snapshots += other.snapshots;
         self.tracked += other.tracked;
         self.astray += other.astray;
+        self.read += other.read;
+        self.misread += other.misread;
     }
 
     /// One line for a person, without the time.
@@ -78,15 +85,21 @@ impl Score {
         let millimetres = |sum: &Sum| {
             sum.rms_mm().map_or_else(|| "   –   ".to_owned(), |rms_mm| format!("{rms_mm:4.1} mm"))
         };
-        let tracked = self.tracked as f64 / self.snapshots.max(1) as f64;
+        let each = |count: usize| count as f64 / self.snapshots.max(1) as f64;
+        let some = |count: usize, what: &str| match count {
+            0 => String::new(),
+            count => format!(" ({count} {what})"),
+        };
+        let read = match self.read {
+            0 => String::new(),
+            read => format!("; read {:.1}{}", each(read), some(self.misread, "misread")),
+        };
         format!(
-            "error rms: static {}, moving {}; tracked {tracked:.1}{}",
+            "error rms: static {}, moving {}; tracked {:.1}{}{read}",
             millimetres(&self.still),
             millimetres(&self.moving),
-            match self.astray {
-                0 => String::new(),
-                astray => format!(" ({astray} astray)"),
-            },
+            each(self.tracked),
+            some(self.astray, "astray"),
         )
     }
 }
@@ -152,6 +165,21 @@ mod tests {
         let mut twice = score;
         twice.merge(&score);
         assert_eq!(twice.still.rms_mm(), score.still.rms_mm());
-        assert!(twice.line().contains("tracked 3.0 (2 astray)"), "{}", twice.line());
+        assert!(twice.line().ends_with("tracked 3.0 (2 astray)"), "{}", twice.line());
+    }
+
+    #[test]
+    fn codes_are_compared_with_those_on_the_robots() {
+        let scenario = Scenario::r4(1);
+        let robots = scenario.truth(2.0);
+        let seen = |index: usize, code: usize| ObjectState {
+            code: robots[code].code,
+            ..object(robots[index].world_from_roundel.translation.vector)
+        };
+        let unread = object(robots[5].world_from_roundel.translation.vector);
+        let objects = vec![seen(0, 0), seen(1, 1), seen(2, 3), unread];
+        let mut score = Score::default();
+        score.add(&scenario, &Snapshot { objects, ..Snapshot::default() }, 2.0);
+        assert!(score.line().ends_with("tracked 4.0; read 3.0 (1 misread)"), "{}", score.line());
     }
 }

@@ -57,12 +57,14 @@ pub struct SimAddress {
 /// A simulated arena.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum SimPreset {
-    /// The demo's: four cameras of 1280x720 at 30 Hz.
+    /// The demo's: four cameras of 1280x720 at 30 Hz, plain roundels.
     R4Lite,
+    /// The reference installation: the same cameras with 1920x1080 at 60 Hz, coded roundels.
+    R4,
 }
 
 impl SimPreset {
-    const NAMES: [(&'static str, Self); 1] = [("r4_lite", Self::R4Lite)];
+    const NAMES: [(&'static str, Self); 2] = [("r4_lite", Self::R4Lite), ("r4", Self::R4)];
 }
 
 /// Why a text is no source.
@@ -302,7 +304,7 @@ mod tests {
             ("images:x?fps=3&times=t", "exclude each other"),
             ("images:x?clock=file", "`clock=file` needs `times=FILE`"),
             ("sim:?robots=-1", "option `robots` must be a whole number from 0, found `-1`"),
-            ("sim:?preset=r5", "option `preset` must be one of `r4_lite`, found `r5`"),
+            ("sim:?preset=r5", "option `preset` must be one of `r4_lite`, `r4`, found `r5`"),
             ("sim:arena", "takes no path"),
         ] {
             let error = parse(url).expect_err(url);

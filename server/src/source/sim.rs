@@ -17,6 +17,7 @@ pub const SIM_LATENCY_S: [f64; 2] = [0.015, 0.025];
 pub fn simulated_scenario(address: &SimAddress) -> Result<Scenario, ScenarioError> {
     let mut params = match address.preset {
         SimPreset::R4Lite => ScenarioParams::r4_lite(address.seed),
+        SimPreset::R4 => ScenarioParams::r4(address.seed),
     };
     if let Some(robots) = address.robots {
         // As many of the fewer stand still as of the preset's.
