@@ -2,8 +2,8 @@
 //! well, or not at all; never at a wrong place with a small covariance.
 //!
 //! Each scenario shows single roundels of 20 to 80 px, tilted to 50°, under one disturbance. Of the
-//! poses found none may be further off than its covariance allows ([`WORST`]), and as many must be
-//! found as the scenario says.
+//! poses found none may be further off than its covariance allows ([`WORST`], [`MEDIAN`]), and as many
+//! must be found as the scenario says.
 
 use nalgebra::{Isometry3, Matrix3, Translation3, UnitQuaternion, Vector2, Vector3};
 use rayon::prelude::*;
@@ -23,7 +23,9 @@ const FOCAL_PX: f64 = 700.0;
 const COUNT: u64 = 60;
 /// Largest normalized squared error of a position that is no wrong pose; of three degrees of freedom
 /// one in 10,000 is beyond 21.
-const WORST: f64 = 40.0;
+const WORST: f64 = 25.0;
+/// Largest median of these; of noise alone it is 2.4.
+const MEDIAN: f64 = 5.0;
 
 /// One disturbance.
 struct Scenario {
@@ -40,8 +42,6 @@ struct Scenario {
     carry: fn(Image) -> Image,
     /// Least share found.
     found: f64,
-    /// Largest normalized squared error.
-    worst: f64,
 }
 
 fn calm(random: &mut Random) -> Imaging {
@@ -68,7 +68,6 @@ impl Default for Scenario {
             disturb: untouched,
             carry: |image| image,
             found: 1.0,
-            worst: WORST,
         }
     }
 }
@@ -150,11 +149,8 @@ impl Scenario {
         );
         let share = outcome.found as f64 / COUNT as f64;
         assert!(share >= self.found, "{}: found {share}", self.name);
-        assert!(
-            worst <= self.worst,
-            "{}: a wrong pose with a small covariance: {worst}",
-            self.name
-        );
+        assert!(worst <= WORST, "{}: a wrong pose with a small covariance: {worst}", self.name);
+        assert!(median <= MEDIAN, "{}: covariances too small: {median}", self.name);
         assert_eq!(outcome.others, 0, "{}", self.name);
     }
 }
@@ -255,8 +251,7 @@ fn a_gradient_of_the_light_costs_no_roundel() {
         gradient: [0.5, 0.25],
         ..calm(random)
     };
-    // Light that changes by 6 % across the ring moves its rims more than the covariance says.
-    Scenario { name: "gradient", imaging, worst: 80.0, ..Scenario::default() }.check();
+    Scenario { name: "gradient", imaging, ..Scenario::default() }.check();
 }
 
 #[test]
@@ -268,9 +263,16 @@ fn fifty_grey_levels_are_enough() {
 #[test]
 fn saturated_white_that_blooms_costs_no_roundel() {
     let imaging = |random: &mut Random| Imaging { white: 330.0, ..calm(random) };
-    // Nothing tells rims that bloom from rims that are elsewhere but both of them together: the pose
-    // is off by up to 1 % of the distance, three times what its covariance says.
-    Scenario { name: "saturation", imaging, worst: 120.0, ..Scenario::default() }.check();
+    Scenario { name: "saturation", imaging, ..Scenario::default() }.check();
+    let imaging = |random: &mut Random| Imaging {
+        white: 330.0,
+        bloom_px: random.uniform(0.0, 0.5),
+        ..calm(random)
+    };
+    // Many have no longer the rims of their kind, and the search refuses them.
+    Scenario { name: "saturation and bloom", imaging, found: 0.55, ..Scenario::default() }.check();
+    let imaging = |random: &mut Random| Imaging { black: -25.0, white: 180.0, ..calm(random) };
+    Scenario { name: "black cut off", imaging, ..Scenario::default() }.check();
 }
 
 #[test]

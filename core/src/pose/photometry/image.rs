@@ -15,6 +15,7 @@ use fearless_simd_macros::simd;
 use super::{
     blur::{FUNCTIONS, Kernel, PHASES, Taps, fall_shift},
     normal::Sums,
+    patches::Patches,
     view::Nodes,
 };
 use crate::{ellipse::Chords, frame::Frame};
@@ -39,8 +40,9 @@ pub struct Window {
     image: Vec<f32>,
     /// First and last row that the nodes reach.
     touched: (usize, usize),
-    /// Grey values of the row at hand.
+    /// Grey values of the row at hand, then its residuals.
     grey: Vec<f32>,
+    patches: Patches,
 }
 
 /// Numbers of the model that gather needs, as f32.
@@ -83,6 +85,7 @@ impl Window {
             self.image.resize(needed, 0.0);
         }
         self.grey.resize((self.width + LANES).max(self.grey.len()), 0.0);
+        self.patches.lay(self.width);
     }
 
     /// First and last row that nodes reach; `None` unless every node's pixels lie in the window.
@@ -188,17 +191,19 @@ fn gather_all<S: Simd, const PRODUCTS: bool>(
                 *grey = f32::from(pixel);
             }
             let around = (row - DIFFERENCE) * width..(row + DIFFERENCE + 1) * width + LANES;
-            let line = Line {
+            let mut line = Line {
                 row,
                 width,
                 span: (from, to),
-                grey: &window.grey,
+                grey: &mut window.grey,
                 image: &window.image[around],
             };
-            add_row::<S, PRODUCTS>(simd, &line, model, sums);
+            add_row::<S, PRODUCTS>(simd, &mut line, model, sums);
+            window.patches.add_row(simd, &window.grey[from..to], from);
         }
     }
     window.image[rows.start * width..rows.end * width].fill(0.0);
+    sums.patches = window.patches.finish(simd);
 }
 
 /// Sums rows from the top down.
@@ -217,7 +222,7 @@ struct Line<'a> {
     row: usize,
     width: usize,
     span: (usize, usize),
-    grey: &'a [f32],
+    grey: &'a mut [f32],
     /// d of this row and those next to it.
     image: &'a [f32],
 }
@@ -338,7 +343,12 @@ fn differences<S: Simd>(
 }
 
 #[inline(always)]
-fn add_row<S: Simd, const PRODUCTS: bool>(simd: S, line: &Line, model: &Model, sums: &mut Sums) {
+fn add_row<S: Simd, const PRODUCTS: bool>(
+    simd: S,
+    line: &mut Line,
+    model: &Model,
+    sums: &mut Sums,
+) {
     let lanes = S::f32s::LEN;
     let counted = S::f32s::from_slice(simd, &COUNT[..lanes]);
     let v = line.row as f32;
@@ -389,6 +399,7 @@ fn add_row<S: Simd, const PRODUCTS: bool>(simd: S, line: &Line, model: &Model, s
             zero - x * lift,
             mirror,
         ];
+        columns[0].store_slice(&mut line.grey[start..start + lanes]);
         if PRODUCTS { sums.keep(simd, &columns) } else { sums.add_gradient(simd, &columns) }
     }
 }

@@ -41,11 +41,13 @@
 //! round the outer rim.
 
 mod blur;
+mod careful;
 mod contour;
 mod image;
 mod lens;
 mod mirror;
 mod normal;
+mod patches;
 mod solve;
 mod state;
 #[cfg(test)]
@@ -66,6 +68,7 @@ use crate::{
     rigid::Covariance6,
 };
 use blur::{BLUR_LIMITS_PX, Kernels};
+use careful::Careful;
 use contour::Contours;
 use image::Window;
 use lens::{LocalLens, Plan};
@@ -123,6 +126,9 @@ pub enum FitError {
     /// The pixels do not tell the pose.
     #[error("expected pixels that tell a pose, found too few or too flat ones")]
     Flat,
+    /// Too much of the rims is covered or otherwise not as printed.
+    #[error("expected rims that agree with each other, found too many stretches that do not")]
+    Disturbed,
 }
 
 /// Memory of the fit, to be used again and again.
@@ -135,6 +141,7 @@ pub struct FitScratch {
     nodes: Nodes,
     window: Window,
     sums: Sums,
+    careful: Careful,
 }
 
 impl Default for FitScratch {
@@ -147,6 +154,7 @@ impl Default for FitScratch {
             nodes: Nodes::default(),
             window: Window::default(),
             sums: Sums::default(),
+            careful: Careful::default(),
         }
     }
 }
@@ -188,7 +196,8 @@ pub fn fit(
     let margin_px = (MARGIN.0 * ring.outer.semi_minor_px - MARGIN.1).max(LEAST_REACH_PX);
     let reach_px = REACH.0.max(REACH.1 * blur_px).min(margin_px);
     let counted = ring.outer.grown(reach_px);
-    lay(&mut scratch.window, &counted);
+    let (columns, rows) = window_of(&counted);
+    scratch.window.lay(columns, rows);
     let problem = Problem { frame, kind, radius_m, lens: &lens, chords: Chords::new(&counted) };
     let place = |normal: &Vector3<f64>| Place {
         position_m: Vector3::new(0.0, 0.0, range_m),
@@ -202,10 +211,10 @@ pub fn fit(
         found = upright::estimate(&problem, &solution, scratch);
     }
     let placed = match found {
-        Upright::Facing(first, other, likelihood) => {
+        Upright::Facing(first, other, likelihood) if solution.is_plain() => {
             upright(&problem, &solution, (first, other, likelihood))
         }
-        _ => tilted(&problem, solution, scratch)?,
+        _ => tilted(&problem, solution, &counted, scratch)?,
     };
     Ok(finish(&problem, ring, &placed, scratch))
 }
@@ -243,10 +252,12 @@ fn upright(
     }
 }
 
-/// The solution, or that of the mirrored place if it is nearer to the pixels.
+/// The solution, or that of the mirrored place if it is nearer to the pixels; the careful one where
+/// noise explains neither.
 fn tilted(
     problem: &Problem,
     mut solution: Solution,
+    counted: &Ellipse,
     scratch: &mut FitScratch,
 ) -> Result<Placed, FitError> {
     let at = (&solution.linear, solution.noise2);
@@ -268,6 +279,9 @@ fn tilted(
         other = Some(Glance { misfit, unmoved: misfit, apart_m, state: found.state.clone() });
         solution = if better { found } else { solution };
     }
+    if !solution.is_plain() {
+        return careful::solve(problem, &solution.state, counted, scratch);
+    }
     let likelihood = other.as_ref().map_or(1.0, |other| {
         let worse = (other.misfit - solution.misfit).max(0.0) / solution.noise2;
         1.0 / (1.0 + (-0.5 * worse).exp())
@@ -283,13 +297,13 @@ fn tilted(
     })
 }
 
-/// Lays the window round the pixels that count.
-fn lay(window: &mut Window, counted: &Ellipse) {
+/// Columns and rows of the window round the pixels that count.
+fn window_of(counted: &Ellipse) -> ((i64, i64), (i64, i64)) {
     let (half_u, half_v) = counted.half_box_px();
     let range = |center: f64, half: f64| {
         ((center - half - SLACK_PX).floor() as i64, (center + half + SLACK_PX).ceil() as i64)
     };
-    window.lay(range(counted.center.u, half_u), range(counted.center.v, half_v));
+    (range(counted.center.u, half_u), range(counted.center.v, half_v))
 }
 
 /// Columns a, b, n for a normal; a is arbitrary.

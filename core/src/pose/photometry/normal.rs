@@ -47,6 +47,8 @@ pub struct Sums {
     lanes: Vec<[f32; LANES]>,
     /// After [`Sums::finish`]: Σ over pixels of column times column.
     pub products: Products,
+    /// What [`super::patches`] makes of the residuals.
+    pub patches: f32,
 }
 
 impl Default for Sums {
@@ -56,6 +58,7 @@ impl Default for Sums {
             count: 0,
             lanes: vec![[0.0; LANES]; COLUMNS * COLUMNS],
             products: Products::zeros(),
+            patches: 0.0,
         }
     }
 }

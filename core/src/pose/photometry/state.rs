@@ -8,6 +8,7 @@ use super::{
     image::Model,
     lens::LocalLens,
     normal::{Products, column},
+    patches,
     solve::{Factor, MOST},
     view::{self, Nodes, Place},
 };
@@ -63,10 +64,13 @@ pub type Covariance5 = SMatrix<f64, 5, 5>;
 pub struct Linear {
     pub information: [[f64; MOST]; MOST],
     /// From columns to unknowns.
-    scale: [f64; MOST],
+    pub scale: [f64; MOST],
     pub gradient: [f64; MOST],
+    /// Sum of squared residuals, grey levels².
     pub misfit: f64,
     pixels: f64,
+    /// How far residuals hang together ([`patches::share`]).
+    together: f64,
     /// Products of what tells the mirrored place from this one: with the unknowns, with the residual and
     /// with itself.
     pub mirror: ([f64; MOST], f64, f64),
@@ -75,7 +79,7 @@ pub struct Linear {
     /// Whether the information is that of an earlier state.
     reused: bool,
     /// Information of a rim's elongation, both rims.
-    elongation: f64,
+    pub elongation: f64,
     /// p₃ s: metres that a unit of shift is.
     pub unit_m: f64,
 }
@@ -270,27 +274,32 @@ pub fn linearize(
         sums,
         known.is_none(),
     );
-    let linear = match known {
+    let mut linear = match known {
         None => Linear::new(problem, state, (&sums.products, &model), radius_px),
         Some(known) => known.updated(&sums.products),
     };
+    linear.together = patches::share(f64::from(sums.patches), linear.misfit);
     if linear.pixels < MIN_PIXELS { Err(FitError::Flat) } else { Ok(linear) }
 }
 
 /// What carrying the contour into the window needs of the scratch.
-struct Parts<'a> {
-    level: fearless_simd::Level,
-    contours: &'a mut super::Contours,
-    nodes: &'a mut Nodes,
-    window: (i64, i64),
+pub struct Parts<'a> {
+    pub level: fearless_simd::Level,
+    pub contours: &'a mut super::Contours,
+    pub nodes: &'a mut Nodes,
+    pub window: (i64, i64),
+}
+
+/// The outer rim's radius, pixels.
+pub fn radius_px(problem: &Problem, state: &State) -> f64 {
+    // The largest stretch of the lens is at most the slope's norm.
+    let scale_px = problem.lens.slope.norm() * std::f64::consts::FRAC_1_SQRT_2;
+    scale_px * problem.radius_m / (state.place.position_m.z * problem.lens.spread)
 }
 
 /// Carries the contour into the window; returns the outer rim's radius, pixels.
-fn project(problem: &Problem, state: &State, blur_px: f64, parts: &mut Parts) -> f64 {
-    let slope = &problem.lens.slope;
-    // The largest stretch of the lens is at most the slope's norm.
-    let scale_px = slope.norm() * std::f64::consts::FRAC_1_SQRT_2;
-    let radius_px = scale_px * problem.radius_m / (state.place.position_m.z * problem.lens.spread);
+pub fn project(problem: &Problem, state: &State, blur_px: f64, parts: &mut Parts) -> f64 {
+    let radius_px = radius_px(problem, state);
     let around_px = std::f64::consts::TAU * radius_px * 1.1;
     let contour = parts.contours.of(problem.kind, around_px, SPACING * blur_px);
     let at = (problem.lens, &state.place, problem.radius_m);
@@ -298,7 +307,7 @@ fn project(problem: &Problem, state: &State, blur_px: f64, parts: &mut Parts) ->
     radius_px
 }
 
-fn model(problem: &Problem, state: &State, table_px: f64, window: (i64, i64)) -> Model {
+pub fn model(problem: &Problem, state: &State, table_px: f64, window: (i64, i64)) -> Model {
     let (lens, Place { position_m: p, axes }) = (problem.lens, &state.place);
     let s = lens.spread;
     let [a, b, n] = [0, 1, 2].map(|i| axes.column(i).into_owned());
@@ -332,7 +341,7 @@ fn model(problem: &Problem, state: &State, table_px: f64, window: (i64, i64)) ->
 }
 
 impl Linear {
-    fn new(
+    pub fn new(
         problem: &Problem,
         state: &State,
         (products, model): (&Products, &Model),
@@ -369,6 +378,7 @@ impl Linear {
             ),
             apart_px: 2.0 * radius_px * model.nearness[1].hypot(model.nearness[2]) as f64,
             pixels: products[(column::WHITE, column::WHITE)],
+            together: 1.0,
             reused: false,
             elongation,
             unit_m: state.place.position_m.z * problem.lens.spread,
@@ -407,7 +417,7 @@ impl Linear {
         self.mirror.0[unknown] = 0.0;
     }
 
-    fn noise2(&self) -> f64 {
+    pub fn noise2(&self) -> f64 {
         self.noise2_of(self.misfit)
     }
 
@@ -446,7 +456,7 @@ impl Linear {
     }
 
     /// Information, over that of one grey level, about the tilt about either axis.
-    fn tilt_information(&self, state: &State) -> f64 {
+    pub fn tilt_information(&self, state: &State) -> f64 {
         let place = &state.place;
         let cosine = place.axes.column(2).dot(&place.position_m.normalize());
         self.elongation * (1.0 - cosine * cosine) / 8.0
@@ -460,7 +470,21 @@ impl Linear {
     }
 }
 
+/// Deviations of the noise that levels stay away from the ends of the scale.
+const ENDS_NOISE: f64 = 3.0;
+/// [`patches::share`] of noise is less than 1 by this over the root of the number of pixels.
+const EVEN: f64 = 10.0;
+
 impl Solution {
+    /// Whether noise explains the residual, and the scale of grey levels holds white and black.
+    pub fn is_plain(&self) -> bool {
+        let (state, linear) = (&self.state, &self.linear);
+        let slack = ENDS_NOISE * self.noise2.sqrt();
+        let levels = [state.white, state.white + state.step];
+        let (low, high) = (levels[0].min(levels[1]), levels[0].max(levels[1]));
+        linear.together < 1.0 + EVEN / linear.pixels.sqrt() && low > slack && high < 255.0 - slack
+    }
+
     /// Of (position, rotation) in the camera's frame.
     pub fn covariance(&self, problem: &Problem) -> Option<Covariance6> {
         let (information, _) = self.linear.with_prior(&self.state, self.noise2);

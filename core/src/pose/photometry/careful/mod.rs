@@ -1,0 +1,547 @@
+//! The careful fit: for rings whose residual shows that the plain model does not hold.
+//!
+//! In: where the fast fit ended. Out: a solution whose covariance says what the picture holds, or a
+//! refusal. The image is the same (`image`), but
+//!
+//! * **cut off levels.** A pixel at an end of the scale says only that its level m, with noise ε of
+//!   deviation s, lies beyond: with z = (254.5 - m)/s its likelihood is Φ(-z), so that it pulls by
+//!   s λ, λ = φ(z)/Φ(-z), with the weight λ (λ - z): as any other pixel where m is far below, not at
+//!   all where m is far above (Tobit's regression). The flanks say how high white is.
+//! * **bloom.** Where levels are cut off, white may spread into black across both rims: one more
+//!   unknown, expected within [`BLOOM_PRIOR_PX`].
+//! * **cells.** Where that does not explain the residual, each stretch of either rim gets levels of its
+//!   own (`cells`): half of a ring in shadow keeps its say on where the rims are, and a cover without
+//!   an edge near the rim has none.
+//! * **drops.** Cells whose rim stands off the model's, or whose pixels are left with more than most
+//!   cells' are, leave the fit until their number settles.
+//! * **growth.** The variance of a pixel is multiplied by the mean of δ²/var(δ) over the cells that
+//!   stay: motion, JPEG and covers that were not seen move whole stretches, not single pixels.
+//!
+//! Refused are rings of which fewer than [`LEAST_KEPT`] of either rim's cells agree.
+//!
+//! **Accuracy** (`roundel-tests`, `tests/robustness.rs`): white at 330 of 255, with and without bloom, a
+//! shadow's edge across the ring, covers.
+
+mod cells;
+mod image;
+
+use nalgebra::{SVector, Vector3};
+
+use super::{
+    FitError, FitScratch, Placed,
+    mirror::Glance,
+    normal::{COLUMNS, Products, column},
+    state::{self, Covariance5, Linear, Parts, Problem, Solution, State},
+    window_of,
+};
+use crate::ellipse::Ellipse;
+use cells::{Cell, Known, SPREAD, WIDTH};
+use image::{Images, Normal};
+
+/// Deviation of the bloom where levels are cut off, pixels.
+const BLOOM_PRIOR_PX: f64 = 0.3;
+/// Levels are cut off if more than this share of the pixels stands at an end of the scale.
+const CUT_OFF: f64 = 0.02;
+/// Least share of each rim's cells that must agree.
+const LEAST_KEPT: f64 = 0.4;
+/// Rounds of dropping cells.
+const ROUNDS: usize = 6;
+/// Steps of one round.
+const STEPS: usize = 8;
+/// A step that lowers the misfit by less than this many variances is the last one.
+const LAST_STEP: f64 = 0.3;
+/// A step that promises less than this many variances, and does not keep it, is left out.
+const SETTLED: f64 = 4.0;
+/// δ²/var(δ) that a cell may have, as a multiple of what most have.
+const MOST_SQUARE: f64 = 12.0;
+/// Deviations by which the variance of a cell's pixels may exceed that of most.
+const MOST_SPREAD: f64 = 5.0;
+/// Part of the contrast that the model may miss.
+const MODEL_SHARE: f64 = 0.01;
+/// A cell's step over the reference's.
+const CONTRAST: (f64, f64) = (0.2, 3.0);
+/// Median of χ² of one degree of freedom.
+const MEDIAN_SQUARE: f64 = 0.455;
+/// The growth up to which one set of levels is enough for the whole ring.
+const EVEN: f64 = 3.0;
+/// Variance that face-on adds to the tilt, in units of the elongation's deviation …
+const FACE_ON: f64 = 1.5;
+/// … up to an elongation of about so many deviations.
+const FACE_ON_END: f64 = 2.5;
+/// The pose's degrees of freedom, and blur's.
+const FITTED: f64 = 6.0;
+
+/// Memory of the careful fit.
+#[derive(Clone, Debug, Default)]
+pub struct Careful {
+    normal: Normal,
+    images: Images,
+    pixels: Vec<Pixel>,
+    cells: Vec<Cell>,
+    /// The cells before a step that may not hold.
+    before: Vec<Cell>,
+    list: Vec<f64>,
+}
+
+/// A pixel that counts.
+#[derive(Clone, Copy, Debug)]
+struct Pixel {
+    /// Its place in the window …
+    column: u16,
+    row: u16,
+    cell: u16,
+    grey: f32,
+}
+
+/// Whose levels hold.
+#[derive(Clone, Copy, Debug, PartialEq)]
+enum Levels {
+    Ring,
+    Cells,
+}
+
+/// A fit at work.
+struct Fitter<'a> {
+    problem: &'a Problem<'a>,
+    scratch: &'a mut FitScratch,
+    known: Known,
+    levels: Levels,
+    /// Whether levels are cut off, and the bloom is free.
+    cut_off: bool,
+    bloom_px: f64,
+    /// The last column's products, from before it was eliminated.
+    bloom: SVector<f64, COLUMNS>,
+    /// The misfit as it is, before levels and bloom have followed.
+    misfit: f64,
+    iterations: usize,
+}
+
+/// Fits from a state, over the pixels within `counted`.
+pub fn solve(
+    problem: &Problem,
+    start: &State,
+    counted: &Ellipse,
+    scratch: &mut FitScratch,
+) -> Result<Placed, FitError> {
+    let (columns, rows) = window_of(counted);
+    scratch.careful.images.lay(columns, rows);
+    let known = Known { levels: [start.white, start.step], noise2: 4.0 };
+    let mut fitter = Fitter {
+        problem,
+        scratch,
+        known,
+        levels: Levels::Ring,
+        cut_off: false,
+        bloom_px: 0.0,
+        bloom: SVector::zeros(),
+        misfit: 0.0,
+        iterations: 0,
+    };
+    fitter.lay_cells(start);
+    let (solution, second) = fitter.run(start)?;
+    place(problem, solution, second)
+}
+
+/// The solution with its covariance.
+fn place(
+    problem: &Problem,
+    solution: Solution,
+    second: Option<Glance>,
+) -> Result<Placed, FitError> {
+    let Solution { state, noise2, linear, .. } = &solution;
+    let (factor, _) = linear.factor(state, *noise2, 0.0).ok_or(FitError::Flat)?;
+    let first = column::SHIFT - 1;
+    let columns: [_; 5] = std::array::from_fn(|index| factor.inverse_column(first + index));
+    let mut own = Covariance5::from_fn(|row, index| columns[index][first + row] * noise2);
+    let unit = (2.0 * noise2 / linear.elongation).sqrt();
+    let seen = linear.tilt_information(state) / noise2 * unit;
+    let face_on = FACE_ON * (-(seen / FACE_ON_END).powi(4)).exp() * unit;
+    own[(3, 3)] += face_on;
+    own[(4, 4)] += face_on;
+    let turns = [0, 1].map(|axis| state.place.axes.column(axis).into_owned());
+    let worse = second
+        .as_ref()
+        .map_or(f64::INFINITY, |other| (other.misfit - solution.misfit).max(0.0) / noise2);
+    Ok(Placed {
+        other_normal: state.mirrored().place.axes.column(2).into_owned(),
+        likelihood: 1.0 / (1.0 + (-0.5 * worse).exp()),
+        apart_m: second.map_or(Vector3::zeros(), |other| other.apart_m),
+        covariance: solution.carried(problem, state, &own, &turns),
+        noise2: *noise2,
+        iterations: solution.iterations,
+        state: solution.state,
+    })
+}
+
+impl Fitter<'_> {
+    /// Deals the pixels out to cells.
+    fn lay_cells(&mut self, state: &State) {
+        let careful = &mut self.scratch.careful;
+        let (origin, width, height) =
+            (careful.images.origin, careful.images.width, careful.images.height);
+        let model = state::model(self.problem, state, state.blur2.sqrt(), origin);
+        let ratio = self.problem.kind.ratio();
+        let radius_px = state::radius_px(self.problem, state);
+        let counts =
+            [1.0, ratio].map(|share| cells::count(std::f64::consts::TAU * share * radius_px));
+        careful.cells.clear();
+        for (rim, &count) in counts.iter().enumerate() {
+            careful.cells.extend((0..count).map(|_| Cell::new(rim, self.known.levels)));
+        }
+        careful.pixels.clear();
+        let frame = self.problem.frame;
+        let mut ends = 0usize;
+        for row in 0..height {
+            let v = origin.1 + row as i64;
+            if !(0..frame.height() as i64).contains(&v) {
+                continue;
+            }
+            let (from, to) = self.problem.chords.span(v as f64);
+            let from = (from.ceil() as i64).max(origin.0).max(0);
+            let to = (to.ceil() as i64).min(frame.width() as i64).min(origin.0 + width as i64);
+            for u in from..to {
+                let column = (u - origin.0) as usize;
+                let (p, q) = (column as f32, row as f32);
+                let t = model.t.map(|[c, by_p, by_q]| c + by_p * p + by_q * q);
+                let of = |terms: &[f32; 3]| terms[0] + terms[1] * t[0] + terms[2] * t[1];
+                let (near, x, y) = (of(&model.nearness), of(&model.plane[0]), of(&model.plane[1]));
+                let rim = usize::from(x.hypot(y) < 0.5 * (1.0 + ratio as f32) * near);
+                let turn = f64::from(y.atan2(x)) / std::f64::consts::TAU + 0.5;
+                let place = ((turn * counts[rim] as f64) as usize).min(counts[rim] - 1);
+                let grey = frame.row(v as usize)[u as usize];
+                ends += usize::from(grey == 0 || grey == 255);
+                careful.pixels.push(Pixel {
+                    column: column as u16,
+                    row: row as u16,
+                    cell: (rim * counts[0] + place) as u16,
+                    grey: f32::from(grey),
+                });
+            }
+        }
+        self.cut_off = ends as f64 > CUT_OFF * careful.pixels.len() as f64;
+    }
+
+    fn run(&mut self, start: &State) -> Result<(Solution, Option<Glance>), FitError> {
+        let (mut state, mut linear, mut settled) = self.descend(start.clone())?;
+        let mut changed = self.drop_cells();
+        let mut growth = self.growth(&linear);
+        if changed || growth > EVEN || !settled {
+            self.levels = Levels::Cells;
+            self.known.levels = [state.white, state.step];
+            for cell in &mut self.scratch.careful.cells {
+                cell.levels = self.known.levels;
+            }
+            for _ in 0..ROUNDS {
+                (state, linear, settled) = self.descend(state)?;
+                changed = self.drop_cells();
+                if !changed {
+                    break;
+                }
+            }
+            growth = self.growth(&linear);
+        }
+        if changed || !settled {
+            return Err(FitError::Restless);
+        }
+        let share = self.share_kept();
+        if share < LEAST_KEPT {
+            return Err(FitError::Disturbed);
+        }
+        linear.elongation *= share;
+        let noise2 = linear.noise2() * growth;
+        let misfit = linear.misfit;
+        let solution = Solution { state, misfit, noise2, iterations: self.iterations, linear };
+        Ok(self.against_mirrored(solution))
+    }
+
+    /// The likelier of a solution and the one from its mirrored place, with what the other comes to.
+    fn against_mirrored(&mut self, first: Solution) -> (Solution, Option<Glance>) {
+        let Ok((state, mut linear, _)) = self.descend(first.state.mirrored()) else {
+            return (first, None);
+        };
+        linear.elongation = first.linear.elongation;
+        let apart_m = state.place.position_m - first.state.place.position_m;
+        let misfit = linear.misfit;
+        if misfit >= first.misfit {
+            return (first, Some(Glance { misfit, unmoved: misfit, apart_m, state }));
+        }
+        let glance = Glance {
+            misfit: first.misfit,
+            unmoved: first.misfit,
+            apart_m: -apart_m,
+            state: first.state,
+        };
+        let noise2 = first.noise2;
+        (Solution { state, misfit, noise2, iterations: self.iterations, linear }, Some(glance))
+    }
+
+    /// Steps down from a state; whether it settled.
+    fn descend(&mut self, start: State) -> Result<(State, Linear, bool), FitError> {
+        let mut state = start;
+        let mut linear = self.look(&state)?;
+        let mut misfit = self.misfit;
+        let mut damping = 0.0;
+        for _ in 0..STEPS {
+            let noise2 = linear.noise2();
+            self.known.noise2 = noise2;
+            let flat = || FitError::Flat;
+            let (factor, right) = linear.factor(&state, noise2, damping).ok_or_else(flat)?;
+            let mut change = factor.solve(&right);
+            if state.blur_ends(change[column::BLUR - 1]) {
+                linear.hold(column::BLUR - 1);
+                let (factor, right) = linear.factor(&state, noise2, damping).ok_or_else(flat)?;
+                change = factor.solve(&right);
+            }
+            let gain: f64 = change.iter().zip(&linear.gradient).map(|(x, g)| x * g).sum();
+            let gain = gain + misfit - linear.misfit;
+            if damping < 1e-3 && gain < LAST_STEP * noise2 {
+                return Ok((state, linear, true));
+            }
+            let next = state.moved(&linear, &change).ok_or(FitError::Away)?;
+            let bloom_px = self.bloom_px;
+            let Careful { cells, before, .. } = &mut self.scratch.careful;
+            before.clone_from(cells);
+            self.settle(&linear, &change);
+            match self.look(&next) {
+                Ok(found) if self.misfit <= misfit + noise2 => {
+                    (state, linear, misfit) = (next, found, self.misfit);
+                    damping *= 0.1;
+                }
+                found => {
+                    let Careful { cells, before, .. } = &mut self.scratch.careful;
+                    cells.clone_from(before);
+                    self.bloom_px = bloom_px;
+                    // The columns, not the model, stand in the way of so little.
+                    if found.is_ok() && gain < SETTLED * noise2 {
+                        return Ok((state, linear, true));
+                    }
+                    damping = (10.0 * damping).max(0.01);
+                }
+            }
+        }
+        Ok((state, linear, false))
+    }
+
+    /// Moves bloom and the cells' levels along with the shared unknowns.
+    fn settle(&mut self, linear: &Linear, change: &[f64]) {
+        let mut coefficients = SVector::<f64, COLUMNS>::zeros();
+        coefficients[0] = 1.0;
+        for (index, change) in change.iter().enumerate().take(SPREAD - 1) {
+            coefficients[index + 1] = -change * linear.scale[index];
+        }
+        if self.cut_off {
+            let bloom = self.bloom.dot(&coefficients) / self.bloom[SPREAD];
+            coefficients[SPREAD] = -bloom;
+            self.bloom_px += bloom / self.known.levels[1];
+        }
+        if self.levels == Levels::Cells {
+            // The levels' own coefficients are what is looked for.
+            (coefficients[column::WHITE], coefficients[column::STEP]) = (0.0, 0.0);
+            for cell in &mut self.scratch.careful.cells {
+                cell.settle(&self.known, &coefficients);
+            }
+        }
+    }
+
+    /// The linear problem at a state.
+    fn look(&mut self, state: &State) -> Result<Linear, FitError> {
+        self.iterations += 1;
+        let blur_px = state.blur2.sqrt();
+        let FitScratch { level, contours, nodes, careful, .. } = &mut *self.scratch;
+        let Careful { normal, images, .. } = careful;
+        let mut parts = Parts { level: *level, contours, nodes, window: images.origin };
+        let radius_px = state::project(self.problem, state, blur_px, &mut parts);
+        if self.bloom_px != 0.0 {
+            images.spread(nodes, self.bloom_px);
+        }
+        if !images.draw(nodes, blur_px, normal) {
+            return Err(FitError::Away);
+        }
+        if self.levels == Levels::Ring {
+            self.known.levels = [state.white, state.step];
+            for cell in &mut careful.cells {
+                cell.levels = self.known.levels;
+            }
+        }
+        self.add_pixels(state);
+        let products = self.combined();
+        let origin = self.scratch.careful.images.origin;
+        let model = state::model(self.problem, state, blur_px, origin);
+        Ok(Linear::new(self.problem, state, (&products, &model), radius_px))
+    }
+
+    /// Sums each cell's pixels.
+    fn add_pixels(&mut self, state: &State) {
+        let Careful { normal, images, pixels, cells, .. } = &mut self.scratch.careful;
+        let model = state::model(self.problem, state, state.blur2.sqrt(), images.origin);
+        for cell in cells.iter_mut() {
+            cell.sums = Default::default();
+        }
+        let planes: [&[f32]; image::IMAGES] = std::array::from_fn(|index| images.plane(index));
+        let deviation = self.known.noise2.sqrt().max(0.5);
+        for pixel in pixels.iter() {
+            let cell = &mut cells[usize::from(pixel.cell)];
+            let index = usize::from(pixel.row) * images.width + usize::from(pixel.column);
+            let [share, right, down, curvature, outer, inner] = planes.map(|plane| plane[index]);
+            let (p, q) = (f32::from(pixel.column), f32::from(pixel.row));
+            let [t1, t2] = model.t.map(|[c, by_p, by_q]| c + by_p * p + by_q * q);
+            let slope = &self.problem.lens.slope;
+            let g1 = right * slope.m11 as f32 + down * slope.m21 as f32;
+            let g2 = right * slope.m12 as f32 + down * slope.m22 as f32;
+            let light = 1.0 + model.light[0] * t1 + model.light[1] * t2;
+            let [white, step] = cell.levels.map(|level| level as f32);
+            let level = (white + step * share) * light;
+            let word = word(normal, f64::from(pixel.grey), f64::from(level), deviation);
+            let of = |terms: &[f32; 3]| terms[0] + terms[1] * t1 + terms[2] * t2;
+            let (near, x, y) = (of(&model.nearness), of(&model.plane[0]), of(&model.plane[1]));
+            let radial = t1 * g1 + t2 * g2;
+            let along = |v: &[f32; 3]| v[0] * g1 + v[1] * g2 - v[2] * radial;
+            let lift = along(&model.lift);
+            let to_middle = along(&[model.middle[0], model.middle[1], 1.0]);
+            let mut columns = [
+                0.0,
+                light,
+                share * light,
+                curvature * light,
+                level * t1,
+                level * t2,
+                near * g1 * light,
+                near * g2 * light,
+                near * to_middle * light,
+                y * lift * light,
+                -x * lift * light,
+                outer * light,
+                inner * light,
+                0.0,
+                0.0,
+                0.0,
+            ];
+            for column in &mut columns {
+                *column *= word.root as f32;
+            }
+            columns[0] = word.residual as f32;
+            cell.add(&columns);
+            cell.sums[0][0] += (word.misfit - word.residual * word.residual) as f32;
+        }
+    }
+
+    /// The products of all cells that count, with bloom free or held.
+    fn combined(&mut self) -> Products {
+        let mut sum = Products::zeros();
+        self.misfit = 0.0;
+        for cell in self.scratch.careful.cells.iter().filter(|cell| cell.kept) {
+            self.misfit += cell.misfit(&self.known);
+            match self.levels {
+                Levels::Ring => sum += cell.products(self.known.levels[1]),
+                Levels::Cells => {
+                    if let Some(products) = cell.freed(&self.known) {
+                        sum += products;
+                    }
+                }
+            }
+        }
+        if self.levels == Levels::Cells {
+            sum[(column::STEP, column::STEP)] = 1.0;
+        }
+        if self.cut_off {
+            let step = self.known.levels[1];
+            let prior = self.known.noise2 / (BLOOM_PRIOR_PX * step).powi(2);
+            sum[(SPREAD, SPREAD)] += prior;
+            let pull = -prior * self.bloom_px * step;
+            sum[(0, SPREAD)] += pull;
+            sum[(SPREAD, 0)] += pull;
+            let prior = prior * (self.bloom_px * step).powi(2);
+            sum[(0, 0)] += prior;
+            self.misfit += prior;
+            self.bloom = sum.column(SPREAD).into_owned();
+            sum -= self.bloom * self.bloom.transpose() / self.bloom[SPREAD];
+        }
+        sum
+    }
+
+    /// Leaves out the cells that do not agree with most; whether any changed.
+    fn drop_cells(&mut self) -> bool {
+        let Careful { cells, list, .. } = &mut self.scratch.careful;
+        let mut known = self.known;
+        list.clear();
+        list.extend(cells.iter().filter_map(|cell| Some(cell.witness(&known)?.variance)));
+        known.noise2 = median(list).max(1.0 / 12.0);
+        list.clear();
+        list.extend(cells.iter().filter_map(|cell| Some(cell.witness(&known)?.square)));
+        let scale = (median(list) / MEDIAN_SQUARE).max(known.noise2);
+        let missed = (MODEL_SHARE * known.levels[1]).powi(2);
+        let mut changed = false;
+        for cell in cells {
+            let kept = cell.witness(&known).is_some_and(|witness| {
+                let spread = 1.0 + MOST_SPREAD * (2.0 / (cell.pixels() - 3.0).max(1.0)).sqrt();
+                witness.square < MOST_SQUARE * scale
+                    && witness.variance < known.noise2 * spread + missed
+                    && (CONTRAST.0..CONTRAST.1).contains(&witness.contrast)
+            });
+            changed |= kept != cell.kept;
+            cell.kept = kept;
+        }
+        changed
+    }
+
+    /// By how much the variance of a pixel must grow for the cells to agree.
+    fn growth(&self, linear: &Linear) -> f64 {
+        let known = Known { noise2: linear.noise2(), ..self.known };
+        let kept = self.scratch.careful.cells.iter().filter(|cell| cell.kept);
+        let (mut sum, mut count) = (0.0, 0.0);
+        for witness in kept.filter_map(|cell| cell.witness(&known)) {
+            sum += witness.square / known.noise2;
+            count += 1.0;
+        }
+        (sum / (count - FITTED).max(1.0)).max(1.0)
+    }
+
+    /// The smaller of the rims' shares of cells that count.
+    fn share_kept(&self) -> f64 {
+        let cells = &self.scratch.careful.cells;
+        let share = |rim: usize| {
+            let all = cells.iter().filter(|cell| cell.rim == rim).count() as f64;
+            cells.iter().filter(|cell| cell.rim == rim && cell.kept).count() as f64 / all
+        };
+        share(0).min(share(1))
+    }
+}
+
+/// What a pixel says against a level.
+struct Word {
+    /// Residual, over the root of the weight.
+    residual: f64,
+    /// Root of the weight of its columns' products.
+    root: f64,
+    /// -2 s² times the logarithm of its likelihood.
+    misfit: f64,
+}
+
+/// Of a pixel's grey against a level, with noise of a deviation.
+#[inline]
+fn word(normal: &Normal, grey: f64, level: f64, deviation: f64) -> Word {
+    let (sign, z) = if grey >= 255.0 {
+        (1.0, (254.5 - level) / deviation)
+    } else if grey <= 0.0 {
+        (-1.0, (level - 0.5) / deviation)
+    } else {
+        let residual = grey - level;
+        return Word { residual, root: 1.0, misfit: residual * residual };
+    };
+    if z < -5.0 {
+        return Word { residual: 0.0, root: 0.0, misfit: 0.0 };
+    }
+    let (pull, misfit) = normal.beyond(z);
+    let root = (pull * (pull - z)).max(0.0).sqrt();
+    let variance = deviation * deviation;
+    Word { residual: sign * deviation * pull / root, root, misfit: variance * misfit }
+}
+
+fn median(list: &mut [f64]) -> f64 {
+    let middle = list.len() / 2;
+    if list.is_empty() {
+        return 0.0;
+    }
+    *list.select_nth_unstable_by(middle, f64::total_cmp).1
+}
+const _: () = assert!(SPREAD + 1 < WIDTH);
