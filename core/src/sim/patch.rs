@@ -24,7 +24,7 @@ const FULL_SCALE: f32 = 255.0 * STEPS_PER_LEVEL as f32;
 
 /// What a patch looks like, in its own plane, metres.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub(super) enum Shape {
+pub(super) enum Shape<'a> {
     /// One albedo within a circle.
     Disc { radius_m: f32, albedo: f32 },
     /// A shadow: darkest in its middle, (1 - r² / radius²)² of it away from there.
@@ -34,7 +34,7 @@ pub(super) enum Shape {
     /// Black ring, white disc, on a white sheet.
     Roundel { outer_radius_m: f32, inner_radius_m: f32, sheet: Sheet },
     /// The same with teeth round the disc.
-    Coded { outer_radius_m: f32, teeth: Teeth, sheet: Sheet },
+    Coded { outer_radius_m: f32, teeth: &'a Teeth, sheet: Sheet },
 }
 
 /// The white sheet round a roundel.
@@ -215,12 +215,12 @@ impl Patch {
             }
             Shape::Coded { outer_radius_m, teeth, sheet: Sheet::Square(half_m) } => {
                 self.paint_with(rays, row, |at| {
-                    (at.within([half_m; 2]), at.coded_albedo(outer_radius_m, &teeth))
+                    (at.within([half_m; 2]), at.coded_albedo(outer_radius_m, teeth))
                 });
             }
             Shape::Coded { outer_radius_m, teeth, sheet: Sheet::Disc(radius_m) } => {
                 self.paint_with(rays, row, |at| {
-                    (at.radial().inside(radius_m), at.coded_albedo(outer_radius_m, &teeth))
+                    (at.radial().inside(radius_m), at.coded_albedo(outer_radius_m, teeth))
                 });
             }
         }

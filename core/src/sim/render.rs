@@ -175,12 +175,13 @@ impl Renderer {
             Sheet::Square(1.35 * outer_radius_m)
         };
         let inner_radius_m = (kind.inner_diameter_m / 2.0) as f32;
-        let shape = match (kind.pattern, self.scenario.word(robot.index)) {
-            (Pattern::Coded(layout), Some(word)) => {
-                let teeth = Teeth::new(layout, word, inner_radius_m);
-                Shape::Coded { outer_radius_m, teeth, sheet }
-            }
-            _ => Shape::Roundel { outer_radius_m, inner_radius_m, sheet },
+        let teeth = match (kind.pattern, self.scenario.word(robot.index)) {
+            (Pattern::Coded(layout), Some(word)) => Some(Teeth::new(layout, word, inner_radius_m)),
+            _ => None,
+        };
+        let shape = match &teeth {
+            Some(teeth) => Shape::Coded { outer_radius_m, teeth, sheet },
+            None => Shape::Roundel { outer_radius_m, inner_radius_m, sheet },
         };
         self.paint_on(&robot.world_from_roundel, &robot.velocity_m_s, &[shape]);
     }
