@@ -404,8 +404,10 @@ describe("a lost connection", () => {
         async (page) => {
           line.cut();
           await page.locator("#banner").waitFor();
-          // Long pauses by now: it is the button that brings it back.
-          await page.waitForTimeout(3000);
+          // With so long to go until the next attempt it is the button that brings it back.
+          await page.waitForFunction(() =>
+            /Next attempt in ([4-9]|\d\d) s/.test(document.querySelector("#banner").textContent),
+          );
           line.mend();
           await page.locator("#retry").click();
           await page.locator('body[data-phase="live"]').waitFor();
