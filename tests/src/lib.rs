@@ -22,6 +22,7 @@
 //! | [`score`] | snapshots against the truth: normalized errors, swaps, rms |
 //! | [`process`] | a real server process: built, started, read, ended |
 //! | [`layering`] | the house's rules of who may use whom, checked on source text |
+//! | [`timing`] | times of following and searching with poses |
 //! | [`shared_data`] | the recordings beside the repository, where they are there |
 
 pub mod arena;
@@ -42,3 +43,4 @@ pub mod recall;
 pub mod render;
 pub mod score;
 pub mod shared_data;
+pub mod timing;

@@ -1,0 +1,177 @@
+//! Times of following and searching with poses, on rendered roundels.
+//!
+//! In: how many roundels of which size in an image of which size. Out: least times of a frame, in both
+//! modes, on one thread. The roundels go round in small circles, so that neither their places nor
+//! their poses are those of the frame before. The least of many repetitions counts, since others use
+//! the machine.
+
+use std::time::Instant;
+
+use nalgebra::{Isometry3, Translation3, UnitQuaternion, Vector2, Vector3};
+use roundel_core::{
+    frame::Frame,
+    marker::{Detector, Mode, Params, Scratch, Tracker},
+    pose::Locator,
+};
+
+use crate::{
+    arena::Kind,
+    normal::Random,
+    optics::{Distortion, Pinhole},
+    pipeline::{core_camera, core_kinds},
+    precision::MODES,
+    render::{Canvas, Image, Imaging, Print, Renderer, Seen},
+};
+
+/// Frames of one round of the circles.
+const FRAMES: usize = 8;
+/// Radius of the circles, pixels: the roundels move by 1.5 px a frame.
+const CIRCLE_PX: f64 = 2.0;
+
+/// What is timed.
+#[derive(Clone, Copy, Debug)]
+pub struct Case {
+    /// Of the image, pixels.
+    pub width: usize,
+    /// Of the image, pixels.
+    pub height: usize,
+    /// Roundels in it.
+    pub count: usize,
+    /// Their outer diameter, pixels.
+    pub diameter_px: f64,
+}
+
+/// Least times of one case in one mode, poses included.
+#[derive(Clone, Copy, Debug)]
+pub struct Times {
+    /// To follow all, seconds a frame.
+    pub follow_s: f64,
+    /// Of that to find the rings, seconds a frame.
+    pub rings_s: f64,
+    /// To search the whole frame, seconds a frame.
+    pub search_s: f64,
+}
+
+/// Times in the [`MODES`].
+pub fn times(case: &Case, rounds: usize) -> [Times; 2] {
+    let lens = Distortion::PlumbBob([-0.02, 0.0, 0.0, 0.0, 0.0]);
+    let camera = Pinhole::centered(case.width, case.height, 1100.0, lens);
+    let images = pictures(case, &camera);
+    let frames: Vec<_> = images
+        .iter()
+        .map(|image| {
+            Frame::new(&image.pixels, image.width, image.height, image.width)
+                .expect("a frame of the renderer's size")
+        })
+        .collect();
+    MODES.map(|mode| {
+        let (follow_s, rings_s) = follow(case, &camera, &frames, mode, rounds);
+        Times { follow_s, rings_s, search_s: search(case, &camera, &frames[0], mode, rounds) }
+    })
+}
+
+fn detector(case: &Case, mode: Mode) -> Detector {
+    let params = Params { mode, max_roundels: case.count, ..Params::default() };
+    Detector::new(core_kinds(&[Kind::robot()]), params).expect("a kind that can be printed")
+}
+
+fn locator(camera: &Pinhole, mode: Mode) -> Locator {
+    let camera = core_camera(camera).expect("a camera as above");
+    Locator::new(camera, core_kinds(&[Kind::robot()]), mode)
+}
+
+/// With poses, and without.
+fn follow(
+    case: &Case,
+    camera: &Pinhole,
+    frames: &[Frame<'_>],
+    mode: Mode,
+    rounds: usize,
+) -> (f64, f64) {
+    let mut tracker = Tracker::new(detector(case, mode));
+    let mut locator = locator(camera, mode);
+    let mut round = |with_poses: bool| {
+        for frame in frames {
+            let tracked = tracker.process(frame);
+            assert_eq!(tracked.len(), case.count, "all roundels are followed");
+            if with_poses {
+                let located = tracked.iter().filter(|one| locator.locate(frame, one).is_ok());
+                assert_eq!(located.count(), case.count, "all roundels are located");
+            }
+        }
+    };
+    let frames = frames.len() as f64;
+    (least(rounds, || round(true)) / frames, least(rounds, || round(false)) / frames)
+}
+
+fn search(case: &Case, camera: &Pinhole, frame: &Frame<'_>, mode: Mode, rounds: usize) -> f64 {
+    let detector = detector(case, mode);
+    let mut locator = locator(camera, mode);
+    let mut scratch = Scratch::default();
+    let kind = &core_kinds(&[Kind::robot()])[0];
+    least(rounds, || {
+        let rings = detector.detect(frame, &mut scratch);
+        assert_eq!(rings.len(), case.count, "all roundels are found");
+        let located = rings.iter().filter(|ring| locator.locate_single(frame, kind, ring).is_ok());
+        assert_eq!(located.count(), case.count, "all roundels are located");
+    })
+}
+
+/// The least time of a call, seconds, once it is warm.
+fn least(rounds: usize, mut call: impl FnMut()) -> f64 {
+    call();
+    let mut least = f64::MAX;
+    for _ in 0..rounds {
+        let start = Instant::now();
+        call();
+        least = least.min(start.elapsed().as_secs_f64());
+    }
+    least
+}
+
+/// Roundels of one size in a grid, each tilted to its own side, as they go round.
+fn pictures(case: &Case, camera: &Pinhole) -> Vec<Image> {
+    let mut random = Random::new(6, case.count as u64);
+    let poses = poses(case, camera, &mut random);
+    let kind = Kind::robot();
+    let print = Print::plain(kind.outer_diameter_m, kind.inner_diameter_m, 0.2);
+    let floor = Canvas::flat(case.width, case.height, 120.0);
+    let renderer = Renderer::new(*camera, Imaging::default());
+    (0..FRAMES)
+        .map(|frame| {
+            let angle = std::f64::consts::TAU * frame as f64 / FRAMES as f64;
+            let aside = Vector3::new(angle.cos(), angle.sin(), 0.0) * CIRCLE_PX;
+            let motions: Vec<_> = poses
+                .iter()
+                .map(|pose| {
+                    let z = pose.translation.vector.z;
+                    let shift = Translation3::from(aside * z / camera.focal_px[0]);
+                    move |_: f64| shift * pose
+                })
+                .collect();
+            let seen: Vec<_> =
+                motions.iter().map(|motion| Seen { print: &print, motion }).collect();
+            renderer.frame(&floor, &seen, &mut random)
+        })
+        .collect()
+}
+
+fn poses(case: &Case, camera: &Pinhole, random: &mut Random) -> Vec<Isometry3<f64>> {
+    let z = camera.focal_px[0] * Kind::robot().outer_diameter_m / case.diameter_px;
+    let columns =
+        (case.count as f64 * case.width as f64 / case.height as f64).sqrt().ceil().max(1.0);
+    let rows = (case.count as f64 / columns).ceil();
+    (0..case.count)
+        .map(|index| {
+            let (column, row) = (index as f64 % columns, (index as f64 / columns).floor());
+            let u = (column + 0.5) / columns * case.width as f64 + random.uniform(-1.0, 1.0);
+            let v = (row + 0.5) / rows * case.height as f64 + random.uniform(-1.0, 1.0);
+            let ray = camera.ray(&Vector2::new(u, v)).expect("a pixel of the image");
+            let lean = Vector3::new(random.uniform(-0.5, 0.5), random.uniform(-0.5, 0.5), 0.0);
+            let facing = UnitQuaternion::rotation_between(&Vector3::z(), &-ray)
+                .expect("a ray in front of the camera");
+            let rotation = facing * UnitQuaternion::from_scaled_axis(lean);
+            Isometry3::from_parts(Translation3::from(ray * z), rotation)
+        })
+        .collect()
+}
