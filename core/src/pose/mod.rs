@@ -22,6 +22,7 @@
 //! Limits: a plain ring says which of two normals is right only by the difference of its rims' centres,
 //! a fraction of a pixel: `normal_likelihood` near 0.5 means just that.
 
+mod bend;
 mod cone;
 mod facing;
 mod locator;

@@ -8,7 +8,8 @@
 //! evenly spaced t, is just what the moments of a rim's area measure. (An area's change is ½∮q r×dr =
 //! ½ab∮q dt, and its first and second moments' are the other harmonics.) Affine maps keep t and h.
 //!
-//! Eight points go through the lens ([`Camera::rays_near`]). Of their images y, the zeroth and first
+//! Where the lens bends a rim little, the ellipse follows in closed form ([`super::bend`]); else by turns:
+//! eight points go through the lens ([`Camera::rays_near`]). Of their images y, the zeroth and first
 //! harmonics over t are the affine part of the lens there, averaged over the rim; in its coordinates y
 //! is nearly u = (cos t, sin t). The lens takes the line s u from the rim's centre to
 //! y(s) = y₀ + s P₁ + s² P₂ + s³ P₃, of which the middle's ray gives y₀ and P₁, and y at t and t + π the
@@ -23,7 +24,7 @@
 
 use nalgebra::{Matrix2, Matrix3, Vector2, Vector3};
 
-use super::{PoseError, RingNoise};
+use super::{PoseError, RingNoise, bend::Bend};
 use crate::{
     camera::{Camera, LensError, NearRays, PixelPoint},
     ellipse::Ellipse,
@@ -32,7 +33,7 @@ use crate::{
 
 /// Points on a rim. Five harmonics need at least five; eight keep those that a lens adds, up to the
 /// fifth, from being mistaken for them.
-const POINTS: usize = 8;
+pub const POINTS: usize = 8;
 /// Turns, at most, in which the ellipse through the points is found …
 const TURNS: usize = 8;
 /// … and what a turn that moves it by no more than this leaves is nothing: it gains two digits.
@@ -79,17 +80,10 @@ pub fn carry(
     radii_m: [f64; 2],
     noise: &RingNoise,
 ) -> Result<(Matrix3<f64>, [Rim; 2]), PoseError> {
-    let near = match camera.rays_near(ring.outer.center, &offsets(ring)) {
-        Ok(near) => near,
-        Err(source) => return Err(PoseError::Lens { rim: refused(camera, ring), source }),
+    let (base_from_camera, [outer, inner]) = match flat_closed(camera, ring) {
+        Some(both) => both,
+        None => flat_by_turns(camera, ring)?,
     };
-    // Rays of planar models are points of one plane, in which a lens without distortion is linear.
-    let base_from_camera =
-        if camera.is_planar() { Matrix3::identity() } else { frame_along(&near.middle) };
-    let outer = Flat::through(&near, 0, ring, &base_from_camera);
-    let inner = Flat::through(&near, 1, ring, &base_from_camera);
-    let behind = |rim| PoseError::Lens { rim, source: LensError::Behind };
-    let (outer, inner) = (outer.ok_or(behind("outer"))?, inner.ok_or(behind("inner"))?);
     let local_from_base = frame_along(&outer.cone_axis());
     let outer = outer.rim(&local_from_base, &ring.outer, radii_m[0], noise);
     let inner = inner.rim(&local_from_base, &ring.inner, radii_m[1], noise);
@@ -97,6 +91,39 @@ pub fn carry(
         (Some(outer), Some(inner)) => Ok((local_from_base * base_from_camera, [outer, inner])),
         _ => Err(PoseError::NoCircle),
     }
+}
+
+/// Both rims in the plane z = 1 of a base frame, with its rows, if the lens bends them little.
+#[inline(always)]
+pub fn flat_closed(camera: &Camera, ring: &Ring) -> Option<(Matrix3<f64>, [Flat; 2])> {
+    let outer = &ring.outer;
+    let near = camera.rays_near(outer.center, &points(outer, outer.center)).ok()?;
+    let base_from_camera = base(camera, &near.middle);
+    let (middle, semiaxes) = line(&near, outer.center, outer, &base_from_camera);
+    let points = plane_points(&near.rays, &base_from_camera, camera.is_planar())?;
+    let bend = Bend::of(&points, middle, semiaxes)?;
+    Some((base_from_camera, [bend.outer(), bend.inner(outer, &ring.inner)]))
+}
+
+/// The same for any lens.
+#[inline(always)]
+pub fn flat_by_turns(camera: &Camera, ring: &Ring) -> Result<(Matrix3<f64>, [Flat; 2]), PoseError> {
+    let near = match camera.rays_near(ring.outer.center, &offsets(ring)) {
+        Ok(near) => near,
+        Err(source) => return Err(PoseError::Lens { rim: refused(camera, ring), source }),
+    };
+    let base_from_camera = base(camera, &near.middle);
+    let outer = Flat::through(&near, 0, ring, &base_from_camera);
+    let inner = Flat::through(&near, 1, ring, &base_from_camera);
+    let behind = |rim| PoseError::Lens { rim, source: LensError::Behind };
+    let (outer, inner) = (outer.ok_or(behind("outer"))?, inner.ok_or(behind("inner"))?);
+    Ok((base_from_camera, [outer, inner]))
+}
+
+/// Rays of planar models are points of one plane, in which a lens without distortion is linear.
+#[inline(always)]
+fn base(camera: &Camera, middle: &Vector3<f64>) -> Matrix3<f64> {
+    if camera.is_planar() { Matrix3::identity() } else { frame_along(middle) }
 }
 
 /// Rows of a right-handed frame whose z lies along `axis`, of any length.
@@ -113,35 +140,89 @@ pub fn frame_along(axis: &Vector3<f64>) -> Matrix3<f64> {
     Matrix3::new(x.x, x.y, x.z, y.x, y.y, y.z, z.x, z.y, z.z)
 }
 
+/// A rim's points from a pixel, pixels.
+#[inline(always)]
+fn points(ellipse: &Ellipse, from: PixelPoint) -> [[f64; POINTS]; 2] {
+    let (sin, cos) = ellipse.angle_rad.sin_cos();
+    let (a, b) = (ellipse.semi_major_px, ellipse.semi_minor_px);
+    let (du, dv) = (ellipse.center.u - from.u, ellipse.center.v - from.v);
+    let mut points = [[0.0; POINTS]; 2];
+    for i in 0..POINTS {
+        let (x, y) = (a * COS[i], b * SIN[i]);
+        points[0][i] = du + cos * x - sin * y;
+        points[1][i] = dv + sin * x + cos * y;
+    }
+    points
+}
+
 /// The rims' points from the outer rim's centre, pixels: the outer rim's, then the inner one's.
 #[inline(always)]
 fn offsets(ring: &Ring) -> [[f64; 2 * POINTS]; 2] {
     let mut offsets = [[0.0; 2 * POINTS]; 2];
     for (rim, ellipse) in [&ring.outer, &ring.inner].into_iter().enumerate() {
-        let (sin, cos) = ellipse.angle_rad.sin_cos();
-        let (a, b) = (ellipse.semi_major_px, ellipse.semi_minor_px);
-        let from = ring.outer.center;
-        let (du, dv) = (ellipse.center.u - from.u, ellipse.center.v - from.v);
-        for i in 0..POINTS {
-            let (x, y) = (a * COS[i], b * SIN[i]);
-            offsets[0][rim * POINTS + i] = du + cos * x - sin * y;
-            offsets[1][rim * POINTS + i] = dv + sin * x + cos * y;
+        let points = points(ellipse, ring.outer.center);
+        for axis in 0..2 {
+            offsets[axis][rim * POINTS..(rim + 1) * POINTS].copy_from_slice(&points[axis]);
         }
     }
     offsets
 }
 
+/// Where rays cross the plane z = 1 of the base frame; `None` if one lies 90° or more from its axis.
+#[inline(always)]
+fn plane_points(
+    rays: &[[f64; POINTS]; 3],
+    turn: &Matrix3<f64>,
+    is_planar: bool,
+) -> Option<[[f64; POINTS]; 2]> {
+    if is_planar {
+        return Some([rays[0], rays[1]]);
+    }
+    let mut points = [[0.0; POINTS]; 2];
+    let mut depths = [0.0; POINTS];
+    for i in 0..POINTS {
+        let [u, v, w] = [rays[0][i], rays[1][i], rays[2][i]];
+        depths[i] = turn.m31 * u + turn.m32 * v + turn.m33 * w;
+        points[0][i] = (turn.m11 * u + turn.m12 * v + turn.m13 * w) / depths[i];
+        points[1][i] = (turn.m21 * u + turn.m22 * v + turn.m23 * w) / depths[i];
+    }
+    depths.iter().fold(true, |ahead, depth| ahead & (*depth > 0.0)).then_some(points)
+}
+
+/// Image of the rim's own centre, and of its semiaxes by the derivative there.
+#[inline(always)]
+fn line<const N: usize>(
+    near: &NearRays<N>,
+    middle_px: PixelPoint,
+    ellipse: &Ellipse,
+    base_from_camera: &Matrix3<f64>,
+) -> (Vector2<f64>, Matrix2<f64>) {
+    let middle = base_from_camera * near.middle;
+    let per_depth = 1.0 / middle.z;
+    let flat = Vector2::new(middle.x, middle.y) * per_depth;
+    let [by_u, by_v] = near.by_pixel.map(|by| {
+        let by = base_from_camera * by;
+        (Vector2::new(by.x, by.y) - flat * by.z) * per_depth
+    });
+    let (sin, cos) = ellipse.angle_rad.sin_cos();
+    let (a, b) = (ellipse.semi_major_px, ellipse.semi_minor_px);
+    let (du, dv) = (ellipse.center.u - middle_px.u, ellipse.center.v - middle_px.v);
+    let major = (by_u * cos + by_v * sin) * a;
+    let minor = (by_v * cos - by_u * sin) * b;
+    (flat + by_u * du + by_v * dv, Matrix2::from_columns(&[major, minor]))
+}
+
 /// The first rim of which a point has no ray.
 fn refused(camera: &Camera, ring: &Ring) -> &'static str {
-    let offsets = offsets(ring);
-    let outer: [[f64; POINTS]; 2] = offsets.map(|axis| std::array::from_fn(|i| axis[i]));
+    let outer = points(&ring.outer, ring.outer.center);
     if camera.rays_near(ring.outer.center, &outer).is_err() { "outer" } else { "inner" }
 }
 
 /// An ellipse in the plane z = 1 of the base frame.
-struct Flat {
-    center: Vector2<f64>,
-    semiaxes: Matrix2<f64>,
+#[derive(Clone, Copy, Debug)]
+pub struct Flat {
+    pub center: Vector2<f64>,
+    pub semiaxes: Matrix2<f64>,
 }
 
 impl Flat {
@@ -155,25 +236,9 @@ impl Flat {
         base_from_camera: &Matrix3<f64>,
     ) -> Option<Self> {
         let turn = base_from_camera;
-        let (mut x, mut y, mut depths) = ([0.0; POINTS], [0.0; POINTS], [0.0; POINTS]);
-        let planar = *turn == Matrix3::identity();
-        for i in 0..POINTS {
-            x[i] = near.rays[0][rim * POINTS + i];
-            y[i] = near.rays[1][rim * POINTS + i];
-        }
-        for i in 0..POINTS {
-            if planar {
-                depths[i] = 1.0;
-                continue;
-            }
-            let [u, v, w] = [x[i], y[i], near.rays[2][rim * POINTS + i]];
-            depths[i] = turn.m31 * u + turn.m32 * v + turn.m33 * w;
-            x[i] = (turn.m11 * u + turn.m12 * v + turn.m13 * w) / depths[i];
-            y[i] = (turn.m21 * u + turn.m22 * v + turn.m23 * w) / depths[i];
-        }
-        if !depths.iter().fold(true, |ahead, depth| ahead & (*depth > 0.0)) {
-            return None;
-        }
+        let own = near.rays.map(|axis| std::array::from_fn(|i| axis[rim * POINTS + i]));
+        let is_planar = *turn == Matrix3::identity();
+        let [mut x, mut y] = plane_points(&own, turn, is_planar)?;
         let center = Vector2::new(mean(&x, &ONE), mean(&y, &ONE));
         let affine = Matrix2::new(
             2.0 * mean(&x, &COS),
@@ -188,7 +253,7 @@ impl Flat {
             y[i] = inverse.m21 * dx + inverse.m22 * dy;
         }
         let ellipse = [&ring.outer, &ring.inner][rim];
-        let (middle, linear) = Self::line(near, ring.outer.center, ellipse, turn);
+        let (middle, linear) = line(near, ring.outer.center, ellipse, turn);
         let (middle, linear) = (inverse * (middle - center), inverse * linear);
         // dy/ds = P₁ + 2 P₂ + 3 P₃, with the even part y₀ + P₂ and the odd one P₁ + P₃.
         let (mut along_x, mut along_y) = ([0.0; POINTS], [0.0; POINTS]);
@@ -229,29 +294,6 @@ impl Flat {
         }
         let semiaxes = affine * (Matrix2::identity() + grown);
         Some(Self { center: center + affine * shift, semiaxes })
-    }
-
-    /// Image of the rim's own centre, and of its semiaxes by the derivative there.
-    #[inline(always)]
-    fn line(
-        near: &NearRays<{ 2 * POINTS }>,
-        middle_px: PixelPoint,
-        ellipse: &Ellipse,
-        base_from_camera: &Matrix3<f64>,
-    ) -> (Vector2<f64>, Matrix2<f64>) {
-        let middle = base_from_camera * near.middle;
-        let per_depth = 1.0 / middle.z;
-        let flat = Vector2::new(middle.x, middle.y) * per_depth;
-        let [by_u, by_v] = near.by_pixel.map(|by| {
-            let by = base_from_camera * by;
-            (Vector2::new(by.x, by.y) - flat * by.z) * per_depth
-        });
-        let (sin, cos) = ellipse.angle_rad.sin_cos();
-        let (a, b) = (ellipse.semi_major_px, ellipse.semi_minor_px);
-        let (du, dv) = (ellipse.center.u - middle_px.u, ellipse.center.v - middle_px.v);
-        let major = (by_u * cos + by_v * sin) * a;
-        let minor = (by_v * cos - by_u * sin) * b;
-        (flat + by_u * du + by_v * dv, Matrix2::from_columns(&[major, minor]))
     }
 
     /// This rim as it is seen from another frame, with what is known of its errors.

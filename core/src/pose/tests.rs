@@ -11,7 +11,7 @@ use crate::{
     rigid::{mahalanobis_squared, orientation_of_normal},
 };
 
-fn camera(lens: Lens) -> Camera {
+pub fn camera(lens: Lens) -> Camera {
     Camera::new(Intrinsics {
         width: 1920,
         height: 1080,
