@@ -44,7 +44,7 @@ pub enum Pattern {
     /// Teeth round the disc, as WhyCode prints them: identity and yaw.
     Coded(CodeLayout),
     /// An elliptical disc (paper, sections 7.2 and 7.4), its longer axis along the print's x: a
-    /// heading, of which the opposite looks the same.
+    /// heading, of which the opposite looks the same. The detector refuses it so far.
     Elliptical {
         /// The disc's shorter diameter, metres.
         minor_diameter_m: f64,

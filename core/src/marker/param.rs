@@ -101,6 +101,15 @@ pub enum DetectorError {
         /// Name of the other.
         other: String,
     },
+    /// An elliptical disc.
+    #[error(
+        "roundel {name:?}: expected a round disc, plain or with teeth, found an elliptical one, which \
+         is not looked for yet"
+    )]
+    Elliptical {
+        /// Name of the kind.
+        name: String,
+    },
     /// More kinds than can be numbered.
     #[error("expected at most 65535 kinds of roundel, found {found}")]
     Kinds {
@@ -120,6 +129,9 @@ pub(crate) fn check(kinds: &[Kind], params: &Params) -> Result<(), DetectorError
         if !positive || kind.ratio() < RATIO_LIMITS.0 || kind.ratio() > RATIO_LIMITS.1 {
             let name = kind.name.clone();
             return Err(DetectorError::Diameters { name, inner_m, outer_m });
+        }
+        if let Pattern::Elliptical { .. } = kind.pattern {
+            return Err(DetectorError::Elliptical { name: kind.name.clone() });
         }
     }
     for (index, one) in kinds.iter().enumerate() {
@@ -152,14 +164,6 @@ fn are_alike(one: &Kind, other: &Kind) -> bool {
     let same_pattern = match (one.pattern, other.pattern) {
         (Pattern::Plain, Pattern::Plain) => same_ratio,
         (Pattern::Coded(one), Pattern::Coded(other)) => one.bits == other.bits,
-        (
-            Pattern::Elliptical { minor_diameter_m: one_m },
-            Pattern::Elliptical { minor_diameter_m: other_m },
-        ) => {
-            let ratio = |kind: &Kind, minor_m: f64| minor_m / kind.outer_diameter_m;
-            let apart = (ratio(one, one_m) - ratio(other, other_m)).abs();
-            same_ratio && apart < LEAST_DIFFERENCE
-        }
         _ => false,
     };
     same_pattern && one.polarity == other.polarity
@@ -180,6 +184,13 @@ mod tests {
             let error = check(&[kind(outer, inner)], &Params::default()).unwrap_err();
             assert!(error.to_string().contains("roundel \"robot\": expected an inner diameter"));
         }
+    }
+
+    #[test]
+    fn what_is_not_looked_for_is_refused_rather_than_never_found() {
+        let pattern = Pattern::Elliptical { minor_diameter_m: 0.04 };
+        let error = check(&[Kind { pattern, ..kind(0.16, 0.064) }], &Params::default());
+        assert_eq!(error, Err(DetectorError::Elliptical { name: "robot".into() }));
     }
 
     #[test]
