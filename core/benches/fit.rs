@@ -7,9 +7,11 @@ mod drawing;
 use std::hint::black_box;
 
 use criterion::{Criterion, criterion_group, criterion_main};
-use drawing::{Drawing, Roundel, ellipse, frame};
+use drawing::{Drawing, frame};
+use nalgebra::Vector3;
 use roundel_core::{
-    camera::{Camera, Intrinsics, Lens},
+    camera::{Camera, Intrinsics, Lens, PixelPoint},
+    ellipse::{Ellipse, Shape, Symmetric2},
     marker::{Kind, Ring},
     pose::{
         RimNoise, locate,
@@ -18,6 +20,42 @@ use roundel_core::{
 };
 
 const SIDE: usize = 240;
+
+/// The ellipse with area, centre and second moments of a circle's image.
+fn image_of(
+    camera: &Camera,
+    position_m: &Vector3<f64>,
+    normal: &Vector3<f64>,
+    radius_m: f64,
+) -> Ellipse {
+    const POINTS: usize = 400;
+    let a = normal.cross(&Vector3::y()).normalize();
+    let b = normal.cross(&a);
+    let at = |i: usize| {
+        let (sin, cos) = (std::f64::consts::TAU * i as f64 / POINTS as f64).sin_cos();
+        let point = position_m + (a * cos + b * sin) * radius_m;
+        camera.project(&point).expect("it is in front of the camera")
+    };
+    let middle = camera.project(position_m).expect("it is in front of the camera");
+    let mut sums = [0.0; 6];
+    for i in 0..POINTS {
+        let (here, next) = (at(i), at(i + 1));
+        let (x, y) = (0.5 * (here.u + next.u) - middle.u, 0.5 * (here.v + next.v) - middle.v);
+        let swept = x * (next.v - here.v) - y * (next.u - here.u);
+        for (sum, value) in sums.iter_mut().zip([0.5, x / 3.0, y / 3.0, x * x, x * y, y * y]) {
+            *sum += value * swept;
+        }
+    }
+    let area = sums[0];
+    let (u, v) = (sums[1] / area, sums[2] / area);
+    let covariance = Symmetric2 {
+        uu: 0.25 * sums[3] / area - u * u,
+        uv: 0.25 * sums[4] / area - u * v,
+        vv: 0.25 * sums[5] / area - v * v,
+    };
+    let center = PixelPoint { u: middle.u + u, v: middle.v + v };
+    Shape { area_px2: area.abs(), center, covariance }.ellipse()
+}
 
 fn fits(criterion: &mut Criterion) {
     let kind = Kind::plain("robot", 0.16, 0.064);
@@ -32,15 +70,22 @@ fn fits(criterion: &mut Criterion) {
     })
     .expect("the intrinsics above are valid");
     for diameter_px in [15.0, 30.0, 60.0, 110.0] {
-        let radius = 0.5 * diameter_px;
-        let outer = ellipse((118.3, 121.4), (radius, 0.8 * radius), 0.4);
-        let mut drawing = Drawing::new(SIDE, SIDE, 110.0, 0.7);
-        drawing.add(&Roundel { outer, ratio: 0.4, margin: 1.6, black: 40.0, white: 200.0 }, 110.0);
+        let (outer_m, inner_m) = (0.5 * kind.outer_diameter_m, 0.5 * kind.inner_diameter_m);
+        let position_m = Vector3::new(-0.001, 0.002, 1.0) * (2.0 * outer_m * 1100.0 / diameter_px);
+        let normal = Vector3::new(0.5, -0.33, -0.8).normalize();
+        let [outer, inner] =
+            [outer_m, inner_m].map(|radius_m| image_of(&camera, &position_m, &normal, radius_m));
+        let mut drawing = Drawing::new(SIDE, SIDE, 200.0, 0.7);
+        drawing.add_disc(&outer, -160.0);
+        drawing.add_disc(&inner, 160.0);
         let pixels = drawing.picture(2.0, 7);
         let frame = frame(&pixels, SIDE);
-        let inner = ellipse((118.3, 121.4), (0.4 * radius, 0.32 * radius), 0.4);
         let ring = Ring { black: 40.0, white: 200.0, ..Ring::of_rims(outer, inner) };
-        let pose = locate(&camera, &kind, &ring, &RimNoise::default()).expect("a roundel's rims");
+        let mut pose = locate(&camera, &kind, &ring, &RimNoise::default()).expect("its rims");
+        // As a tracker knows it.
+        if pose.other_normal.dot(&normal) > pose.normal.dot(&normal) {
+            pose.normal = pose.other_normal;
+        }
         let mut scratch = FitScratch::default();
         let mut start = Start { pose, blur_px: 0.7 };
         let first = fit(&frame, &camera, &kind, &ring, &start, &mut scratch).expect("it is drawn");

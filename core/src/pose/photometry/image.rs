@@ -14,7 +14,7 @@ use fearless_simd_macros::simd;
 
 use super::{
     blur::{FUNCTIONS, Kernel, PHASES, Taps, fall_shift},
-    normal::Sums,
+    normal::{COLUMNS, Sums},
     patches::Patches,
     view::Nodes,
 };
@@ -89,16 +89,14 @@ impl Window {
     }
 
     /// First and last row that nodes reach; `None` unless every node's pixels lie in the window.
-    fn rows(&self, nodes: &Nodes, reach: usize) -> Option<(usize, usize)> {
-        let bounds = |steps: &[i32]| {
-            let least = steps.iter().fold(i32::MAX, |a, &b| a.min(b));
-            let most = steps.iter().fold(i32::MIN, |a, &b| a.max(b));
+    fn rows(&self, level: Level, nodes: &Nodes, reach: usize) -> Option<(usize, usize)> {
+        let half = (reach / 2) as i32;
+        let [(left, right), (top, bottom)] = [0, 1].map(|axis| {
+            let steps = &nodes.steps[axis][..];
+            let (least, most) = dispatch!(level, simd => bounds(simd, steps));
             // What is no number has become a step below the window or above.
             (least >> PHASES.ilog2(), most >> PHASES.ilog2())
-        };
-        let half = (reach / 2) as i32;
-        let (left, right) = bounds(&nodes.steps[0]);
-        let (top, bottom) = bounds(&nodes.steps[1]);
+        });
         let within = left >= half
             && top >= half
             && right < self.width as i32 - half - 1
@@ -108,7 +106,7 @@ impl Window {
 
     /// Scatters the nodes; false, with nothing done, if one lies outside the window.
     pub fn scatter(&mut self, level: Level, nodes: &Nodes, kernel: &Kernel) -> bool {
-        let Some(rows) = self.rows(nodes, kernel.width) else { return false };
+        let Some(rows) = self.rows(level, nodes, kernel.width) else { return false };
         self.touched = rows;
         let image = &mut self.image[..];
         let (width, table) = (self.width, &kernel.table[..]);
@@ -130,8 +128,8 @@ impl Window {
         sums: &mut Sums,
         products: bool,
     ) {
-        sums.clear();
         if products {
+            sums.clear();
             dispatch!(level, simd => gather_all::<_, true>(simd, self, (frame, chords), model, sums));
             sums.finish(level);
         } else {
@@ -155,6 +153,22 @@ impl Window {
         let to = (ceil(to) - self.origin.0).clamp(from, most);
         (from as usize, to as usize)
     }
+}
+
+/// Least and most.
+#[simd]
+fn bounds<S: Simd>(simd: S, steps: &[i32]) -> (i32, i32) {
+    let lanes = S::i32s::LEN;
+    let (mut least, mut most) = (S::i32s::splat(simd, i32::MAX), S::i32s::splat(simd, i32::MIN));
+    // Nodes come in whole packs.
+    for steps in steps.chunks_exact(lanes) {
+        let steps = S::i32s::from_slice(simd, steps);
+        (least, most) = (least.min(steps), most.max(steps));
+    }
+    let (mut low, mut high) = ([i32::MAX; LANES], [i32::MIN; LANES]);
+    least.store_slice(&mut low[..lanes]);
+    most.store_slice(&mut high[..lanes]);
+    (low.into_iter().fold(i32::MAX, i32::min), high.into_iter().fold(i32::MIN, i32::max))
 }
 
 /// The standard library's is a call without SSE 4.1.
@@ -181,6 +195,7 @@ fn gather_all<S: Simd, const PRODUCTS: bool>(
     let rows = top.min(first - DIFFERENCE)..bottom.max(last + DIFFERENCE) + 1;
     let image = &mut window.image[rows.start * width..rows.end * width];
     add_up(image, width);
+    let mut gradient = [S::f32s::splat(simd, 0.0); COLUMNS];
     for row in first..=last {
         let v = window.origin.1 + row as i64;
         let (from, to) = window.span(frame, chords, v);
@@ -198,9 +213,20 @@ fn gather_all<S: Simd, const PRODUCTS: bool>(
                 grey: &mut window.grey,
                 image: &window.image[around],
             };
-            add_row::<S, PRODUCTS>(simd, &mut line, model, sums);
+            add_row(simd, &mut line, model, |columns| {
+                if PRODUCTS {
+                    sums.keep(simd, columns);
+                } else {
+                    for (sum, column) in gradient.iter_mut().zip(columns) {
+                        *sum = column.mul_add(columns[0], *sum);
+                    }
+                }
+            });
             window.patches.add_row(simd, &window.grey[from..to], from);
         }
+    }
+    if !PRODUCTS {
+        sums.take_gradient::<S>(&gradient);
     }
     window.image[rows.start * width..rows.end * width].fill(0.0);
     sums.patches = window.patches.finish(simd);
@@ -324,13 +350,14 @@ fn differences<S: Simd>(
 ) -> (S::f32s, [S::f32s; 2], S::f32s) {
     let lanes = S::f32s::LEN;
     let width = line.width;
-    let middle = DIFFERENCE * width + start;
-    let at = |place: usize| S::f32s::from_slice(simd, &line.image[place..place + lanes]);
-    let share = at(middle);
-    let (left, right) = (at(middle - 1), at(middle + 1));
-    let (left_2, right_2) = (at(middle - 2), at(middle + 2));
-    let (up, down) = (at(middle - width), at(middle + width));
-    let (up_2, down_2) = (at(middle - 2 * width), at(middle + 2 * width));
+    // One look at the bounds for all that is read of a row.
+    let reach = lanes + 2 * DIFFERENCE;
+    let beside = &line.image[DIFFERENCE * width + start - DIFFERENCE..][..reach];
+    let at = |place: usize| S::f32s::from_slice(simd, &beside[place..place + lanes]);
+    let (left_2, left, share, right, right_2) = (at(0), at(1), at(2), at(3), at(4));
+    let of_row =
+        |row: usize| S::f32s::from_slice(simd, &line.image[row * width + start..][..lanes]);
+    let (up_2, up, down, down_2) = (of_row(0), of_row(1), of_row(3), of_row(4));
     let [g1, g2] = taps.gradient.map(|tap| S::f32s::splat(simd, tap));
     let along_u = (right - left).mul_add(g1, (right_2 - left_2) * g2);
     let along_v = (down - up).mul_add(g1, (down_2 - up_2) * g2);
@@ -343,11 +370,11 @@ fn differences<S: Simd>(
 }
 
 #[inline(always)]
-fn add_row<S: Simd, const PRODUCTS: bool>(
+fn add_row<S: Simd>(
     simd: S,
     line: &mut Line,
     model: &Model,
-    sums: &mut Sums,
+    mut take: impl FnMut(&[S::f32s; COLUMNS]),
 ) {
     let lanes = S::f32s::LEN;
     let counted = S::f32s::from_slice(simd, &COUNT[..lanes]);
@@ -400,6 +427,6 @@ fn add_row<S: Simd, const PRODUCTS: bool>(
             mirror,
         ];
         columns[0].store_slice(&mut line.grey[start..start + lanes]);
-        if PRODUCTS { sums.keep(simd, &columns) } else { sums.add_gradient(simd, &columns) }
+        take(&columns);
     }
 }

@@ -28,7 +28,7 @@ pub struct Glance {
     pub unmoved: f64,
     /// How far from the solution's that step's position is, local frame, metres.
     pub apart_m: Vector3<f64>,
-    /// Where the step leads.
+    /// Where to go on from: where the step leads, if it can be relied on.
     pub state: State,
 }
 
@@ -43,20 +43,25 @@ pub fn glance(
     let mirrored = state.mirrored();
     let linear = known.mirrored();
     let found = step(&mirrored, linear, noise2)?;
-    let edge_px = (state.blur2 + 1.0 / 12.0).sqrt();
-    let is_linear = known.apart_px < LINEAR_BLURS * edge_px;
-    if is_linear || found.misfit > known.misfit + EXCLUDED * noise2 {
+    if is_linear(state, known) || found.misfit > known.misfit + EXCLUDED * noise2 {
         return Some(found);
     }
     let mut linear = linearize(problem, &mirrored, Some(known), scratch).ok()?;
     linear.turn_round();
-    step(&mirrored, linear, noise2)
+    // A step so far from where the information holds says which place is nearer, and no more.
+    let found = step(&mirrored, linear, noise2)?;
+    Some(Glance { state: mirrored, ..found })
+}
+
+/// Whether the mirrored place moves the rims by so little that the image follows it linearly.
+pub fn is_linear(state: &State, known: &Linear) -> bool {
+    let edge_px = (state.blur2 + 1.0 / 12.0).sqrt();
+    known.apart_px < LINEAR_BLURS * edge_px
 }
 
 /// One step from the mirrored place, with the information of the other.
-fn step(mirrored: &State, linear: Linear, noise2: f64) -> Option<Glance> {
-    let (factor, gradient) = linear.factor(mirrored, noise2, 0.0)?;
-    let change = factor.solve(&gradient);
+fn step(mirrored: &State, mut linear: Linear, noise2: f64) -> Option<Glance> {
+    let change = linear.step(mirrored, noise2, 0.0)?;
     let gain: f64 = change.iter().zip(&linear.gradient).map(|(x, g)| x * g).sum();
     let apart_m = Vector3::new(change[SHIFT], change[SHIFT + 1], 0.0) * linear.unit_m
         + mirrored.place.position_m * change[RANGE];

@@ -85,22 +85,17 @@ impl Sums {
         }
     }
 
-    /// Adds a vector's products with the residual.
-    #[inline(always)]
-    pub fn add_gradient<S: Simd>(&mut self, simd: S, columns: &[S::f32s; COLUMNS]) {
-        let lanes = S::f32s::LEN;
-        let lists = &mut self.lanes[..COLUMNS];
-        for column in 0..COLUMNS {
-            let place = &mut lists[column][..lanes];
-            let sum = S::f32s::from_slice(simd, place);
-            columns[column].mul_add(columns[0], sum).store_slice(place);
+    /// Takes sums of the residual's products; all others stay as they were.
+    pub fn take_gradient<S: Simd>(&mut self, gradient: &[S::f32s; COLUMNS]) {
+        for (column, lanes) in gradient.iter().enumerate() {
+            lanes.store_slice(&mut self.lanes[column][..S::f32s::LEN]);
         }
     }
 
-    /// Adds up what [`Sums::add_gradient`] was given; all other products stay as they were.
+    /// Adds up what [`Sums::take_gradient`] was given.
     pub fn finish_gradient(&mut self) {
         for column in 0..COLUMNS {
-            let sum = f64::from(self.lanes[column].iter().sum::<f32>());
+            let sum = sum_of(self.lanes[column]);
             self.products[(0, column)] = sum;
             self.products[(column, 0)] = sum;
         }
@@ -111,12 +106,23 @@ impl Sums {
         dispatch!(level, simd => multiply(simd, self));
         for row in 0..COLUMNS {
             for column in row / GROUP * GROUP..COLUMNS {
-                let sum: f32 = self.lanes[row * COLUMNS + column].iter().sum();
-                self.products[(row, column)] = f64::from(sum);
-                self.products[(column, row)] = f64::from(sum);
+                let sum = sum_of(self.lanes[row * COLUMNS + column]);
+                self.products[(row, column)] = sum;
+                self.products[(column, row)] = sum;
             }
         }
     }
+}
+
+/// By halves, which takes a fourth of the steps that one after the other takes.
+#[inline(always)]
+fn sum_of(mut lanes: [f32; LANES]) -> f64 {
+    for half in [8, 4, 2] {
+        for lane in 0..half {
+            lanes[lane] += lanes[lane + half];
+        }
+    }
+    f64::from(lanes[0] + lanes[1])
 }
 
 #[simd]

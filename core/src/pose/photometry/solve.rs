@@ -1,5 +1,7 @@
 //! Small symmetric positive definite systems of a size known only at run time.
 
+use nalgebra::SMatrix;
+
 use super::normal::COLUMNS;
 
 /// Unknowns at most.
@@ -59,11 +61,28 @@ impl Factor {
         x
     }
 
-    /// One column of the inverse.
-    pub fn inverse_column(&self, column: usize) -> [f64; MOST] {
-        let mut unit = [0.0; MOST];
-        unit[column] = 1.0;
-        self.solve(&unit)
+    /// The last `COUNT` rows and columns of the inverse: those of the factor's own last rows.
+    pub fn inverse_of_last<const COUNT: usize>(&self) -> SMatrix<f64, COUNT, COUNT> {
+        let first = self.size - COUNT;
+        // Lower triangle of the inverse of the factor's corner.
+        let mut inverse = SMatrix::<f64, COUNT, COUNT>::zeros();
+        for column in 0..COUNT {
+            let diagonal = self.lower[first + column][first + column];
+            inverse[(column, column)] = diagonal;
+            for row in column + 1..COUNT {
+                let lower = &self.lower[first + row];
+                let known: f64 =
+                    (column..row).map(|k| lower[first + k] * inverse[(k, column)]).sum();
+                inverse[(row, column)] = -known * lower[first + row];
+            }
+        }
+        let mut product = inverse.transpose() * inverse;
+        for row in 0..COUNT {
+            for column in 0..COUNT {
+                product[(row, column)] *= self.scale[first + row] * self.scale[first + column];
+            }
+        }
+        product
     }
 }
 
@@ -87,6 +106,15 @@ mod tests {
         for (row, right) in matrix.iter().zip(right).take(size) {
             let left: f64 = row.iter().zip(x).map(|(a, b)| a * b).sum();
             assert!((left - right).abs() < 1e-9 * (1.0 + right.abs()));
+        }
+        let corner = factor.inverse_of_last::<3>();
+        for column in 0..3 {
+            let unit = std::array::from_fn(|i| f64::from(u8::from(i == size - 3 + column)));
+            let inverse = factor.solve(&unit);
+            for row in 0..3 {
+                let expected = inverse[size - 3 + row];
+                assert!((corner[(row, column)] - expected).abs() < 1e-9 * (1.0 + expected.abs()));
+            }
         }
         matrix[3][3] = -1.0;
         assert!(Factor::new(&matrix, size).is_none());

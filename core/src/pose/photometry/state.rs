@@ -7,6 +7,7 @@ use super::{
     blur::{BLUR_LIMITS_PX, Taps},
     image::Model,
     lens::LocalLens,
+    mirror::{glance, is_linear},
     normal::{Products, column},
     patches,
     solve::{Factor, MOST},
@@ -76,6 +77,8 @@ pub struct Linear {
     pub mirror: ([f64; MOST], f64, f64),
     /// How far the mirrored place moves the outer rim, pixels.
     pub apart_px: f64,
+    /// The factor of the information for a step without damping.
+    kept: Option<Factor>,
     /// Whether the information is that of an earlier state.
     reused: bool,
     /// Information of a rim's elongation, both rims.
@@ -102,6 +105,8 @@ const LEAST_DAMPING: f64 = 0.01;
 const SMALL_TURN: f64 = 0.3;
 /// A step that promises less than this many variances, and does not keep it, is left out.
 const SETTLED: f64 = 4.0;
+/// The mirrored place's misfit is to be smaller by so many variances for the fit to go on there.
+const MIRRORED: f64 = 10.0;
 /// Deviation of the light's gradient: relative change over a radius.
 const LIGHT_PRIOR: f64 = 0.1;
 /// Least difference of black and white, grey levels.
@@ -203,12 +208,10 @@ pub fn solve(
     let mut damping = 0.0;
     for step in 1..=MAX_STEPS {
         let noise2 = linear.noise2();
-        let (factor, tilted) = linear.factor(&state, noise2, damping).ok_or(FitError::Flat)?;
-        let mut change = factor.solve(&tilted);
+        let mut change = linear.step(&state, noise2, damping).ok_or(FitError::Flat)?;
         if state.blur_ends(change[BLUR]) {
             linear.hold(BLUR);
-            let (factor, tilted) = linear.factor(&state, noise2, damping).ok_or(FitError::Flat)?;
-            change = factor.solve(&tilted);
+            change = linear.step(&state, noise2, damping).ok_or(FitError::Flat)?;
         }
         let gain: f64 = change.iter().zip(&linear.gradient).map(|(x, g)| x * g).sum();
         let next = state.moved(&linear, &change).ok_or(FitError::Away)?;
@@ -221,6 +224,19 @@ pub fn solve(
             let noise2 = linear.noise2_of(left);
             linear.carry(&change, left);
             return Ok(Solution { state: next, misfit: left, noise2, iterations: step, linear });
+        }
+        if step == 1 && gain > SMALL_STEP * noise2 && is_linear(&state, &linear) {
+            let mut behind = linear.clone();
+            behind.carry(&change, left);
+            let left2 = linear.noise2_of(left);
+            // From the wrong place of two, the first step already says so.
+            if let Some(other) = glance(problem, &next, (&behind, left2), scratch)
+                && other.misfit < left - MIRRORED * left2
+                && let Ok(found) = linearize(problem, &other.state, None, scratch)
+            {
+                (state, linear) = (other.state, found);
+                continue;
+            }
         }
         // The information hardly changes over a small step; the residual does.
         let small = gain < SMALL_STEP * noise2 && damping == 0.0 && state.is_turned_little(&change);
@@ -376,6 +392,7 @@ impl Linear {
                 products[(0, MIRROR)] * step,
                 products[(MIRROR, MIRROR)] * step * step,
             ),
+            kept: None,
             apart_px: 2.0 * radius_px * model.nearness[1].hypot(model.nearness[2]) as f64,
             pixels: products[(column::WHITE, column::WHITE)],
             together: 1.0,
@@ -415,6 +432,7 @@ impl Linear {
         self.information[unknown][unknown] = 1.0;
         self.gradient[unknown] = 0.0;
         self.mirror.0[unknown] = 0.0;
+        self.kept = None;
     }
 
     pub fn noise2(&self) -> f64 {
@@ -455,6 +473,18 @@ impl Linear {
         Some((Factor::new(&information, UNKNOWNS)?, gradient))
     }
 
+    /// A step, damped or not.
+    pub fn step(&mut self, state: &State, noise2: f64, damping: f64) -> Option<[f64; MOST]> {
+        // What is known beforehand is little, and hardly changes: the factor serves again.
+        if let Some(factor) = self.kept.as_ref().filter(|_| damping == 0.0) {
+            return Some(factor.solve(&self.with_prior(state, noise2).1));
+        }
+        let (factor, gradient) = self.factor(state, noise2, damping)?;
+        let change = factor.solve(&gradient);
+        self.kept = (damping == 0.0).then_some(factor);
+        Some(change)
+    }
+
     /// Information, over that of one grey level, about the tilt about either axis.
     pub fn tilt_information(&self, state: &State) -> f64 {
         let place = &state.place;
@@ -489,8 +519,7 @@ impl Solution {
     pub fn covariance(&self, problem: &Problem) -> Option<Covariance6> {
         let (information, _) = self.linear.with_prior(&self.state, self.noise2);
         let factor = Factor::new(&information, UNKNOWNS)?;
-        let columns: [_; 5] = std::array::from_fn(|column| factor.inverse_column(SHIFT + column));
-        let own = Covariance5::from_fn(|row, column| columns[column][SHIFT + row] * self.noise2);
+        let own: Covariance5 = factor.inverse_of_last() * self.noise2;
         let axes = &self.state.place.axes;
         let turns = [0, 1].map(|axis| axes.column(axis).into_owned());
         Some(self.carried(problem, &self.state, &own, &turns))
@@ -523,6 +552,9 @@ impl Solution {
     }
 }
 
+/// A blur whose nodes stand as far apart as can be: for areas and their moments few are enough.
+const FEW_NODES_PX: f64 = 1e6;
+
 /// Both rims as a state images them.
 pub fn rims(
     problem: &Problem,
@@ -535,7 +567,7 @@ pub fn rims(
         nodes: &mut scratch.nodes,
         window: scratch.window.origin,
     };
-    project(problem, state, 1.0, &mut parts);
+    project(problem, state, FEW_NODES_PX, &mut parts);
     let nodes = &scratch.nodes;
     let outer = nodes.outer;
     let rim = |from: usize, to: usize| {

@@ -186,12 +186,12 @@ impl Marginal {
         let dot = |one: &[f64; MOST], other: &[f64; MOST]| -> f64 {
             one.iter().zip(other).take(OTHERS).map(|(a, b)| a * b).sum()
         };
-        let columns = [0, 1, 2].map(|k| others.inverse_column(SHIFT + k));
         Some(Self {
             gradient: Vector2::from_fn(|i, _| own[i] - dot(&tilts[i], &step)),
             step,
             follow,
-            place: Matrix3::from_fn(|i, j| columns[j][SHIFT + i]),
+            // Shift and range are the last of the others.
+            place: others.inverse_of_last(),
         })
     }
 }

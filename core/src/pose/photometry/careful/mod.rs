@@ -150,9 +150,7 @@ fn place(
 ) -> Result<Placed, FitError> {
     let Solution { state, noise2, linear, .. } = &solution;
     let (factor, _) = linear.factor(state, *noise2, 0.0).ok_or(FitError::Flat)?;
-    let first = column::SHIFT - 1;
-    let columns: [_; 5] = std::array::from_fn(|index| factor.inverse_column(first + index));
-    let mut own = Covariance5::from_fn(|row, index| columns[index][first + row] * noise2);
+    let mut own: Covariance5 = factor.inverse_of_last() * *noise2;
     let unit = (2.0 * noise2 / linear.elongation).sqrt();
     let seen = linear.tilt_information(state) / noise2 * unit;
     let face_on = FACE_ON * (-(seen / FACE_ON_END).powi(4)).exp() * unit;
