@@ -28,8 +28,9 @@
 //! Face-on the image depends on the tilt's square only; a curvature of the elongation's information
 //! keeps steps finite there, and the pose is the posterior's mean (`upright`), as in [`super::locate`].
 //!
-//! **Noise.** A pixel's variance is that of the residuals, so what the model does not explain (covers,
-//! motion, JPEG) widens the covariance with it.
+//! **Noise.** A pixel's variance is that of the residuals. Where these hang together over patches of
+//! pixels (`patches`), or white or black come near an end of the scale, the ring is fitted again with
+//! cut off levels, bloom, and levels of each stretch of the rims (`careful`), or refused.
 //!
 //! **Accuracy** (`roundel-tests`, `tests/photometry.rs`: tilt 15° to 60°, blur 0.5 to 1.1 px and noise 1
 //! to 4 unknown, contrast 160): rms of the depth over the Cramér-Rao bound 0.94 at 12 to 20 px, 1.04 at
@@ -37,8 +38,8 @@
 //! 93 to 99 % of the positions inside the stated 95 % ellipsoid. Time: `benches/fit.rs`.
 //!
 //! **Limits.** Rims only, without yaw: an elliptical disc or teeth need a contour that turns, and are
-//! refused. White that saturates is taken as it is. Paper is expected to go on for 3 px, or 3.5 blurs,
-//! round the outer rim.
+//! refused. Of motion within the exposure only the blur all round is in the model; the rest widens the
+//! covariance. Paper is expected to go on for 3 px, or 3.5 blurs, round the outer rim.
 
 mod blur;
 mod careful;

@@ -10,6 +10,7 @@
 //!   noise alone moves it;
 //! * what is left of the residuals then.
 
+use fearless_simd::prelude::*;
 use nalgebra::{Matrix2, SMatrix, SVector};
 
 use super::super::normal::{COLUMNS, Products, column};
@@ -64,11 +65,14 @@ impl Cell {
     }
 
     /// Adds a pixel.
-    #[inline]
-    pub fn add(&mut self, columns: &[f32; WIDTH]) {
-        for (sums, factor) in self.sums.iter_mut().zip(columns) {
-            for (sum, column) in sums.iter_mut().zip(columns) {
-                *sum += factor * column;
+    #[inline(always)]
+    pub fn add<S: Simd>(&mut self, simd: S, columns: &[f32; WIDTH]) {
+        let width = S::f32s::LEN;
+        for (sums, factor) in self.sums.iter_mut().zip(columns).take(SPREAD + 2) {
+            let factor = S::f32s::splat(simd, *factor);
+            for (sums, columns) in sums.chunks_exact_mut(width).zip(columns.chunks_exact(width)) {
+                let sum = S::f32s::from_slice(simd, sums);
+                S::f32s::from_slice(simd, columns).mul_add(factor, sum).store_slice(sums);
             }
         }
     }

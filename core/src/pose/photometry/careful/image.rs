@@ -4,6 +4,9 @@
 //! kernel is that of the very blur, both rims may have moved by a bloom, and how the black share d
 //! follows a rim that moves towards black, -∮ K ds, is an image of its own for each rim.
 
+use fearless_simd::{Level, Simd, dispatch};
+use fearless_simd_macros::simd;
+
 use super::super::view::Nodes;
 
 /// Images: fall (later d), two gradients, curvature, and the spread of either rim.
@@ -42,7 +45,7 @@ impl Default for Normal {
 
 impl Normal {
     /// Φ(z) and φ(z), to 2e-6.
-    #[inline]
+    #[inline(always)]
     pub fn at(&self, z: f64) -> [f64; 2] {
         let place = ((z + END) * FINE).clamp(0.0, 2.0 * END * FINE);
         let index = place as usize;
@@ -52,7 +55,7 @@ impl Normal {
     }
 
     /// φ(z)/Φ(-z) and -2 ln Φ(-z), each to 1 %.
-    #[inline]
+    #[inline(always)]
     pub fn beyond(&self, z: f64) -> (f64, f64) {
         if z > 3.5 {
             // Laplace's continued fraction.
@@ -104,7 +107,12 @@ impl Images {
     }
 
     /// Draws the contour; false if it leaves the window.
-    pub fn draw(&mut self, nodes: &mut Nodes, blur_px: f64, normal: &Normal) -> bool {
+    pub fn draw(&mut self, level: Level, nodes: &Nodes, blur_px: f64, normal: &Normal) -> bool {
+        dispatch!(level, simd => draw(simd, self, (nodes, blur_px), normal))
+    }
+
+    #[inline(always)]
+    fn draw_plain(&mut self, nodes: &Nodes, blur_px: f64, normal: &Normal) -> bool {
         let size = self.width * self.height;
         self.planes[..size * IMAGES].fill(0.0);
         let reach = if blur_px <= NARROW_PX { 8 } else { 16 };
@@ -133,7 +141,7 @@ impl Images {
         true
     }
 
-    #[inline]
+    #[inline(always)]
     fn add<const REACH: usize>(
         &mut self,
         across: &Axis,
@@ -193,9 +201,21 @@ impl Images {
     }
 }
 
+/// One body for all that the processor can do, in which the loops become vector instructions.
+#[simd]
+fn draw<S: Simd>(
+    simd: S,
+    images: &mut Images,
+    (nodes, blur_px): (&Nodes, f64),
+    normal: &Normal,
+) -> bool {
+    let _ = simd;
+    images.draw_plain(nodes, blur_px, normal)
+}
+
 impl Axis {
     /// Of a node at a place on an axis of so many pixels; `None` if it reaches beyond them.
-    #[inline]
+    #[inline(always)]
     fn new(place: f64, pixels: usize, reach: usize, blur_px: f64, normal: &Normal) -> Option<Self> {
         let half = reach as f64 / 2.0;
         if !(place > half && place + half + 2.0 < pixels as f64) {

@@ -24,6 +24,7 @@
 
 mod cells;
 mod image;
+mod pixels;
 
 use nalgebra::{SVector, Vector3};
 
@@ -35,8 +36,9 @@ use super::{
     window_of,
 };
 use crate::ellipse::Ellipse;
-use cells::{Cell, Known, SPREAD, WIDTH};
+use cells::{Cell, Known, SPREAD};
 use image::{Images, Normal};
+use pixels::Pixel;
 
 /// Deviation of the bloom where levels are cut off, pixels.
 const BLOOM_PRIOR_PX: f64 = 0.3;
@@ -48,6 +50,8 @@ const LEAST_KEPT: f64 = 0.4;
 const ROUNDS: usize = 6;
 /// Steps of one round.
 const STEPS: usize = 8;
+/// Looks at the picture, of both normals: twice as many as most rings need.
+const LOOKS: usize = 28;
 /// A step that lowers the misfit by less than this many variances is the last one.
 const LAST_STEP: f64 = 0.3;
 /// A step that promises less than this many variances, and does not keep it, is left out.
@@ -60,6 +64,8 @@ const MOST_SPREAD: f64 = 5.0;
 const MODEL_SHARE: f64 = 0.01;
 /// A cell's step over the reference's.
 const CONTRAST: (f64, f64) = (0.2, 3.0);
+/// Deviation of a pixel, at least.
+const LEAST_NOISE: f64 = 0.5;
 /// Median of χ² of one degree of freedom.
 const MEDIAN_SQUARE: f64 = 0.455;
 /// The growth up to which one set of levels is enough for the whole ring.
@@ -81,16 +87,6 @@ pub struct Careful {
     /// The cells before a step that may not hold.
     before: Vec<Cell>,
     list: Vec<f64>,
-}
-
-/// A pixel that counts.
-#[derive(Clone, Copy, Debug)]
-struct Pixel {
-    /// Its place in the window …
-    column: u16,
-    row: u16,
-    cell: u16,
-    grey: f32,
 }
 
 /// Whose levels hold.
@@ -280,6 +276,9 @@ impl Fitter<'_> {
         let mut misfit = self.misfit;
         let mut damping = 0.0;
         for _ in 0..STEPS {
+            if self.iterations >= LOOKS {
+                break;
+            }
             let noise2 = linear.noise2();
             self.known.noise2 = noise2;
             let flat = || FitError::Flat;
@@ -352,7 +351,7 @@ impl Fitter<'_> {
         if self.bloom_px != 0.0 {
             images.spread(nodes, self.bloom_px);
         }
-        if !images.draw(nodes, blur_px, normal) {
+        if !images.draw(*level, nodes, blur_px, normal) {
             return Err(FitError::Away);
         }
         if self.levels == Levels::Ring {
@@ -361,66 +360,13 @@ impl Fitter<'_> {
                 cell.levels = self.known.levels;
             }
         }
-        self.add_pixels(state);
+        let FitScratch { level, careful, .. } = &mut *self.scratch;
+        let deviation = self.known.noise2.sqrt().max(LEAST_NOISE);
+        pixels::add_all(*level, (self.problem, state), careful, deviation);
         let products = self.combined();
         let origin = self.scratch.careful.images.origin;
         let model = state::model(self.problem, state, blur_px, origin);
         Ok(Linear::new(self.problem, state, (&products, &model), radius_px))
-    }
-
-    /// Sums each cell's pixels.
-    fn add_pixels(&mut self, state: &State) {
-        let Careful { normal, images, pixels, cells, .. } = &mut self.scratch.careful;
-        let model = state::model(self.problem, state, state.blur2.sqrt(), images.origin);
-        for cell in cells.iter_mut() {
-            cell.sums = Default::default();
-        }
-        let planes: [&[f32]; image::IMAGES] = std::array::from_fn(|index| images.plane(index));
-        let deviation = self.known.noise2.sqrt().max(0.5);
-        for pixel in pixels.iter() {
-            let cell = &mut cells[usize::from(pixel.cell)];
-            let index = usize::from(pixel.row) * images.width + usize::from(pixel.column);
-            let [share, right, down, curvature, outer, inner] = planes.map(|plane| plane[index]);
-            let (p, q) = (f32::from(pixel.column), f32::from(pixel.row));
-            let [t1, t2] = model.t.map(|[c, by_p, by_q]| c + by_p * p + by_q * q);
-            let slope = &self.problem.lens.slope;
-            let g1 = right * slope.m11 as f32 + down * slope.m21 as f32;
-            let g2 = right * slope.m12 as f32 + down * slope.m22 as f32;
-            let light = 1.0 + model.light[0] * t1 + model.light[1] * t2;
-            let [white, step] = cell.levels.map(|level| level as f32);
-            let level = (white + step * share) * light;
-            let word = word(normal, f64::from(pixel.grey), f64::from(level), deviation);
-            let of = |terms: &[f32; 3]| terms[0] + terms[1] * t1 + terms[2] * t2;
-            let (near, x, y) = (of(&model.nearness), of(&model.plane[0]), of(&model.plane[1]));
-            let radial = t1 * g1 + t2 * g2;
-            let along = |v: &[f32; 3]| v[0] * g1 + v[1] * g2 - v[2] * radial;
-            let lift = along(&model.lift);
-            let to_middle = along(&[model.middle[0], model.middle[1], 1.0]);
-            let mut columns = [
-                0.0,
-                light,
-                share * light,
-                curvature * light,
-                level * t1,
-                level * t2,
-                near * g1 * light,
-                near * g2 * light,
-                near * to_middle * light,
-                y * lift * light,
-                -x * lift * light,
-                outer * light,
-                inner * light,
-                0.0,
-                0.0,
-                0.0,
-            ];
-            for column in &mut columns {
-                *column *= word.root as f32;
-            }
-            columns[0] = word.residual as f32;
-            cell.add(&columns);
-            cell.sums[0][0] += (word.misfit - word.residual * word.residual) as f32;
-        }
     }
 
     /// The products of all cells that count, with bloom free or held.
@@ -505,36 +451,6 @@ impl Fitter<'_> {
     }
 }
 
-/// What a pixel says against a level.
-struct Word {
-    /// Residual, over the root of the weight.
-    residual: f64,
-    /// Root of the weight of its columns' products.
-    root: f64,
-    /// -2 s² times the logarithm of its likelihood.
-    misfit: f64,
-}
-
-/// Of a pixel's grey against a level, with noise of a deviation.
-#[inline]
-fn word(normal: &Normal, grey: f64, level: f64, deviation: f64) -> Word {
-    let (sign, z) = if grey >= 255.0 {
-        (1.0, (254.5 - level) / deviation)
-    } else if grey <= 0.0 {
-        (-1.0, (level - 0.5) / deviation)
-    } else {
-        let residual = grey - level;
-        return Word { residual, root: 1.0, misfit: residual * residual };
-    };
-    if z < -5.0 {
-        return Word { residual: 0.0, root: 0.0, misfit: 0.0 };
-    }
-    let (pull, misfit) = normal.beyond(z);
-    let root = (pull * (pull - z)).max(0.0).sqrt();
-    let variance = deviation * deviation;
-    Word { residual: sign * deviation * pull / root, root, misfit: variance * misfit }
-}
-
 fn median(list: &mut [f64]) -> f64 {
     let middle = list.len() / 2;
     if list.is_empty() {
@@ -542,4 +458,3 @@ fn median(list: &mut [f64]) -> f64 {
     }
     *list.select_nth_unstable_by(middle, f64::total_cmp).1
 }
-const _: () = assert!(SPREAD + 1 < WIDTH);
