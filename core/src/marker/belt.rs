@@ -32,6 +32,8 @@ use crate::marker::{
 
 /// Rows beside a roundel that belong to its belts and to the margin looked at.
 const REACH: usize = 5;
+/// Pixels that a belt reaches beyond its segment along the axes.
+pub(crate) const BELT_PX: usize = 2;
 /// Mean distance over all directions that a rim moves by a step to the four nearest neighbours …
 const CROSS_PX: f64 = 0.90;
 /// … to the eight nearest …

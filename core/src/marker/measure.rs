@@ -36,9 +36,9 @@ use crate::{
     frame::Frame,
     marker::{
         Ring,
-        belt::{BeltScratch, Belts, THIN_PX, WIDE_PX, pixels_in},
+        belt::{BELT_PX, BeltScratch, Belts, THIN_PX, WIDE_PX, pixels_in},
         blur::{Cuts, Taken, Unblurred, Weighed, unblur},
-        examine::{Counted, Probe, Rules, check_boxes, check_counts, check_shapes},
+        examine::{Counted, Probe, Rules, check_boxes, check_counts, check_levels, check_shapes},
         kind::{Kind, Polarity, RATIO_LIMITS, nearest_kind},
         levels::Levels,
         outline::unevenness,
@@ -46,7 +46,7 @@ use crate::{
         reject::Reject,
         spans::{Bits, Extent, Span, Spill, follow_disc, follow_ring},
         thin::Depths,
-        weigh::{Weights, moments},
+        weigh::{Area, Weights, moments},
     },
 };
 
@@ -226,9 +226,9 @@ fn rims<S: Simd>(
         grey,
         words,
         origin: (window.left + column, window.top + belts.top + row),
-        first: (-(column as f32), -(row as f32)),
-        outer: (of_outer, cuts),
-        inner: ((belts.disc_core, belts.disc_belt), around),
+        middle: (column, row),
+        outer: (of_outer, cuts, area_round(&ring, &belts, patch)),
+        inner: ((belts.disc_core, belts.disc_belt), around, area_round(&disc, &belts, patch)),
         white: (margin.map_or(white, |margin| margin.mean()), white),
     };
     let mut outer = zones.outer(simd, black)?;
@@ -253,6 +253,7 @@ fn rims<S: Simd>(
         found = undo(&of_black, &outer, &inner);
     }
 
+    check_levels(found.black, found.white, rules)?;
     check_boxes((&of_ring, &outer.shape), (&of_disc, &inner.shape), rules)?;
     check_shapes((&outer.shape, &outer.rim), (&inner.shape, &inner.rim), rules)?;
     let matrix = outer.shape.matrix_of(&outer.rim);
@@ -269,16 +270,28 @@ fn rims<S: Simd>(
     Ok((found, Outline { unevenness, cut }))
 }
 
+/// Rows of the belts, and columns, that a segment and the belt round it lie in.
+fn area_round(extent: &Extent, belts: &Belts, patch: &Patch) -> Area {
+    let (first, end) = (extent.columns.first as usize, extent.columns.end as usize);
+    Area {
+        rows: (
+            (extent.top - belts.top).saturating_sub(BELT_PX),
+            (extent.bottom - belts.top + BELT_PX).min(belts.disc_core.len() / patch.words),
+        ),
+        columns: (first.saturating_sub(BELT_PX), (end + BELT_PX).min(patch.words * WORD_PX)),
+    }
+}
+
 /// The pixels by which both rims are weighed.
 struct Zones<'a> {
     grey: &'a [[u8; WORD_PX]],
     words: usize,
-    /// The pixel that sums are counted from, and the first one of the rows counted from it.
+    /// The pixel that sums are counted from, in the frame and in the rows.
     origin: (usize, usize),
-    first: (f32, f32),
-    /// Core and belt of each rim.
-    outer: ((&'a [u64], &'a [u64]), Cuts),
-    inner: ((&'a [u64], &'a [u64]), Cuts),
+    middle: (usize, usize),
+    /// Core and belt of each rim, where the belt ends, and what holds it.
+    outer: ((&'a [u64], &'a [u64]), Cuts, Area),
+    inner: ((&'a [u64], &'a [u64]), Cuts, Area),
     /// Level outside of the roundel, and of the disc.
     white: (f64, f64),
 }
@@ -287,14 +300,28 @@ impl Zones<'_> {
     #[inline(always)]
     fn outer<S: Simd>(&self, simd: S, black: f64) -> Result<Weighed, Reject> {
         let weights = Weights::between(self.white.0, black);
-        let sums = moments(simd, self.grey, self.outer.0, self.words, self.first, weights);
+        let sums = moments(
+            simd,
+            self.grey,
+            self.outer.0,
+            (self.words, &self.outer.2),
+            self.middle,
+            weights,
+        );
         Weighed::new(&sums, self.origin, self.outer.1).ok_or(Reject::TooSmall)
     }
 
     #[inline(always)]
     fn inner<S: Simd>(&self, simd: S, black: f64) -> Result<Weighed, Reject> {
         let weights = Weights::between(black, self.white.1);
-        let sums = moments(simd, self.grey, self.inner.0, self.words, self.first, weights);
+        let sums = moments(
+            simd,
+            self.grey,
+            self.inner.0,
+            (self.words, &self.inner.2),
+            self.middle,
+            weights,
+        );
         Weighed::new(&sums, self.origin, self.inner.1).ok_or(Reject::TooSmall)
     }
 }
@@ -344,21 +371,25 @@ fn at_frame_edge(frame: &Frame, patch: &Patch, extent: &Extent) -> bool {
 
 /// Pixels of the disc and of the black round it.
 #[inline(always)]
-fn counts(
-    patch: &Patch,
-    (disc, discs): (&Extent, &[Span]),
-    (ring, rings): (&Extent, &[Span]),
-) -> (Counted, Counted) {
-    let count = |extent: &Extent, spans: &[Span], bits: &[u64]| {
-        let rows = extent.top * patch.words..extent.bottom * patch.words;
-        let rows = bits[rows].chunks_exact(patch.words);
-        let mut pixels = 0;
-        for (row, span) in rows.zip(&spans[extent.top..extent.bottom]) {
+fn counts(patch: &Patch, disc: (&Extent, &[Span]), ring: (&Extent, &[Span])) -> (Counted, Counted) {
+    (count(patch.words, disc, &patch.white), count(patch.words, ring, &patch.black))
+}
+
+#[inline(always)]
+fn count(words: usize, (extent, spans): (&Extent, &[Span]), bits: &[u64]) -> Counted {
+    let spans = &spans[extent.top..extent.bottom];
+    let bits = &bits[extent.top * words..extent.bottom * words];
+    let mut pixels = 0;
+    if words == 1 {
+        for (bits, span) in bits.iter().zip(spans) {
+            pixels += (bits & span.bits(0)).count_ones();
+        }
+    } else {
+        for (row, span) in bits.chunks_exact(words).zip(spans) {
             for (word, bits) in row.iter().enumerate() {
                 pixels += (bits & span.bits(word)).count_ones();
             }
         }
-        Counted::new(pixels, extent)
-    };
-    (count(disc, discs, &patch.white), count(ring, rings, &patch.black))
+    }
+    Counted::new(pixels, extent)
 }

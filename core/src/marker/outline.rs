@@ -101,6 +101,8 @@ fn levels<S: Simd>(
     let zero = f32x16::splat(simd, 0.0);
     let last_u = f32x16::splat(simd, patch.columns().saturating_sub(2) as f32);
     let last_v = f32x16::splat(simd, patch.rows().saturating_sub(2) as f32);
+    // A row's words lie one after the other.
+    let (grey, stride) = (patch.grey.as_flattened(), patch.words * WORD_PX);
     let mut levels = [zero; 2];
     for (part, level) in levels.iter_mut().enumerate() {
         let (cos, sin) = (half(simd, &COS, part), half(simd, &SIN, part));
@@ -109,14 +111,13 @@ fn levels<S: Simd>(
         let (column, row) = (u.floor(), v.floor());
         let [mut upper, mut upper_right, mut lower, mut lower_right] = [[0.0; 16]; 4];
         for point in 0..16 {
-            let (u, v) = (column[point] as usize, row[point] as usize);
-            let grey = |u: usize, v: usize| {
-                f32::from(patch.grey[v * patch.words + u / WORD_PX][u % WORD_PX])
-            };
-            upper[point] = grey(u, v);
-            upper_right[point] = grey(u + 1, v);
-            lower[point] = grey(u, v + 1);
-            lower_right[point] = grey(u + 1, v + 1);
+            let (u, v) = (column[point] as u32 as usize, row[point] as u32 as usize);
+            let at = v * stride + u;
+            let (above, below) = (&grey[at..at + 2], &grey[at + stride..at + stride + 2]);
+            upper[point] = f32::from(above[0]);
+            upper_right[point] = f32::from(above[1]);
+            lower[point] = f32::from(below[0]);
+            lower_right[point] = f32::from(below[1]);
         }
         let (du, dv) = (u - column, v - row);
         let upper = f32x16::load_array(simd, upper);

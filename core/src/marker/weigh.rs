@@ -45,6 +45,7 @@ pub(crate) fn levels<S: Simd, const N: usize>(
     let none = u8x64::splat(simd, 0);
     let nothing = u16x32::splat(simd, 0);
     let mut levels = [[Grey::default(); 2]; N];
+    let sets = sets.map(|set| &set[..grey.len()]);
     let rows = grey.len() / words;
     for word in 0..words {
         let columns = column.saturating_sub(word * WORD_PX).min(WORD_PX);
@@ -55,12 +56,14 @@ pub(crate) fn levels<S: Simd, const N: usize>(
             // So many rows fit into 16 bits: each lane takes two pixels of a row.
             let to = (from + 64).min(rows);
             let mut lanes = [nothing; N];
-            for at in (from * words + word..to * words).step_by(words) {
+            let mut at = from * words + word;
+            while at < (to * words).min(grey.len()) {
                 let pixels = u8x64::load_array(simd, grey[at]);
                 for set in 0..N {
                     let chosen = mask8x64::from_bitmask(simd, sets[set][at]);
                     lanes[set] += chosen.select(pixels, none).pairwise_widening_add();
                 }
+                at += words;
             }
             for set in 0..N {
                 let [of_left, of_right] = &mut levels[set];
@@ -72,14 +75,27 @@ pub(crate) fn levels<S: Simd, const N: usize>(
             from = to;
         }
         for set in 0..N {
-            let [of_left, of_right] = &mut levels[set];
-            for &bits in sets[set][word..].iter().step_by(words) {
-                of_left.pixels += (bits & left).count_ones();
-                of_right.pixels += (bits & !left).count_ones();
-            }
+            let (all, some) = if words == 1 {
+                count(sets[set].iter(), left)
+            } else {
+                count(sets[set][word.min(grey.len())..].iter().step_by(words), left)
+            };
+            levels[set][0].pixels += some;
+            levels[set][1].pixels += all - some;
         }
     }
     levels
+}
+
+/// How many bits are set, and how many of them among the `chosen` ones of each word.
+#[inline(always)]
+fn count<'a>(set: impl Iterator<Item = &'a u64>, chosen: u64) -> (u32, u32) {
+    let (mut all, mut some) = (0u64, 0u64);
+    for bits in set {
+        all += u64::from(bits.count_ones());
+        some += u64::from((bits & chosen).count_ones());
+    }
+    (all as u32, some as u32)
 }
 
 /// Σ I² of a set of pixels.
@@ -117,35 +133,44 @@ impl Weights {
     }
 }
 
-/// Moments of the pixels of `core` and `belt`, whose rows lie `first_v` and following from the
-/// origin, and whose first column `first_u`.
+/// Moments of the pixels of `core` and `belt`, of which there are none outside of these rows and
+/// columns; sums are counted from the pixel `first` rows and columns after the first one.
 #[simd]
 pub(crate) fn moments<S: Simd>(
     simd: S,
     grey: &[[u8; WORD_PX]],
     (core, belt): (&[u64], &[u64]),
-    words: usize,
-    (first_u, first_v): (f32, f32),
+    (words, area): (usize, &Area),
+    (middle_u, middle_v): (usize, usize),
     weights: Weights,
 ) -> Moments {
     let mut moments = Moments::default();
+    let rows = area.rows.0 * words..(area.rows.1 * words).min(grey.len());
+    let (grey, core, belt) = (&grey[rows.clone()], &core[rows.clone()], &belt[rows]);
+    let first_v = area.rows.0 as f32 - middle_v as f32;
     for word in 0..words {
-        let set = |at: usize| core[at] | belt[at];
-        let any = (word..grey.len()).step_by(words).fold(0, |any, at| any | set(at));
-        if any == 0 {
+        let first = area.columns.0.saturating_sub(word * WORD_PX);
+        let end = area.columns.1.saturating_sub(word * WORD_PX).min(WORD_PX);
+        if first >= end {
             continue;
         }
-        let (first, last) = (any.trailing_zeros() as usize, 63 - any.leading_zeros() as usize);
-        let blocks = (last - first) / LANES + 1;
+        let blocks = (end - first).div_ceil(LANES);
         let first = first.min(WORD_PX - LANES * blocks);
         for block in 0..blocks {
             let column = first + block * LANES;
-            let u = first_u + (word * WORD_PX + column) as f32;
+            let u = (word * WORD_PX + column) as f32 - middle_u as f32;
             let sums = lanes(simd, grey, (core, belt), (word, words, column), first_v, weights);
             add(&mut moments, simd, sums, u);
         }
     }
     moments
+}
+
+/// Rows and columns (first, end).
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(crate) struct Area {
+    pub rows: (usize, usize),
+    pub columns: (usize, usize),
 }
 
 /// Σ w, Σ w v, Σ w v² of sixteen columns.
@@ -161,24 +186,59 @@ fn lanes<S: Simd>(
     let zero = f32x16::splat(simd, 0.0);
     let (offset, gain) = (f32x16::splat(simd, weights.offset), f32x16::splat(simd, weights.gain));
     let whole = f32x16::splat(simd, weights.core);
+    let (core, belt) = (&core[..grey.len()], &belt[..grey.len()]);
+    let column = column.min(WORD_PX - LANES);
+    let pixels = Pixels { grey, core, belt, column, offset, gain, whole };
+    // Every other row has sums of its own, so that no addition waits for the one before.
     let [mut n, mut nv, mut nvv] = [zero; 3];
+    let [mut odd_n, mut odd_nv, mut odd_nvv] = [zero; 3];
     let mut v = f32x16::splat(simd, first_v);
-    let rows = grey.len() / words;
-    for row in 0..rows {
-        let at = row * words + word;
-        let pixels: &[u8; LANES] =
-            grey[at][column..].first_chunk().expect("sixteen columns of a word");
-        let pixels = f32x16::from_fn(simd, |lane| f32::from(pixels[lane]));
-        let in_belt = mask32x16::from_bitmask(simd, belt[at] >> column & 0xffff);
-        let in_core = mask32x16::from_bitmask(simd, core[at] >> column & 0xffff);
-        let weight = in_belt.select(pixels.mul_add(gain, offset), in_core.select(whole, zero));
-        let weight_v = weight * v;
-        n += weight;
-        nv += weight_v;
-        nvv = weight_v.mul_add(v, nvv);
-        v += 1.0;
+    let mut at = word;
+    while at + words < grey.len() {
+        let (even, odd) = (pixels.weight(simd, at), pixels.weight(simd, at + words));
+        let next_v = v + 1.0;
+        let (even_v, odd_v) = (even * v, odd * next_v);
+        n += even;
+        odd_n += odd;
+        nv += even_v;
+        odd_nv += odd_v;
+        nvv = even_v.mul_add(v, nvv);
+        odd_nvv = odd_v.mul_add(next_v, odd_nvv);
+        v += 2.0;
+        at += 2 * words;
     }
-    [n, nv, nvv]
+    if at < grey.len() {
+        let last = pixels.weight(simd, at);
+        n += last;
+        nv += last * v;
+        nvv = (last * v).mul_add(v, nvv);
+    }
+    [n + odd_n, nv + odd_nv, nvv + odd_nvv]
+}
+
+/// Sixteen columns of rows, with what weighs them.
+#[derive(Clone, Copy)]
+struct Pixels<'a, S: Simd> {
+    grey: &'a [[u8; WORD_PX]],
+    core: &'a [u64],
+    belt: &'a [u64],
+    column: usize,
+    offset: f32x16<S>,
+    gain: f32x16<S>,
+    whole: f32x16<S>,
+}
+
+impl<S: Simd> Pixels<'_, S> {
+    #[inline(always)]
+    fn weight(&self, simd: S, at: usize) -> f32x16<S> {
+        let pixels: &[u8; LANES] =
+            self.grey[at][self.column..].first_chunk().expect("sixteen columns of a word");
+        let pixels = f32x16::from_fn(simd, |lane| f32::from(pixels[lane]));
+        let in_belt = mask32x16::from_bitmask(simd, self.belt[at] >> self.column & 0xffff);
+        let in_core = mask32x16::from_bitmask(simd, self.core[at] >> self.column & 0xffff);
+        let in_core = in_core.select(self.whole, f32x16::splat(simd, 0.0));
+        in_belt.select(pixels.mul_add(self.gain, self.offset), in_core)
+    }
 }
 
 #[inline(always)]
