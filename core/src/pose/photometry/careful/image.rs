@@ -240,3 +240,64 @@ impl Axis {
         Some(axis)
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// A ring of radii 12 and 5 px; `turn` says which way round its nodes come.
+    fn ring(turn: f64) -> Nodes {
+        let mut nodes = Nodes::default();
+        for (radius, sign) in [(12.0, 1.0), (5.0, -1.0)] {
+            for i in 0..64 {
+                let step = std::f64::consts::TAU / 64.0;
+                let (sin, cos) = (turn * step * i as f64).sin_cos();
+                nodes.x.push((24.3 + radius * cos) as f32);
+                nodes.y.push((23.8 + radius * sin) as f32);
+                nodes.dx.push((-sign * step * radius * sin) as f32);
+                nodes.dy.push((sign * step * radius * cos) as f32);
+            }
+        }
+        nodes.outer = 64;
+        nodes
+    }
+
+    #[test]
+    fn a_bloom_takes_black_from_both_rims() {
+        let (normal, bloom_px) = (Normal::default(), 0.4);
+        for turn in [1.0, -1.0] {
+            let mut images = Images::default();
+            images.lay((0, 47), (0, 47));
+            let mut nodes = ring(turn);
+            images.spread(&mut nodes, bloom_px);
+            assert!(images.draw(Level::new(), &nodes, 0.8, &normal));
+            let share = images.plane(0);
+            // In the middle of black, of white, and outside.
+            for (u, expected) in [(24 + 9, 1.0), (24, 0.0), (2, 0.0)] {
+                let share = share[24 * images.width + u];
+                assert!((share - expected).abs() < 2e-3, "{turn} {u}: {share}");
+            }
+            let area: f32 = share.iter().sum();
+            let expected =
+                std::f64::consts::PI * ((12.0 - bloom_px).powi(2) - (5.0 + bloom_px).powi(2));
+            assert!((f64::from(area) / expected - 1.0).abs() < 2e-3, "{turn}: {area} {expected}");
+            // What a further bloom would take is as long as both rims.
+            let spread: f32 = images.plane(4).iter().chain(images.plane(5)).sum();
+            let around = -std::f64::consts::TAU * (12.0 + 5.0);
+            assert!((f64::from(spread) / around - 1.0).abs() < 2e-3, "{turn}: {spread} {around}");
+        }
+    }
+
+    #[test]
+    fn cut_off_pixels_pull_as_far_as_they_are_off() {
+        let normal = Normal::default();
+        let (far, _) = normal.beyond(8.0);
+        assert!((far - 8.12).abs() < 0.02, "{far}");
+        let (above, _) = normal.beyond(3.4999);
+        let (beyond, _) = normal.beyond(3.5001);
+        assert!((above / beyond - 1.0).abs() < 0.01, "{above} {beyond}");
+        let (pull, misfit) = normal.beyond(0.0);
+        assert!((pull - 0.7979).abs() < 1e-3 && (misfit - 2.0 * 2f64.ln()).abs() < 1e-3);
+        assert!(normal.beyond(-4.0).0 < 1e-3);
+    }
+}
