@@ -107,6 +107,8 @@ const SMALL_TURN: f64 = 0.3;
 const SETTLED: f64 = 4.0;
 /// The mirrored place's misfit is to be smaller by so many variances for the fit to go on there.
 const MIRRORED: f64 = 10.0;
+/// Sine of the tilt from which on a first step tells the two normals apart.
+const TILTED: f64 = 0.2;
 /// Deviation of the light's gradient: relative change over a radius.
 const LIGHT_PRIOR: f64 = 0.1;
 /// Least difference of black and white, grey levels.
@@ -169,6 +171,14 @@ impl State {
         turn2 < SMALL_TURN * SMALL_TURN * (1.0 - cosine * cosine)
     }
 
+    /// Whether the two normals are so far apart that a first step tells them apart: nearer to face-on
+    /// it goes as far as they are, and what it says of the other one is worth nothing.
+    fn is_tilted(&self) -> bool {
+        let place = &self.place;
+        let cosine = place.axes.column(2).dot(&place.position_m.normalize());
+        1.0 - cosine * cosine > TILTED * TILTED
+    }
+
     /// Moved by a solution; `None` if that is no roundel in front of the camera.
     pub fn moved(&self, linear: &Linear, change: &[f64; MOST]) -> Option<Self> {
         let mut next = self.clone();
@@ -225,7 +235,8 @@ pub fn solve(
             linear.carry(&change, left);
             return Ok(Solution { state: next, misfit: left, noise2, iterations: step, linear });
         }
-        if step == 1 && gain > SMALL_STEP * noise2 && is_linear(&state, &linear) {
+        if step == 1 && gain > SMALL_STEP * noise2 && next.is_tilted() && is_linear(&state, &linear)
+        {
             let mut behind = linear.clone();
             behind.carry(&change, left);
             let left2 = linear.noise2_of(left);
