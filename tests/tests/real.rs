@@ -1,4 +1,4 @@
-//! What the detector makes of real pictures: a video with its rims measured by hand, and rooms
+//! What the detector makes of real pictures: a video with its rims measured by hand, and pictures
 //! that hold no roundel.
 
 use std::{
@@ -173,4 +173,12 @@ fn rooms_without_a_roundel_have_none() {
     let paths = sorted(&folder);
     assert!(!paths.is_empty());
     check_empty(&paths);
+}
+
+#[test]
+fn photographs_of_other_projects_have_none() {
+    const NAME: &str = "photographs_of_other_projects_have_none";
+    let Some(python) = Python::new(NAME, Path::new(FOLDER)) else { return };
+    let Some(folder) = python.folder(NAME, "photographs", "photographs.py", &[]) else { return };
+    check_empty(&sorted(&folder));
 }

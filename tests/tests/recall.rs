@@ -3,9 +3,13 @@
 
 use rayon::prelude::*;
 use roundel_core::marker::Scratch;
-use roundel_tests::recall::{Plan, Range, Scenes};
+use roundel_tests::{
+    clutter::Clutter,
+    recall::{Plan, Range, Scenes},
+};
 
-/// Each roundel of these frames is found by a detector that knows the print and by one that does not.
+/// Each roundel of these frames is found by a detector that knows the print and by one that does not,
+/// and nothing else by either.
 fn check(range: Range, count: usize, seed: u64) {
     let plans: Vec<Plan> = Scenes::new(range, count, seed).collect();
     plans.into_par_iter().for_each(|plan| {
@@ -18,16 +22,26 @@ fn check(range: Range, count: usize, seed: u64) {
                 scene.seed, scene.imaging, scene.ratio
             );
             assert!(outcome.missed.is_empty(), "{about}: missed {:?}", outcome.missed);
+            assert!(outcome.ghosts.is_empty(), "{about}: false {:?}", outcome.ghosts);
         }
     });
 }
 
 #[test]
-fn roundels_of_all_sizes_are_found() {
-    check(Range { minor_px: [10.0, 110.0], ..Range::default() }, 300, 1);
+fn roundels_of_all_sizes_are_found_and_nothing_else() {
+    check(Range::default(), 300, 1);
 }
 
 #[test]
-fn the_smallest_are_found() {
+fn the_smallest_are_found_and_nothing_else() {
     check(Range { minor_px: [10.0, 14.0], per_frame: 60, ..Range::default() }, 180, 2);
+}
+
+#[test]
+fn a_junk_room_holds_no_roundel() {
+    (0..24u64).into_par_iter().for_each(|seed| {
+        let scene = Plan::empty(Clutter::JUNK, seed).render();
+        let outcome = scene.judge(&scene.detector(false), &mut Scratch::default());
+        assert!(outcome.ghosts.is_empty(), "frame {seed}: false {:?}", outcome.ghosts);
+    });
 }

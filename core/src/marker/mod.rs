@@ -12,7 +12,7 @@
 //! | rims to a fraction of a pixel | `weigh`, `blur` | eqs. (4), (6) |
 //! | areas, roundness, shapes | `examine`, `outline` | 3.1, 3.3, eqs. (1), (2), (5) |
 //! | kind by ratio of diameters | `kind` | 3.4 |
-//! | rims that are ellipses, a disc white to its middle | `harmonic`, `middle` | – |
+//! | rims that are ellipses, a disc white to its middle, no letter | `harmonic`, `middle`, `stroke` | – |
 //! | compensation of the rims | [`rim`] | 3.5, eqs. (7), (8) |
 //! | all rings of a frame | `detector` | 3.6 |
 //! | from frame to frame | `tracker` | 3, 3.6 |
@@ -55,6 +55,7 @@ pub mod rim;
 mod scan;
 mod search;
 mod spans;
+mod stroke;
 mod thin;
 mod threshold;
 mod tracker;

@@ -19,6 +19,7 @@ use crate::{
         middle::check_middle,
         reject::{Reject, Rejected},
         scan::{Hit, HitRules, HitScratch, find_hits},
+        stroke::check_stroke,
         threshold::BinarySearch,
     },
     segment::Window,
@@ -182,6 +183,7 @@ impl Detector {
         check_rims(frame, &ring, plain)?;
         if plain {
             check_middle(frame, &ring)?;
+            check_stroke(&ring)?;
         }
         let covered = scratch.claims.iter().any(|claim| claim.covers(&ring));
         if covered { Err(Reject::Claimed) } else { Ok(ring) }
