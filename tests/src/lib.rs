@@ -31,6 +31,7 @@ pub mod clutter;
 pub mod coded;
 pub mod coverage;
 pub mod decoy;
+pub mod elliptical;
 pub mod export;
 pub mod layering;
 pub mod normal;

@@ -31,6 +31,13 @@ pub enum Outline {
         /// Metres.
         diameter_m: f64,
     },
+    /// An elliptical disc about the centre.
+    Ellipse {
+        /// Diameter along the print's x, metres.
+        along_m: f64,
+        /// Diameter along its y, metres.
+        across_m: f64,
+    },
     /// A closed polygon; curved outlines are given by as many corners as they need.
     Polygon(Vec<[f64; 2]>),
 }
@@ -40,6 +47,7 @@ impl Outline {
     pub fn radius_m(&self) -> f64 {
         match self {
             Outline::Disc { diameter_m } => diameter_m / 2.0,
+            Outline::Ellipse { along_m, across_m } => along_m.max(*across_m) / 2.0,
             Outline::Polygon(corners) => {
                 corners.iter().map(|c| c[0].hypot(c[1])).fold(0.0, f64::max)
             }
@@ -75,6 +83,21 @@ impl Print {
             sheet: Outline::Disc { diameter_m: outer_diameter_m * (1.0 + 2.0 * margin) },
             inks: vec![disc(outer_diameter_m, false), disc(inner_diameter_m, true)],
         }
+    }
+
+    /// A plain roundel's sheet and ring with an elliptical disc, its longer diameter along x.
+    pub fn elliptical(outer_diameter_m: f64, disc_m: (f64, f64), margin: f64) -> Self {
+        let mut print = Self::plain(outer_diameter_m, disc_m.0, margin);
+        print.inks[1].outline = Outline::Ellipse { along_m: disc_m.0, across_m: disc_m.1 };
+        print
+    }
+
+    /// The negative: a white ring round a black disc, on a black sheet.
+    pub fn inverted(mut self) -> Self {
+        let sheet = Ink { outline: self.sheet.clone(), white: false };
+        self.inks.iter_mut().for_each(|ink| ink.white = !ink.white);
+        self.inks.insert(0, sheet);
+        self
     }
 
     /// How far from the centre the ink reaches; the sheet does not count.
@@ -284,29 +307,30 @@ impl Renderer {
         }
         let at = |x: f64, y: f64| self.seen_at(&pose, seen, offset_s, &Point3::new(x, y, 0.0));
         let spacing_px = self.imaging.blur_px.max(crate::coverage::MIN_BLUR_PX);
-        match outline {
-            Outline::Disc { diameter_m } => {
-                let radius_m = diameter_m / 2.0;
-                let center = at(0.0, 0.0)?;
-                let mut reach_px: f64 = 0.0;
-                for i in 0..8 {
-                    let (sin, cos) = (f64::from(i) * std::f64::consts::FRAC_PI_4).sin_cos();
-                    reach_px = reach_px.max((at(radius_m * cos, radius_m * sin)? - center).norm());
-                }
-                // The chord of eight directions may miss the longest one by 8 %.
-                let around_px = std::f64::consts::TAU * reach_px * 1.1;
-                let count = (around_px / spacing_px).ceil().max(48.0) as usize;
-                let rim = |angle: f64| at(radius_m * angle.cos(), radius_m * angle.sin());
-                if spread_px == 0.0 {
-                    return Contour::smooth(count, rim);
-                }
-                Contour::smooth(count, |angle| {
-                    let along = rim(angle + 1e-4)? - rim(angle - 1e-4)?;
-                    let across = Vector2::new(along.y, -along.x).normalize();
-                    let (place, side) = (rim(angle)?, across.dot(&(rim(angle)? - center)));
-                    Some(place + across * side.signum() * spread_px)
-                })
+        let round = |[x_m, y_m]: [f64; 2]| {
+            let center = at(0.0, 0.0)?;
+            let rim = |angle: f64| at(x_m * angle.cos(), y_m * angle.sin());
+            let mut reach_px: f64 = 0.0;
+            for i in 0..8 {
+                let on_rim = rim(f64::from(i) * std::f64::consts::FRAC_PI_4)?;
+                reach_px = reach_px.max((on_rim - center).norm());
             }
+            // The chord of eight directions may miss the longest one by 8 %.
+            let around_px = std::f64::consts::TAU * reach_px * 1.1;
+            let count = (around_px / spacing_px).ceil().max(48.0) as usize;
+            if spread_px == 0.0 {
+                return Contour::smooth(count, rim);
+            }
+            Contour::smooth(count, |angle| {
+                let along = rim(angle + 1e-4)? - rim(angle - 1e-4)?;
+                let across = Vector2::new(along.y, -along.x).normalize();
+                let (place, side) = (rim(angle)?, across.dot(&(rim(angle)? - center)));
+                Some(place + across * side.signum() * spread_px)
+            })
+        };
+        match outline {
+            Outline::Disc { diameter_m } => round([diameter_m / 2.0; 2]),
+            Outline::Ellipse { along_m, across_m } => round([along_m / 2.0, across_m / 2.0]),
             Outline::Polygon(corners) => {
                 let corners: Vec<_> = corners.iter().map(|c| Vector2::from(*c)).collect();
                 Contour::polygon(&corners, 2.0 * spacing_px, |p| at(p.x, p.y))

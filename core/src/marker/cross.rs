@@ -26,7 +26,7 @@ const CENTER_SHARE: f64 = 0.3;
 /// … and by so many pixels.
 const CENTER_PX: f64 = 1.5;
 /// White's share of two chords through the centre may differ by this much …
-const RATIO_SLACK: f64 = 0.1;
+pub(crate) const RATIO_SLACK: f64 = 0.1;
 /// … and by a pixel and a half of the shorter half chord.
 const RATIO_SLACK_PX: f64 = 1.5;
 /// Pixels by which perspective, blur and thresholds move the two sides of a chord apart.

@@ -72,11 +72,14 @@ impl Detector {
     /// A detector of these kinds; without any, every plausible black ring is found and has no kind.
     pub fn new(kinds: Vec<Kind>, params: Params) -> Result<Self, DetectorError> {
         param::check(&kinds, &params)?;
-        let ratios = kinds.iter().map(Kind::ratio).fold(None, |range: Option<(f64, f64)>, r| {
-            Some(range.map_or((r, r), |(least, most)| (least.min(r), most.max(r))))
-        });
+        let ratios = kinds
+            .iter()
+            .map(Kind::ratios)
+            .reduce(|range, of_kind| (range.0.min(of_kind.0), range.1.max(of_kind.1)));
+        let elliptical = |kind: &Kind| matches!(kind.pattern, Pattern::Elliptical { .. });
         let rules = Rules {
             ratios: ratios.unwrap_or(RATIO_LIMITS),
+            similar: !kinds.iter().any(elliptical),
             min_semi_minor_px: params.min_semi_minor_px,
             min_axis_ratio: params.min_axis_ratio,
             min_contrast: f64::from(params.min_contrast),

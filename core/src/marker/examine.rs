@@ -50,6 +50,8 @@ const LEVEL_TOLERANCE: (f64, f64) = (0.1, 10.0);
 pub(crate) struct Rules {
     /// Smallest and largest ratio of inner to outer diameter.
     pub ratios: (f64, f64),
+    /// Whether disc and ring have the same shape; where a kind's disc is elliptical they need not.
+    pub similar: bool,
     /// Smallest shorter semiaxis of the outer rim, pixels.
     pub min_semi_minor_px: f64,
     /// Smallest ratio of the semiaxes.
@@ -147,7 +149,7 @@ pub(crate) fn check_shapes(
             return Err(Reject::Roundness);
         }
     }
-    check_similarity((outer, outer_rim), (inner, inner_rim))
+    if rules.similar { check_similarity((outer, outer_rim), (inner, inner_rim)) } else { Ok(()) }
 }
 
 /// Levels without the blur are those of some light: what fits no ring's model has others.

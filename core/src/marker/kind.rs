@@ -44,7 +44,7 @@ pub enum Pattern {
     /// Teeth round the disc, as WhyCode prints them: identity and yaw.
     Coded(CodeLayout),
     /// An elliptical disc (paper, sections 7.2 and 7.4), its longer axis along the print's x: a
-    /// heading, of which the opposite looks the same. The detector refuses it so far.
+    /// heading, of which the opposite looks the same.
     Elliptical {
         /// The disc's shorter diameter, metres.
         minor_diameter_m: f64,
@@ -86,6 +86,24 @@ impl Kind {
     /// Inner over outer diameter.
     pub fn ratio(&self) -> f64 {
         self.inner_diameter_m / self.outer_diameter_m
+    }
+
+    /// Ratio of the disc's diameter to the outer one, of an elliptical disc that of the circle of the
+    /// same area.
+    pub(crate) fn mean_ratio(&self) -> f64 {
+        let (least, most) = self.ratios();
+        (least * most).sqrt()
+    }
+
+    /// The least and the largest ratio of the disc's diameter to the outer one: the same unless the disc
+    /// is elliptical.
+    pub(crate) fn ratios(&self) -> (f64, f64) {
+        match self.pattern {
+            Pattern::Elliptical { minor_diameter_m } => {
+                (minor_diameter_m / self.outer_diameter_m, self.ratio())
+            }
+            Pattern::Plain | Pattern::Coded(_) => (self.ratio(), self.ratio()),
+        }
     }
 }
 

@@ -38,6 +38,7 @@ use crate::{
         Ring,
         belt::{BELT_PX, BeltScratch, Belts, THIN_PX, WIDE_PX, pixels_in},
         blur::{Cuts, Taken, Unblurred, Weighed, unblur},
+        elliptical,
         examine::{Counted, Probe, Rules, check_boxes, check_counts, check_levels, check_shapes},
         kind::{Kind, Polarity, RATIO_LIMITS, nearest_kind},
         levels::Levels,
@@ -135,8 +136,9 @@ fn measure_with<S: Simd>(
         }
         (None, outer, inner)
     } else {
+        let nearest = if rules.similar { nearest_kind } else { elliptical::nearest_kind };
         let (kind, outer, inner) =
-            nearest_kind(kinds, probe.polarity, &outer, &inner).ok_or(Reject::Kind)?;
+            nearest(kinds, probe.polarity, &outer, &inner).ok_or(Reject::Kind)?;
         (Some(kind), outer, inner)
     };
     let ring = Ring { kind, threshold, black, white, unevenness, ..Ring::of_rims(outer, inner) };

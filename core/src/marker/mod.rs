@@ -12,6 +12,7 @@
 //! | rims to a fraction of a pixel | `weigh`, `blur` | eqs. (4), (6) |
 //! | areas, roundness, shapes | `examine`, `outline` | 3.1, 3.3, eqs. (1), (2), (5) |
 //! | kind by ratio of diameters | `kind` | 3.4 |
+//! | elliptical discs, by their axes | `elliptical` | 7.2, 7.4 |
 //! | rims that are ellipses, a disc white to its middle, no letter | `harmonic`, `middle`, `stroke` | – |
 //! | compensation of the rims | [`rim`] | 3.5, eqs. (7), (8) |
 //! | all rings of a frame | `detector` | 3.6 |
@@ -40,6 +41,7 @@ mod code;
 mod cross;
 mod detector;
 mod edge;
+mod elliptical;
 mod examine;
 mod harmonic;
 mod kind;

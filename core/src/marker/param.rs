@@ -4,6 +4,7 @@ use thiserror::Error;
 
 use crate::marker::{
     code::CodeError,
+    elliptical::AXIS_RATIO_LIMIT,
     kind::{Kind, Pattern, RATIO_LIMITS},
 };
 
@@ -93,7 +94,8 @@ pub enum DetectorError {
     /// Two kinds that look the same.
     #[error(
         "roundels {one:?} and {other:?} cannot be told apart: expected plain ones to differ by \
-         {LEAST_DIFFERENCE} in the ratio of their diameters, and coded ones in their number of bits"
+         {LEAST_DIFFERENCE} in the ratio of their diameters, elliptical ones in one of their two \
+         ratios, and coded ones in their number of bits"
     )]
     Alike {
         /// Name of the one kind.
@@ -101,14 +103,22 @@ pub enum DetectorError {
         /// Name of the other.
         other: String,
     },
-    /// An elliptical disc.
+    /// An elliptical disc's shorter diameter.
     #[error(
-        "roundel {name:?}: expected a round disc, plain or with teeth, found an elliptical one, which \
-         is not looked for yet"
+        "roundel {name:?}: expected the disc's shorter diameter to be at least {low} of the outer one, \
+         and at most {AXIS_RATIO_LIMIT} of the longer one, found {minor_m} m with {major_m} m and \
+         {outer_m} m",
+        low = RATIO_LIMITS.0
     )]
     Elliptical {
         /// Name of the kind.
         name: String,
+        /// The disc's shorter diameter, metres.
+        minor_m: f64,
+        /// The disc's longer diameter, metres.
+        major_m: f64,
+        /// The ring's diameter, metres.
+        outer_m: f64,
     },
     /// More kinds than can be numbered.
     #[error("expected at most 65535 kinds of roundel, found {found}")]
@@ -130,8 +140,12 @@ pub(crate) fn check(kinds: &[Kind], params: &Params) -> Result<(), DetectorError
             let name = kind.name.clone();
             return Err(DetectorError::Diameters { name, inner_m, outer_m });
         }
-        if let Pattern::Elliptical { .. } = kind.pattern {
-            return Err(DetectorError::Elliptical { name: kind.name.clone() });
+        if let Pattern::Elliptical { minor_diameter_m: minor_m } = kind.pattern {
+            let wide = minor_m >= RATIO_LIMITS.0 * outer_m;
+            if !(wide && minor_m <= AXIS_RATIO_LIMIT * inner_m) {
+                let (name, major_m) = (kind.name.clone(), inner_m);
+                return Err(DetectorError::Elliptical { name, minor_m, major_m, outer_m });
+            }
         }
     }
     for (index, one) in kinds.iter().enumerate() {
@@ -160,10 +174,14 @@ pub(crate) fn check(kinds: &[Kind], params: &Params) -> Result<(), DetectorError
 
 /// Whether nothing tells the two kinds apart.
 fn are_alike(one: &Kind, other: &Kind) -> bool {
-    let same_ratio = (one.ratio() - other.ratio()).abs() < LEAST_DIFFERENCE;
+    let same = |one: f64, other: f64| (one - other).abs() < LEAST_DIFFERENCE;
+    let same_ratio = same(one.ratio(), other.ratio());
     let same_pattern = match (one.pattern, other.pattern) {
         (Pattern::Plain, Pattern::Plain) => same_ratio,
         (Pattern::Coded(one), Pattern::Coded(other)) => one.bits == other.bits,
+        (Pattern::Elliptical { .. }, Pattern::Elliptical { .. }) => {
+            same_ratio && same(one.ratios().0, other.ratios().0)
+        }
         _ => false,
     };
     same_pattern && one.polarity == other.polarity
@@ -187,10 +205,19 @@ mod tests {
     }
 
     #[test]
-    fn what_is_not_looked_for_is_refused_rather_than_never_found() {
-        let pattern = Pattern::Elliptical { minor_diameter_m: 0.04 };
-        let error = check(&[Kind { pattern, ..kind(0.16, 0.064) }], &Params::default());
-        assert_eq!(error, Err(DetectorError::Elliptical { name: "robot".into() }));
+    fn an_elliptical_disc_is_neither_round_nor_a_line() {
+        let elliptical = |minor_diameter_m| Kind {
+            pattern: Pattern::Elliptical { minor_diameter_m },
+            ..kind(0.16, 0.096)
+        };
+        assert_eq!(check(&[elliptical(0.064), kind(0.16, 0.08)], &Params::default()), Ok(()));
+        assert_eq!(check(&[elliptical(0.064), elliptical(0.07)], &Params::default()), Ok(()));
+        let alike = check(&[elliptical(0.064), elliptical(0.0643)], &Params::default());
+        assert!(matches!(alike, Err(DetectorError::Alike { .. })));
+        for minor_m in [0.03, 0.094, f64::NAN, -0.05] {
+            let error = check(&[elliptical(minor_m)], &Params::default()).unwrap_err();
+            assert!(error.to_string().contains("shorter diameter"), "{error}");
+        }
     }
 
     #[test]

@@ -10,7 +10,7 @@ use crate::{
     marker::{
         Ring,
         claim::{Claim, ClaimedPixels},
-        cross::{Candidate, CrossRules, Evenness, cross},
+        cross::{Candidate, CrossRules, Evenness, RATIO_SLACK, cross},
         detector::{Detector, Scratch},
         edge::{ROW_STEP, RowEdges},
         examine::{Probe, Rules},
@@ -63,6 +63,12 @@ impl SearchRules {
         if coded {
             evenness = evenness.with_teeth(CORE_SHARE);
             black_at = Some(CODED_BLACK);
+        }
+        for (least, most) in kinds.iter().map(Kind::ratios).filter(|(least, most)| least < most) {
+            // A chord along the disc's longer axis, another along the shorter one; the ring's black is
+            // beyond both.
+            evenness.ratio_slack = evenness.ratio_slack.max(RATIO_SLACK + most - least);
+            black_at = Some(black_at.unwrap_or(0.0).max(0.5 * (1.0 + most)));
         }
         Self {
             hit: HitRules {
@@ -179,19 +185,22 @@ impl Detector {
             polarity,
         };
         let ring = self.measure(frame, &probe, &mut scratch.measure)?;
-        let plain = self.has_plain_disc(&ring);
-        check_rims(frame, &ring, plain)?;
-        if plain {
+        let pattern = self.pattern_of(&ring);
+        let smooth = !matches!(pattern, Pattern::Coded(_));
+        check_rims(frame, &ring, smooth)?;
+        if smooth {
             check_middle(frame, &ring)?;
+        }
+        if pattern == Pattern::Plain {
             check_stroke(&ring)?;
         }
         let covered = scratch.claims.iter().any(|claim| claim.covers(&ring));
         if covered { Err(Reject::Claimed) } else { Ok(ring) }
     }
 
-    /// Whether a ring's disc is an ellipse, with nothing printed into it.
-    fn has_plain_disc(&self, ring: &Ring) -> bool {
+    /// What a ring of its kind holds; one of no kind is plain.
+    fn pattern_of(&self, ring: &Ring) -> Pattern {
         let kind = ring.kind.and_then(|kind| self.kinds().get(usize::from(kind.0)));
-        kind.is_none_or(|kind| !matches!(kind.pattern, Pattern::Coded(_)))
+        kind.map_or(Pattern::Plain, |kind| kind.pattern)
     }
 }

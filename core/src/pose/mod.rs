@@ -24,6 +24,7 @@
 
 mod bend;
 mod cone;
+mod elliptical;
 mod facing;
 mod locator;
 pub mod photometry;
@@ -43,7 +44,7 @@ use crate::{
     camera::{Camera, LensError},
     ellipse::Ellipse,
     id::TrackNumber,
-    marker::{Kind, Ring},
+    marker::{Kind, Pattern, Ring},
     rigid::{Covariance6, UNKNOWN_ANGLE_VARIANCE_RAD2},
     time::Timestamp,
 };
@@ -63,7 +64,8 @@ pub struct RoundelPose {
     pub normal_likelihood: f64,
     /// The other normal that the same ellipse allows.
     pub other_normal: Vector3<f64>,
-    /// Angle of the code's zero about the normal; `None` for a plain roundel.
+    /// Angle about the normal of the code's zero, or of an elliptical disc's longer axis, in (-π/2, π/2]
+    /// since the opposite looks the same; `None` for a plain roundel.
     pub yaw_rad: Option<f64>,
     /// Over (position, rotation), camera frame, left perturbation.
     pub covariance: Covariance6,
@@ -102,20 +104,21 @@ impl Default for RimNoise {
 }
 
 impl RimNoise {
-    /// The noise of a ring whose white disc is so thin: a disc hardly wider than the blur is washed
+    /// The noise of a ring whose white disc has so short a semiaxis: a disc hardly wider than the blur is washed
     /// out, and with it, by compensation, both rims are found worse. From rendered rings: double at a
     /// semiaxis of 3 px, sixfold at 2.3 px.
     ///
     /// What the levels along the rim stray is the image's noise, up to a point, and moves the rim's
     /// edge in proportion; beyond that the rim is partly another's, and all its numbers may be off.
-    fn of_ring(&self, ring: &Ring) -> RingNoise {
-        let growth = 1.0 + (THIN_DISC_PX / ring.inner.semi_minor_px).powi(6).min(MAX_GROWTH);
+    fn of_ring(&self, ring: &Ring, thin_px: f64) -> RingNoise {
+        let growth = 1.0 + (THIN_DISC_PX / thin_px).powi(6).min(MAX_GROWTH);
         let quiet = QUIET.0 + QUIET.1 / (ring.white - ring.black).max(1.0);
         let noise = (ring.unevenness.min(quiet) / CLEAN_UNEVENNESS).clamp(NOISE.0, NOISE.1);
         RingNoise {
             edge_px: self.edge_px * growth * noise,
             floor_px: self.floor_px * growth,
             uneven_px: UNEVEN_PX * (ring.unevenness - quiet).max(0.0),
+            round_disc: true,
         }
     }
 }
@@ -129,6 +132,8 @@ struct RingNoise {
     floor_px: f64,
     /// Standard deviation of each of a rim's five numbers from what does not belong to it, pixels.
     uneven_px: f64,
+    /// Whether the disc's rim is a circle's; of another only size and place say something of the pose.
+    round_disc: bool,
 }
 
 /// Why a ring has no pose.
@@ -205,7 +210,8 @@ const EXPLAINED_MISFIT: f64 = 11.07;
 ///
 /// `kind` gives the diameters of the two rims of `ring`, `noise` how exactly they were found. The
 /// pose is that of a plain roundel: without yaw, and with the variance about the normal that stands
-/// for an unknown angle. The covariance is positive definite.
+/// for an unknown angle, unless the disc is elliptical (`elliptical`). The covariance is positive
+/// definite.
 pub fn locate(
     camera: &Camera,
     kind: &Kind,
@@ -213,8 +219,11 @@ pub fn locate(
     noise: &RimNoise,
 ) -> Result<RoundelPose, PoseError> {
     check(kind, ring, noise)?;
+    if let Pattern::Elliptical { .. } = kind.pattern {
+        return elliptical::locate(camera, kind, ring, noise);
+    }
     let radii_m = [0.5 * kind.outer_diameter_m, 0.5 * kind.inner_diameter_m];
-    let noise = noise.of_ring(ring);
+    let noise = noise.of_ring(ring, ring.inner.semi_minor_px);
     dispatch!(Level::new(), simd => locate_with(simd, camera, ring, radii_m, &noise))
 }
 

@@ -71,6 +71,14 @@ pub struct Information {
     pub turn: f64,
 }
 
+impl Information {
+    /// With elongation and turn unknown.
+    fn without_shape(&self) -> Self {
+        let size = self.size - self.size_and_elongation.powi(2) / self.elongation;
+        Self { size, size_and_elongation: 0.0, elongation: 0.0, turn: 0.0, ..*self }
+    }
+}
+
 /// Both rims, outer and inner, with the rows of the frame that they are in: its z is the axis of the
 /// outer rim's cone, so that a circle of which the rim is an image lies on it up to its tilt.
 #[inline(always)]
@@ -88,7 +96,12 @@ pub fn carry(
     let outer = outer.rim(&local_from_base, &ring.outer, radii_m[0], noise);
     let inner = inner.rim(&local_from_base, &ring.inner, radii_m[1], noise);
     match (outer, inner) {
-        (Some(outer), Some(inner)) => Ok((local_from_base * base_from_camera, [outer, inner])),
+        (Some(outer), Some(mut inner)) => {
+            if !noise.round_disc {
+                inner.information = inner.information.without_shape();
+            }
+            Ok((local_from_base * base_from_camera, [outer, inner]))
+        }
         _ => Err(PoseError::NoCircle),
     }
 }
@@ -378,7 +391,7 @@ const SIN_2: [f64; POINTS] = [0.0, 1.0, 0.0, -1.0, 0.0, 1.0, 0.0, -1.0];
 /// to that come the floor and, alike in all five, the unevenness. By symmetry only size and elongation
 /// are coupled. The means of g, g cos 2t and g cos 4t are those over the eight points.
 #[inline(always)]
-fn information(ellipse: &Ellipse, noise: &RingNoise) -> Option<Information> {
+pub fn information(ellipse: &Ellipse, noise: &RingNoise) -> Option<Information> {
     let (a, b) = (ellipse.semi_major_px, ellipse.semi_minor_px);
     let between = (0.5 * (a * a + b * b)).sqrt();
     let (g0, g2, g4) =

@@ -68,11 +68,21 @@ fn rim(
     normal: &Vector3<f64>,
     diameter_m: f64,
 ) -> Ellipse {
-    let turn = orientation_of_normal(normal);
+    rim_of(camera, position_m, &orientation_of_normal(normal), [0.5 * diameter_m; 2])
+}
+
+/// The image of an ellipse with these semiaxes along a roundel's x and y.
+pub fn rim_of(
+    camera: &Camera,
+    position_m: &Vector3<f64>,
+    turn: &UnitQuaternion<f64>,
+    semiaxes_m: [f64; 2],
+) -> Ellipse {
     let points: Vec<_> = (0..180)
         .map(|k| {
             let (sin, cos) = (k as f64 * std::f64::consts::TAU / 180.0).sin_cos();
-            let point = position_m + turn * Vector3::new(cos, sin, 0.0) * (0.5 * diameter_m);
+            let place = Vector3::new(semiaxes_m[0] * cos, semiaxes_m[1] * sin, 0.0);
+            let point = position_m + turn * place;
             let pixel = camera.project(&point).unwrap();
             Vector2::new(pixel.u, pixel.v)
         })
@@ -92,7 +102,7 @@ fn ring(camera: &Camera, position_m: &Vector3<f64>, normal: &Vector3<f64>) -> Ri
 }
 
 /// A pose from the pixel it is seen at, its distance, its tilt and the tilt's direction.
-fn pose(
+pub fn pose(
     camera: &Camera,
     pixel: PixelPoint,
     distance_m: f64,
@@ -204,7 +214,7 @@ fn tally(radius_px: f64, tilts_rad: std::ops::Range<f64>, runs: usize, noise: &R
             pose(&camera, pixel, distance_m, cos.acos(), random.random_range(-3.1..3.1));
         let exact = ring(&camera, &position_m, &normal);
         let mut draw = || -> f64 { StandardNormal.sample(&mut random) };
-        let of_ring = noise.of_ring(&exact);
+        let of_ring = noise.of_ring(&exact, exact.inner.semi_minor_px);
         let outer = stray(&exact.outer, &of_ring, &mut draw);
         let inner = stray(&exact.inner, &of_ring, &mut draw);
         let found = Ring { outer, inner, ..exact };

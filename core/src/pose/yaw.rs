@@ -21,7 +21,7 @@ use crate::{
 };
 
 /// Least deviation of a yaw, radians: what a print's own errors make, and no reading is without any.
-const LEAST_DEVIATION_RAD: f64 = 1e-3;
+pub const LEAST_DEVIATION_RAD: f64 = 1e-3;
 
 /// Adds to a pose without yaw what the teeth say of it; without rays to the code's zero, or in a plane
 /// seen from its edge, the pose stays as it is.
@@ -55,7 +55,7 @@ pub fn add(pose: &mut RoundelPose, camera: &Camera, reading: &CodeReading) {
 }
 
 /// A covariance without knowledge about the normal, with what φ = s·δp + g·δθ + ε makes of it.
-fn turned(
+pub fn turned(
     covariance: &Covariance6,
     normal: &Vector3<f64>,
     by_shift: &Vector3<f64>,

@@ -1,0 +1,95 @@
+//! Roundels with elliptical discs are found, told apart from each other and from plain ones, and located
+//! with their heading. `-- --nocapture` prints the table.
+
+use roundel_core::marker::Polarity;
+use roundel_tests::elliptical::{Case, Score, run};
+
+/// What a case must reach.
+struct Bar {
+    diameters_px: (f64, f64),
+    tilts_deg: (f64, f64),
+    /// Largest share of roundels that are not found, and of those taken for another elliptical kind.
+    missed: f64,
+    mistaken: f64,
+    /// Rms error of the heading, degrees.
+    heading_deg: f64,
+    /// Shares inside of the stated 95 % ellipsoids, of positions and of rotations.
+    shares: (f64, f64),
+}
+
+const BARS: [Bar; 4] = [
+    Bar {
+        diameters_px: (12.0, 20.0),
+        tilts_deg: (0.0, 40.0),
+        missed: 0.01,
+        mistaken: 0.05,
+        heading_deg: 1.3,
+        shares: (0.9, 0.9),
+    },
+    Bar {
+        diameters_px: (20.0, 30.0),
+        tilts_deg: (0.0, 60.0),
+        missed: 0.0,
+        mistaken: 0.01,
+        heading_deg: 0.6,
+        shares: (0.8, 0.84),
+    },
+    Bar {
+        diameters_px: (30.0, 50.0),
+        tilts_deg: (0.0, 60.0),
+        missed: 0.0,
+        mistaken: 0.0,
+        heading_deg: 0.2,
+        shares: (0.87, 0.87),
+    },
+    Bar {
+        diameters_px: (50.0, 110.0),
+        tilts_deg: (0.0, 60.0),
+        missed: 0.0,
+        mistaken: 0.0,
+        heading_deg: 0.08,
+        shares: (0.88, 0.92),
+    },
+];
+
+#[test]
+fn black_rings_are_found_told_apart_and_located() {
+    BARS.iter().for_each(|bar| check(bar, Polarity::BlackRing, 300));
+}
+
+#[test]
+fn white_rings_are_found_told_apart_and_located() {
+    BARS[1..].iter().for_each(|bar| check(bar, Polarity::WhiteRing, 100));
+}
+
+fn check(bar: &Bar, polarity: Polarity, count: usize) {
+    let Bar { diameters_px, tilts_deg, .. } = *bar;
+    let score = run(&Case { diameters_px, tilts_deg, polarity }, count);
+    let Score { shown, found, mistaken, .. } = score;
+    let case = format!("{polarity:?}, {diameters_px:?} px, {tilts_deg:?}°");
+    println!("{case}: {found} of {shown} found, {mistaken} taken for another elliptical kind");
+    let share = |part: usize| part as f64 / shown as f64;
+    assert!(share(shown - found) <= bar.missed, "{case}: missed {:?}", score.missed);
+    assert_eq!((score.false_rings, score.plain_mistaken), (0, 0), "{case}");
+    assert!(share(mistaken) <= bar.mistaken, "{case}: {mistaken} mistaken");
+    for (mode, errors) in ["fast", "precise"].into_iter().zip(&score.modes) {
+        let (positions, rotations) = errors.shares();
+        let heading_deg = errors.heading_deg();
+        println!(
+            "  {mode:7} heading {heading_deg:.3}°, {:.2} of stated, {:.2} of the bound, at most \
+             {:.2}°; depth {:.2} of the bound; normal {:.2}°, {} mirrored; inside {positions:.3} and \
+             {rotations:.3}, plain {:.3}",
+            errors.heading_over_stated(),
+            errors.heading_over_bound(),
+            errors.heading_most_deg(),
+            errors.depth_over_bound(),
+            errors.normal_median_deg(),
+            errors.mistaken,
+            errors.plain_share(),
+        );
+        let case = format!("{case} {mode}");
+        assert!(heading_deg <= bar.heading_deg, "{case}: heading {heading_deg}°");
+        assert!(positions >= bar.shares.0, "{case}: {positions} of the positions inside");
+        assert!(rotations >= bar.shares.1, "{case}: {rotations} of the rotations inside");
+    }
+}
