@@ -2,9 +2,10 @@
 //!
 //! Where a point of the plane has the relative inverse depth q (1 in the middle), it has 2 - 1/q over q
 //! in the mirrored place, so its ray t goes to t/(2 q - 1). The image changes by this displacement times
-//! -∇d, one column m more beside those of the unknowns (J, residual r): the mirrored place leaves r - m,
-//! and both places move the image alike, but that it turns the other way with each tilt. So with the
-//! products of m all that a step from there comes to is known without looking at the picture again.
+//! -∇d, one column m more beside those of the unknowns (J, residual r): the mirrored place leaves r - m.
+//! Where this place turns by τ, the mirrored one turns by -τ, and m grows by the share κ·τ, as the tangent
+//! of the tilt does: in this place's turns the mirrored one's columns are J + m κᵀ. So with the products
+//! of m all that a step from there comes to is known without looking at the picture again.
 //! Linear in the displacement, this serves up to [`LINEAR_BLURS`]; beyond, the picture decides, unless
 //! the mirrored place is worse by [`EXCLUDED`] variances even so.
 
@@ -12,7 +13,9 @@ use nalgebra::Vector3;
 
 use super::{
     FitScratch,
+    solve::MOST,
     state::{Linear, Problem, RANGE, SHIFT, State, TILT, linearize},
+    view::Place,
 };
 
 /// Displacement of the outer rim up to which the image follows it linearly, in deviations of its edges.
@@ -41,13 +44,13 @@ pub fn glance(
     scratch: &mut FitScratch,
 ) -> Option<Glance> {
     let mirrored = state.mirrored();
-    let linear = known.mirrored();
-    let found = step(&mirrored, linear, noise2)?;
+    let linear = known.mirrored(state);
+    let found = step(&mirrored, linear.clone(), noise2)?;
     if is_linear(state, known) || found.misfit > known.misfit + EXCLUDED * noise2 {
         return Some(found);
     }
-    let mut linear = linearize(problem, &mirrored, Some(known), scratch).ok()?;
-    linear.turn_round();
+    let mut linear = linearize(problem, &mirrored, Some(&linear), scratch).ok()?;
+    turn_round(&mut linear.gradient);
     // A step so far from where the information holds says which place is nearer, and no more.
     let found = step(&mirrored, linear, noise2)?;
     Some(Glance { state: mirrored, ..found })
@@ -59,10 +62,11 @@ pub fn is_linear(state: &State, known: &Linear) -> bool {
     known.apart_px < LINEAR_BLURS * edge_px
 }
 
-/// One step from the mirrored place, with the information of the other.
+/// One step from the mirrored place, with the information of the other, whose turns the gradient's are.
 fn step(mirrored: &State, mut linear: Linear, noise2: f64) -> Option<Glance> {
-    let change = linear.step(mirrored, noise2, 0.0)?;
+    let mut change = linear.step(mirrored, noise2, 0.0)?;
     let gain: f64 = change.iter().zip(&linear.gradient).map(|(x, g)| x * g).sum();
+    turn_round(&mut change);
     let apart_m = Vector3::new(change[SHIFT], change[SHIFT + 1], 0.0) * linear.unit_m
         + mirrored.place.position_m * change[RANGE];
     let state = mirrored.moved(&linear, &change)?;
@@ -70,21 +74,44 @@ fn step(mirrored: &State, mut linear: Linear, noise2: f64) -> Option<Glance> {
 }
 
 impl Linear {
-    /// That of the mirrored place, with this one's information.
-    fn mirrored(&self) -> Self {
+    /// That of the mirrored place, in this one's turns.
+    fn mirrored(&self, state: &State) -> Self {
         let mut other = self.clone();
         let (with_unknowns, with_residual, own) = &self.mirror;
-        for (gradient, product) in other.gradient.iter_mut().zip(with_unknowns) {
-            *gradient -= product;
+        let grown = state.mirror_growth();
+        for (i, row) in other.information.iter_mut().enumerate() {
+            for (j, value) in row.iter_mut().enumerate() {
+                *value += with_unknowns[i] * grown[j]
+                    + grown[i] * with_unknowns[j]
+                    + grown[i] * grown[j] * own;
+            }
+        }
+        for (i, gradient) in other.gradient.iter_mut().enumerate() {
+            *gradient += grown[i] * (with_residual - own) - with_unknowns[i];
         }
         other.misfit += own - 2.0 * with_residual;
-        other.turn_round();
+        other.forget_factor();
         other
     }
+}
 
-    /// The gradient, where the information is the other place's.
-    fn turn_round(&mut self) {
-        self.gradient[TILT] *= -1.0;
-        self.gradient[TILT + 1] *= -1.0;
+impl State {
+    /// κ: by which share each unknown makes m grow.
+    fn mirror_growth(&self) -> [f64; MOST] {
+        let Place { position_m, axes } = &self.place;
+        let along = axes.transpose() * position_m.normalize();
+        let across2 = along.x * along.x + along.y * along.y;
+        let mut growth = [0.0; MOST];
+        if across2 > 0.0 {
+            growth[TILT] = along.y / (along.z * across2);
+            growth[TILT + 1] = -along.x / (along.z * across2);
+        }
+        growth
     }
+}
+
+/// From one place's turns to the other's.
+fn turn_round(unknowns: &mut [f64; MOST]) {
+    unknowns[TILT] *= -1.0;
+    unknowns[TILT + 1] *= -1.0;
 }

@@ -443,6 +443,11 @@ impl Linear {
         self.information[unknown][unknown] = 1.0;
         self.gradient[unknown] = 0.0;
         self.mirror.0[unknown] = 0.0;
+        self.forget_factor();
+    }
+
+    /// To be called where the information changes.
+    pub fn forget_factor(&mut self) {
         self.kept = None;
     }
 

@@ -7,11 +7,15 @@ use crate::{
 const SIDE: usize = 64;
 
 fn camera() -> Camera {
+    camera_of(600.0)
+}
+
+fn camera_of(focal_px: f64) -> Camera {
     Camera::new(Intrinsics {
         width: SIDE,
         height: SIDE,
-        fx_px: 600.0,
-        fy_px: 605.0,
+        fx_px: focal_px,
+        fy_px: 1.01 * focal_px,
         cx_px: 31.0,
         cy_px: 32.5,
         lens: Lens::PlumbBob([-0.1, 0.02, 0.0, 0.0, 0.0]),
@@ -48,10 +52,14 @@ fn start(camera: &Camera, kind: &Kind, ring: &Ring) -> Start {
 }
 
 fn ring() -> Ring {
+    ring_of(12.3)
+}
+
+fn ring_of(semi_minor_px: f64) -> Ring {
     let rim = |scale: f64| Ellipse {
         center: crate::camera::PixelPoint { u: 33.1, v: 30.2 },
         semi_major_px: 15.1 * scale,
-        semi_minor_px: 12.3 * scale,
+        semi_minor_px: semi_minor_px * scale,
         angle_rad: 0.3,
     };
     Ring { black: 45.0, white: 195.0, ..Ring::of_rims(rim(1.0), rim(0.4)) }
@@ -103,4 +111,38 @@ fn what_is_no_roundel_is_an_error() {
     start.pose.normal = -start.pose.normal;
     let turned = fit(&frame, &camera, &kind, &ring, &start, &mut scratch);
     assert_eq!(turned, Err(FitError::Start));
+}
+
+/// What a fit at the mirrored place comes to, told from the products of the first one.
+#[test]
+fn the_mirrored_place_is_as_bad_as_it_promises() {
+    // A wide lens, for which the places' columns differ.
+    let (camera, kind, ring) = (camera_of(200.0), Kind::plain("", 0.16, 0.064), ring_of(14.7));
+    let start = start(&camera, &kind, &ring);
+    let pixels = picture(&camera, &kind, &start.pose.position_m, &start.pose.normal);
+    let frame = Frame::new(&pixels, SIDE, SIDE, SIDE).unwrap();
+    let mut scratch = FitScratch::default();
+    let first = fit(&frame, &camera, &kind, &ring, &start, &mut scratch).unwrap();
+    let position_m = first.pose.position_m;
+    let (range_m, radius_m) = (position_m.norm(), 0.5 * kind.outer_diameter_m);
+    let local_from_camera = frame_along(&(position_m / range_m));
+    let lens = LocalLens::new(&camera, local_from_camera, 1.05 * radius_m / range_m, &scratch.plan)
+        .unwrap();
+    let counted = ring.outer.grown(3.0);
+    let (columns, rows) = window_of(&counted);
+    scratch.window.lay(columns, rows);
+    let chords = Chords::new(&counted);
+    let problem = Problem { frame: &frame, kind: &kind, radius_m, lens: &lens, chords };
+    let axes = axes_of(&(local_from_camera * first.pose.normal));
+    let place = Place { position_m: Vector3::z() * range_m, axes };
+    let state = State::new(place, &first.ring, first.blur_px);
+    let solution = state::solve(&problem, state, &mut scratch).unwrap();
+    let at = (&solution.linear, solution.noise2);
+    let promised = glance(&problem, &solution.state, at, &mut scratch).unwrap();
+    let found = state::solve(&problem, solution.state.mirrored(), &mut scratch).unwrap();
+    let (promised_m, found_m) = (promised.state.place.position_m, found.state.place.position_m);
+    let [promised, found] = [promised.misfit, found.misfit].map(|misfit| misfit - solution.misfit);
+    assert!((promised / found - 1.0).abs() < 0.2, "{promised} {found}");
+    let apart_m = found_m - solution.state.place.position_m;
+    assert!((promised_m - found_m).norm() < 0.2 * apart_m.norm(), "{promised_m} {found_m}");
 }
