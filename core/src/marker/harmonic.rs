@@ -20,7 +20,7 @@
 //!
 //! Only the search asks this, since a track is not lost to a passing shadow.
 
-use std::sync::LazyLock;
+use std::{f64::consts::TAU, sync::LazyLock};
 
 use crate::{
     ellipse::Ellipse,
@@ -38,11 +38,17 @@ const LOW_LIMIT: (f64, f64, f64) = (0.03, 0.9, 0.001);
 /// Largest rest beyond them, in the same way.
 const HIGH_LIMIT: (f64, f64, f64) = (0.035, 1.5, 0.0005);
 
-/// cos and sin of the points' angles.
-static TURN: LazyLock<[(f64, f64); POINTS]> = LazyLock::new(|| {
-    std::array::from_fn(|point| {
-        let (sin, cos) = (std::f64::consts::TAU * point as f64 / POINTS as f64).sin_cos();
-        (cos, sin)
+/// The highest harmonic that is told from the rest.
+const HIGHEST: usize = LOW.end - 1;
+
+/// cos kt and sin kt at the points, from k = 1 on.
+static WAVES: LazyLock<[[[f32; POINTS]; 2]; HIGHEST]> = LazyLock::new(|| {
+    std::array::from_fn(|k| {
+        let angle = |point: usize| TAU * ((k + 1) * point % POINTS) as f64 / POINTS as f64;
+        [
+            std::array::from_fn(|point| angle(point).cos() as f32),
+            std::array::from_fn(|point| angle(point).sin() as f32),
+        ]
     })
 });
 
@@ -63,63 +69,69 @@ pub(crate) fn check_rims(frame: &Frame, ring: &Ring, plain: bool) -> Result<(), 
     Ok(())
 }
 
-/// Grey levels along an ellipse, at even steps of its angle.
-pub(super) fn levels_along(frame: &Frame, rim: &Ellipse) -> [f64; POINTS] {
+/// Grey levels along an ellipse, at `N` even steps of its angle, where N divides 64.
+pub(super) fn levels_along<const N: usize>(frame: &Frame, rim: &Ellipse) -> [f32; N] {
+    let [cos, sin] = &WAVES[0];
     let (sin_tilt, cos_tilt) = rim.angle_rad.sin_cos();
-    std::array::from_fn(|point| {
-        let (cos, sin) = TURN[point];
-        let (x, y) = (rim.semi_major_px * cos, rim.semi_minor_px * sin);
-        let u = rim.center.u + x * cos_tilt - y * sin_tilt;
-        let v = rim.center.v + x * sin_tilt + y * cos_tilt;
-        level_at(frame, u, v)
-    })
-}
-
-/// Grey level between the pixels, bilinear.
-fn level_at(frame: &Frame, u: f64, v: f64) -> f64 {
-    let (u, v) =
-        (u.clamp(0.0, (frame.width() - 1) as f64), v.clamp(0.0, (frame.height() - 1) as f64));
-    let (left, top) = (u as usize, v as usize);
-    let (right, bottom) = ((left + 1).min(frame.width() - 1), (top + 1).min(frame.height() - 1));
-    let (du, dv) = (u - left as f64, v - top as f64);
-    let row = |v: usize| {
-        let row = frame.row(v);
-        let (left, right) = (f64::from(row[left]), f64::from(row[right]));
-        left + (right - left) * du
+    let place = |center: f64, major: f64, minor: f64| -> [f32; N] {
+        let (center, major, minor) = (center as f32, major as f32, minor as f32);
+        std::array::from_fn(|i| center + cos[i * POINTS / N] * major + sin[i * POINTS / N] * minor)
     };
-    row(top) + (row(bottom) - row(top)) * dv
+    let (major_px, minor_px) = (rim.semi_major_px, rim.semi_minor_px);
+    let us = place(rim.center.u, major_px * cos_tilt, -minor_px * sin_tilt);
+    let vs = place(rim.center.v, major_px * sin_tilt, minor_px * cos_tilt);
+    let (pixels, stride) = frame.pixels();
+    let last = |size: usize| (size - 1) as f32;
+    let (right, bottom) = (last(frame.width()), last(frame.height()));
+    std::array::from_fn(|i| {
+        // Bilinear; beyond the frame its last pixels go on.
+        let (u, v) = (us[i].clamp(0.0, right), vs[i].clamp(0.0, bottom));
+        let (left, top) = (u as i32 as usize, v as i32 as usize);
+        let (du, dv) = (u - left as f32, v - top as f32);
+        let (next, below) = (usize::from(du > 0.0), if dv > 0.0 { stride } else { 0 });
+        let at = top * stride + left;
+        let level = |index: usize| f32::from(pixels[index]);
+        let mix = |at: usize| level(at) + (level(at + next) - level(at)) * du;
+        let upper = mix(at);
+        upper + (mix(at + below) - upper) * dv
+    })
 }
 
 /// Variances of levels, by harmonics.
 #[derive(Clone, Copy, Debug)]
 struct Rest {
-    low: f64,
-    high: f64,
+    low: f32,
+    high: f32,
 }
 
 impl Rest {
-    fn of(levels: &[f64; POINTS]) -> Self {
-        let n = POINTS as f64;
-        let mean = levels.iter().sum::<f64>() / n;
-        let whole = levels.iter().map(|level| (level - mean).powi(2)).sum::<f64>() / n;
+    fn of(levels: &[f32; POINTS]) -> Self {
+        let n = POINTS as f32;
+        let mean = levels.iter().sum::<f32>() / n;
+        let off = levels.map(|level| level - mean);
+        let waves = &*WAVES;
         let variance = |k: usize| {
-            let (mut along, mut across) = (0.0, 0.0);
-            for (point, level) in levels.iter().enumerate() {
-                let (cos, sin) = TURN[point * k % POINTS];
-                along += level * cos;
-                across += level * sin;
-            }
+            let [along, across] = waves[k - 1].each_ref().map(|wave| dot(wave, &off));
             2.0 * (along * along + across * across) / (n * n)
         };
-        let low = LOW.map(variance).sum::<f64>();
-        let high = (whole - variance(1) - variance(2) - low).max(0.0);
+        let low = LOW.map(variance).sum::<f32>();
+        let high = (dot(&off, &off) / n - variance(1) - variance(2) - low).max(0.0);
         Self { low, high }
     }
 
     /// Rms as shares of the contrast.
     fn shares(self, contrast: f64) -> (f64, f64) {
-        (self.low.sqrt() / contrast, self.high.sqrt() / contrast)
+        (f64::from(self.low.sqrt()) / contrast, f64::from(self.high.sqrt()) / contrast)
     }
+}
+
+/// Eight sums at once.
+fn dot(one: &[f32; POINTS], other: &[f32; POINTS]) -> f32 {
+    let mut sums = [0.0; 8];
+    for (one, other) in one.chunks_exact(8).zip(other.chunks_exact(8)) {
+        (0..8).for_each(|i| sums[i] += one[i] * other[i]);
+    }
+    sums.iter().sum()
 }
 
 #[cfg(test)]

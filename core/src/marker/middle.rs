@@ -21,6 +21,8 @@ use crate::{
 const AROUND: [f64; 3] = [0.4, 0.6, 0.8];
 /// The middle is averaged over an ellipse of this share of the inner rim.
 const MIDDLE: f64 = 0.1;
+/// Points along each ellipse.
+const POINTS: usize = 16;
 /// How much darker the middle may be: a share of the contrast, and grey levels.
 const LIMIT: (f64, f64) = (0.22, 5.0);
 
@@ -32,8 +34,8 @@ pub(crate) fn check_middle(frame: &Frame, ring: &Ring) -> Result<(), Reject> {
             semi_minor_px: share * ring.inner.semi_minor_px,
             ..ring.inner
         };
-        let levels = levels_along(frame, &ellipse);
-        levels.iter().sum::<f64>() / levels.len() as f64
+        let levels = levels_along::<POINTS>(frame, &ellipse);
+        f64::from(levels.iter().sum::<f32>()) / POINTS as f64
     };
     let sign = match ring.polarity {
         Polarity::BlackRing => 1.0,
