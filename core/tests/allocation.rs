@@ -3,7 +3,11 @@
 mod drawing;
 
 use drawing::{Drawing, Roundel, ellipse, frame};
-use roundel_core::marker::{Code, CodeLayout, Detector, Kind, Params, Pattern, Scratch, Tracker};
+use roundel_core::{
+    camera::{Camera, Intrinsics, Lens},
+    marker::{Code, CodeLayout, Detector, Kind, Mode, Params, Pattern, Scratch, Tracker},
+    pose::Locator,
+};
 
 const SIDE: usize = 300;
 
@@ -84,5 +88,42 @@ fn a_warm_tracker_of_coded_roundels_allocates_nothing() {
             assert_eq!(tracked.code.map(|voted| voted.code), read);
         }
     });
+    assert_eq!(spent.count_total, 0);
+}
+
+#[test]
+fn elliptical_discs_are_located_without_allocation() {
+    let pattern = Pattern::Elliptical { minor_diameter_m: 0.064 };
+    let kinds = vec![Kind { pattern, ..Kind::plain("robot", 0.16, 0.096) }];
+    let intrinsics = Intrinsics {
+        width: SIDE,
+        height: SIDE,
+        fx_px: 500.0,
+        fy_px: 500.0,
+        cx_px: 149.5,
+        cy_px: 149.5,
+        lens: Lens::PlumbBob([0.0; 5]),
+    };
+    let camera = Camera::new(intrinsics).unwrap();
+    let mut locator = Locator::new(camera, kinds.clone(), Mode::Precise);
+    let mut tracker = Tracker::new(Detector::new(kinds, Params::default()).unwrap());
+    let picture = |shift: f64| {
+        let at = (150.0 + shift, 140.0);
+        let mut drawing = Drawing::new(SIDE, SIDE, 200.0, 0.7);
+        drawing.add_disc(&ellipse(at, (30.0, 30.0), 0.0), -160.0);
+        drawing.add_disc(&ellipse(at, (18.0, 12.0), 0.5), 160.0);
+        drawing.picture(2.0, shift as u64)
+    };
+    let pictures: Vec<Vec<u8>> = (0..8).map(|i| picture(f64::from(i))).collect();
+    let mut locate = |picture: &[u8]| {
+        let frame = frame(picture, SIDE);
+        let [tracked] = tracker.process(&frame) else { panic!("not one") };
+        let located = locator.locate(&frame, tracked).unwrap();
+        assert_eq!(located.by, Mode::Precise);
+        assert!(located.pose.yaw_rad.is_some());
+    };
+    // Contours are made when they are first needed.
+    (0..3).for_each(|_| pictures.iter().for_each(|picture| locate(picture)));
+    let spent = allocation_counter::measure(|| pictures.iter().for_each(|picture| locate(picture)));
     assert_eq!(spent.count_total, 0);
 }

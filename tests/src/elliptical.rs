@@ -77,7 +77,8 @@ pub struct Errors {
 }
 
 impl Errors {
-    /// Rms of the depth's error over its bound.
+    /// Rms of the depth's error over its bound; of white rings the bound counts the sheet's edge too, and
+    /// is half of what it should be.
     pub fn depth_over_bound(&self) -> f64 {
         rms(self.depths.iter().copied())
     }

@@ -11,7 +11,9 @@
 //! so that the covariance of the whole rotation is T Σ Tᵀ + σ² n nᵀ, T = I + n gᵀ, with σ the
 //! deviation that the reading states.
 
-use nalgebra::Vector3;
+use std::f64::consts::{FRAC_PI_2, PI};
+
+use nalgebra::{Matrix3, UnitQuaternion, Vector3};
 
 use super::RoundelPose;
 use crate::{
@@ -52,6 +54,54 @@ pub fn add(pose: &mut RoundelPose, camera: &Camera, reading: &CodeReading) {
     let by_shift = if known.is_some() { Vector3::zeros() } else { side / -length };
     let deviation_rad = reading.yaw_deviation_rad.max(LEAST_DEVIATION_RAD);
     pose.covariance = turned(&pose.covariance, &n, &by_shift, &by_tilt, deviation_rad.powi(2));
+}
+
+/// Columns x, y and z of a roundel with this normal and yaw.
+pub fn axes(normal: &Vector3<f64>, yaw_rad: f64) -> Matrix3<f64> {
+    let turn = orientation_of_normal(normal)
+        * UnitQuaternion::from_axis_angle(&Vector3::z_axis(), yaw_rad);
+    turn.to_rotation_matrix().into_inner()
+}
+
+/// The yaw of these axes where the opposite x looks the same, in (-π/2, π/2].
+pub fn heading_rad(axes: &Matrix3<f64>) -> f64 {
+    let [x, normal] = [0, 2].map(|axis| axes.column(axis).into_owned());
+    let x = orientation_of_normal(&normal).inverse() * x;
+    let yaw_rad = x.y.atan2(x.x);
+    if yaw_rad > FRAC_PI_2 {
+        yaw_rad - PI
+    } else if yaw_rad <= -FRAC_PI_2 {
+        yaw_rad + PI
+    } else {
+        yaw_rad
+    }
+}
+
+/// Axes for another normal: seen along the line of sight to a position, x still points the same way.
+pub fn axes_for(
+    axes: &Matrix3<f64>,
+    position_m: &Vector3<f64>,
+    normal: &Vector3<f64>,
+) -> Matrix3<f64> {
+    let sight = position_m.normalize();
+    let a = axes.column(0);
+    let across = a - sight * sight.dot(&a);
+    let a = (across - sight * (across.dot(normal) / sight.dot(normal))).normalize();
+    Matrix3::from_columns(&[a, normal.cross(&a), *normal])
+}
+
+/// The yaw about another normal with which the print's x still points the same way, as seen along the
+/// line of sight to its position.
+pub fn carried_rad(pose: &RoundelPose, yaw_rad: f64, normal: &Vector3<f64>) -> f64 {
+    let axes = axes_for(&axes(&pose.normal, yaw_rad), &pose.position_m, normal);
+    let x = orientation_of_normal(normal).inverse() * axes.column(0).into_owned();
+    x.y.atan2(x.x)
+}
+
+/// Deviation of the yaw.
+pub fn deviation_rad(pose: &RoundelPose) -> f64 {
+    let rotation = pose.covariance.fixed_view::<3, 3>(3, 3);
+    pose.normal.dot(&(rotation * pose.normal)).max(0.0).sqrt()
 }
 
 /// A covariance without knowledge about the normal, with what φ = s·δp + g·δθ + ε makes of it.

@@ -32,7 +32,8 @@ pub struct Contour {
 /// What a contour was made for.
 #[derive(Clone, Copy, Debug, PartialEq)]
 struct Key {
-    ratio: f64,
+    /// The disc's semiaxes.
+    inner: (f64, f64),
     outer_packs: usize,
     inner_packs: usize,
 }
@@ -45,12 +46,12 @@ impl Contours {
     /// Contours of a print whose outer rim is at most `around_px` long, with nodes at most
     /// `spacing_px` apart.
     pub fn of(&mut self, kind: &Kind, around_px: f64, spacing_px: f64) -> &Contour {
-        let ratio = kind.ratio();
+        let (least, most) = kind.ratios();
         let packs = |share: f64| {
             let nodes = (share * around_px / spacing_px).min(65_536.0);
             ((nodes / PACK as f64).ceil() as usize).max(1)
         };
-        let key = Key { ratio, outer_packs: packs(1.0), inner_packs: packs(ratio) };
+        let key = Key { inner: (most, least), outer_packs: packs(1.0), inner_packs: packs(most) };
         if let Some(index) = self.0.iter().position(|(known, _)| *known == key) {
             return &self.0[index].1;
         }
@@ -58,23 +59,23 @@ impl Contours {
             self.0.clear();
         }
         let mut contour = Contour::default();
-        contour.circle(1.0, key.outer_packs * PACK, 1.0);
+        contour.ellipse((1.0, 1.0), key.outer_packs * PACK, 1.0);
         contour.outer = contour.x.len();
-        contour.circle(ratio, key.inner_packs * PACK, -1.0);
+        contour.ellipse(key.inner, key.inner_packs * PACK, -1.0);
         self.0.push((key, contour));
         &self.0[self.0.len() - 1].1
     }
 }
 
 impl Contour {
-    fn circle(&mut self, radius: f64, count: usize, sign: f64) {
+    fn ellipse(&mut self, (a, b): (f64, f64), count: usize, sign: f64) {
         let step = std::f64::consts::TAU / count as f64;
         for i in 0..count {
             let (sin, cos) = (step * i as f64).sin_cos();
-            self.x.push((radius * cos) as f32);
-            self.y.push((radius * sin) as f32);
-            self.dx.push((-sign * step * radius * sin) as f32);
-            self.dy.push((sign * step * radius * cos) as f32);
+            self.x.push((a * cos) as f32);
+            self.y.push((b * sin) as f32);
+            self.dx.push((-sign * step * a * sin) as f32);
+            self.dy.push((sign * step * b * cos) as f32);
         }
     }
 }
@@ -82,6 +83,7 @@ impl Contour {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::marker::Pattern;
 
     #[test]
     fn contours_enclose_the_black_area() {
@@ -91,5 +93,13 @@ mod tests {
         let terms = contour.x.iter().zip(&contour.dy);
         let area: f64 = terms.map(|(x, dy)| f64::from(x * dy)).sum();
         assert!((area - std::f64::consts::PI * (1.0 - 0.16)).abs() < 1e-5, "{area}");
+        let pattern = Pattern::Elliptical { minor_diameter_m: 0.06 };
+        let contour = contours.of(&Kind { pattern, ..kind }, 90.0, 0.8);
+        let moment = |x: &[f32], dy: &[f32]| -> f64 {
+            x.iter().zip(dy).map(|(x, dy)| f64::from(x * x * x * dy)).sum::<f64>() / 3.0
+        };
+        // Of an ellipse ∬ x² is π a³ b/4; its longer axis lies along x.
+        let expected = std::f64::consts::FRAC_PI_4 * (1.0 - 0.4f64.powi(3) * 0.3);
+        assert!((moment(&contour.x, &contour.dy) - expected).abs() < 1e-5);
     }
 }

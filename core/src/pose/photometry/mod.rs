@@ -37,13 +37,16 @@
 //! 20 to 30, 0.94 at 30 to 60, 0.83 at 60 to 110 (80 roundels each, so to 8 %); no bias; normals alike;
 //! 93 to 99 % of the positions inside the stated 95 % ellipsoid. Time: `benches/fit.rs`.
 //!
-//! **Limits.** Rims only, without yaw: an elliptical disc or teeth need a contour that turns, and are
-//! refused. Of motion within the exposure only the blur all round is in the model; the rest widens the
+//! **Heading.** An elliptical disc's contour turns with the print; its heading is found by the profile of
+//! the misfit (`heading`).
+//!
+//! **Limits.** Teeth are refused, and elliptical discs of whose rim a part is covered. Of motion within the exposure only the blur all round is in the model; the rest widens the
 //! covariance. Paper is expected to go on for 3 px, or 3.5 blurs, round the outer rim.
 
 mod blur;
 mod careful;
 mod contour;
+mod heading;
 mod image;
 mod lens;
 mod mirror;
@@ -60,7 +63,7 @@ use fearless_simd::Level;
 use nalgebra::{Matrix3, Vector3};
 use thiserror::Error;
 
-use super::{RoundelPose, frame_along};
+use super::{RoundelPose, frame_along, yaw};
 use crate::{
     camera::{Camera, LensError},
     ellipse::{Chords, Ellipse},
@@ -71,6 +74,7 @@ use crate::{
 use blur::{BLUR_LIMITS_PX, Kernels};
 use careful::Careful;
 use contour::Contours;
+use heading::Heading;
 use image::Window;
 use lens::{LocalLens, Plan};
 use mirror::{Glance, glance};
@@ -112,8 +116,8 @@ pub enum FitError {
     /// The start is no pose in front of the camera.
     #[error("expected a start in front of the camera and facing it, found another")]
     Start,
-    /// The print is not round.
-    #[error("expected a plain roundel, found one with a pattern")]
+    /// The print has teeth.
+    #[error("expected a disc without teeth, and the start of an elliptical one with a yaw")]
     Pattern,
     /// The lens gives no pixels there.
     #[error("round the start: {0}")]
@@ -186,9 +190,13 @@ pub fn fit(
     if !(facing && range_m.is_finite() && ring.outer.is_valid() && start.blur_px.is_finite()) {
         return Err(FitError::Start);
     }
-    if kind.pattern != Pattern::Plain {
-        return Err(FitError::Pattern);
-    }
+    let heading_rad = match (kind.pattern, start.pose.yaw_rad) {
+        (Pattern::Plain, _) => None,
+        (Pattern::Elliptical { .. }, Some(yaw_rad)) => Some(yaw_rad),
+        (Pattern::Elliptical { .. }, None) | (Pattern::Coded(_), _) => {
+            return Err(FitError::Pattern);
+        }
+    };
     let radius_m = 0.5 * kind.outer_diameter_m;
     let local_from_camera = frame_along(&(start.pose.position_m / range_m));
     let spread = 1.05 * radius_m / range_m;
@@ -200,23 +208,41 @@ pub fn fit(
     let (columns, rows) = window_of(&counted);
     scratch.window.lay(columns, rows);
     let problem = Problem { frame, kind, radius_m, lens: &lens, chords: Chords::new(&counted) };
-    let place = |normal: &Vector3<f64>| Place {
-        position_m: Vector3::new(0.0, 0.0, range_m),
-        axes: axes_of(&(local_from_camera * normal).normalize()),
+    let normal = &start.pose.normal;
+    let axes = match heading_rad {
+        None => axes_of(&(local_from_camera * normal).normalize()),
+        Some(yaw_rad) => local_from_camera * yaw::axes(normal, yaw_rad),
     };
-    let first = State::new(place(&start.pose.normal), ring, blur_px);
-    let mut solution = state::solve(&problem, first, scratch)?;
+    let place = Place { position_m: Vector3::new(0.0, 0.0, range_m), axes };
+    let first = State::new(place, ring, blur_px);
+    let (mut solution, heading) = if heading_rad.is_some() {
+        let deviation_rad = yaw::deviation_rad(&start.pose);
+        let (solution, heading) = heading::solve(&problem, first, deviation_rad, scratch)?;
+        (solution, Some(heading))
+    } else {
+        (state::solve(&problem, first, scratch)?, None)
+    };
     let mut found = upright::estimate(&problem, &solution, scratch);
     if let Upright::Further(state) = found {
         solution = state::solve(&problem, state, scratch)?;
         found = upright::estimate(&problem, &solution, scratch);
     }
-    let placed = match found {
+    let (mut placed, heading) = match found {
         Upright::Facing(first, other, likelihood) if solution.is_plain() => {
-            upright(&problem, &solution, (first, other, likelihood))
+            let placed = upright(&problem, &solution, (first, other, likelihood));
+            (placed, heading.map(Heading::alone))
         }
-        _ => tilted(&problem, solution, &counted, scratch)?,
+        _ => {
+            let heading = match heading {
+                Some(heading) if !solution.is_plain() => Some(heading.disturbed(&solution)),
+                _ => heading,
+            };
+            (tilted(&problem, solution, &counted, scratch)?, heading)
+        }
     };
+    if let Some(heading) = heading {
+        heading.add_to(&problem, &mut placed);
+    }
     Ok(finish(&problem, ring, &placed, scratch))
 }
 
@@ -281,7 +307,12 @@ fn tilted(
         solution = if better { found } else { solution };
     }
     if !solution.is_plain() {
-        return careful::solve(problem, &solution.state, counted, scratch);
+        let placed = careful::solve(problem, &solution.state, counted, scratch)?;
+        // With part of it covered, the disc's rim would be turned.
+        if problem.kind.pattern != Pattern::Plain && !scratch.careful.keeps_disc() {
+            return Err(FitError::Disturbed);
+        }
+        return Ok(placed);
     }
     let likelihood = other.as_ref().map_or(1.0, |other| {
         let worse = (other.misfit - solution.misfit).max(0.0) / solution.noise2;
@@ -323,12 +354,14 @@ fn finish(problem: &Problem, ring: &Ring, placed: &Placed, scratch: &mut FitScra
     let apart = camera_from_local * placed.apart_m;
     let mut position = covariance.fixed_view_mut::<3, 3>(0, 0);
     position += apart * apart.transpose() * (1.0 - placed.likelihood);
+    let axes = camera_from_local * state.place.axes;
+    let is_plain = problem.kind.pattern == Pattern::Plain;
     let pose = RoundelPose {
         position_m: camera_from_local * state.place.position_m,
-        normal: camera_from_local * state.place.axes.column(2),
+        normal: axes.column(2).into_owned(),
         normal_likelihood: placed.likelihood,
         other_normal: camera_from_local * placed.other_normal,
-        yaw_rad: None,
+        yaw_rad: (!is_plain).then(|| yaw::heading_rad(&axes)),
         covariance,
     };
     let (outer, inner) = state::rims(problem, state, scratch).unwrap_or((ring.outer, ring.inner));

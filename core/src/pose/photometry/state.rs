@@ -71,7 +71,7 @@ pub struct Linear {
     pub misfit: f64,
     pixels: f64,
     /// How far residuals hang together ([`patches::share`]).
-    together: f64,
+    pub together: f64,
     /// Products of what tells the mirrored place from this one: with the unknowns, with the residual and
     /// with itself.
     pub mirror: ([f64; MOST], f64, f64),
@@ -390,7 +390,7 @@ impl Linear {
         // A straight edge of deviation τ tells its place by C²/(2 √π τ) a pixel's length.
         let spread_px = (state.blur2 + 1.0 / 12.0).sqrt();
         let edge = state.step * state.step / (2.0 * std::f64::consts::PI.sqrt() * spread_px);
-        let ratio = problem.kind.ratio();
+        let ratio = problem.kind.mean_ratio();
         let elongation =
             std::f64::consts::TAU * edge * radius_px * radius_px * (1.0 + ratio * ratio);
         Self {

@@ -20,7 +20,7 @@
 use nalgebra::{Matrix2, Matrix3, SMatrix, Vector2, Vector3};
 
 use super::{
-    FitScratch, axes_of,
+    FitScratch,
     solve::{Factor, MOST},
     state::{self, BLUR, Covariance5, Problem, RANGE, SHIFT, STEP, Solution, State, TILT, WHITE},
     view::Place,
@@ -106,7 +106,7 @@ pub fn estimate(problem: &Problem, solution: &Solution, scratch: &mut FitScratch
 
 /// What both rims' places in perspective say of w, over what their elongations say of w².
 fn linear_over_squared(problem: &Problem, state: &State) -> f64 {
-    let (q, r) = (problem.kind.ratio(), problem.radius_m / state.place.position_m.norm());
+    let (q, r) = (problem.kind.mean_ratio(), problem.radius_m / state.place.position_m.norm());
     16.0 * r * r * q * (1.0 - q * q).powi(2) / ((1.0 + q) * (1.0 + q * q * q))
 }
 
@@ -132,7 +132,7 @@ fn leaned(state: &State, frame: &Matrix3<f64>, lean: &Vector2<f64>) -> State {
     let further = 0.25 * (before - lean.norm_squared());
     let place = Place {
         position_m: state.place.position_m * further.exp(),
-        axes: axes_of(&normal_of(lean, frame)),
+        axes: state.place.axes_for(&normal_of(lean, frame)),
     };
     State { place, ..state.clone() }
 }
@@ -230,7 +230,7 @@ impl Middle {
         place.position_m *= (change(RANGE) + 0.25 * (before - lean.squared)).exp();
         place.position_m +=
             Vector3::new(change(SHIFT), change(SHIFT + 1), 0.0) * solution.linear.unit_m;
-        place.axes = axes_of(&normal);
+        place.axes = place.axes_for(&normal);
         let facing = (1.0 - lean.mean.norm_squared()).max(0.0).sqrt();
         let turns = [Vector2::x(), Vector2::y()].map(|along| {
             let change = along.push(lean.mean.dot(&along) / facing);

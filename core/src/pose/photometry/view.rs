@@ -13,6 +13,7 @@ use super::{
     contour::{Contour, PACK},
     lens::{LocalLens, TERMS},
 };
+use crate::pose::yaw;
 
 /// A roundel's place in the local frame.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -21,6 +22,13 @@ pub struct Place {
     pub position_m: Vector3<f64>,
     /// Columns a, b and n: the print's x and y, and its normal.
     pub axes: Matrix3<f64>,
+}
+
+impl Place {
+    /// Axes for another normal: seen along the line of sight, the print's x still points the same way.
+    pub fn axes_for(&self, normal: &Vector3<f64>) -> Matrix3<f64> {
+        yaw::axes_for(&self.axes, &self.position_m, normal)
+    }
 }
 
 /// Contour nodes in the window, with their shares of the way in pixels.

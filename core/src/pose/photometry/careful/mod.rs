@@ -89,6 +89,13 @@ pub struct Careful {
     list: Vec<f64>,
 }
 
+impl Careful {
+    /// Whether all of the inner rim's cells agreed in the newest fit.
+    pub fn keeps_disc(&self) -> bool {
+        self.cells.iter().all(|cell| cell.rim == 0 || cell.kept)
+    }
+}
+
 /// Whose levels hold.
 #[derive(Clone, Copy, Debug, PartialEq)]
 enum Levels {
@@ -174,7 +181,7 @@ impl Fitter<'_> {
         let (origin, width, height) =
             (careful.images.origin, careful.images.width, careful.images.height);
         let model = state::model(self.problem, state, state.blur2.sqrt(), origin);
-        let ratio = self.problem.kind.ratio();
+        let ratio = self.problem.kind.mean_ratio();
         let radius_px = state::radius_px(self.problem, state);
         let counts =
             [1.0, ratio].map(|share| cells::count(std::f64::consts::TAU * share * radius_px));
