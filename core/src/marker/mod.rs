@@ -3,7 +3,7 @@
 //! | step | module | paper |
 //! | --- | --- | --- |
 //! | rows with black, white, black | `edge`, `scan` | 3.1, 3.6 |
-//! | chords through the centre | `cross` | 3.1 |
+//! | chords through the centre | `cross`, `chord` | 3.1 |
 //! | threshold at each place | `threshold` | 3.2, eq. (3) |
 //! | one ring, wherever it is thought to be | `measure` | 3.1, 3.3 |
 //! | its pixels as words of bits | `patch` | 3.2 |
@@ -36,6 +36,7 @@
 
 mod belt;
 mod blur;
+mod chord;
 mod claim;
 mod code;
 mod cross;

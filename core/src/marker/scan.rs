@@ -9,7 +9,7 @@
 //! A row of edges costs a few instructions for each 64 pixels ([`crate::marker::edge`]), and a few
 //! for each edge; grey levels are looked at only where the widths agree.
 
-use crate::marker::{cross::Evenness, edge::RowEdges, kind::Polarity};
+use crate::marker::{chord::Evenness, edge::RowEdges, kind::Polarity};
 
 /// Least steps of the edges that are looked at together, in least steps of all. Waves are up to a fifth
 /// of the contrast and edges at least half of it, so one of these lies between them.
@@ -195,7 +195,7 @@ mod tests {
     use fearless_simd::Level;
 
     use super::*;
-    use crate::{frame::Frame, marker::cross::Evenness, segment::Window};
+    use crate::{frame::Frame, marker::chord::Evenness, segment::Window};
 
     fn hits(line: &[u8], polarity: Polarity) -> Vec<Hit> {
         let frame = Frame::new(line, line.len(), 1, line.len()).unwrap();

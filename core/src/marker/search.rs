@@ -9,8 +9,9 @@ use crate::{
     frame::Frame,
     marker::{
         Ring,
+        chord::{Evenness, RATIO_SLACK},
         claim::{Claim, ClaimedPixels},
-        cross::{Candidate, CrossRules, Evenness, RATIO_SLACK, cross},
+        cross::{Candidate, CrossRules, cross},
         detector::{Detector, Scratch},
         edge::{ROW_STEP, RowEdges},
         examine::{Probe, Rules},
