@@ -35,15 +35,15 @@ const REACH: usize = 5;
 /// Pixels that a belt reaches beyond its segment along the axes.
 pub(crate) const BELT_PX: usize = 2;
 /// Mean distance over all directions that a rim moves by a step to the four nearest neighbours …
-const CROSS_PX: f64 = 0.90;
+pub(crate) const CROSS_PX: f64 = 0.90;
 /// … to the eight nearest …
 pub(crate) const THIN_PX: f64 = 1.27;
 /// … and by both.
 pub(crate) const WIDE_PX: f64 = 2.17;
 /// Fewer pixels tell no level of the disc …
-const LEAST_WHITE: u32 = 4;
+pub(crate) const LEAST_WHITE: u32 = 4;
 /// … and none of the black.
-const LEAST_BLACK: u32 = 8;
+pub(crate) const LEAST_BLACK: u32 = 8;
 
 /// Sets of pixels as bits, words of rows one after the other, rows from `top` of the patch on.
 #[derive(Clone, Copy, Debug)]

@@ -19,12 +19,12 @@ pub(crate) struct Claim {
 
 impl Claim {
     pub fn new(ring: &Ring) -> Self {
-        Self { outer: ring.outer, half_box_px: ring.outer.half_box_px() }
+        Self::of_box(ring, ring.outer.half_box_px())
     }
 
-    /// Half the sides of its box, along u and v, pixels.
-    pub fn half_box_px(&self) -> (f64, f64) {
-        self.half_box_px
+    /// Of a ring, half the sides of whose box are known.
+    pub fn of_box(ring: &Ring, half_box_px: (f64, f64)) -> Self {
+        Self { outer: ring.outer, half_box_px }
     }
 
     /// Whether the ring's centre lies in it.

@@ -18,7 +18,7 @@
 
 use crate::{
     ellipse::{Ellipse, Shape, Symmetric2},
-    marker::{kind::Polarity, reject::Reject, spans::Extent},
+    marker::{follow::Expected, kind::Polarity, reject::Reject, spans::Extent},
     segment::Window,
 };
 
@@ -68,6 +68,8 @@ pub(crate) struct Probe {
     pub bounds: Window,
     /// Of a white ring all levels, the threshold too, are counted from white.
     pub polarity: Polarity,
+    /// Where the rims of a ring that is followed ought to be.
+    pub expected: Option<Expected>,
 }
 
 /// What counting says of a segment: its pixels, and the sides of its box.

@@ -2,11 +2,12 @@
 //! kind, and the rims compensated for it.
 //!
 //! 1. The window is copied and thresholded into words of bits ([`crate::marker::patch`]).
-//! 2. The disc is followed from the probe's centre, and the black from the disc
-//!    ([`crate::marker::spans`]); counts refuse what is too small, too large or of the wrong ratio
-//!    ([`crate::marker::examine`]).
+//! 2. The disc is followed from the probe's centre, and the black from the disc; counts refuse what is
+//!    too small, too large or of the wrong ratio ([`crate::marker::segments`]).
 //! 3. Bits grown and shrunk give the belts in which the rims' blur lies, and the pixels that tell the
 //!    levels B and W ([`crate::marker::belt`], [`crate::marker::levels`]).
+//!    Of a ring that is followed, the rims of the frame before say where the belts are, and steps 2 and
+//!    3 are left out, unless a pixel between the belts contradicts that ([`crate::marker::follow`]).
 //! 4. Inside the inner belt a pixel is disc, in it (I - B)/(W - B) of it is, and of the roundel in the
 //!    outer belt (W - I)/(W - B). Blur moves weight across a rim but loses none, so the area and the
 //!    difference of the covariance's eigenvalues ([`crate::ellipse::Shape::ellipse`]) are those of the
@@ -39,13 +40,15 @@ use crate::{
         belt::{BELT_PX, BeltScratch, Belts, THIN_PX, WIDE_PX, pixels_in},
         blur::{Cuts, Taken, Unblurred, Weighed, unblur},
         elliptical,
-        examine::{Counted, Probe, Rules, check_boxes, check_counts, check_levels, check_shapes},
+        examine::{Counted, Probe, Rules, check_boxes, check_levels, check_shapes},
+        follow::{Expected, Followed, belts_about, motion},
         kind::{Kind, Polarity, RATIO_LIMITS, nearest_kind},
         levels::Levels,
         outline::unevenness,
         patch::{Patch, WORD_PX},
         reject::Reject,
-        spans::{Bits, Extent, Span, Spill, follow_disc, follow_ring},
+        segments::{Segments, Spans},
+        spans::Extent,
         thin::Depths,
         weigh::{Area, Weights, moments},
     },
@@ -57,6 +60,8 @@ const RETHRESHOLD_SHARE: (f64, f64) = (0.15, 0.02);
 
 /// Turns in which a thin ring's black level and its rims are found.
 const THIN_TURNS: usize = 2;
+/// Turns in which the belts about expected rims are drawn.
+const FOLLOWING_TURNS: usize = 2;
 /// Deviation of a blurred edge where none is measured, pixels.
 const USUAL_BLUR_PX: f64 = 0.75;
 /// Least distance of the outer rim from the frame's edge, pixels.
@@ -67,8 +72,7 @@ const EDGE_PX: f64 = 1.0;
 pub(crate) struct MeasureScratch {
     level: Level,
     patch: Patch,
-    discs: Vec<Span>,
-    rings: Vec<Span>,
+    spans: Spans,
     belts: BeltScratch,
     depths: Depths,
 }
@@ -78,8 +82,7 @@ impl Default for MeasureScratch {
         Self {
             level: Level::new(),
             patch: Patch::default(),
-            discs: Vec::new(),
-            rings: Vec::new(),
+            spans: Spans::default(),
             belts: BeltScratch::new(),
             depths: Depths::default(),
         }
@@ -115,19 +118,31 @@ fn measure_with<S: Simd>(
     kinds: &[Kind],
     scratch: &mut MeasureScratch,
 ) -> Result<Ring, Reject> {
+    load(simd, &mut scratch.patch, frame, probe);
     let mut threshold = probe.threshold;
-    let mut found = rims(simd, frame, probe, rules, scratch)?;
-    let own = (0.5 * (found.0.black + found.0.white)).round().clamp(1.0, 255.0) as u8;
-    let off = f64::from(own.abs_diff(threshold));
-    let limit = if found.1.cut { RETHRESHOLD_SHARE.1 } else { RETHRESHOLD_SHARE.0 };
-    if off > limit * (found.0.white - found.0.black) {
-        // If something bridges the rims at the middle, what works is kept.
-        if let Ok(better) = rims(simd, frame, &Probe { threshold: own, ..*probe }, rules, scratch) {
-            (found, threshold) = (better, own);
+    let found = match followed(simd, frame, probe, rules, scratch) {
+        Some(found) => {
+            threshold = own_threshold(&found.0);
+            found
         }
-    } else {
-        threshold = own;
-    }
+        None => {
+            let mut found = rims(simd, frame, probe, rules, scratch)?;
+            let own = own_threshold(&found.0);
+            let off = f64::from(own.abs_diff(threshold));
+            let limit = if found.1.cut { RETHRESHOLD_SHARE.1 } else { RETHRESHOLD_SHARE.0 };
+            if off > limit * (found.0.white - found.0.black) {
+                // If something bridges the rims at the middle, what works is kept.
+                let probe = Probe { threshold: own, ..*probe };
+                load(simd, &mut scratch.patch, frame, &probe);
+                if let Ok(better) = rims(simd, frame, &probe, rules, scratch) {
+                    (found, threshold) = (better, own);
+                }
+            } else {
+                threshold = own;
+            }
+            found
+        }
+    };
     let (Unblurred { outer, inner, black, white }, Outline { unevenness, .. }) = found;
     let (kind, outer, inner) = if kinds.is_empty() {
         let ratio = inner.mean_radius_px() / outer.mean_radius_px();
@@ -154,6 +169,22 @@ fn measure_with<S: Simd>(
     })
 }
 
+/// The level halfway between black and white.
+fn own_threshold(found: &Unblurred) -> u8 {
+    (0.5 * (found.black + found.white)).round().clamp(1.0, 255.0) as u8
+}
+
+/// The probe's window of the frame.
+#[inline(always)]
+fn load<S: Simd>(simd: S, patch: &mut Patch, frame: &Frame, probe: &Probe) {
+    let threshold = match probe.polarity {
+        Polarity::BlackRing => probe.threshold,
+        Polarity::WhiteRing => 0u8.wrapping_sub(probe.threshold),
+    };
+    Patch::load(simd, patch, frame, probe.bounds, (threshold, probe.polarity));
+}
+
+/// The ring at the probe, by its segments.
 #[simd]
 fn rims<S: Simd>(
     simd: S,
@@ -162,53 +193,89 @@ fn rims<S: Simd>(
     rules: &Rules,
     scratch: &mut MeasureScratch,
 ) -> Result<(Unblurred, Outline), Reject> {
-    let MeasureScratch { patch, discs, rings, belts, depths, .. } = scratch;
-    let threshold = match probe.polarity {
-        Polarity::BlackRing => probe.threshold,
-        Polarity::WhiteRing => 0u8.wrapping_sub(probe.threshold),
-    };
-    Patch::load(simd, patch, frame, probe.bounds, (threshold, probe.polarity));
-    let (rows, columns) = (patch.rows(), patch.columns());
-    if discs.len() < rows {
-        discs.resize(rows, Span::default());
-        rings.resize(rows, Span::default());
-    }
-    let window = patch.window;
-    let center = (probe.center.0 - window.left, probe.center.1 - window.top);
-    let white = Bits::new(&patch.white, patch.words, (rows, columns));
-    let black = Bits::new(&patch.black, patch.words, (rows, columns));
-    let disc = seeds(patch, center)
-        .map(|seed| follow_disc(simd, &white, seed, discs))
-        .find(|disc| disc.is_ok())
-        .unwrap_or(Err(Spill::Seed));
-    let disc = disc.map_err(|spill| match spill {
-        Spill::Seed => Reject::NoWhite,
-        Spill::Edge(_) => Reject::WhiteTooLarge,
-    })?;
-    let ring = follow_ring(simd, &black, (&disc, discs), rings).map_err(|spill| match spill {
-        Spill::Seed => Reject::NoBlack,
-        Spill::Edge(extent) if at_frame_edge(frame, patch, &extent) => Reject::FrameEdge,
-        Spill::Edge(_) => Reject::BlackTooLarge,
-    })?;
-    let (of_disc, of_ring) = counts(patch, (&disc, discs), (&ring, rings));
-    check_counts(&of_ring, &of_disc, rules)?;
-
-    let belts = Belts::round(simd, patch, (&disc, discs), (&ring, rings), belts);
-    let words = patch.words;
-    let first = belts.top * words;
-    let blocks = belts.disc_core.len();
-    let grey = &patch.grey[first..first + blocks];
+    let MeasureScratch { patch, spans, belts, depths, .. } = scratch;
+    let segments = Segments::find(simd, frame, patch, probe.center, rules, spans)?;
+    let Segments { disc, ring, of_disc, of_ring } = &segments;
+    let belts = Belts::round(simd, patch, (disc, &spans.discs), (ring, &spans.rings), belts);
     let middle = |first: usize, end: usize| (first + end) / 2;
     let columns = &ring.columns;
-    let column = middle(columns.first as usize, columns.end as usize) & !1;
-    let row = middle(ring.top, ring.bottom) - belts.top;
-    let levels = Levels::new(simd, grey, &belts, words, (column, row));
+    let places = Places {
+        middle: (
+            middle(columns.first as usize, columns.end as usize) & !1,
+            middle(ring.top, ring.bottom) - belts.top,
+        ),
+        outer: area_round(ring, &belts, patch),
+        inner: area_round(disc, &belts, patch),
+        belts,
+        counted: Some((of_ring, of_disc)),
+    };
+    weigh(simd, frame, probe, rules, (patch, &places), depths)
+}
+
+/// The ring at its expected rims, if it is just there.
+#[simd]
+fn followed<S: Simd>(
+    simd: S,
+    frame: &Frame,
+    probe: &Probe,
+    rules: &Rules,
+    scratch: &mut MeasureScratch,
+) -> Option<(Unblurred, Outline)> {
+    let MeasureScratch { patch, belts, depths, .. } = scratch;
+    let expected = probe.expected.as_ref()?;
+    let (du, dv) = motion(simd, patch, expected)?;
+    let mut expected = expected.moved(du, dv);
+    for _ in 0..FOLLOWING_TURNS {
+        let Followed { belts, outer, inner, middle } = belts_about(simd, patch, &expected, belts)?;
+        let places = Places { belts, middle, outer, inner, counted: None };
+        let found = weigh(simd, frame, probe, rules, (patch, &places), depths).ok()?;
+        let (outer, inner) = (found.0.outer, found.0.inner);
+        if expected.is_met(&outer, &inner) {
+            let off = own_threshold(&found.0).abs_diff(probe.threshold);
+            let limit = RETHRESHOLD_SHARE.0 * (found.0.white - found.0.black);
+            return (f64::from(off) <= limit).then_some(found);
+        }
+        expected = Expected::new(&outer, &inner);
+    }
+    None
+}
+
+/// Belts with what is needed to weigh by them.
+struct Places<'a> {
+    belts: Belts<'a>,
+    /// A pixel in the middle, its column even, in the belts' rows.
+    middle: (usize, usize),
+    outer: Area,
+    inner: Area,
+    /// What was counted of black and disc, where segments were followed.
+    counted: Option<(&'a Counted, &'a Counted)>,
+}
+
+/// Both rims by grey levels, with all tests of them.
+#[simd]
+fn weigh<S: Simd>(
+    simd: S,
+    frame: &Frame,
+    probe: &Probe,
+    rules: &Rules,
+    (patch, places): (&Patch, &Places),
+    depths: &mut Depths,
+) -> Result<(Unblurred, Outline), Reject> {
+    let Places { belts, middle, .. } = places;
+    let (words, window) = (patch.words, &patch.window);
+    let first = belts.top * words;
+    let grey = &patch.grey[first..first + belts.disc_core.len()];
+    let levels = Levels::new(simd, grey, belts, words, *middle);
     let (black, white) = (levels.black.mean(), levels.disc.mean());
     let contrast = white - black;
     if contrast.is_nan() || contrast < rules.min_contrast {
         return Err(Reject::Contrast);
     }
     let margin = levels.margin();
+    // The belts of a narrow margin are those of segments.
+    if margin.is_none() && places.counted.is_none() {
+        return Err(Reject::Contrast);
+    }
     let cut_px = cut_px(f64::from(probe.threshold) - 0.5, black, white);
     let cut = margin.is_none() && !levels.has_near_margin();
     let (of_outer, cuts) = match margin {
@@ -227,10 +294,10 @@ fn rims<S: Simd>(
     let zones = Zones {
         grey,
         words,
-        origin: (window.left + column, window.top + belts.top + row),
-        middle: (column, row),
-        outer: (of_outer, cuts, area_round(&ring, &belts, patch)),
-        inner: ((belts.disc_core, belts.disc_belt), around, area_round(&disc, &belts, patch)),
+        origin: (window.left + middle.0, window.top + belts.top + middle.1),
+        middle: *middle,
+        outer: (of_outer, cuts, places.outer),
+        inner: ((belts.disc_core, belts.disc_belt), around, places.inner),
         white: (margin.map_or(white, |margin| margin.mean()), white),
     };
     let mut outer = zones.outer(simd, black)?;
@@ -256,7 +323,9 @@ fn rims<S: Simd>(
     }
 
     check_levels(found.black, found.white, rules)?;
-    check_boxes((&of_ring, &outer.shape), (&of_disc, &inner.shape), rules)?;
+    if let Some((of_ring, of_disc)) = places.counted {
+        check_boxes((of_ring, &outer.shape), (of_disc, &inner.shape), rules)?;
+    }
     check_shapes((&outer.shape, &outer.rim), (&inner.shape, &inner.rim), rules)?;
     let matrix = outer.shape.matrix_of(&outer.rim);
     check_edge(frame, outer.shape.center, &matrix)?;
@@ -336,22 +405,6 @@ fn cut_px(threshold: f64, black: f64, white: f64) -> f64 {
     USUAL_BLUR_PX * (2.0 * pi).sqrt() * (p + p * p * p * pi / 3.0)
 }
 
-/// White pixels to begin the disc with: the centre if it is white. A small ring that moved may have its
-/// black there; then the nearest white ones along row and column.
-fn seeds(patch: &Patch, (u, v): (usize, usize)) -> impl Iterator<Item = (u32, usize)> {
-    let white = |u: usize, v: usize| patch.white[v * patch.words + u / 64] >> (u % 64) & 1 == 1;
-    let seeds = if white(u, v) {
-        [Some((u, v)), None, None, None]
-    } else {
-        let left = (0..u).rev().find(|&u| white(u, v)).map(|u| (u, v));
-        let right = (u + 1..patch.columns()).find(|&u| white(u, v)).map(|u| (u, v));
-        let up = (0..v).rev().find(|&v| white(u, v)).map(|v| (u, v));
-        let down = (v + 1..patch.rows()).find(|&v| white(u, v)).map(|v| (u, v));
-        [left, right, up, down]
-    };
-    seeds.into_iter().flatten().map(|(u, v)| (u as u32, v))
-}
-
 /// Whether the rim lies far enough from the frame's edge to be measured.
 fn check_edge(frame: &Frame, center: PixelPoint, matrix: &Symmetric2) -> Result<(), Reject> {
     let (half_u, half_v) = (matrix.uu.sqrt() + EDGE_PX, matrix.vv.sqrt() + EDGE_PX);
@@ -360,38 +413,4 @@ fn check_edge(frame: &Frame, center: PixelPoint, matrix: &Symmetric2) -> Result<
         && center.u + half_u <= (frame.width() - 1) as f64
         && center.v + half_v <= (frame.height() - 1) as f64;
     if inside { Ok(()) } else { Err(Reject::FrameEdge) }
-}
-
-/// Whether a segment has reached an edge of the patch that is one of the frame's.
-fn at_frame_edge(frame: &Frame, patch: &Patch, extent: &Extent) -> bool {
-    let window = &patch.window;
-    (extent.columns.first == 0 && window.left == 0)
-        || (extent.columns.end as usize == patch.columns() && window.right == frame.width())
-        || (extent.top == 0 && window.top == 0)
-        || (extent.bottom == patch.rows() && window.bottom == frame.height())
-}
-
-/// Pixels of the disc and of the black round it.
-#[inline(always)]
-fn counts(patch: &Patch, disc: (&Extent, &[Span]), ring: (&Extent, &[Span])) -> (Counted, Counted) {
-    (count(patch.words, disc, &patch.white), count(patch.words, ring, &patch.black))
-}
-
-#[inline(always)]
-fn count(words: usize, (extent, spans): (&Extent, &[Span]), bits: &[u64]) -> Counted {
-    let spans = &spans[extent.top..extent.bottom];
-    let bits = &bits[extent.top * words..extent.bottom * words];
-    let mut pixels = 0;
-    if words == 1 {
-        for (bits, span) in bits.iter().zip(spans) {
-            pixels += (bits & span.bits(0)).count_ones();
-        }
-    } else {
-        for (row, span) in bits.chunks_exact(words).zip(spans) {
-            for (word, bits) in row.iter().enumerate() {
-                pixels += (bits & span.bits(word)).count_ones();
-            }
-        }
-    }
-    Counted::new(pixels, extent)
 }

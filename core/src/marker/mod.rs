@@ -7,8 +7,9 @@
 //! | threshold at each place | `threshold` | 3.2, eq. (3) |
 //! | one ring, wherever it is thought to be | `measure` | 3.1, 3.3 |
 //! | its pixels as words of bits | `patch` | 3.2 |
-//! | disc and black, followed by runs | `spans` | 3.1, algorithm 1 |
+//! | disc and black, followed by runs | `segments`, `spans` | 3.1, algorithm 1 |
 //! | the pixels near its rims | `belt`, `levels` | – |
+//! | the same of a ring that is followed | `follow`, `oval` | – |
 //! | rims to a fraction of a pixel | `weigh`, `blur` | eqs. (4), (6) |
 //! | areas, roundness, shapes | `examine`, `outline` | 3.1, 3.3, eqs. (1), (2), (5) |
 //! | kind by ratio of diameters | `kind` | 3.4 |
@@ -44,6 +45,7 @@ mod detector;
 mod edge;
 mod elliptical;
 mod examine;
+mod follow;
 mod harmonic;
 mod kind;
 mod levels;
@@ -51,12 +53,14 @@ mod mask;
 mod measure;
 mod middle;
 mod outline;
+mod oval;
 mod param;
 mod patch;
 mod reject;
 pub mod rim;
 mod scan;
 mod search;
+mod segments;
 mod spans;
 mod stroke;
 mod thin;

@@ -17,6 +17,9 @@ use crate::{frame::Frame, marker::kind::Polarity, segment::Window};
 /// Columns of a word.
 pub(crate) const WORD_PX: usize = 64;
 
+/// Rows of any content after a patch's last, so that so many may be looked at together.
+pub(crate) const PADDING_ROWS: usize = 16;
+
 /// A window of a frame, thresholded.
 #[derive(Debug, Default)]
 pub(crate) struct Patch {
@@ -26,7 +29,7 @@ pub(crate) struct Patch {
     pub words: usize,
     /// Grey values, a block for each word, rows one after the other.
     pub grey: Vec<[u8; WORD_PX]>,
-    /// I ≥ τ; columns beyond the window are neither.
+    /// I ≥ τ; columns beyond the window are neither. [`PADDING_ROWS`] more than there are.
     pub white: Vec<u64>,
     /// I < τ.
     pub black: Vec<u64>,
@@ -61,8 +64,11 @@ impl Patch {
         let blocks = words * window.height();
         if patch.grey.len() < blocks {
             patch.grey.resize(blocks, [0; WORD_PX]);
-            patch.white.resize(blocks, 0);
             patch.black.resize(blocks, 0);
+        }
+        let room = blocks + PADDING_ROWS * words;
+        if patch.white.len() < room {
+            patch.white.resize(room, 0);
         }
         let (flip, limit) = match polarity {
             Polarity::BlackRing => (0, threshold),

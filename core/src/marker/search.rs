@@ -184,6 +184,7 @@ impl Detector {
             threshold: candidate.threshold,
             bounds: Window::around(frame, center, (reach(half_u), reach(half_v))),
             polarity,
+            expected: None,
         };
         let ring = self.measure(frame, &probe, &mut scratch.measure)?;
         let pattern = self.pattern_of(&ring);

@@ -19,6 +19,7 @@ use crate::{
         detector::{Detector, Scratch},
         edge::ROW_STEP,
         examine::Probe,
+        follow::Expected,
         kind::Polarity,
         reject::{Reject, RejectCounts, Rejected},
     },
@@ -60,6 +61,7 @@ pub struct Tracker {
 struct Track {
     number: TrackNumber,
     ring: Ring,
+    rims: Expected,
     /// Motion of the centre, pixels a frame.
     velocity: (f64, f64),
     /// Frames since it was seen last; 0 if it is seen in the newest.
@@ -74,7 +76,8 @@ impl Track {
         let number = TrackNumber(number);
         let mut vote = Vote::default();
         ring.code.iter().for_each(|reading| vote.add(reading));
-        Self { number, ring, velocity: (0.0, 0.0), missed: 0, seen: 1, vote }
+        let rims = Expected::new(&ring.outer, &ring.inner);
+        Self { number, ring, rims, velocity: (0.0, 0.0), missed: 0, seen: 1, vote }
     }
 
     fn shown(&self) -> TrackedRing {
@@ -114,6 +117,7 @@ impl Track {
         self.velocity.1 += gain * (motion.1 - self.velocity.1);
         ring.code.iter().for_each(|reading| self.vote.add(reading));
         self.ring = ring;
+        self.rims = Expected::new(&ring.outer, &ring.inner);
         self.missed = 0;
         self.seen = self.seen.saturating_add(1);
     }
@@ -204,10 +208,10 @@ impl Tracker {
                 });
             match measured {
                 Ok(ring) => {
-                    let claim = Claim::new(&ring);
-                    self.occupied.add(ring.outer.center, claim.half_box_px());
-                    scratch.claims.push(claim);
                     track.update(ring);
+                    let half_box_px = track.rims.outer.half_box_px();
+                    self.occupied.add(ring.outer.center, half_box_px);
+                    scratch.claims.push(Claim::of_box(&ring, half_box_px));
                 }
                 Err(reject) => {
                     let (center, half_box_px) = (track.predicted(), track.ring.outer.half_box_px());
@@ -327,7 +331,7 @@ impl Occupied {
 /// expected. The few others are searched for.
 fn probe(frame: &Frame, track: &Track) -> Result<Probe, Reject> {
     let at = track.predicted();
-    let (half_u, half_v) = track.ring.outer.half_box_px();
+    let (half_u, half_v) = track.rims.outer.half_box_px();
     let inside =
         at.u >= 0.0 && at.v >= 0.0 && at.u < frame.width() as f64 && at.v < frame.height() as f64;
     if !inside {
@@ -344,5 +348,7 @@ fn probe(frame: &Frame, track: &Track) -> Result<Probe, Reject> {
         Polarity::BlackRing => track.ring.threshold,
         Polarity::WhiteRing => 0u8.wrapping_sub(track.ring.threshold),
     };
-    Ok(Probe { center, threshold, bounds, polarity })
+    let from = track.ring.outer.center;
+    let expected = Some(track.rims.moved(at.u - from.u, at.v - from.v));
+    Ok(Probe { center, threshold, bounds, polarity, expected })
 }

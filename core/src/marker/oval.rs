@@ -1,0 +1,213 @@
+//! Filled ellipses as bits of a patch, sixteen rows at a time.
+//!
+//! Row v of the ellipse with the centre c and the matrix M ([`crate::ellipse::Ellipse::matrix`]) reaches
+//! from c_u + s dv - h to c_u + s dv + h, with dv = v - c_v, s = M_uv/M_vv and
+//! h = √(det M / M_vv · (1 - dv²/M_vv)). A lane of a vector has a row.
+//!
+//! Grown by x along its normals, an ellipse has both semiaxes longer by x, so M' = M + 2x √M + x² I, and
+//! √M = (M + ab I)/(a + b) has no need of the axes' directions.
+
+use fearless_simd::{Simd, f32x16, i32x16, prelude::*, u32x16, u64x8};
+
+use crate::{
+    ellipse::{Ellipse, Symmetric2},
+    marker::{
+        patch::{PADDING_ROWS, Patch, WORD_PX},
+        weigh::Area,
+    },
+};
+
+/// Rows that are found together.
+pub(crate) const LANES: usize = PADDING_ROWS;
+/// Their numbers.
+const LANE: [f32; LANES] =
+    [0.0, 1.0, 2.0, 3.0, 4.0, 5.0, 6.0, 7.0, 8.0, 9.0, 10.0, 11.0, 12.0, 13.0, 14.0, 15.0];
+
+/// A rim, with [`Ellipse::matrix`], which costs a sine.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct Rim {
+    pub ellipse: Ellipse,
+    pub matrix: Symmetric2,
+}
+
+impl Rim {
+    pub fn new(ellipse: &Ellipse) -> Self {
+        Self { ellipse: *ellipse, matrix: ellipse.matrix() }
+    }
+
+    /// Half the sides of its box, along u and v, pixels.
+    pub fn half_box_px(&self) -> (f64, f64) {
+        (self.matrix.uu.sqrt(), self.matrix.vv.sqrt())
+    }
+}
+
+/// A rim in the patch.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct Placed {
+    pub u: f64,
+    pub v: f64,
+    matrix: Symmetric2,
+    /// Sum and product of the semiaxes.
+    sum: f64,
+    product: f64,
+}
+
+impl Placed {
+    pub fn new(rim: &Rim, patch: &Patch) -> Self {
+        let Rim { ellipse, matrix } = *rim;
+        Self {
+            u: ellipse.center.u - patch.window.left as f64,
+            v: ellipse.center.v - patch.window.top as f64,
+            matrix,
+            sum: ellipse.semi_major_px + ellipse.semi_minor_px,
+            product: ellipse.semi_major_px * ellipse.semi_minor_px,
+        }
+    }
+
+    /// Filled, after growing by so much.
+    #[inline(always)]
+    pub fn grown(&self, by_px: f64) -> Oval {
+        let per_sum = 2.0 * by_px / self.sum;
+        let (scale, more) = (1.0 + per_sum, per_sum * self.product + by_px * by_px);
+        let m = Symmetric2 {
+            uu: self.matrix.uu * scale + more,
+            uv: self.matrix.uv * scale,
+            vv: self.matrix.vv * scale + more,
+        };
+        let inverse_vv = 1.0 / m.vv;
+        let half = (m.uu.sqrt(), m.vv.sqrt());
+        Oval {
+            u: self.u as f32,
+            v: self.v as f32,
+            slope: (m.uv * inverse_vv) as f32,
+            half_max: (m.determinant() * inverse_vv).sqrt() as f32,
+            inverse_vv: inverse_vv as f32,
+            first: (self.v - half.1) as f32,
+            last: (self.v + half.1) as f32,
+            half,
+        }
+    }
+}
+
+/// A filled ellipse by its rows.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct Oval {
+    u: f32,
+    v: f32,
+    slope: f32,
+    half_max: f32,
+    inverse_vv: f32,
+    /// Rows between which it lies.
+    first: f32,
+    last: f32,
+    /// Half the sides of its box.
+    half: (f64, f64),
+}
+
+impl Oval {
+    /// First row, and the row after the last, if they lie in so many rows.
+    pub fn rows(&self, rows: usize) -> Option<(usize, usize)> {
+        let (top, bottom) = (f64::from(self.v) - self.half.1, f64::from(self.v) + self.half.1);
+        (top >= 0.0 && bottom + 1.0 < rows as f64)
+            .then_some((top.ceil() as usize, bottom as usize + 1))
+    }
+
+    /// Its rows and columns, if they lie in the patch, counted from a row on.
+    pub fn area(&self, patch: &Patch, top: usize) -> Option<Area> {
+        let rows = self.rows(patch.rows())?;
+        let (u, half) = (f64::from(self.u), self.half.0);
+        let (left, right) = (u - half, u + half);
+        (left >= 0.0 && right + 1.0 < patch.columns() as f64).then_some(Area {
+            rows: (rows.0 - top, rows.1 - top),
+            columns: (left as usize, right as usize + 1),
+        })
+    }
+
+    /// Its first column, and the column after the last, in sixteen rows of the patch.
+    #[inline(always)]
+    fn chords<S: Simd>(&self, simd: S, first_row: usize, columns: usize) -> [i32x16<S>; 2] {
+        let first_row = first_row as f32;
+        if first_row > self.last || first_row + (LANES as f32) <= self.first {
+            return [i32x16::splat(simd, 0); 2];
+        }
+        let (zero, one) = (f32x16::splat(simd, 0.0), f32x16::splat(simd, 1.0));
+        let dv = f32x16::load_array(simd, LANE) + (first_row - self.v);
+        let share = one - dv * dv * self.inverse_vv;
+        let middle = dv.mul_add(f32x16::splat(simd, self.slope), self.u);
+        let half = share.max(zero).sqrt() * self.half_max;
+        let end = share.simd_gt(zero).select((middle + half).floor() + 1.0, zero);
+        let most = columns as f32;
+        let (first, end) = ((middle - half).ceil().max(zero).min(most), end.max(zero).min(most));
+        [first.to_int(), end.to_int()]
+    }
+
+    /// Its pixels in a word of sixteen rows of the patch.
+    #[inline(always)]
+    pub fn bits<S: Simd>(&self, simd: S, (row, word, words): (usize, usize, usize)) -> Rows<S> {
+        let chords = self.chords(simd, row, words * WORD_PX);
+        let from = (word * WORD_PX) as i32;
+        below(simd, chords[1], from).without(below(simd, chords[0], from))
+    }
+}
+
+/// Bits of sixteen rows.
+#[derive(Clone, Copy)]
+pub(crate) struct Rows<S: Simd>(pub u64x8<S>, pub u64x8<S>);
+
+impl<S: Simd> Rows<S> {
+    #[inline(always)]
+    pub fn load(simd: S, words: &[u64], (first, words_in_row): (usize, usize)) -> Self {
+        if words_in_row == 1 {
+            let words = &words[first..first + LANES];
+            return Self(
+                u64x8::from_slice(simd, &words[..8]),
+                u64x8::from_slice(simd, &words[8..]),
+            );
+        }
+        let mut rows = [0; LANES];
+        for (lane, row) in rows.iter_mut().enumerate() {
+            *row = words[first + lane * words_in_row];
+        }
+        Self(u64x8::from_slice(simd, &rows[..8]), u64x8::from_slice(simd, &rows[8..]))
+    }
+
+    #[inline(always)]
+    pub fn store(self, words: &mut [u64], (first, words_in_row): (usize, usize)) {
+        if words_in_row == 1 {
+            let words = &mut words[first..first + LANES];
+            self.0.store_slice(&mut words[..8]);
+            self.1.store_slice(&mut words[8..]);
+            return;
+        }
+        for lane in 0..8 {
+            words[first + lane * words_in_row] = self.0[lane];
+            words[first + (lane + 8) * words_in_row] = self.1[lane];
+        }
+    }
+
+    #[inline(always)]
+    pub fn with(self, other: Self) -> Self {
+        Self(self.0 | other.0, self.1 | other.1)
+    }
+
+    #[inline(always)]
+    pub fn within(self, other: Self) -> Self {
+        Self(self.0 & other.0, self.1 & other.1)
+    }
+
+    #[inline(always)]
+    pub fn without(self, other: Self) -> Self {
+        Self(self.0 & !other.0, self.1 & !other.1)
+    }
+}
+
+/// The bits of the columns before these, of the word that begins with column `from`. A shift by 64 is
+/// none, so it is done by halves.
+#[inline(always)]
+fn below<S: Simd>(simd: S, columns: i32x16<S>, from: i32) -> Rows<S> {
+    let columns = (columns - from).max(0).min(WORD_PX as i32).bitcast::<u32x16<S>>();
+    let half = (columns >> 1).widen();
+    let rest = (columns - (columns >> 1)).widen();
+    let one = u64x8::splat(simd, 1);
+    Rows(((one << half.0) << rest.0) - one, ((one << half.1) << rest.1) - one)
+}
