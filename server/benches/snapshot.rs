@@ -54,6 +54,7 @@ fn object(id: u64) -> ObjectState {
         position_m: Vector3::new(5.0 * phase.sin(), 4.0 * phase.cos(), 0.3),
         orientation: UnitQuaternion::from_euler_angles(0.1 * phase.sin(), 0.2, phase),
         yaw_observed: false,
+        yaw_symmetry: 1,
         velocity_m_s: Vector3::new(phase.cos(), -phase.sin(), 0.01 * phase.cos()),
         angular_velocity_rad_s: Vector3::new(0.1, 0.2, 0.3) * phase.sin(),
         covariance,

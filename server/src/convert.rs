@@ -55,6 +55,7 @@ fn object_state(
         position: Some(vector(&state.position_m)),
         orientation: Some(quaternion(&state.orientation)),
         yaw_observed: state.yaw_observed,
+        yaw_symmetry: if state.yaw_observed { state.yaw_symmetry } else { 0 },
         velocity: Some(vector(&state.velocity_m_s)),
         angular_velocity: Some(vector(&state.angular_velocity_rad_s)),
         covariance: if with_covariance { upper_triangle(&state.covariance) } else { Vec::new() },
@@ -124,6 +125,7 @@ fn roundel_pose(pose: &RoundelPose) -> v1::RoundelPose {
         normal_likelihood: pose.normal_likelihood,
         other_normal: Some(vector(&pose.other_normal)),
         yaw_rad: pose.yaw_rad,
+        yaw_symmetry: pose.yaw_rad.map_or(0, |_| pose.yaw_symmetry),
         covariance: upper_triangle(&pose.covariance),
     }
 }

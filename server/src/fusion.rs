@@ -175,6 +175,7 @@ mod tests {
             normal_likelihood: 1.0,
             other_normal: -Vector3::z(),
             yaw_rad: None,
+            yaw_symmetry: 1,
             covariance: Covariance6::identity() * 1e-4,
         };
         let detection = Detection {

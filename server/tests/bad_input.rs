@@ -165,6 +165,22 @@ fn wrong_values_are_named_with_their_line() {
             "inner_mm = 76.0",
             "cannot be told apart: inner to outer diameter 0.475 and 0.500",
         ),
+        (
+            "inner_mm = 64.0",
+            "inner_mm = 96.0\ninner_minor_mm = 90.0",
+            "`inner_minor_mm` must be 32.0 to 86.4 here (0.2 of `outer_mm` to 0.9 of `inner_mm`), found 90",
+        ),
+        (
+            "code = { bits = 8, min_distance = 2 }",
+            "code = { bits = 8, min_distance = 2 }\ninner_minor_mm = 60.0",
+            "`inner_minor_mm` is the shorter diameter of an elliptical disc, which has no `code`",
+        ),
+        (
+            "[[camera]]",
+            "[[roundel]]\nname = \"one\"\nouter_mm = 100\ninner_mm = 60\ninner_minor_mm = 40\n\
+             [[roundel]]\nname = \"two\"\nouter_mm = 100\ninner_mm = 62\ninner_minor_mm = 41\n[[camera]]",
+            "roundels \"one\" and \"two\" cannot be told apart: the disc's diameters are 0.600 and 0.400",
+        ),
         ("name = \"reference\"", "name = \"robot\"", "two kinds of roundel are named \"robot\""),
         (
             "inner_mm = 64.0",

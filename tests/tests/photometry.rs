@@ -90,6 +90,7 @@ fn trial(diameter_px: f64, tilt_rad: f64, seed: u64) -> Trial {
             normal_likelihood: 0.5,
             other_normal: turn * true_normal,
             yaw_rad: None,
+            yaw_symmetry: 1,
             covariance: Default::default(),
         },
         blur_px: DEFAULT_BLUR_PX,

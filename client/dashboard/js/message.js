@@ -25,6 +25,7 @@ import { errorEllipse, headingRad, sigmasM, tiltRad } from "./geometry.js";
  * @property {Stage} stage
  * @property {Vector3 | null} positionM
  * @property {number | null} headingRad null while the yaw is not observed
+ * @property {boolean} eitherWay the opposite heading looks the same
  * @property {number | null} tiltRad
  * @property {Vector3 | null} velocityMS
  * @property {number | null} speedMS
@@ -110,6 +111,7 @@ function readObject(raw) {
     stage: STAGES.has(raw?.stage) ? raw.stage : "unspecified",
     positionM: vector(raw?.position),
     headingRad: raw?.yaw_observed === true && orientation ? headingRad(orientation) : null,
+    eitherWay: number(raw?.yaw_symmetry) === 2,
     tiltRad: orientation ? tiltRad(orientation) : null,
     velocityMS,
     speedMS: velocityMS && Math.hypot(velocityMS.x, velocityMS.y, velocityMS.z),

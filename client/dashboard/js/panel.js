@@ -22,8 +22,12 @@ const VALUES = [
   {
     key: "heading",
     name: "Heading",
-    value: ({ headingRad, code }) =>
-      headingRad !== null ? degrees(headingRad) : code ? "not observed" : "not observed (plain roundel)",
+    value: ({ headingRad, eitherWay, code }) =>
+      headingRad !== null
+        ? `${degrees(headingRad)}${eitherWay ? " or opposite" : ""}`
+        : code
+          ? "not observed"
+          : "not observed (plain roundel)",
   },
   { key: "tilt", name: "Tilt", value: (state) => degrees(state.tiltRad) },
   {

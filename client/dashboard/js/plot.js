@@ -184,8 +184,10 @@ function drawObject(context, view, palette, { state }, options) {
   if (state.headingRad !== null && state.stage !== "lost") {
     const [hx, hy] = [Math.cos(state.headingRad), -Math.sin(state.headingRad)];
     context.beginPath();
-    context.moveTo(px + hx * radius * 0.2, py + hy * radius * 0.2);
-    context.lineTo(px + hx * radius * 1.5, py + hy * radius * 1.5);
+    for (const side of state.eitherWay ? [1, -1] : [1]) {
+      context.moveTo(px + hx * radius * 0.2 * side, py + hy * radius * 0.2 * side);
+      context.lineTo(px + hx * radius * 1.5 * side, py + hy * radius * 1.5 * side);
+    }
     context.strokeStyle = palette.ink;
     context.lineWidth = 2.5;
     context.stroke();

@@ -24,7 +24,7 @@ use crate::{
 };
 
 /// A disc whose shorter diameter is more than this of its longer one is no ellipse to a camera.
-pub(crate) const AXIS_RATIO_LIMIT: f64 = 0.9;
+pub const AXIS_RATIO_LIMIT: f64 = 0.9;
 
 /// How far the disc's rim may be off the kind's by its quotient of axes: pixels, and a share of the
 /// disc's shorter semiaxis, which perspective takes.

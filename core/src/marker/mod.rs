@@ -72,6 +72,7 @@ pub use code::{
     Code, CodeError, CodeLayout, CodeReader, CodeReading, Dictionary, Tooth, VotedCode,
 };
 pub use detector::{Detector, Scratch};
+pub use elliptical::AXIS_RATIO_LIMIT;
 pub use kind::{Kind, Pattern, Polarity, RATIO_LIMITS};
 pub use mask::{Mask, MaskError};
 pub use param::{DetectorError, Mode, Params};

@@ -58,6 +58,7 @@ pub fn locate(
     let heading = rays.heading(&pose).ok_or(PoseError::NoCircle)?;
     let variance = heading.variance_rad2(kind, &ring.inner, &noise).ok_or(PoseError::NoCircle)?;
     pose.yaw_rad = Some(heading.yaw_rad);
+    pose.yaw_symmetry = 2;
     let by_tilt = rays.by_tilt(&pose, &heading);
     let deviation_rad = variance.sqrt().max(yaw::LEAST_DEVIATION_RAD);
     let still = Vector3::zeros();

@@ -192,8 +192,7 @@ fn start(pose: &RoundelPose, before: Option<Warm>) -> Start {
     };
     let mut pose = pose.clone();
     if pose.other_normal.dot(&before.normal) > pose.normal.dot(&before.normal) {
-        let other = pose.other_normal;
-        pose.yaw_rad = pose.yaw_rad.map(|yaw_rad| yaw::carried_rad(&pose, yaw_rad, &other));
+        pose.yaw_rad = pose.other_yaw_rad();
         std::mem::swap(&mut pose.normal, &mut pose.other_normal);
     }
     Start { pose, blur_px: before.blur_px }

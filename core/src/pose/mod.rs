@@ -67,8 +67,18 @@ pub struct RoundelPose {
     /// Angle about the normal of the code's zero, or of an elliptical disc's longer axis, in (-π/2, π/2]
     /// since the opposite looks the same; `None` for a plain roundel.
     pub yaw_rad: Option<f64>,
+    /// In how many evenly spaced yaws it looks the same, if it has one: 2 with an elliptical disc, else 1.
+    pub yaw_symmetry: u32,
     /// Over (position, rotation), camera frame, left perturbation.
     pub covariance: Covariance6,
+}
+
+impl RoundelPose {
+    /// The yaw that it has if `other_normal` is the right one: the print's x points the same way in the
+    /// picture.
+    pub fn other_yaw_rad(&self) -> Option<f64> {
+        self.yaw_rad.map(|yaw_rad| yaw::carried_rad(self, yaw_rad, &self.other_normal))
+    }
 }
 
 /// One roundel found in one frame.
@@ -336,6 +346,7 @@ fn finish(estimates: &Estimates) -> RoundelPose {
         normal_likelihood,
         other_normal,
         yaw_rad: None,
+        yaw_symmetry: 1,
         covariance,
     }
 }

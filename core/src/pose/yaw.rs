@@ -155,7 +155,16 @@ mod tests {
         let mut rotation = covariance.fixed_view_mut::<3, 3>(3, 3);
         rotation += normal * normal.transpose() * UNKNOWN_ANGLE_VARIANCE_RAD2;
         let (normal_likelihood, other_normal, yaw_rad) = (1.0, normal, None);
-        RoundelPose { position_m, normal, normal_likelihood, other_normal, yaw_rad, covariance }
+        let yaw_symmetry = 1;
+        RoundelPose {
+            position_m,
+            normal,
+            normal_likelihood,
+            other_normal,
+            yaw_rad,
+            yaw_symmetry,
+            covariance,
+        }
     }
 
     fn reading(camera: &Camera, pose: &RoundelPose, yaw_rad: f64) -> CodeReading {

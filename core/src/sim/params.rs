@@ -207,6 +207,21 @@ impl ScenarioParams {
         params
     }
 
+    /// The demo's installation with roundels of three kinds whose discs are elliptical: each robot shows
+    /// where it heads, or the opposite.
+    pub fn r4_elliptical(seed: u64) -> Self {
+        let kind = |name: &str, along_m: f64, minor_diameter_m: f64| Kind {
+            pattern: Pattern::Elliptical { minor_diameter_m },
+            ..Kind::plain(name, 0.160, along_m)
+        };
+        let kinds = vec![
+            kind("broad", 0.112, 0.072),
+            kind("small", 0.096, 0.064),
+            kind("slim", 0.112, 0.056),
+        ];
+        Self { kinds, ..Self::r4_lite(seed) }
+    }
+
     /// Robots that fly.
     pub fn flying(&self) -> usize {
         (self.robots as f64 * self.flying_share).round() as usize
@@ -238,6 +253,10 @@ impl ScenarioParams {
             within("kinds' outer_diameter_m", outer_m, [0.01, 0.25], "0.01 to 0.25 m")?;
             let ratio = kind.inner_diameter_m / outer_m;
             within("kinds' inner over outer diameter", ratio, [0.1, 0.9], "0.1 to 0.9")?;
+            if let Pattern::Elliptical { minor_diameter_m } = kind.pattern {
+                let share = minor_diameter_m / kind.inner_diameter_m;
+                within("kinds' shorter over longer inner diameter", share, [0.1, 1.0], "0.1 to 1")?;
+            }
         }
         within("roundel_height_m", self.roundel_height_m, [0.05, 0.6], "0.05 to 0.6 m")?;
         within("flying_top_m", self.flying_top_m, [1.5, 100.0], "1.5 to 100 m")?;
@@ -295,6 +314,7 @@ mod tests {
     fn presets_are_valid() {
         assert_eq!(ScenarioParams::r4(1).validate(), Ok(()));
         assert_eq!(ScenarioParams::r4_lite(2).validate(), Ok(()));
+        assert_eq!(ScenarioParams::r4_elliptical(2).validate(), Ok(()));
     }
 
     #[test]

@@ -33,6 +33,8 @@ pub(super) enum Shape<'a> {
     Bar { half_m: [f32; 2], albedo: f32 },
     /// Black ring, white disc, on a white sheet.
     Roundel { outer_radius_m: f32, inner_radius_m: f32, sheet: Sheet },
+    /// The same with an elliptical disc, its semiaxes along x and y.
+    Elliptical { outer_radius_m: f32, semiaxes_m: [f32; 2], sheet: Sheet },
     /// The same with teeth round the disc.
     Coded { outer_radius_m: f32, teeth: &'a Teeth, sheet: Sheet },
 }
@@ -164,11 +166,13 @@ impl Patch {
             Shape::Shadow { radius_m, .. } => circle(f64::from(radius_m)),
             Shape::Disc { radius_m, .. }
             | Shape::Roundel { sheet: Sheet::Disc(radius_m), .. }
+            | Shape::Elliptical { sheet: Sheet::Disc(radius_m), .. }
             | Shape::Coded { sheet: Sheet::Disc(radius_m), .. } => {
                 circle(f64::from(radius_m) + reach_m)
             }
             Shape::Bar { half_m, .. } => rectangle(half_m.map(|half| f64::from(half) + reach_m)),
             Shape::Roundel { sheet: Sheet::Square(half_m), .. }
+            | Shape::Elliptical { sheet: Sheet::Square(half_m), .. }
             | Shape::Coded { sheet: Sheet::Square(half_m), .. } => {
                 rectangle([f64::from(half_m) + reach_m; 2])
             }
@@ -211,6 +215,18 @@ impl Patch {
                     let edge = at.radial();
                     let albedo = edge.ring_albedo(outer_radius_m, inner_radius_m);
                     (edge.inside(radius_m), albedo)
+                });
+            }
+            Shape::Elliptical { outer_radius_m, semiaxes_m, sheet: Sheet::Square(half_m) } => {
+                self.paint_with(rays, row, |at| {
+                    let albedo = at.elliptical_albedo(outer_radius_m, semiaxes_m);
+                    (at.within([half_m; 2]), albedo)
+                });
+            }
+            Shape::Elliptical { outer_radius_m, semiaxes_m, sheet: Sheet::Disc(radius_m) } => {
+                self.paint_with(rays, row, |at| {
+                    let albedo = at.elliptical_albedo(outer_radius_m, semiaxes_m);
+                    (at.radial().inside(radius_m), albedo)
                 });
             }
             Shape::Coded { outer_radius_m, teeth, sheet: Sheet::Square(half_m) } => {
@@ -314,6 +330,21 @@ impl PlanePoint {
             sharpness: radius_m * self.sharpness(gradient),
             half_variance_m2: 0.5 * self.variance(along) / squared,
         }
+    }
+
+    /// In units of its semiaxes an ellipse is the unit circle, and the plane as flat as it was.
+    #[inline(always)]
+    fn elliptical_albedo(&self, outer_radius_m: f32, semiaxes_m: [f32; 2]) -> f32 {
+        let [per_x, per_y] = semiaxes_m.map(|semiaxis_m| 1.0 / semiaxis_m);
+        let scaled = PlanePoint {
+            x_m: self.x_m * per_x,
+            y_m: self.y_m * per_y,
+            x_by_px: self.x_by_px.map(|slope| slope * per_x),
+            y_by_px: self.y_by_px.map(|slope| slope * per_y),
+            ..*self
+        };
+        let black = self.radial().inside(outer_radius_m) - scaled.radial().inside(1.0);
+        WHITE - (WHITE - BLACK) * black
     }
 
     /// Coverage of what lies counter-clockwise of the ray from the origin that has this cosine and

@@ -181,7 +181,13 @@ impl Renderer {
         };
         let shape = match &teeth {
             Some(teeth) => Shape::Coded { outer_radius_m, teeth, sheet },
-            None => Shape::Roundel { outer_radius_m, inner_radius_m, sheet },
+            None => match kind.pattern {
+                Pattern::Elliptical { minor_diameter_m } => {
+                    let semiaxes_m = [inner_radius_m, (minor_diameter_m / 2.0) as f32];
+                    Shape::Elliptical { outer_radius_m, semiaxes_m, sheet }
+                }
+                _ => Shape::Roundel { outer_radius_m, inner_radius_m, sheet },
+            },
         };
         self.paint_on(&robot.world_from_roundel, &robot.velocity_m_s, &[shape]);
     }
@@ -233,7 +239,8 @@ mod tests {
     use crate::{
         camera::PixelPoint,
         frame::Frame,
-        marker::{Detector, Params, Scratch},
+        marker::{Detector, Mode, Params, Scratch},
+        pose::Locator,
         sim::ScenarioParams,
     };
 
@@ -311,6 +318,46 @@ mod tests {
             }
         }
         assert!(large >= 5 && read >= large, "{read} read, {large} of 36 px and more");
+    }
+
+    #[test]
+    fn elliptical_discs_say_which_kind_a_robot_is_of_and_how_it_is_turned() {
+        let scenario = Scenario::new(ScenarioParams::r4_elliptical(3)).unwrap();
+        let params = scenario.params();
+        let detector = Detector::new(params.kinds.clone(), Params::default()).unwrap();
+        let mut seen = 0;
+        for (index, camera) in scenario.cameras().iter().enumerate() {
+            let (width, height) = (camera.camera.width(), camera.camera.height());
+            let mut pixels = vec![0; width * height];
+            let time_s = Renderer::new(&scenario, index).unwrap().render(70, &mut pixels).unwrap();
+            let frame = Frame::new(&pixels, width, height, width).unwrap();
+            let mut locator =
+                Locator::new(camera.camera.clone(), params.kinds.clone(), Mode::Precise);
+            for ring in detector.detect(&frame, &mut Scratch::default()) {
+                let kind = &params.kinds[usize::from(ring.kind.unwrap().0)];
+                let pose = locator.locate_single(&frame, kind, ring).unwrap().pose;
+                let place = camera.world_from_camera * Point3::from(pose.position_m);
+                let robots = scenario.truth(camera.row_time_s(time_s, ring.outer.center.v));
+                let off_m = |robot: &RobotTruth| {
+                    (robot.world_from_roundel.translation.vector - place.coords).norm()
+                };
+                let robot = robots.iter().min_by(|a, b| off_m(a).total_cmp(&off_m(b))).unwrap();
+                if off_m(robot) > 0.1 {
+                    continue;
+                }
+                assert_eq!(ring.kind, Some(robot.kind), "at {:?}", ring.outer.center);
+                let yaw =
+                    UnitQuaternion::from_axis_angle(&Vector3::z_axis(), pose.yaw_rad.unwrap());
+                let x = camera.world_from_camera.rotation
+                    * crate::rigid::orientation_of_normal(&pose.normal)
+                    * yaw
+                    * Vector3::x();
+                let along = (robot.world_from_roundel * Vector3::x()).dot(&x).abs();
+                assert!(along > 6f64.to_radians().cos(), "{along} at {:?}", ring.outer.center);
+                seen += 1;
+            }
+        }
+        assert!(seen >= 20, "{seen}");
     }
 
     #[test]

@@ -8,6 +8,9 @@
 //! by the smallest rotation onto the measured normal: nothing is said about the rest, and the
 //! measurement's variance about the normal is that of an unknown angle.
 //!
+//! An elliptical disc looks the same turned by half a turn about its normal. Of both orientations each
+//! measurement is the one nearer to the prediction, so that a heading once taken up is kept.
+//!
 //! An ellipse allows two normals, mirrored at the line of sight. The wrong one changes with the
 //! view, the right one does not. So up to two hypotheses are filtered, each taking from every
 //! measurement the normal that suits it better; the log-odds between them gather
@@ -47,8 +50,9 @@ pub struct AttitudeMeasurement {
     pub candidates: [UnitQuaternion<f64>; 2],
     /// Of the first one, 0.5 to 1.
     pub likelihood: f64,
-    /// Whether the rotation about the normal is measured.
-    pub yaw_observed: bool,
+    /// In how many evenly spaced yaws it looks the same; `None` where the rotation about the normal is not
+    /// measured.
+    pub yaw_symmetry: Option<u32>,
     /// Errors of the small rotation, of each candidate.
     pub noises: [Noise; 2],
 }
@@ -58,7 +62,7 @@ impl AttitudeMeasurement {
     pub fn new(
         candidates: [UnitQuaternion<f64>; 2],
         likelihood: f64,
-        yaw_observed: bool,
+        yaw_symmetry: Option<u32>,
         noise: Noise,
     ) -> Self {
         let normals = candidates.map(|candidate| candidate * Vector3::z());
@@ -71,7 +75,7 @@ impl AttitudeMeasurement {
             // nearly the same direction when the candidates change places.
             systematic_root: turn * noise.systematic_root * turn.transpose(),
         };
-        Self { candidates, likelihood, yaw_observed, noises: [noise, turned] }
+        Self { candidates, likelihood, yaw_symmetry, noises: [noise, turned] }
     }
 }
 
@@ -88,7 +92,7 @@ pub struct Attitude {
     rival: Option<Hypothesis>,
     /// ln(likelihood of `best` / likelihood of the other normal).
     log_odds: f64,
-    yaw_observed: bool,
+    yaw_symmetry: Option<u32>,
 }
 
 /// What is told about an orientation.
@@ -96,8 +100,9 @@ pub struct Attitude {
 pub struct AttitudeEstimate {
     /// world_from_roundel.
     pub orientation: UnitQuaternion<f64>,
-    /// False while only the normal is known.
-    pub yaw_observed: bool,
+    /// `None` while only the normal is known; else in how many evenly spaced yaws it looks the same, of
+    /// which this is the one nearest to those before.
+    pub yaw_symmetry: Option<u32>,
     /// World frame, rad/s; across the normal only while the yaw is not observed.
     pub angular_velocity_rad_s: Vector3<f64>,
     /// Over (rotation, angular velocity), world frame, left perturbation.
@@ -108,14 +113,14 @@ impl Attitude {
     /// What one measurement tells.
     pub fn begin(seen: &AttitudeMeasurement, camera: CameraId, model: &MotionModel) -> Self {
         let hypothesis = |index: usize| Hypothesis {
-            orientation: completed(seen, index),
+            orientation: nearest(seen, index, &completed(seen, 0)),
             kernel: Kernel::begin(&seen.noises[index], camera, model.angular_speed_rad_s.powi(2)),
         };
         let mut attitude = Self {
             best: hypothesis(0),
             rival: Some(hypothesis(1)),
             log_odds: 0.0,
-            yaw_observed: seen.yaw_observed,
+            yaw_symmetry: seen.yaw_symmetry,
         };
         attitude.log_odds =
             attitude.prior(model) + log_likelihood(seen, 0) - log_likelihood(seen, 1);
@@ -136,7 +141,7 @@ impl Attitude {
 
     /// Takes in a measurement at the present time.
     pub fn update(&mut self, seen: &AttitudeMeasurement, camera: CameraId, model: &MotionModel) {
-        self.yaw_observed = seen.yaw_observed;
+        self.yaw_symmetry = seen.yaw_symmetry;
         let (fit, taken) = self.best.update(seen, camera, model);
         let other_fit = match &mut self.rival {
             Some(rival) => rival.update(seen, camera, model).0,
@@ -165,11 +170,11 @@ impl Attitude {
         }
         let mut estimate = AttitudeEstimate {
             orientation: self.best.orientation,
-            yaw_observed: self.yaw_observed,
+            yaw_symmetry: self.yaw_symmetry,
             angular_velocity_rad_s: self.best.kernel.rate,
             covariance: spread.matrix(),
         };
-        if !self.yaw_observed {
+        if self.yaw_symmetry.is_none() {
             let normal = self.best.normal();
             estimate.orientation = orientation_of_normal(&normal);
             estimate.angular_velocity_rad_s -=
@@ -197,7 +202,8 @@ impl Attitude {
         model: &MotionModel,
     ) {
         let kernel = Kernel::begin(&seen.noises[index], camera, model.angular_speed_rad_s.powi(2));
-        self.rival = Some(Hypothesis { orientation: completed(seen, index), kernel });
+        let orientation = nearest(seen, index, &self.best.orientation);
+        self.rival = Some(Hypothesis { orientation, kernel });
     }
 
     /// Puts the likelier hypothesis first and lets go of a rival that is beaten or the same.
@@ -270,8 +276,8 @@ impl Hypothesis {
 
     /// The rotation from this orientation to the candidate's.
     fn turn_to(&self, seen: &AttitudeMeasurement, index: usize) -> Vector3<f64> {
-        if seen.yaw_observed {
-            (seen.candidates[index] * self.orientation.inverse()).scaled_axis()
+        if seen.yaw_symmetry.is_some() {
+            (nearest(seen, index, &self.orientation) * self.orientation.inverse()).scaled_axis()
         } else {
             smallest_turn(&self.normal(), &(seen.candidates[index] * Vector3::z()))
         }
@@ -298,11 +304,28 @@ fn log_likelihood(seen: &AttitudeMeasurement, index: usize) -> f64 {
 }
 
 fn completed(seen: &AttitudeMeasurement, index: usize) -> UnitQuaternion<f64> {
-    if seen.yaw_observed {
+    if seen.yaw_symmetry.is_some() {
         seen.candidates[index]
     } else {
         orientation_of_normal(&(seen.candidates[index] * Vector3::z()))
     }
+}
+
+/// Of the orientations in which the candidate looks the same, the one nearest to another.
+fn nearest(
+    seen: &AttitudeMeasurement,
+    index: usize,
+    to: &UnitQuaternion<f64>,
+) -> UnitQuaternion<f64> {
+    let candidate = completed(seen, index);
+    let symmetry = seen.yaw_symmetry.unwrap_or(1);
+    let part = std::f64::consts::TAU / f64::from(symmetry);
+    let turned = |step: u32| {
+        candidate * UnitQuaternion::from_axis_angle(&Vector3::z_axis(), f64::from(step) * part)
+    };
+    (1..symmetry).map(turned).fold(candidate, |best, other| {
+        if other.angle_to(to) < best.angle_to(to) { other } else { best }
+    })
 }
 
 /// Rotation vector of the smallest rotation from one unit vector to another.

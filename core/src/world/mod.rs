@@ -81,6 +81,9 @@ pub struct ObjectState {
     pub orientation: UnitQuaternion<f64>,
     /// False while the rotation about the normal is not observed.
     pub yaw_observed: bool,
+    /// In how many evenly spaced yaws it looks the same while that is observed: 2 with an elliptical disc,
+    /// of which the one first taken up is kept, else 1.
+    pub yaw_symmetry: u32,
     /// World frame, m/s.
     pub velocity_m_s: Vector3<f64>,
     /// World frame, rad/s.

@@ -77,10 +77,10 @@ pub(super) fn measure(
         position_m: arm_m + place.translation.vector,
         position_noise,
         attitude: AttitudeMeasurement::new(
-            [pose.normal, pose.other_normal]
-                .map(|normal| place.rotation * orientation(&normal, pose.yaw_rad)),
+            [(pose.normal, pose.yaw_rad), (pose.other_normal, pose.other_yaw_rad())]
+                .map(|(normal, yaw_rad)| place.rotation * orientation(&normal, yaw_rad)),
             pose.normal_likelihood,
-            pose.yaw_rad.is_some(),
+            pose.yaw_rad.map(|_| pose.yaw_symmetry),
             rotation_noise,
         ),
     })
@@ -109,6 +109,7 @@ fn is_sound(pose: &RoundelPose) -> bool {
         && is_unit(&pose.other_normal)
         && (0.0..=1.0).contains(&pose.normal_likelihood)
         && pose.yaw_rad.is_none_or(f64::is_finite)
+        && pose.yaw_symmetry >= 1
         && (0..3).all(|axis| (0.0..=CEILING_POSITION_M2).contains(&variances[axis]))
         && (3..6).all(|axis| (0.0..=CEILING_ROTATION_RAD2).contains(&variances[axis]))
         && pose.covariance.cholesky().is_some()

@@ -4,7 +4,8 @@
 //! offset o. With r = R o, δp = δc - [r]× δθ and δv = δv_c - [ω]×[r]× δθ - [r]× δω, which carries
 //! the covariances over. Of a plain roundel's offset only the part along the normal has a known
 //! place; the rest, of length l, lies somewhere on a circle: the centre of that circle is told, with
-//! the variance l²/2 along each of its axes.
+//! the variance l²/2 along each of its axes. Of one with an elliptical disc the rest lies to one side or the
+//! other: between both, with the variance l² along it.
 
 use nalgebra::{Matrix3, Matrix6, Vector3};
 
@@ -73,7 +74,8 @@ pub(super) fn state_of(
         stage: track.stage,
         position_m: motion.position_m,
         orientation: attitude.orientation,
-        yaw_observed: attitude.yaw_observed,
+        yaw_observed: attitude.yaw_symmetry.is_some(),
+        yaw_symmetry: attitude.yaw_symmetry.unwrap_or(1),
         velocity_m_s: motion.velocity_m_s,
         angular_velocity_rad_s: attitude.angular_velocity_rad_s,
         covariance: Matrix6::zeros(),
@@ -109,13 +111,19 @@ fn move_to(
         return Matrix3::zeros();
     }
     let mut known_m = *offset_m;
-    if !attitude.yaw_observed {
+    if attitude.yaw_symmetry != Some(1) {
         known_m = Vector3::new(0.0, 0.0, offset_m.z);
-        let normal = attitude.orientation * Vector3::z();
-        let across = Matrix3::identity() - normal * normal.transpose();
-        let circle = across * (0.5 * (offset_m - known_m).norm_squared());
+        let level_m = offset_m - known_m;
+        let spread = if attitude.yaw_symmetry == Some(2) {
+            let level_m = attitude.orientation * level_m;
+            level_m * level_m.transpose()
+        } else {
+            let normal = attitude.orientation * Vector3::z();
+            let across = Matrix3::identity() - normal * normal.transpose();
+            across * (0.5 * level_m.norm_squared())
+        };
         let mut position = state.motion_covariance.fixed_view_mut::<3, 3>(0, 0);
-        position += circle;
+        position += spread;
     }
     let arm_m = attitude.orientation * known_m;
     let omega = attitude.angular_velocity_rad_s;

@@ -363,6 +363,7 @@ impl Arena {
             normal_likelihood: certain,
             other_normal: if right { other } else { seen },
             yaw_rad: None,
+            yaw_symmetry: 1,
             covariance,
         })
     }

@@ -3,6 +3,7 @@
 mod arena;
 mod consistency;
 mod fault;
+mod heading;
 mod life;
 mod normal;
 mod order;

@@ -60,6 +60,9 @@ enum PresetWord {
     R4Lite,
     /// Four cameras of 1920x1080 at 60 Hz, coded roundels: identities and headings; wants some cores
     R4,
+    /// As r4_lite, with elliptical discs of three kinds: headings, but for half a turn
+    #[value(name = "r4_elliptical")]
+    R4Elliptical,
 }
 
 /// Runs the demo until a signal or the end of `--duration`.
@@ -68,6 +71,7 @@ pub(super) async fn run(arguments: DemoArgs) -> anyhow::Result<ExitCode> {
         preset: match arguments.preset {
             PresetWord::R4Lite => SimPreset::R4Lite,
             PresetWord::R4 => SimPreset::R4,
+            PresetWord::R4Elliptical => SimPreset::R4Elliptical,
         },
         seed: arguments.seed,
         robots: arguments.robots,

@@ -29,6 +29,7 @@ use crate::{camera_file, drawing::Canvas};
     roundel detect photo.jpg\n  \
     roundel detect --camera north.yaml --marker 160:64 --format json frames/*.png\n  \
     roundel detect --camera north.yaml --marker 122 --code 8:2 photo.jpg\n  \
+    roundel detect --camera north.yaml --marker 160:96:64 photo.jpg\n  \
     roundel detect --polarity white-ring --marker 160:64 photo.jpg\n  \
     roundel detect --sequence --mode fast --draw drawn video/*.png\n  \
     roundel detect --explain --draw drawn photo.jpg\n\n\
@@ -42,8 +43,8 @@ pub struct DetectArgs {
     #[arg(long, value_name = "FILE")]
     camera: Option<PathBuf>,
     /// Diameters of the print in millimetres; without the inner one, rings of any ratio are found,
-    /// coded ones at theirs (0.6)
-    #[arg(long, value_name = "OUTER_MM[:INNER_MM]", value_parser = print::diameters)]
+    /// coded ones at theirs (0.6); of an elliptical disc the longer and the shorter one
+    #[arg(long, value_name = "OUTER_MM[:INNER_MM[:MINOR_MM]]", value_parser = print::diameters)]
     marker: Option<Diameters>,
     /// Read codes: bits, and the least Hamming distance that the prints were made with [default
     /// distance: 1]
@@ -144,6 +145,10 @@ fn wish(arguments: &DetectArgs) -> anyhow::Result<Wish> {
         PolarityWord::BlackRing => Polarity::BlackRing,
         PolarityWord::WhiteRing => Polarity::WhiteRing,
     };
+    let elliptical = arguments.marker.is_some_and(|diameters| diameters.minor_m.is_some());
+    if elliptical && arguments.code.is_some() {
+        anyhow::bail!("--marker with an elliptical disc and --code exclude each other");
+    }
     Ok(Wish {
         print: Print { diameters: arguments.marker, code: arguments.code, polarity },
         camera: arguments.camera.as_deref().map(camera_file::load).transpose()?,

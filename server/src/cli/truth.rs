@@ -125,6 +125,7 @@ mod tests {
             position_m,
             orientation: UnitQuaternion::identity(),
             yaw_observed: false,
+            yaw_symmetry: 1,
             velocity_m_s: Vector3::zeros(),
             angular_velocity_rad_s: Vector3::zeros(),
             covariance: Covariance6::identity(),

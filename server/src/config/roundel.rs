@@ -2,19 +2,20 @@
 
 use roundel_core::{
     id::KindId,
-    marker::{CodeLayout, Kind, Pattern, Polarity, RATIO_LIMITS},
+    marker::{AXIS_RATIO_LIMIT, CodeLayout, Kind, Pattern, Polarity, RATIO_LIMITS},
 };
 
 use super::reader::{Allowed, Table};
 use crate::suggestion::{list, nearest};
 
-const ROUNDEL_KEYS: [&str; 5] = ["name", "outer_mm", "inner_mm", "code", "polarity"];
+const ROUNDEL_KEYS: [&str; 6] =
+    ["name", "outer_mm", "inner_mm", "inner_minor_mm", "code", "polarity"];
 const CODE_KEYS: [&str; 2] = ["bits", "min_distance"];
 /// The words for polarities.
 const POLARITIES: [(&str, Polarity); 2] =
     [("black_ring", Polarity::BlackRing), ("white_ring", Polarity::WhiteRing)];
 
-/// Kinds whose ratios of diameters differ by less than this, relatively, are mixed up.
+/// Kinds whose ratios of diameters (of elliptical discs, both of them) differ by less than this, relatively, are mixed up.
 const LEAST_RATIO_DIFFERENCE: f64 = 0.1;
 const MAX_DIAMETER_MM: f64 = 100_000.0;
 
@@ -84,10 +85,46 @@ fn kind(table: &Table<'_, '_>) -> Option<Kind> {
         );
         return None;
     }
-    Some(kind)
+    with_ellipse(table, kind)
 }
 
-/// What is inside the ring; `None` if it is wrong (then it is reported).
+/// The kind with the elliptical disc that `inner_minor_mm` makes of it, if it is there; `None` if it is
+/// wrong (then it is reported).
+fn with_ellipse(table: &Table<'_, '_>, kind: Kind) -> Option<Kind> {
+    if table.value("inner_minor_mm").is_none() {
+        return Some(kind);
+    }
+    let span = table.span_of("inner_minor_mm");
+    if let Pattern::Coded(_) = kind.pattern {
+        let message =
+            "`inner_minor_mm` is the shorter diameter of an elliptical disc, which has no `code`";
+        table.fail_with_help(&span, message, "leave out one of them");
+        return None;
+    }
+    let size = Allowed::PositiveUpTo(MAX_DIAMETER_MM);
+    let minor_mm = table.required_number("inner_minor_mm", size, "64.0")?;
+    let minor_diameter_m = minor_mm * 1e-3;
+    let least_m = RATIO_LIMITS.0 * kind.outer_diameter_m;
+    let most_m = AXIS_RATIO_LIMIT * kind.inner_diameter_m;
+    if !(least_m..=most_m).contains(&minor_diameter_m) {
+        table.fail_with_help(
+            &span,
+            format!(
+                "`inner_minor_mm` must be {:.1} to {:.1} here ({} of `outer_mm` to {AXIS_RATIO_LIMIT} \
+                 of `inner_mm`), found {minor_mm}",
+                least_m * 1e3,
+                most_m * 1e3,
+                RATIO_LIMITS.0
+            ),
+            "`inner_mm` is the disc's longer diameter; of a round disc leave out `inner_minor_mm`",
+        );
+        return None;
+    }
+    let pattern = Pattern::Elliptical { minor_diameter_m };
+    Some(Kind { pattern, ..kind })
+}
+
+/// What is inside the ring, but for an ellipse; `None` if it is wrong (then it is reported).
 fn pattern(table: &Table<'_, '_>) -> Option<Pattern> {
     let Some(value) = table.value("code") else { return Some(Pattern::Plain) };
     const EXAMPLE: &str =
@@ -142,8 +179,8 @@ fn is_distinct(table: &Table<'_, '_>, kind: &Kind, earlier: &[Kind]) -> bool {
     true
 }
 
-/// What two kinds have in common so that nothing tells them apart, and the remedy. A coded one and a
-/// plain one always differ, and so do black and white rings.
+/// What two kinds have in common so that nothing tells them apart, and the remedy. Plain, coded and
+/// elliptical ones always differ, and so do black and white rings.
 fn common(kind: &Kind, other: &Kind) -> Option<(String, &'static str)> {
     if kind.polarity != other.polarity {
         return None;
@@ -151,8 +188,7 @@ fn common(kind: &Kind, other: &Kind) -> Option<(String, &'static str)> {
     match (kind.pattern, other.pattern) {
         (Pattern::Plain, Pattern::Plain) => {
             let (ratio, other_ratio) = (kind.ratio(), other.ratio());
-            let least = LEAST_RATIO_DIFFERENCE * ratio.max(other_ratio);
-            ((ratio - other_ratio).abs() < least).then(|| {
+            alike(ratio, other_ratio).then(|| {
                 (
                     format!("inner to outer diameter {other_ratio:.3} and {ratio:.3}"),
                     "kinds are told apart by this ratio: make them differ by a tenth at least",
@@ -165,8 +201,30 @@ fn common(kind: &Kind, other: &Kind) -> Option<(String, &'static str)> {
                 "give one of them codes of other bits; prints of one size need one [[roundel]] only",
             )
         }),
+        (
+            Pattern::Elliptical { minor_diameter_m },
+            Pattern::Elliptical { minor_diameter_m: other_minor_m },
+        ) => {
+            let (minor, other_minor) =
+                (minor_diameter_m / kind.outer_diameter_m, other_minor_m / other.outer_diameter_m);
+            let (major, other_major) = (kind.ratio(), other.ratio());
+            (alike(major, other_major) && alike(minor, other_minor)).then(|| {
+                (
+                    format!(
+                        "the disc's diameters are {other_major:.3} and {other_minor:.3} of the outer \
+                         one, and {major:.3} and {minor:.3}"
+                    ),
+                    "elliptical ones are told apart by both ratios: make one differ by a tenth at least",
+                )
+            })
+        }
         _ => None,
     }
+}
+
+/// Whether two ratios of diameters are mixed up.
+fn alike(one: f64, other: f64) -> bool {
+    (one - other).abs() < LEAST_RATIO_DIFFERENCE * one.max(other)
 }
 
 /// The kind that `roundel = …` names.

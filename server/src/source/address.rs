@@ -61,10 +61,13 @@ pub enum SimPreset {
     R4Lite,
     /// The reference installation: the same cameras with 1920x1080 at 60 Hz, coded roundels.
     R4,
+    /// The demo's, with elliptical discs.
+    R4Elliptical,
 }
 
 impl SimPreset {
-    const NAMES: [(&'static str, Self); 2] = [("r4_lite", Self::R4Lite), ("r4", Self::R4)];
+    const NAMES: [(&'static str, Self); 3] =
+        [("r4_lite", Self::R4Lite), ("r4", Self::R4), ("r4_elliptical", Self::R4Elliptical)];
 }
 
 /// Why a text is no source.
@@ -304,7 +307,10 @@ mod tests {
             ("images:x?fps=3&times=t", "exclude each other"),
             ("images:x?clock=file", "`clock=file` needs `times=FILE`"),
             ("sim:?robots=-1", "option `robots` must be a whole number from 0, found `-1`"),
-            ("sim:?preset=r5", "option `preset` must be one of `r4_lite`, `r4`, found `r5`"),
+            (
+                "sim:?preset=r5",
+                "option `preset` must be one of `r4_lite`, `r4`, `r4_elliptical`, found `r5`",
+            ),
             ("sim:arena", "takes no path"),
         ] {
             let error = parse(url).expect_err(url);

@@ -18,6 +18,7 @@ pub fn simulated_scenario(address: &SimAddress) -> Result<Scenario, ScenarioErro
     let mut params = match address.preset {
         SimPreset::R4Lite => ScenarioParams::r4_lite(address.seed),
         SimPreset::R4 => ScenarioParams::r4(address.seed),
+        SimPreset::R4Elliptical => ScenarioParams::r4_elliptical(address.seed),
     };
     if let Some(robots) = address.robots {
         // As many of the fewer stand still as of the preset's.

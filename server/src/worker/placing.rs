@@ -148,6 +148,7 @@ mod tests {
                 normal_likelihood: 1.0,
                 other_normal: normal,
                 yaw_rad: None,
+                yaw_symmetry: 1,
                 covariance: Covariance6::identity() * 1e-6,
             }),
         }

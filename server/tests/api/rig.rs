@@ -147,6 +147,7 @@ pub fn object(id: u64) -> ObjectState {
         position_m: Vector3::new(place, -place, 0.5 * place),
         orientation: UnitQuaternion::from_euler_angles(0.1, 0.2, 0.3 * place),
         yaw_observed: false,
+        yaw_symmetry: 1,
         velocity_m_s: Vector3::new(1.0, 2.0, 0.0),
         angular_velocity_rad_s: Vector3::zeros(),
         covariance,

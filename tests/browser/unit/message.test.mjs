@@ -53,6 +53,12 @@ test("a heading is given where the yaw is observed", () => {
   const object = { ...SNAPSHOT.objects[0], yaw_observed: true, orientation: { x: 0, y: 0, z: 1, w: 1 } };
   const [state] = readSnapshot({ ...SNAPSHOT, objects: [object] }).objects;
   assert.ok(Math.abs(state.headingRad - Math.PI / 2) < 1e-12);
+  assert.equal(state.eitherWay, false);
+});
+
+test("a heading whose opposite looks the same says so", () => {
+  const object = { ...SNAPSHOT.objects[0], yaw_observed: true, yaw_symmetry: 2 };
+  assert.equal(readSnapshot({ ...SNAPSHOT, objects: [object] }).objects[0].eitherWay, true);
 });
 
 test("a code is given once it is read", () => {

@@ -362,6 +362,7 @@ fn finish(problem: &Problem, ring: &Ring, placed: &Placed, scratch: &mut FitScra
         normal_likelihood: placed.likelihood,
         other_normal: camera_from_local * placed.other_normal,
         yaw_rad: (!is_plain).then(|| yaw::heading_rad(&axes)),
+        yaw_symmetry: if is_plain { 1 } else { 2 },
         covariance,
     };
     let (outer, inner) = state::rims(problem, state, scratch).unwrap_or((ring.outer, ring.inner));

@@ -63,6 +63,7 @@ fn roundel(roundel: &Roundel) -> Value {
         "normal_likelihood": pose.map(|pose| pose.normal_likelihood),
         "other_normal": pose.map(|pose| pose.other_normal.as_slice().to_vec()),
         "yaw_rad": pose.and_then(|pose| pose.yaw_rad),
+        "yaw_symmetry": pose.and_then(|pose| pose.yaw_rad.map(|_| pose.yaw_symmetry)),
         "covariance": pose.map(|pose| upper_triangle(&pose.covariance)),
         "threshold": ring.threshold,
         "track": roundel.track.map(|track| track.0),

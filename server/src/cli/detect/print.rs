@@ -7,6 +7,8 @@ use roundel_core::marker::{CodeLayout, Kind, Pattern, Polarity, Ring};
 pub(super) struct Diameters {
     pub(super) outer_m: f64,
     pub(super) inner_m: Option<f64>,
+    /// Shorter diameter of an elliptical disc.
+    pub(super) minor_m: Option<f64>,
 }
 
 /// All that is known of the print.
@@ -24,7 +26,10 @@ impl Print {
         let outer_m = self.diameters.map_or(1.0, |diameters| diameters.outer_m);
         let written = self.diameters.and_then(|diameters| diameters.inner_m);
         let inner_m = written.or(self.code.map(|_| outer_m * CodeLayout::RATIO))?;
-        let pattern = self.code.map_or(Pattern::Plain, Pattern::Coded);
+        let minor_m = self.diameters.and_then(|diameters| diameters.minor_m);
+        let ellipse = |minor_diameter_m| Pattern::Elliptical { minor_diameter_m };
+        let disc = minor_m.map_or(Pattern::Plain, ellipse);
+        let pattern = self.code.map_or(disc, Pattern::Coded);
         Some(Kind { pattern, polarity: self.polarity, ..Kind::plain("", outer_m, inner_m) })
     }
 
@@ -40,11 +45,14 @@ impl Print {
     }
 }
 
-/// Reads `OUTER_MM[:INNER_MM]`.
+/// Reads `OUTER_MM[:INNER_MM[:MINOR_MM]]`.
 pub(super) fn diameters(text: &str) -> Result<Diameters, String> {
     let millimetres = |text: &str| -> Result<f64, String> {
         let value: f64 = text.trim().parse().map_err(|_| {
-            format!("expected OUTER_MM or OUTER_MM:INNER_MM, such as 160:64, found `{text}`")
+            format!(
+                "expected OUTER_MM, OUTER_MM:INNER_MM or OUTER_MM:INNER_MM:MINOR_MM, such as 160:64, \
+                 found `{text}`"
+            )
         })?;
         if value > 0.0 && value <= 1e5 {
             Ok(value * 1e-3)
@@ -56,13 +64,21 @@ pub(super) fn diameters(text: &str) -> Result<Diameters, String> {
         Some((outer, inner)) => (outer, Some(inner)),
         None => (text, None),
     };
+    let (inner, minor) = match inner.and_then(|inner| inner.split_once(':')) {
+        Some((inner, minor)) => (Some(inner), Some(minor)),
+        None => (inner, None),
+    };
     let outer_m = millimetres(outer)?;
     let inner_m = inner.map(millimetres).transpose()?;
-    match inner_m {
-        Some(inner_m) if inner_m >= outer_m => {
+    let minor_m = minor.map(millimetres).transpose()?;
+    match (inner_m, minor_m) {
+        (Some(inner_m), _) if inner_m >= outer_m => {
             Err(format!("the inner diameter must be below the outer one, found `{text}`"))
         }
-        _ => Ok(Diameters { outer_m, inner_m }),
+        (Some(inner_m), Some(minor_m)) if minor_m >= inner_m => {
+            Err(format!("an elliptical disc's longer diameter comes first, found `{text}`"))
+        }
+        _ => Ok(Diameters { outer_m, inner_m, minor_m }),
     }
 }
 
@@ -85,9 +101,19 @@ mod tests {
 
     #[test]
     fn diameters_are_read_with_or_without_the_inner_one() {
-        assert_eq!(diameters("160:64"), Ok(Diameters { outer_m: 0.16, inner_m: Some(0.064) }));
-        assert_eq!(diameters("160"), Ok(Diameters { outer_m: 0.16, inner_m: None }));
+        assert_eq!(
+            diameters("160:64"),
+            Ok(Diameters { outer_m: 0.16, inner_m: Some(0.064), minor_m: None })
+        );
+        assert_eq!(diameters("160"), Ok(Diameters { outer_m: 0.16, inner_m: None, minor_m: None }));
+        let disc = Diameters { outer_m: 0.16, inner_m: Some(0.096), minor_m: Some(0.064) };
+        assert_eq!(diameters("160:96:64"), Ok(disc));
+        let print = Print { diameters: Some(disc), code: None, polarity: Polarity::BlackRing };
+        let pattern = Pattern::Elliptical { minor_diameter_m: 0.064 };
+        assert_eq!(print.kind().map(|kind| kind.pattern), Some(pattern));
         for (text, expected) in [
+            ("160:64:96", "longer diameter comes first"),
+            ("160:96:64:1", "such as 160:64"),
             ("64:160", "must be below the outer one"),
             ("big", "such as 160:64, found `big`"),
             ("0", "above 0 mm"),
@@ -120,7 +146,7 @@ mod tests {
     fn a_coded_print_has_the_ratio_of_all_coded_prints() {
         let print = |diameters, code| Print { diameters, code, polarity: Polarity::WhiteRing };
         let layout = CodeLayout { bits: 8, min_distance: 2 };
-        let outer = Some(Diameters { outer_m: 0.16, inner_m: None });
+        let outer = Some(Diameters { outer_m: 0.16, inner_m: None, minor_m: None });
         let kind = print(outer, Some(layout)).kind().unwrap();
         assert!((kind.inner_diameter_m - 0.096).abs() < 1e-12);
         assert_eq!(kind.pattern, Pattern::Coded(layout));
