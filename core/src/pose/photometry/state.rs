@@ -81,6 +81,10 @@ pub struct Linear {
     kept: Option<Factor>,
     /// Whether the information is that of an earlier state.
     reused: bool,
+    /// Information of a move of both rims.
+    edges: f64,
+    /// The outer rim's radius, pixels.
+    radius_px: f64,
     /// Information of a rim's elongation, both rims.
     pub elongation: f64,
     /// p₃ s: metres that a unit of shift is.
@@ -95,6 +99,13 @@ const MIRROR: usize = column::MIRROR;
 const MAX_STEPS: usize = 16;
 /// A step that lowers the misfit by less than this many variances is the last one.
 const LAST_STEP: f64 = 0.5;
+/// A step is the last one too if it moves the rims by less than this on average, pixels: what the
+/// columns miss of so little is far below the noise …
+const LAST_MOVE_PX: f64 = 0.03;
+/// … by no more through the square of its turn …
+const LAST_BEND_PX: f64 = 0.002;
+/// … and σ² by less than this, px².
+const LAST_BLUR_PX2: f64 = 0.03;
 /// After a step that was to lower the misfit by less than this many variances the information is
 /// not taken anew.
 const SMALL_STEP: f64 = 100.0;
@@ -226,7 +237,8 @@ pub fn solve(
         let gain: f64 = change.iter().zip(&linear.gradient).map(|(x, g)| x * g).sum();
         let next = state.moved(&linear, &change).ok_or(FitError::Away)?;
         let left = (linear.misfit - gain).max(0.0);
-        let last = damping == 0.0 && gain < LAST_STEP * linear.noise2_of(left);
+        let settled = gain < LAST_STEP * linear.noise2_of(left);
+        let last = damping == 0.0 && (settled || linear.holds_over(&state, &change));
         if last && next.step.abs() < MIN_STEP {
             return Err(FitError::Flat);
         }
@@ -391,9 +403,10 @@ impl Linear {
         let spread_px = (state.blur2 + 1.0 / 12.0).sqrt();
         let edge = state.step * state.step / (2.0 * std::f64::consts::PI.sqrt() * spread_px);
         let ratio = problem.kind.mean_ratio();
-        let elongation =
-            std::f64::consts::TAU * edge * radius_px * radius_px * (1.0 + ratio * ratio);
+        let around = std::f64::consts::TAU * edge * radius_px;
         Self {
+            edges: around * (1.0 + ratio),
+            radius_px,
             information,
             scale,
             gradient,
@@ -408,7 +421,7 @@ impl Linear {
             pixels: products[(column::WHITE, column::WHITE)],
             together: 1.0,
             reused: false,
-            elongation,
+            elongation: around * radius_px * (1.0 + ratio * ratio),
             unit_m: state.place.position_m.z * problem.lens.spread,
         }
     }
@@ -423,6 +436,28 @@ impl Linear {
         next.mirror.1 = products[(0, MIRROR)] * self.scale[SHIFT];
         next.reused = true;
         next
+    }
+
+    /// Whether the problem is as good as linear over a change, and its residual all noise already.
+    fn holds_over(&self, state: &State, change: &[f64; MOST]) -> bool {
+        let shape = SHIFT..UNKNOWNS;
+        let moved: f64 = shape
+            .clone()
+            .map(|i| {
+                change[i] * shape.clone().map(|j| self.information[i][j] * change[j]).sum::<f64>()
+            })
+            .sum();
+        let turn2 = change[TILT].powi(2) + change[TILT + 1].powi(2);
+        moved < LAST_MOVE_PX * LAST_MOVE_PX * self.edges
+            && 0.5 * turn2 * self.radius_px < LAST_BEND_PX
+            && change[BLUR].abs() < LAST_BLUR_PX2
+            && self.is_even()
+            && state.is_turned_little(change)
+    }
+
+    /// Whether noise explains the residual.
+    fn is_even(&self) -> bool {
+        self.together < 1.0 + EVEN / self.pixels.sqrt()
     }
 
     /// Carries what depends on the residual over a change that leaves this misfit.
@@ -528,7 +563,7 @@ impl Solution {
         let slack = ENDS_NOISE * self.noise2.sqrt();
         let levels = [state.white, state.white + state.step];
         let (low, high) = (levels[0].min(levels[1]), levels[0].max(levels[1]));
-        linear.together < 1.0 + EVEN / linear.pixels.sqrt() && low > slack && high < 255.0 - slack
+        linear.is_even() && low > slack && high < 255.0 - slack
     }
 
     /// Of (position, rotation) in the camera's frame.
