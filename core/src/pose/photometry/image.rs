@@ -1,5 +1,8 @@
 //! The model image of a roundel, and what a frame says against it.
 //!
+//! The frame's pixels are brought together once a fit, all at once: their rows are far apart in memory,
+//! and a look that waits for one after the other takes longer than its arithmetic.
+//!
 //! Scatter: each contour node adds e(y - q) k(x - p) dx to the 8 × 8 (or 16 × 16) pixels (p, q) round it,
 //! with the kernel's functions (`super::blur`); summed from row to row this is d(p, q).
 //!
@@ -8,6 +11,8 @@
 //! differences of d over two pixels each way, weighted by `super::blur` for what the blur leaves of fine
 //! detail: they miss 6 % of a column (root mean square) at a blur of 0.7 px, 14 % at 0.5 px, and what they
 //! miss is orthogonal to what they give, so that the estimate's variance grows by the square of that.
+
+use std::ops::Range;
 
 use fearless_simd::{Level, Simd, dispatch, f32x8, prelude::*};
 use fearless_simd_macros::simd;
@@ -38,8 +43,14 @@ pub struct Window {
     height: usize,
     /// Row by row what nodes add, then d; zero between calls.
     image: Vec<f32>,
-    /// First and last row that the nodes reach.
-    touched: (usize, usize),
+    /// Rows and columns, in whole packs of [`LANES`], that the nodes reach.
+    touched: [Range<usize>; 2],
+    /// The frame's pixels that count; what others hold is of no matter.
+    pixels: Vec<u8>,
+    /// The first row with pixels that count …
+    first: usize,
+    /// … and from there on the columns of each row's.
+    spans: Vec<(usize, usize)>,
     /// Grey values of the row at hand, then its residuals.
     grey: Vec<f32>,
     patches: Patches,
@@ -73,8 +84,14 @@ pub struct Model {
 }
 
 impl Window {
-    /// Lays the window over columns and rows of the frame; all are included.
-    pub fn lay(&mut self, columns: (i64, i64), rows: (i64, i64)) {
+    /// Lays the window over columns and rows of the frame; all are included. Pixels within the chords
+    /// count.
+    pub fn lay(
+        &mut self,
+        (columns, rows): ((i64, i64), (i64, i64)),
+        frame: &Frame,
+        chords: &Chords,
+    ) {
         self.origin = (columns.0, rows.0);
         self.width = ((columns.1 - columns.0 + 1) as usize).next_multiple_of(LANES);
         self.height = (rows.1 - rows.0 + 1) as usize;
@@ -83,13 +100,33 @@ impl Window {
         let needed = self.width * self.height + LANES;
         if self.image.len() < needed {
             self.image.resize(needed, 0.0);
+            self.pixels.resize(needed, 0);
         }
         self.grey.resize((self.width + LANES).max(self.grey.len()), 0.0);
         self.patches.lay(self.width);
+        let (begin, end) = chords.rows();
+        let inner = DIFFERENCE as i64..self.height as i64 - DIFFERENCE as i64 - 1;
+        let row_of = |v: f64| (ceil(v) - self.origin.1).clamp(inner.start, inner.end) as usize;
+        self.first = row_of(begin);
+        let last = row_of(end);
+        self.spans.clear();
+        for row in self.first..=last {
+            let v = self.origin.1 + row as i64;
+            let (from, to) = self.span(frame, chords, v);
+            self.spans.push((from, to));
+            if from < to {
+                let first = (self.origin.0 + from as i64) as usize;
+                copy(
+                    &frame.row(v as usize)[first..],
+                    &mut self.pixels[row * self.width + from..],
+                    to - from,
+                );
+            }
+        }
     }
 
-    /// First and last row that nodes reach; `None` unless every node's pixels lie in the window.
-    fn rows(&self, level: Level, nodes: &Nodes, reach: usize) -> Option<(usize, usize)> {
+    /// Rows and columns that nodes reach; `None` unless every node's pixels lie in the window.
+    fn reached(&self, level: Level, nodes: &Nodes, reach: usize) -> Option<[Range<usize>; 2]> {
         let half = (reach / 2) as i32;
         let [(left, right), (top, bottom)] = [0, 1].map(|axis| {
             let steps = &nodes.steps[axis][..];
@@ -101,13 +138,18 @@ impl Window {
             && top >= half
             && right < self.width as i32 - half - 1
             && bottom < self.height as i32 - half - 1;
-        within.then(|| ((top + 1 - half) as usize, (bottom + half + 1) as usize))
+        let range = |least: i32, most: i32| (least + 1 - half) as usize..(most + half + 2) as usize;
+        within.then(|| {
+            let columns = range(left, right);
+            let packs = columns.start / LANES * LANES..columns.end.next_multiple_of(LANES);
+            [range(top, bottom), packs]
+        })
     }
 
     /// Scatters the nodes; false, with nothing done, if one lies outside the window.
     pub fn scatter(&mut self, level: Level, nodes: &Nodes, kernel: &Kernel) -> bool {
-        let Some(rows) = self.rows(level, nodes, kernel.width) else { return false };
-        self.touched = rows;
+        let Some(touched) = self.reached(level, nodes, kernel.width) else { return false };
+        self.touched = touched;
         let image = &mut self.image[..];
         let (width, table) = (self.width, &kernel.table[..]);
         match kernel.width {
@@ -117,23 +159,15 @@ impl Window {
         true
     }
 
-    /// Sums the frame against the model over the pixels within `chords`, and clears the image. All
-    /// products of the columns, or only those with the residual.
-    pub fn gather(
-        &mut self,
-        level: Level,
-        frame: &Frame,
-        chords: &Chords,
-        model: &Model,
-        sums: &mut Sums,
-        products: bool,
-    ) {
+    /// Sums the frame against the model over the pixels that count, and clears the image. All products
+    /// of the columns, or only those with the residual.
+    pub fn gather(&mut self, level: Level, model: &Model, sums: &mut Sums, products: bool) {
         if products {
             sums.clear();
-            dispatch!(level, simd => gather_all::<_, true>(simd, self, (frame, chords), model, sums));
+            dispatch!(level, simd => gather_all::<_, true>(simd, self, model, sums));
             sums.finish(level);
         } else {
-            dispatch!(level, simd => gather_all::<_, false>(simd, self, (frame, chords), model, sums));
+            dispatch!(level, simd => gather_all::<_, false>(simd, self, model, sums));
             sums.finish_gradient();
         }
     }
@@ -178,67 +212,82 @@ fn ceil(value: f64) -> i64 {
     cut + i64::from(value > cut as f64)
 }
 
+/// Copies the first `count` bytes: where there are as many, in whole packs, which takes no call.
+#[inline(always)]
+fn copy(from: &[u8], to: &mut [u8], count: usize) {
+    let packs = count.next_multiple_of(LANES);
+    if from.len() < packs || to.len() < packs {
+        to[..count].copy_from_slice(&from[..count]);
+        return;
+    }
+    let (from, to) = (&from[..packs], &mut to[..packs]);
+    for (from, to) in from.chunks_exact(LANES).zip(to.chunks_exact_mut(LANES)) {
+        to.copy_from_slice(from);
+    }
+}
+
 #[simd]
 fn gather_all<S: Simd, const PRODUCTS: bool>(
     simd: S,
     window: &mut Window,
-    (frame, chords): (&Frame, &Chords),
     model: &Model,
     sums: &mut Sums,
 ) {
     let width = window.width;
-    let (top, bottom) = window.touched;
-    let (begin, end) = chords.rows();
-    let inner = DIFFERENCE as i64..window.height as i64 - DIFFERENCE as i64 - 1;
-    let first = (ceil(begin) - window.origin.1).clamp(inner.start, inner.end) as usize;
-    let last = (ceil(end) - window.origin.1).clamp(inner.start, inner.end) as usize;
-    let rows = top.min(first - DIFFERENCE)..bottom.max(last + DIFFERENCE) + 1;
+    let last = window.first + window.spans.len() - 1;
+    let [touched, columns] = window.touched.clone();
+    let rows = touched.start.min(window.first - DIFFERENCE)..touched.end.max(last + DIFFERENCE + 1);
     let image = &mut window.image[rows.start * width..rows.end * width];
-    add_up(image, width);
+    add_up(simd, image, width, columns.clone());
     let mut gradient = [S::f32s::splat(simd, 0.0); COLUMNS];
-    for row in first..=last {
-        let v = window.origin.1 + row as i64;
-        let (from, to) = window.span(frame, chords, v);
-        if from < to {
-            let first = (window.origin.0 + from as i64) as usize;
-            let pixels = &frame.row(v as usize)[first..first + to - from];
-            for (grey, &pixel) in window.grey[from..to].iter_mut().zip(pixels) {
+    for (row, &(from, to)) in (window.first..).zip(&window.spans) {
+        if from == to {
+            continue;
+        }
+        let pixels = &window.pixels[row * width + from..][..(to - from).next_multiple_of(LANES)];
+        let packs = pixels.chunks_exact(LANES);
+        for (grey, pixels) in window.grey[from..].chunks_exact_mut(LANES).zip(packs) {
+            for (grey, &pixel) in grey.iter_mut().zip(pixels) {
                 *grey = f32::from(pixel);
             }
-            let around = (row - DIFFERENCE) * width..(row + DIFFERENCE + 1) * width + LANES;
-            let mut line = Line {
-                row,
-                width,
-                span: (from, to),
-                grey: &mut window.grey,
-                image: &window.image[around],
-            };
-            add_row(simd, &mut line, model, |columns| {
-                if PRODUCTS {
-                    sums.keep(simd, columns);
-                } else {
-                    for (sum, column) in gradient.iter_mut().zip(columns) {
-                        *sum = column.mul_add(columns[0], *sum);
-                    }
-                }
-            });
-            window.patches.add_row(simd, &window.grey[from..to], from);
         }
+        let around = (row - DIFFERENCE) * width..(row + DIFFERENCE + 1) * width + LANES;
+        let mut line = Line {
+            row,
+            width,
+            span: (from, to),
+            grey: &mut window.grey,
+            image: &window.image[around],
+        };
+        add_row(simd, &mut line, model, |columns, count| {
+            if PRODUCTS {
+                sums.keep(simd, columns, count);
+            } else {
+                for (sum, column) in gradient.iter_mut().zip(columns) {
+                    *sum = column.mul_add(columns[0], *sum);
+                }
+            }
+        });
+        window.patches.add_row(simd, &window.grey[from..to], from);
     }
     if !PRODUCTS {
         sums.take_gradient::<S>(&gradient);
     }
-    window.image[rows.start * width..rows.end * width].fill(0.0);
+    for row in rows {
+        window.image[row * width..][columns.clone()].fill(0.0);
+    }
     sums.patches = window.patches.finish(simd);
 }
 
-/// Sums rows from the top down.
+/// Sums rows from the top down, in these columns.
 #[inline(always)]
-fn add_up(image: &mut [f32], width: usize) {
-    for start in (width..image.len()).step_by(width) {
-        let (above, below) = image[start - width..start + width].split_at_mut(width);
-        for (sum, above) in below.iter_mut().zip(&*above) {
-            *sum += above;
+fn add_up<S: Simd>(simd: S, image: &mut [f32], width: usize, columns: Range<usize>) {
+    for column in columns.step_by(S::f32s::LEN) {
+        let mut sum = S::f32s::splat(simd, 0.0);
+        for row in image.chunks_exact_mut(width) {
+            let pixels = &mut row[column..column + S::f32s::LEN];
+            sum += S::f32s::from_slice(simd, pixels);
+            sum.store_slice(pixels);
         }
     }
 }
@@ -374,7 +423,7 @@ fn add_row<S: Simd>(
     simd: S,
     line: &mut Line,
     model: &Model,
-    mut take: impl FnMut(&[S::f32s; COLUMNS]),
+    mut take: impl FnMut(&[S::f32s; COLUMNS], usize),
 ) {
     let lanes = S::f32s::LEN;
     let counted = S::f32s::from_slice(simd, &COUNT[..lanes]);
@@ -427,6 +476,6 @@ fn add_row<S: Simd>(
             mirror,
         ];
         columns[0].store_slice(&mut line.grey[start..start + lanes]);
-        take(&columns);
+        take(&columns, lanes.min(line.span.1 - start));
     }
 }

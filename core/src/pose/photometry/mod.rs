@@ -205,9 +205,9 @@ pub fn fit(
     let margin_px = (MARGIN.0 * ring.outer.semi_minor_px - MARGIN.1).max(LEAST_REACH_PX);
     let reach_px = REACH.0.max(REACH.1 * blur_px).min(margin_px);
     let counted = ring.outer.grown(reach_px);
-    let (columns, rows) = window_of(&counted);
-    scratch.window.lay(columns, rows);
-    let problem = Problem { frame, kind, radius_m, lens: &lens, chords: Chords::new(&counted) };
+    let chords = Chords::new(&counted);
+    scratch.window.lay(window_of(&counted), frame, &chords);
+    let problem = Problem { frame, kind, radius_m, lens: &lens, chords };
     let normal = &start.pose.normal;
     let axes = match heading_rad {
         None => axes_of(&(local_from_camera * normal).normalize()),

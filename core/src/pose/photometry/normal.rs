@@ -15,6 +15,8 @@ const GROUP: usize = 3;
 const PIXELS: usize = 256;
 /// Lanes of the widest vector.
 const LANES: usize = 16;
+/// Room for a column's pixels, and for what a vector holds beyond the last of them.
+const ROOM: usize = PIXELS + LANES;
 
 /// Places of the columns; the residual is the first.
 pub mod column {
@@ -54,7 +56,7 @@ pub struct Sums {
 impl Default for Sums {
     fn default() -> Self {
         Self {
-            kept: vec![0.0; PIXELS * COLUMNS + LANES],
+            kept: vec![0.0; ROOM * COLUMNS],
             count: 0,
             lanes: vec![[0.0; LANES]; COLUMNS * COLUMNS],
             products: Products::zeros(),
@@ -70,17 +72,16 @@ impl Sums {
         self.lanes.fill([0.0; LANES]);
     }
 
-    /// Keeps a vector of pixels, and multiplies once enough are together.
+    /// Keeps the first `count` pixels of a vector, and multiplies once enough are together.
     #[inline(always)]
-    pub fn keep<S: Simd>(&mut self, simd: S, columns: &[S::f32s; COLUMNS]) {
+    pub fn keep<S: Simd>(&mut self, simd: S, columns: &[S::f32s; COLUMNS], count: usize) {
         let lanes = S::f32s::LEN;
-        let kept = &mut self.kept[self.count..self.count + (COLUMNS - 1) * PIXELS + LANES];
+        let kept = &mut self.kept[self.count..self.count + (COLUMNS - 1) * ROOM + LANES];
         for column in 0..COLUMNS {
-            let place = &mut kept[column * PIXELS..column * PIXELS + lanes];
-            columns[column].store_slice(place);
+            columns[column].store_slice(&mut kept[column * ROOM..column * ROOM + lanes]);
         }
-        self.count += lanes;
-        if self.count == PIXELS {
+        self.count += count;
+        if self.count > PIXELS - lanes {
             multiply(simd, self);
         }
     }
@@ -127,6 +128,11 @@ fn sum_of(mut lanes: [f32; LANES]) -> f64 {
 
 #[simd]
 fn multiply<S: Simd>(simd: S, sums: &mut Sums) {
+    let (count, lanes) = (sums.count, S::f32s::LEN);
+    for column in sums.kept.chunks_exact_mut(ROOM) {
+        S::f32s::splat(simd, 0.0).store_slice(&mut column[count..count + lanes]);
+    }
+    sums.count = count.next_multiple_of(lanes);
     for first in 0..COLUMNS / GROUP {
         for second in first..COLUMNS / GROUP {
             multiply_groups(simd, sums, GROUP * first, GROUP * second);
@@ -140,7 +146,7 @@ fn multiply<S: Simd>(simd: S, sums: &mut Sums) {
 fn multiply_groups<S: Simd>(simd: S, sums: &mut Sums, first: usize, second: usize) {
     let width = S::f32s::LEN;
     let count = sums.count;
-    let column = |index: usize| &sums.kept[index * PIXELS..][..count];
+    let column = |index: usize| &sums.kept[index * ROOM..][..count];
     let (a0, a1, a2) = (column(first), column(first + 1), column(first + 2));
     let (b0, b1, b2) = (column(second), column(second + 1), column(second + 2));
     let mut block = [S::f32s::splat(simd, 0.0); GROUP * GROUP];

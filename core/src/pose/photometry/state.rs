@@ -305,14 +305,7 @@ pub fn linearize(
     }
     let model = model(problem, state, kernel.blur_px, scratch.window.origin);
     let sums = &mut scratch.sums;
-    scratch.window.gather(
-        scratch.level,
-        problem.frame,
-        &problem.chords,
-        &model,
-        sums,
-        known.is_none(),
-    );
+    scratch.window.gather(scratch.level, &model, sums, known.is_none());
     let mut linear = match known {
         None => Linear::new(problem, state, (&sums.products, &model), radius_px),
         Some(known) => known.updated(&sums.products),

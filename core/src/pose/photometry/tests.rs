@@ -129,9 +129,8 @@ fn the_mirrored_place_is_as_bad_as_it_promises() {
     let lens = LocalLens::new(&camera, local_from_camera, 1.05 * radius_m / range_m, &scratch.plan)
         .unwrap();
     let counted = ring.outer.grown(3.0);
-    let (columns, rows) = window_of(&counted);
-    scratch.window.lay(columns, rows);
     let chords = Chords::new(&counted);
+    scratch.window.lay(window_of(&counted), &frame, &chords);
     let problem = Problem { frame: &frame, kind: &kind, radius_m, lens: &lens, chords };
     let axes = axes_of(&(local_from_camera * first.pose.normal));
     let place = Place { position_m: Vector3::z() * range_m, axes };
