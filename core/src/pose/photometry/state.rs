@@ -99,13 +99,16 @@ const MIRROR: usize = column::MIRROR;
 const MAX_STEPS: usize = 16;
 /// A step that lowers the misfit by less than this many variances is the last one.
 const LAST_STEP: f64 = 0.5;
-/// A step is the last one too if it moves the rims by less than this on average, pixels: what the
-/// columns miss of so little is far below the noise …
+/// A step is the last one too if it moves the rims by less than this on average, pixels …
 const LAST_MOVE_PX: f64 = 0.03;
+/// … which the pixels tell with a misfit of no more variances: what the columns miss of it is far below
+/// the noise …
+const LAST_MOVE: f64 = 25.0;
 /// … by no more through the square of its turn …
 const LAST_BEND_PX: f64 = 0.002;
-/// … and σ² by less than this, px².
-const LAST_BLUR_PX2: f64 = 0.03;
+/// … and σ² by less than this share of the radius, px² to px: the smaller the rims, the less they tell blur
+/// from size and levels, and the further the columns' errors carry.
+const LAST_BLUR_PX: f64 = 8e-4;
 /// After a step that was to lower the misfit by less than this many variances the information is
 /// not taken anew.
 const SMALL_STEP: f64 = 100.0;
@@ -441,9 +444,9 @@ impl Linear {
             })
             .sum();
         let turn2 = change[TILT].powi(2) + change[TILT + 1].powi(2);
-        moved < LAST_MOVE_PX * LAST_MOVE_PX * self.edges
+        moved < (LAST_MOVE * self.noise2()).min(LAST_MOVE_PX * LAST_MOVE_PX * self.edges)
             && 0.5 * turn2 * self.radius_px < LAST_BEND_PX
-            && change[BLUR].abs() < LAST_BLUR_PX2
+            && change[BLUR].abs() < LAST_BLUR_PX * self.radius_px
             && self.is_even()
             && state.is_turned_little(change)
     }
