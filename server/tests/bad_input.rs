@@ -57,7 +57,7 @@ fn the_example_is_a_configuration() {
     let folder = lab();
     let config = Config::parse(EXAMPLE, folder.path()).map_err(|p| format!("{p:#?}")).unwrap();
     assert_eq!(config.name, "lab");
-    assert_eq!((config.kinds.len(), config.cameras.len(), config.references.len()), (4, 2, 4));
+    assert_eq!((config.kinds.len(), config.cameras.len(), config.references.len()), (5, 2, 4));
     // What stands in the example as a default is one: a file without it reads the same.
     let sections = ["[server]", "[detection]", "[fusion]", "[limits]"];
     let mut kept = String::new();
@@ -177,9 +177,9 @@ fn wrong_values_are_named_with_their_line() {
         ),
         (
             "[[camera]]",
-            "[[roundel]]\nname = \"one\"\nouter_mm = 100\ninner_mm = 60\ninner_minor_mm = 40\n\
-             [[roundel]]\nname = \"two\"\nouter_mm = 100\ninner_mm = 62\ninner_minor_mm = 41\n[[camera]]",
-            "roundels \"one\" and \"two\" cannot be told apart: the disc's diameters are 0.600 and 0.400",
+            "[[roundel]]\nname = \"other\"\nouter_mm = 100\ninner_mm = 62\ninner_minor_mm = 41\n[[camera]]",
+            "roundels \"crawler\" and \"other\" cannot be told apart: the disc's diameters are 0.600 and \
+             0.400 of the outer one, and 0.620 and 0.410",
         ),
         ("name = \"reference\"", "name = \"robot\"", "two kinds of roundel are named \"robot\""),
         (

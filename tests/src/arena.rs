@@ -118,21 +118,28 @@ pub struct Robot {
     pub path: Path,
 }
 
-/// A kind of plain roundel.
+/// A kind of roundel without a code.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Kind {
     /// Name in the configuration.
     pub name: String,
     /// Black ring's outer diameter, metres.
     pub outer_diameter_m: f64,
-    /// White disc's diameter, metres.
+    /// White disc's diameter, metres; of an elliptical one the longer.
     pub inner_diameter_m: f64,
+    /// The shorter one of an elliptical disc.
+    pub inner_minor_m: Option<f64>,
 }
 
 impl Kind {
     /// DESIGN's roundel of 160 mm with the paper's ratio.
     pub fn robot() -> Self {
-        Self { name: "robot".into(), outer_diameter_m: 0.16, inner_diameter_m: 0.064 }
+        Self {
+            name: "robot".into(),
+            outer_diameter_m: 0.16,
+            inner_diameter_m: 0.064,
+            inner_minor_m: None,
+        }
     }
 }
 

@@ -120,6 +120,9 @@ impl Export {
                 "\n[[roundel]]\nname = \"{}\"\nouter_mm = {outer_mm:?}\ninner_mm = {inner_mm:?}\n",
                 kind.name
             );
+            if let Some(minor_m) = kind.inner_minor_m {
+                let _ = writeln!(text, "inner_minor_mm = {:?}", minor_m * 1e3);
+            }
         }
         for site in &arena.sites {
             let p = site.world_from_camera.translation.vector;

@@ -7,7 +7,7 @@ use roundel_core::{
     camera::{Camera, Intrinsics, Lens},
     frame::Frame,
     id::CameraId,
-    marker::{Detector, Kind, Params, Tracker},
+    marker::{Detector, Kind, Params, Pattern, Tracker},
     pose::{Detection, Locator},
     rigid::{self, Covariance6},
     time::Timestamp,
@@ -41,8 +41,12 @@ pub fn core_camera(optics: &Pinhole) -> anyhow::Result<Camera> {
 
 /// Kinds of roundel as core takes them.
 pub fn core_kinds(kinds: &[arena::Kind]) -> Vec<Kind> {
-    let kind =
-        |kind: &arena::Kind| Kind::plain(&kind.name, kind.outer_diameter_m, kind.inner_diameter_m);
+    let kind = |kind: &arena::Kind| {
+        let ellipse = |minor_diameter_m| Pattern::Elliptical { minor_diameter_m };
+        let pattern = kind.inner_minor_m.map_or(Pattern::Plain, ellipse);
+        let plain = Kind::plain(&kind.name, kind.outer_diameter_m, kind.inner_diameter_m);
+        Kind { pattern, ..plain }
+    };
     kinds.iter().map(kind).collect()
 }
 

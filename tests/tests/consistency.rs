@@ -1,14 +1,18 @@
 //! The whole way, over the public surfaces only: a rendered arena as image files, a real `roundel
 //! serve`, a real gRPC subscription, and the snapshots against the truth.
 
-use std::time::Duration;
+use std::{collections::HashMap, f64::consts::PI, time::Duration};
 
 use anyhow::{Context, ensure};
-use roundel_proto::v1::{Snapshot, SubscribeSnapshotsRequest, roundel_client::RoundelClient};
+use nalgebra::{Quaternion, UnitQuaternion, Vector3};
+use roundel_proto::v1::{
+    ObjectState, Snapshot, SubscribeSnapshotsRequest, roundel_client::RoundelClient,
+};
 use roundel_tests::{
-    arena::Arena,
+    arena::{Arena, Kind},
     export::Export,
     process::Server,
+    render::Print,
     score::{CHI2_95_3, Judge},
 };
 use tonic::transport::Endpoint;
@@ -58,5 +62,58 @@ async fn served_poses_are_as_exact_as_stated() -> anyhow::Result<()> {
     // predicted further ahead, and the bounded accelerations of robots stray less than a filter allows.
     assert!(share >= 0.92, "{share} of the errors lie inside the 95 % ellipsoid");
     assert!(score.position.rms() < 0.005, "{}", score.position.rms());
+    Ok(())
+}
+
+/// The robot next to an object, and the angle about its normal by which the object is turned against it.
+fn heading_off(arena: &Arena, pose_time_ns: i64, object: &ObjectState) -> Option<(usize, f64)> {
+    let p = object.position.as_ref()?;
+    let q = object.orientation.as_ref()?;
+    let position = Vector3::new(p.x, p.y, p.z);
+    let truth = arena.truth(pose_time_ns);
+    let away = |index: usize| (truth[index].pose.translation.vector - position).norm();
+    let robot = (0..truth.len()).min_by(|&a, &b| away(a).total_cmp(&away(b)))?;
+    let turned = UnitQuaternion::from_quaternion(Quaternion::new(q.w, q.x, q.y, q.z));
+    let x = (truth[robot].pose.rotation.inverse() * turned) * Vector3::x();
+    Some((robot, x.y.atan2(x.x)))
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn elliptical_discs_tell_headings_that_half_turns_do_not_turn_round() -> anyhow::Result<()> {
+    let mut arena = Arena::r4_lite(9, 4, 0);
+    arena.sites.truncate(2);
+    let kind = Kind { inner_diameter_m: 0.112, inner_minor_m: Some(0.064), ..Kind::robot() };
+    for robot in &mut arena.robots {
+        robot.print = Print::elliptical(0.16, (0.112, 0.064), 0.25);
+        robot.path.spin_rad_s = 1.6;
+    }
+    arena.kinds = vec![kind];
+    let frames = 105;
+    let folder = tempfile::tempdir()?;
+    let installation = Export::lab(frames).write(&arena, folder.path())?;
+    let server = Server::serve(&installation.config)?;
+    let end_ns = arena.capture_time_ns(&arena.sites[0], frames - 1);
+    let mut sides: HashMap<u64, (bool, i64, i64)> = HashMap::new();
+    for snapshot in snapshots_until(&server, end_ns).await? {
+        let time_ns = snapshot.pose_time_ns;
+        if time_ns < arena.start_ns + SETTLED_NS / 2 {
+            continue;
+        }
+        for object in &snapshot.objects {
+            ensure!(object.yaw_observed && object.yaw_symmetry == 2, "{object:?}");
+            let (robot, off_rad) = heading_off(&arena, time_ns, object).context("no pose")?;
+            let opposite = off_rad.abs() > PI / 2.0;
+            let (side, _, last_ns) =
+                sides.entry(object.object_id).or_insert((opposite, time_ns, time_ns));
+            *last_ns = time_ns;
+            ensure!(*side == opposite, "robot {robot} turned round at {time_ns}: {off_rad}");
+            let error_rad = if opposite { PI - off_rad.abs() } else { off_rad.abs() };
+            ensure!(error_rad < 0.25, "robot {robot}: {error_rad} at {time_ns}");
+        }
+    }
+    let turned_rad = |&(_, from_ns, to_ns): &(bool, i64, i64)| 1.6e-9 * (to_ns - from_ns) as f64;
+    println!("turned by {:.2?} rad", sides.values().map(turned_rad).collect::<Vec<_>>());
+    let whole = sides.values().filter(|side| turned_rad(side) > PI).count();
+    ensure!(whole >= 3, "{sides:?}; the server's log:\n{}", server.log());
     Ok(())
 }

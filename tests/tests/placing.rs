@@ -19,7 +19,12 @@ const REFERENCES_M: [[f64; 3]; 4] =
 /// One camera, with references in place of robots.
 fn arena() -> Arena {
     let mut arena = Arena::r4_lite(5, REFERENCES_M.len(), 0);
-    let kind = Kind { name: "reference".into(), outer_diameter_m: 0.16, inner_diameter_m: 0.096 };
+    let kind = Kind {
+        name: "reference".into(),
+        outer_diameter_m: 0.16,
+        inner_diameter_m: 0.096,
+        inner_minor_m: None,
+    };
     for (robot, place) in arena.robots.iter_mut().zip(REFERENCES_M) {
         let sines = [Sine::default(); 3];
         robot.path = Path { center_m: Vector3::from(place), sines, spin_rad_s: 0.0, flies: false };
