@@ -19,10 +19,10 @@ use fearless_simd_macros::simd;
 use crate::{
     camera::PixelPoint,
     marker::{
-        belt::Belts,
+        belt::{Belts, pixels_in},
         blur::Weighed,
         patch::WORD_PX,
-        weigh::{Grey, levels, square},
+        weigh::{Grey, count, levels, total},
     },
 };
 
@@ -39,6 +39,23 @@ const QUIET: f64 = 1.0;
 
 /// Differences of the means of two halves, grey levels by one.
 type Slope = (f64, f64);
+
+/// Pixels of a set: all, those before a column, and those of its first words.
+#[inline(always)]
+fn pixels(set: &[u64], words: usize, column: usize, first: usize) -> [u32; 3] {
+    let (all, left) = count(set, words, column);
+    [all, left, pixels_in(&set[..first])]
+}
+
+/// Right less left and bottom less top, from pixels and sums of all, the left and the top ones.
+fn slope(pixels: &[u32; 3], sums: &[u64; 3]) -> Slope {
+    let half = |half: usize| {
+        let first = Grey { pixels: pixels[half], sum: sums[half] };
+        let other = Grey { pixels: pixels[0] - pixels[half], sum: sums[0] - sums[half] };
+        other.mean() - first.mean()
+    };
+    (half(1), half(2))
+}
 
 /// Levels of a roundel's parts.
 #[derive(Clone, Copy, Debug)]
@@ -66,28 +83,35 @@ impl Levels {
     ) -> Self {
         let (top, bottom) = grey.split_at(middle.1 * words);
         let sets = [belts.disc_core, belts.black, belts.near, belts.far];
-        let upper = sets.map(|set| &set[..top.len()]);
-        let lower = sets.map(|set| &set[top.len()..]);
-        let upper = levels(simd, top, upper, words, middle.0);
-        let lower = levels(simd, bottom, lower, words, middle.0);
-        let all = |set: usize| {
-            let [[a, b], [c, d]] = [upper[set], lower[set]];
-            a.joined(b).joined(c.joined(d))
-        };
-        let slope = |sets: [usize; 2]| {
-            let part = |from: &[[Grey; 2]; 4], half: usize| {
-                from[sets[0]][half].joined(from[sets[1]][half])
-            };
-            let [a, b, c, d] = [part(&upper, 0), part(&upper, 1), part(&lower, 0), part(&lower, 1)];
-            (b.joined(d).mean() - a.joined(c).mean(), c.joined(d).mean() - a.joined(b).mean())
-        };
+        let upper = levels(simd, top, sets, words, middle.0);
+        let lower = levels(simd, bottom, sets.map(|set| &set[top.len()..]), words, middle.0);
+        let first = top.len();
+        let of_black = pixels(belts.black, words, middle.0, first);
+        let of_near = pixels(belts.near, words, middle.0, first);
+        let of_far = pixels(belts.far, words, middle.0, first);
+        let near = total(upper.all[2] + lower.all[2]);
+        let far = total(upper.all[3] + lower.all[3]);
+        let black = [
+            total(upper.all[1] + lower.all[1]),
+            total(upper.left[1] + lower.left[1]),
+            total(upper.all[1]),
+        ];
+        let margin = [
+            near + far,
+            total((upper.left[2] + lower.left[2]) + (upper.left[3] + lower.left[3])),
+            total(upper.all[2] + upper.all[3]),
+        ];
+        let of_margin = [of_near[0] + of_far[0], of_near[1] + of_far[1], of_near[2] + of_far[2]];
         Self {
-            disc: all(0),
-            black: all(1),
-            near: all(2),
-            far: all(3),
-            far_square: square(simd, grey, belts.far),
-            slopes: (slope([1, 1]), slope([2, 3])),
+            disc: Grey {
+                pixels: pixels_in(belts.disc_core),
+                sum: total(upper.all[0] + lower.all[0]),
+            },
+            black: Grey { pixels: of_black[0], sum: black[0] },
+            near: Grey { pixels: of_near[0], sum: near },
+            far: Grey { pixels: of_far[0], sum: far },
+            far_square: total(upper.square + lower.square),
+            slopes: (slope(&of_black, &black), slope(&of_margin, &margin)),
         }
     }
 

@@ -109,21 +109,19 @@ fn levels<S: Simd>(
         let u = (cos * along_u + center_u).max(zero).min(last_u);
         let v = (cos * shear + sin * along_v + center_v).max(zero).min(last_v);
         let (column, row) = (u.floor(), v.floor());
-        let [mut upper, mut upper_right, mut lower, mut lower_right] = [[0.0; 16]; 4];
+        // Both pixels of a row at once, the right one in the high byte.
+        let [mut above, mut below] = [[0u16; 16]; 2];
         for point in 0..16 {
-            let (u, v) = (column[point] as u32 as usize, row[point] as u32 as usize);
-            let at = v * stride + u;
-            let (above, below) = (&grey[at..at + 2], &grey[at + stride..at + stride + 2]);
-            upper[point] = f32::from(above[0]);
-            upper_right[point] = f32::from(above[1]);
-            lower[point] = f32::from(below[0]);
-            lower_right[point] = f32::from(below[1]);
+            let at = row[point] as u32 as usize * stride + column[point] as u32 as usize;
+            let pair = |at: usize| u16::from_le_bytes([grey[at], grey[at + 1]]);
+            (above[point], below[point]) = (pair(at), pair(at + stride));
         }
+        let low = |pairs: &[u16; 16]| f32x16::from_fn(simd, |point| f32::from(pairs[point] as u8));
+        let high = |pairs: &[u16; 16]| f32x16::from_fn(simd, |point| f32::from(pairs[point] >> 8));
         let (du, dv) = (u - column, v - row);
-        let upper = f32x16::load_array(simd, upper);
-        let upper = (f32x16::load_array(simd, upper_right) - upper).mul_add(du, upper);
-        let lower = f32x16::load_array(simd, lower);
-        let lower = (f32x16::load_array(simd, lower_right) - lower).mul_add(du, lower);
+        let (upper, lower) = (low(&above), low(&below));
+        let upper = (high(&above) - upper).mul_add(du, upper);
+        let lower = (high(&below) - lower).mul_add(du, lower);
         *level = (lower - upper).mul_add(dv, upper);
     }
     levels

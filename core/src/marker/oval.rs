@@ -20,7 +20,7 @@ use crate::{
 /// Rows that are found together.
 pub(crate) const LANES: usize = PADDING_ROWS;
 /// Their numbers.
-const LANE: [f32; LANES] =
+pub(crate) const LANE: [f32; LANES] =
     [0.0, 1.0, 2.0, 3.0, 4.0, 5.0, 6.0, 7.0, 8.0, 9.0, 10.0, 11.0, 12.0, 13.0, 14.0, 15.0];
 
 /// A rim, with [`Ellipse::matrix`], which costs a sine.
@@ -47,8 +47,8 @@ pub(crate) struct Placed {
     pub u: f64,
     pub v: f64,
     matrix: Symmetric2,
-    /// Sum and product of the semiaxes.
-    sum: f64,
+    /// Of the semiaxes, twice the sum's inverse, and the product.
+    twice_per_sum: f64,
     product: f64,
 }
 
@@ -59,7 +59,7 @@ impl Placed {
             u: ellipse.center.u - patch.window.left as f64,
             v: ellipse.center.v - patch.window.top as f64,
             matrix,
-            sum: ellipse.semi_major_px + ellipse.semi_minor_px,
+            twice_per_sum: 2.0 / (ellipse.semi_major_px + ellipse.semi_minor_px),
             product: ellipse.semi_major_px * ellipse.semi_minor_px,
         }
     }
@@ -67,24 +67,23 @@ impl Placed {
     /// Filled, after growing by so much.
     #[inline(always)]
     pub fn grown(&self, by_px: f64) -> Oval {
-        let per_sum = 2.0 * by_px / self.sum;
+        let per_sum = by_px * self.twice_per_sum;
         let (scale, more) = (1.0 + per_sum, per_sum * self.product + by_px * by_px);
-        let m = Symmetric2 {
-            uu: self.matrix.uu * scale + more,
-            uv: self.matrix.uv * scale,
-            vv: self.matrix.vv * scale + more,
-        };
-        let inverse_vv = 1.0 / m.vv;
-        let half = (m.uu.sqrt(), m.vv.sqrt());
+        let (uu, vv) = (self.matrix.uu * scale + more, self.matrix.vv * scale + more);
+        let uv = self.matrix.uv * scale;
+        let determinant = (uu * vv - uv * uv) as f32;
+        let (uu, uv, vv) = (uu as f32, uv as f32, vv as f32);
+        let inverse_vv = 1.0 / vv;
+        let (v, half_v) = (self.v as f32, vv.sqrt());
         Oval {
             u: self.u as f32,
-            v: self.v as f32,
-            slope: (m.uv * inverse_vv) as f32,
-            half_max: (m.determinant() * inverse_vv).sqrt() as f32,
-            inverse_vv: inverse_vv as f32,
-            first: (self.v - half.1) as f32,
-            last: (self.v + half.1) as f32,
-            half,
+            v,
+            slope: uv * inverse_vv,
+            half_max: (determinant * inverse_vv).sqrt(),
+            inverse_vv,
+            first: v - half_v,
+            last: v + half_v,
+            uu,
         }
     }
 }
@@ -100,24 +99,23 @@ pub(crate) struct Oval {
     /// Rows between which it lies.
     first: f32,
     last: f32,
-    /// Half the sides of its box.
-    half: (f64, f64),
+    /// Square of half its box's width.
+    uu: f32,
 }
 
 impl Oval {
     /// First row, and the row after the last, if they lie in so many rows.
     pub fn rows(&self, rows: usize) -> Option<(usize, usize)> {
-        let (top, bottom) = (f64::from(self.v) - self.half.1, f64::from(self.v) + self.half.1);
-        (top >= 0.0 && bottom + 1.0 < rows as f64)
-            .then_some((top.ceil() as usize, bottom as usize + 1))
+        (self.first >= 0.0 && self.last + 1.0 < rows as f32)
+            .then_some((self.first.ceil() as usize, self.last as usize + 1))
     }
 
     /// Its rows and columns, if they lie in the patch, counted from a row on.
     pub fn area(&self, patch: &Patch, top: usize) -> Option<Area> {
         let rows = self.rows(patch.rows())?;
-        let (u, half) = (f64::from(self.u), self.half.0);
-        let (left, right) = (u - half, u + half);
-        (left >= 0.0 && right + 1.0 < patch.columns() as f64).then_some(Area {
+        let half = self.uu.sqrt();
+        let (left, right) = (self.u - half, self.u + half);
+        (left >= 0.0 && right + 1.0 < patch.columns() as f32).then_some(Area {
             rows: (rows.0 - top, rows.1 - top),
             columns: (left as usize, right as usize + 1),
         })
@@ -125,10 +123,11 @@ impl Oval {
 
     /// Its first column, and the column after the last, in sixteen rows of the patch.
     #[inline(always)]
-    fn chords<S: Simd>(&self, simd: S, first_row: usize, columns: usize) -> [i32x16<S>; 2] {
+    pub fn chords<S: Simd>(&self, simd: S, first_row: usize, columns: usize) -> Chords<S> {
         let first_row = first_row as f32;
         if first_row > self.last || first_row + (LANES as f32) <= self.first {
-            return [i32x16::splat(simd, 0); 2];
+            let none = i32x16::splat(simd, 0);
+            return Chords { first: none, end: none };
         }
         let (zero, one) = (f32x16::splat(simd, 0.0), f32x16::splat(simd, 1.0));
         let dv = f32x16::load_array(simd, LANE) + (first_row - self.v);
@@ -138,15 +137,23 @@ impl Oval {
         let end = share.simd_gt(zero).select((middle + half).floor() + 1.0, zero);
         let most = columns as f32;
         let (first, end) = ((middle - half).ceil().max(zero).min(most), end.max(zero).min(most));
-        [first.to_int(), end.to_int()]
+        Chords { first: first.to_int(), end: end.to_int() }
     }
+}
 
-    /// Its pixels in a word of sixteen rows of the patch.
+/// First columns of sixteen rows, and the columns after the last.
+#[derive(Clone, Copy)]
+pub(crate) struct Chords<S: Simd> {
+    first: i32x16<S>,
+    end: i32x16<S>,
+}
+
+impl<S: Simd> Chords<S> {
+    /// The pixels in a word of the rows.
     #[inline(always)]
-    pub fn bits<S: Simd>(&self, simd: S, (row, word, words): (usize, usize, usize)) -> Rows<S> {
-        let chords = self.chords(simd, row, words * WORD_PX);
+    pub fn bits(&self, simd: S, word: usize) -> Rows<S> {
         let from = (word * WORD_PX) as i32;
-        below(simd, chords[1], from).without(below(simd, chords[0], from))
+        below(simd, self.end, from).without(below(simd, self.first, from))
     }
 }
 

@@ -76,6 +76,17 @@ impl Patch {
             Polarity::WhiteRing => (255, 0u8.wrapping_sub(threshold)),
         };
         let (flip, limit) = (u8x64::splat(simd, flip), u8x64::splat(simd, limit));
+        if words == 1 && right - left == WORD_PX {
+            let rows = patch.grey.iter_mut().zip(&mut patch.white).zip(&mut patch.black);
+            for (v, ((to, white), black)) in (window.top..window.bottom).zip(rows) {
+                let row = frame.row(v)[left..].first_chunk().expect("the columns are the frame's");
+                let grey = u8x64::load_array(simd, *row) ^ flip;
+                grey.store_array(to);
+                *white = grey.simd_ge(limit).to_bitmask();
+                *black = !*white;
+            }
+            return;
+        }
         let mut block = 0;
         for v in window.top..window.bottom {
             let row = &frame.row(v)[left..right];

@@ -99,7 +99,8 @@ impl Track {
     /// Distance of a ring from the prediction, pixels; `None` if it cannot be this track's.
     fn distance_px(&self, ring: &Ring) -> Option<f64> {
         let at = self.predicted();
-        let distance = (ring.outer.center.u - at.u).hypot(ring.outer.center.v - at.v);
+        let (du, dv) = (ring.outer.center.u - at.u, ring.outer.center.v - at.v);
+        let distance = (du * du + dv * dv).sqrt();
         let frames = f64::from(self.missed.max(1));
         let known = self.ring.outer.mean_radius_px();
         let change = (ring.outer.mean_radius_px() - known).abs();

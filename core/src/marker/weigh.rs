@@ -9,7 +9,10 @@ use fearless_simd::{
 };
 use fearless_simd_macros::simd;
 
-use crate::{ellipse::Moments, marker::patch::WORD_PX};
+use crate::{
+    ellipse::Moments,
+    marker::{oval::LANE, patch::WORD_PX},
+};
 
 /// Columns summed at a time.
 const LANES: usize = 16;
@@ -33,88 +36,92 @@ impl Grey {
     }
 }
 
-/// Levels of several sets of pixels, (left, right) of an even column of the patch.
+/// Sets that [`GreyLanes`] adds up.
+const SETS: usize = 4;
+
+/// Sums of the grey levels of sets of pixels, four columns a lane.
+#[derive(Clone, Copy)]
+pub(crate) struct GreyLanes<S: Simd> {
+    pub all: [u32x16<S>; SETS],
+    /// Of the columns to the left of the middle.
+    pub left: [u32x16<S>; SETS],
+    /// Σ I² of the last set.
+    pub square: u32x16<S>,
+}
+
+/// Sum of the lanes.
+#[inline(always)]
+pub(crate) fn total<S: Simd>(lanes: u32x16<S>) -> u64 {
+    let (low, high) = lanes.widen();
+    (low + high).as_slice().iter().sum()
+}
+
+/// Sums over sets of pixels, to the left of an even column of the patch and in all. A lane holds a
+/// frame's worth of pixels, and of their squares those of 16,000 rows.
 #[simd]
-pub(crate) fn levels<S: Simd, const N: usize>(
+pub(crate) fn levels<S: Simd>(
     simd: S,
     grey: &[[u8; WORD_PX]],
-    sets: [&[u64]; N],
+    sets: [&[u64]; SETS],
     words: usize,
     column: usize,
-) -> [[Grey; 2]; N] {
+) -> GreyLanes<S> {
     let none = u8x64::splat(simd, 0);
-    let nothing = u16x32::splat(simd, 0);
-    let mut levels = [[Grey::default(); 2]; N];
-    let sets = sets.map(|set| &set[..grey.len()]);
+    let (nothing, zero) = (u16x32::splat(simd, 0), u32x16::splat(simd, 0));
+    let mut sums = GreyLanes { all: [zero; SETS], left: [zero; SETS], square: zero };
+    let [a, b, c, d] = sets.map(|set| &set[..grey.len()]);
     let rows = grey.len() / words;
     for word in 0..words {
         let columns = column.saturating_sub(word * WORD_PX).min(WORD_PX);
-        let left = u64::MAX.checked_shl(columns as u32).map_or(u64::MAX, |right| !right);
-        let left_pairs = mask16x32::from_bitmask(simd, (1 << (columns / 2)) - 1);
+        let left = mask16x32::from_bitmask(simd, (1 << (columns / 2)) - 1);
         let mut from = 0;
         while from < rows {
             // So many rows fit into 16 bits: each lane takes two pixels of a row.
             let to = (from + 64).min(rows);
-            let mut lanes = [nothing; N];
+            let mut lanes = [nothing; SETS];
             let mut at = from * words + word;
             while at < (to * words).min(grey.len()) {
                 let pixels = u8x64::load_array(simd, grey[at]);
-                for set in 0..N {
-                    let chosen = mask8x64::from_bitmask(simd, sets[set][at]);
-                    lanes[set] += chosen.select(pixels, none).pairwise_widening_add();
+                let bits = [a[at], b[at], c[at], d[at]];
+                let mut chosen = none;
+                for set in 0..SETS {
+                    chosen = mask8x64::from_bitmask(simd, bits[set]).select(pixels, none);
+                    lanes[set] += chosen.pairwise_widening_add();
                 }
+                let (low, high) = chosen.widening_mul(chosen);
+                sums.square += low.pairwise_widening_add() + high.pairwise_widening_add();
                 at += words;
             }
-            for set in 0..N {
-                let [of_left, of_right] = &mut levels[set];
-                let sum = |lanes: u16x32<S>| u64::from(lanes.pairwise_widening_add().reduce_sum());
-                let (all, some) = (sum(lanes[set]), sum(left_pairs.select(lanes[set], nothing)));
-                of_left.sum += some;
-                of_right.sum += all - some;
+            for (set, lanes) in lanes.into_iter().enumerate() {
+                sums.all[set] += lanes.pairwise_widening_add();
+                sums.left[set] += left.select(lanes, nothing).pairwise_widening_add();
             }
             from = to;
         }
-        for set in 0..N {
-            let (all, some) = if words == 1 {
-                count(sets[set].iter(), left)
-            } else {
-                count(sets[set][word.min(grey.len())..].iter().step_by(words), left)
-            };
-            levels[set][0].pixels += some;
-            levels[set][1].pixels += all - some;
-        }
     }
-    levels
+    sums
 }
 
-/// How many bits are set, and how many of them among the `chosen` ones of each word.
+/// How many bits are set, and how many of them before a column.
 #[inline(always)]
-fn count<'a>(set: impl Iterator<Item = &'a u64>, chosen: u64) -> (u32, u32) {
+pub(crate) fn count(set: &[u64], words: usize, column: usize) -> (u32, u32) {
     let (mut all, mut some) = (0u64, 0u64);
-    for bits in set {
-        all += u64::from(bits.count_ones());
-        some += u64::from((bits & chosen).count_ones());
+    for word in 0..words {
+        let columns = column.saturating_sub(word * WORD_PX).min(WORD_PX);
+        let left = u64::MAX.checked_shl(columns as u32).map_or(u64::MAX, |right| !right);
+        if words == 1 {
+            for bits in set {
+                all += u64::from(bits.count_ones());
+                some += u64::from((bits & left).count_ones());
+            }
+        } else {
+            for row in set.chunks_exact(words) {
+                all += u64::from(row[word].count_ones());
+                some += u64::from((row[word] & left).count_ones());
+            }
+        }
     }
     (all as u32, some as u32)
-}
-
-/// Σ I² of a set of pixels.
-#[simd]
-pub(crate) fn square<S: Simd>(simd: S, grey: &[[u8; WORD_PX]], set: &[u64]) -> u64 {
-    let none = u8x64::splat(simd, 0);
-    let mut sum = 0;
-    // A lane takes four pixels of a row, so this many rows are sure to fit into 32 bits.
-    for (grey, set) in grey.chunks(1 << 13).zip(set.chunks(1 << 13)) {
-        let mut lanes = u32x16::splat(simd, 0);
-        for (pixels, &bits) in grey.iter().zip(set) {
-            let chosen = mask8x64::from_bitmask(simd, bits);
-            let pixels = chosen.select(u8x64::load_array(simd, *pixels), none);
-            let (low, high) = pixels.widening_mul(pixels);
-            lanes += low.pairwise_widening_add() + high.pairwise_widening_add();
-        }
-        sum += lanes.as_slice().iter().map(|&lane| u64::from(lane)).sum::<u64>();
-    }
-    sum
 }
 
 /// How grey levels count: w = `offset` + `gain` I in the belt, `core` in the core.
@@ -144,7 +151,7 @@ pub(crate) fn moments<S: Simd>(
     (middle_u, middle_v): (usize, usize),
     weights: Weights,
 ) -> Moments {
-    let mut moments = Moments::default();
+    let mut sums = [f32x16::splat(simd, 0.0); 6];
     let rows = area.rows.0 * words..(area.rows.1 * words).min(grey.len());
     let (grey, core, belt) = (&grey[rows.clone()], &core[rows.clone()], &belt[rows]);
     let first_v = area.rows.0 as f32 - middle_v as f32;
@@ -159,11 +166,19 @@ pub(crate) fn moments<S: Simd>(
         for block in 0..blocks {
             let column = first + block * LANES;
             let u = (word * WORD_PX + column) as f32 - middle_u as f32;
-            let sums = lanes(simd, grey, (core, belt), (word, words, column), first_v, weights);
-            add(&mut moments, simd, sums, u);
+            let of_block = lanes(simd, grey, (core, belt), (word, words, column), first_v, weights);
+            add(&mut sums, simd, of_block, u);
         }
     }
-    moments
+    let [n, u, v, uu, uv, vv] = sums;
+    Moments {
+        n: f64::from(n.reduce_sum()),
+        u: f64::from(u.reduce_sum()),
+        v: f64::from(v.reduce_sum()),
+        uu: f64::from(uu.reduce_sum()),
+        uv: f64::from(uv.reduce_sum()),
+        vv: f64::from(vv.reduce_sum()),
+    }
 }
 
 /// Rows and columns (first, end).
@@ -241,14 +256,104 @@ impl<S: Simd> Pixels<'_, S> {
     }
 }
 
+/// Adds sixteen columns to Σ w, Σ w u, Σ w v, Σ w u², Σ w u v and Σ w v².
 #[inline(always)]
-fn add<S: Simd>(moments: &mut Moments, simd: S, [n, nv, nvv]: [f32x16<S>; 3], first_u: f32) {
-    let u = f32x16::from_fn(simd, |lane| lane as f32) + first_u;
+fn add<S: Simd>(sums: &mut [f32x16<S>; 6], simd: S, [n, nv, nvv]: [f32x16<S>; 3], first_u: f32) {
+    let u = f32x16::load_array(simd, LANE) + first_u;
     let nu = n * u;
-    moments.n += f64::from(n.reduce_sum());
-    moments.u += f64::from(nu.reduce_sum());
-    moments.uu += f64::from((nu * u).reduce_sum());
-    moments.v += f64::from(nv.reduce_sum());
-    moments.uv += f64::from((nv * u).reduce_sum());
-    moments.vv += f64::from(nvv.reduce_sum());
+    sums[0] += n;
+    sums[1] += nu;
+    sums[2] += nv;
+    sums[3] = nu.mul_add(u, sums[3]);
+    sums[4] = nv.mul_add(u, sums[4]);
+    sums[5] += nvv;
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use fearless_simd::{Level, dispatch};
+    use proptest::prelude::*;
+
+    /// Rows of pixels with four sets of them.
+    fn rows() -> impl Strategy<Value = (usize, Vec<[u8; WORD_PX]>, [Vec<u64>; SETS])> {
+        (1usize..4, 1usize..140).prop_flat_map(|(words, rows)| {
+            let set = || proptest::collection::vec(any::<u64>(), words * rows);
+            let grey = proptest::collection::vec(any::<[u8; WORD_PX]>(), words * rows);
+            (Just(words), grey, [set(), set(), set(), set()])
+        })
+    }
+
+    /// Grey levels of a set, with their columns and rows.
+    fn pixels(words: usize, grey: &[[u8; WORD_PX]], set: &[u64]) -> Vec<(usize, usize, u64)> {
+        (0..set.len() * WORD_PX)
+            .filter(|at| set[at / WORD_PX] >> (at % WORD_PX) & 1 == 1)
+            .map(|at| {
+                let row = WORD_PX * words;
+                (at % row, at / row, u64::from(grey[at / WORD_PX][at % WORD_PX]))
+            })
+            .collect()
+    }
+
+    proptest! {
+        #[test]
+        fn levels_are_plain_sums((words, grey, sets) in rows(), half_column in 0usize..96) {
+            let column = 2 * half_column;
+            let of: [&[u64]; SETS] = std::array::from_fn(|set| sets[set].as_slice());
+            let ours = dispatch!(Level::new(), simd => {
+                let sums = levels(simd, &grey, of, words, column);
+                (sums.all.map(total), sums.left.map(total), total(sums.square))
+            });
+            let plain = sets.each_ref().map(|set| pixels(words, &grey, set));
+            let sum = |set: &Vec<(usize, usize, u64)>| set.iter().map(|pixel| pixel.2).sum::<u64>();
+            prop_assert_eq!(ours.0, plain.each_ref().map(sum));
+            let left = plain.each_ref().map(|set| {
+                set.iter().filter(|pixel| pixel.0 < column).copied().collect::<Vec<_>>()
+            });
+            prop_assert_eq!(ours.1, left.each_ref().map(sum));
+            prop_assert_eq!(ours.2, plain[3].iter().map(|pixel| pixel.2.pow(2)).sum::<u64>());
+            let counted = count(of[0], words, column);
+            prop_assert_eq!(counted, (plain[0].len() as u32, left[0].len() as u32));
+        }
+
+        #[test]
+        fn moments_are_plain_sums((words, grey, sets) in rows()) {
+            let (core, belt) = (&sets[0], &sets[1]);
+            let all = Area { rows: (0, grey.len() / words), columns: (0, words * WORD_PX) };
+            let middle = (words * WORD_PX / 2, grey.len() / words / 2);
+            let weights = Weights::between(200.0, 40.0);
+            let ours = dispatch!(Level::new(), simd => {
+                moments(simd, &grey, (core, belt), (words, &all), middle, weights)
+            });
+            let only: Vec<u64> = core.iter().zip(belt).map(|(core, belt)| core & !belt).collect();
+            let of_core = pixels(words, &grey, &only).into_iter().map(|(u, v, _)| (u, v, 1.0));
+            let of_belt = pixels(words, &grey, belt)
+                .into_iter()
+                .map(|(u, v, grey)| (u, v, (200.0 - grey as f64) / 160.0));
+            let mut plain = Moments::default();
+            let mut size = Moments::default();
+            for (u, v, w) in of_core.chain(of_belt) {
+                let (u, v) = (u as f64 - middle.0 as f64, v as f64 - middle.1 as f64);
+                for (sums, w) in [(&mut plain, w), (&mut size, f64::abs(w))] {
+                    sums.n += w;
+                    sums.vv += w * v * v;
+                    sums.uu += w * u * u;
+                }
+                plain.u += w * u;
+                plain.v += w * v;
+                plain.uv += w * u * v;
+            }
+            let reach = (words * WORD_PX) as f64 + grey.len() as f64;
+            for (ours, plain, scale) in [
+                (ours.n, plain.n, size.n),
+                (ours.u, plain.u, size.n * reach),
+                (ours.v, plain.v, size.n * reach),
+                (ours.uu, plain.uu, size.uu),
+                (ours.uv, plain.uv, size.uu + size.vv),
+                (ours.vv, plain.vv, size.vv),
+            ] {
+                prop_assert!((ours - plain).abs() <= 3e-6 * scale + 1e-3, "{ours} {plain}");
+            }
+        }
+    }
 }
