@@ -24,6 +24,9 @@ use crate::{
 /// Deviation of the blur that a template has, pixels: the middle of what is usual, since a ring does
 /// not know its own.
 const USUAL_BLUR_PX: f64 = 0.8;
+/// What samples that share pixels err by together, radians: of 20,000 readings each of 8 to 16 bits beside
+/// what each sample's own error makes (`cargo run -p roundel-tests --bin codes`).
+const SHARED_RAD: f64 = 8e-4;
 /// Least ρ² of a reading …
 const LEAST_FIT: f32 = 0.7;
 /// … least and largest amplitude, as a share of half the ring's contrast …
@@ -102,7 +105,7 @@ impl CodeReader {
             code: found.code,
             word: self.dictionary.word(found.code.number)?,
             zero_rad: step_rad * zero,
-            deviation_rad: step_rad * f64::from(fit.deviation),
+            deviation_rad: (step_rad * f64::from(fit.deviation)).hypot(SHARED_RAD),
             confidence,
             corrected: found.corrected,
         })
