@@ -268,7 +268,8 @@ fn gather_all<S: Simd, const PRODUCTS: bool>(
                 }
             }
         });
-        window.patches.add_row(simd, &window.grey[from..to], from);
+        let whole = (to - from).next_multiple_of(S::f32s::LEN);
+        window.patches.add_row(simd, &window.grey[from..from + whole], (from, to));
     }
     if !PRODUCTS {
         sums.take_gradient::<S>(&gradient);
@@ -430,7 +431,7 @@ fn add_row<S: Simd>(
     let v = line.row as f32;
     let to = line.span.1 as f32;
     let [m11, m12, m21, m22] = model.slope.map(|value| S::f32s::splat(simd, value));
-    let (one, zero) = (S::f32s::splat(simd, 1.0), S::f32s::splat(simd, 0.0));
+    let [zero, one, two] = [0.0, 1.0, 2.0].map(|value| S::f32s::splat(simd, value));
     let row_t1 = S::f32s::splat(simd, model.t[0][0] + v * model.t[0][2]);
     let row_t2 = S::f32s::splat(simd, model.t[1][0] + v * model.t[1][2]);
     for start in (line.span.0..line.span.1).step_by(lanes) {
@@ -457,9 +458,10 @@ fn add_row<S: Simd>(
         let [middle_1, middle_2] = model.middle;
         let to_middle = moved(simd, &[middle_1, middle_2, 1.0], (g1, g2, radial));
         let lit = level * weight;
-        // Mirrored, a point's ray t grows by 1/(2 nearness - 1), from the middle.
-        let twice = near + near - one;
-        let mirror = to_middle * (twice - one) / twice;
+        // Mirrored, a point's ray t grows by 1/(2 nearness - 1), from the middle. With x = 2 nearness - 2
+        // this moves it by x/(1 + x); the series serves as well, since x is a tenth or less.
+        let x2 = near + near - two;
+        let mirror = to_middle * x2 * (x2.mul_add(x2, one) - x2);
         // In the order of `normal::column`.
         let columns = [
             (grey - level) * weight,

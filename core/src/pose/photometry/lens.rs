@@ -85,7 +85,7 @@ impl LocalLens {
             samples[(row, 0)] = pixel.u - origin.u;
             samples[(row, 1)] = pixel.v - origin.v;
         }
-        let found = *plan.terms_from_samples * samples;
+        let found = plan.terms_from_samples.as_ref() * samples;
         let mut terms = [[0.0; TERMS]; 2];
         for (axis, terms) in terms.iter_mut().enumerate() {
             for (term, value) in terms.iter_mut().zip(found.column(axis).iter()) {

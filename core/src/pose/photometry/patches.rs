@@ -33,21 +33,17 @@ impl Patches {
         self.columns.resize((width + 2 * LANES).max(self.columns.len()), 0.0);
     }
 
-    /// Adds a row's residuals, whose first is in column `from`.
+    /// Adds a row's residuals from column `from` up to `to`, filled up with zeros to whole vectors.
     #[inline(always)]
-    pub fn add_row<S: Simd>(&mut self, simd: S, residuals: &[f32], from: usize) {
+    pub fn add_row<S: Simd>(&mut self, simd: S, residuals: &[f32], (from, to): (usize, usize)) {
         let lanes = S::f32s::LEN;
-        let to = from + residuals.len();
         (self.from, self.to) =
             if self.rows == 0 { (from, to) } else { (self.from.min(from), self.to.max(to)) };
-        let columns = &mut self.columns[from + SIDE..to + SIDE];
-        let (whole, rest) = (residuals.chunks_exact(lanes), residuals.len() / lanes * lanes);
-        for (column, residual) in columns.chunks_exact_mut(lanes).zip(whole) {
+        let columns = &mut self.columns[from + SIDE..from + SIDE + residuals.len()];
+        let residuals = residuals.chunks_exact(lanes);
+        for (column, residual) in columns.chunks_exact_mut(lanes).zip(residuals) {
             let sum = S::f32s::from_slice(simd, column) + S::f32s::from_slice(simd, residual);
             sum.store_slice(column);
-        }
-        for (column, residual) in columns[rest..].iter_mut().zip(&residuals[rest..]) {
-            *column += residual;
         }
         self.rows += 1;
         if self.rows == SIDE {
@@ -136,7 +132,9 @@ mod tests {
         let mut sum = 0.0;
         dispatch!(Level::new(), simd => {
             for (from, residuals) in rows {
-                patches.add_row(simd, residuals, *from);
+                let mut whole = residuals.clone();
+                whole.resize(residuals.len().next_multiple_of(LANES), 0.0);
+                patches.add_row(simd, &whole, (*from, from + residuals.len()));
             }
             sum = patches.finish(simd);
         });

@@ -549,8 +549,9 @@ impl Linear {
 
 /// Deviations of the noise that levels stay away from the ends of the scale.
 const ENDS_NOISE: f64 = 3.0;
-/// [`patches::share`] of noise is less than 1 by this over the root of the number of pixels.
-const EVEN: f64 = 10.0;
+/// [`patches::share`] of noise exceeds 1 by no more than this over the root of the number of pixels: three
+/// deviations, since a clean ring that is taken for a disturbed one costs as much as a hundred others.
+const EVEN: f64 = 15.0;
 
 impl Solution {
     /// Whether noise explains the residual, and the scale of grey levels holds white and black.
