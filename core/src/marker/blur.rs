@@ -15,6 +15,9 @@
 //! The last line, for both rims, gives σ; the others then say by how much the rims are to be grown.
 //! σ contains the pixels' own width, as the spread does.
 
+use fearless_simd::Simd;
+use fearless_simd_macros::simd;
+
 use crate::{
     ellipse::{Ellipse, Moments, Shape},
     marker::{belt::WIDE_PX, thin::Depths, weigh::Grey},
@@ -80,7 +83,9 @@ pub(crate) struct Unblurred {
 /// Undoes the blur. `margin` is `None` where the margin is taken to be as white as the disc.
 ///
 /// `thin` has the black's pixels of a ring whose blur reaches all of them.
-pub(crate) fn unblur(
+#[simd]
+pub(crate) fn unblur<S: Simd>(
+    simd: S,
     (outer, inner): (&Weighed, &Weighed),
     (black, white, margin): (&Taken, &Taken, Option<&Taken>),
     thin: Option<&Depths>,
@@ -92,10 +97,14 @@ pub(crate) fn unblur(
     let mut grown_px = (0.0, 0.0);
     for _ in 0..TURNS {
         let blur = Blur::new(spread_px2);
-        let black_share = thin.map(|depths| {
-            let level = depths.level(white.level, grown_px, blur.deviation_px);
-            ((black.level - level) / (white.level - level)).clamp(-MOST_MIXED, MOST_MIXED)
-        });
+        let black_share = match thin {
+            Some(depths) => {
+                let level = Depths::level(simd, depths, white.level, grown_px, blur.deviation_px);
+                let share = (black.level - level) / (white.level - level);
+                Some(share.clamp(-MOST_MIXED, MOST_MIXED))
+            }
+            None => None,
+        };
         mixed = Mixed::new((r_o, r_i), (black, white, margin), black_share, &blur);
         // Weights are shares of the contrast as measured.
         let scale = 1.0 / (1.0 - mixed.white - mixed.black);

@@ -306,20 +306,22 @@ fn weigh<S: Simd>(
     let of_margin = margin.map(|margin| Taken::new(margin, WIDE_PX));
     let mut of_black = Taken::new(levels.black, belts.black_px);
     let thin = belts.black_px < WIDE_PX;
-    let mut undo = |of_black: &Taken, outer: &Weighed, inner: &Weighed| {
+    let origin = (window.left, window.top + belts.top);
+    let mut found;
+    let mut turn = 0;
+    loop {
         if thin {
-            let first = (window.left, window.top + belts.top);
-            let ring = belts.whole.iter().zip(belts.white).map(|(whole, white)| whole & !white);
-            depths.measure((grey, ring, words), first, (outer, inner));
+            let sets = (grey, belts.whole, belts.white);
+            Depths::measure(simd, depths, sets, words, origin, (&outer, &inner));
         }
-        let levels = (of_black, &of_white, of_margin.as_ref());
-        unblur((outer, inner), levels, thin.then_some(&*depths))
-    };
-    let mut found = undo(&of_black, &outer, &inner);
-    for _ in 0..if thin { THIN_TURNS } else { 0 } {
+        let levels = (&of_black, &of_white, of_margin.as_ref());
+        found = unblur(simd, (&outer, &inner), levels, thin.then_some(&*depths));
+        if !thin || turn == THIN_TURNS {
+            break;
+        }
+        turn += 1;
         of_black.level = found.black;
         (outer, inner) = (zones.outer(simd, of_black.level)?, zones.inner(simd, of_black.level)?);
-        found = undo(&of_black, &outer, &inner);
     }
 
     check_levels(found.black, found.white, rules)?;

@@ -7,6 +7,9 @@
 //!
 //! The distance from the ellipse q(x) = 1, q(x)² = xᵀ M⁻¹ x, is (q - 1)/|∇q| to first order.
 
+use fearless_simd::Simd;
+use fearless_simd_macros::simd;
+
 use crate::marker::{blur::Weighed, patch::WORD_PX};
 
 /// h: how far from the middle pixels count, pixels.
@@ -34,19 +37,23 @@ pub(crate) struct Depths {
 }
 
 impl Depths {
-    /// Those that `sets` says of rows of the frame, the first of them `first.1`, its columns from
-    /// `first.0` on.
-    #[inline(always)]
-    pub fn measure(
-        &mut self,
-        (grey, sets, words): (&[[u8; WORD_PX]], impl Iterator<Item = u64>, usize),
+    /// Those of the whole roundel that are not the white disc, in rows of the frame, the first of them
+    /// `first.1`, its columns from `first.0` on.
+    #[simd]
+    pub fn measure<S: Simd>(
+        simd: S,
+        Self { depths }: &mut Self,
+        (grey, whole, white): (&[[u8; WORD_PX]], &[u64], &[u64]),
+        words: usize,
         first: (usize, usize),
         (outer, inner): (&Weighed, &Weighed),
     ) {
-        self.depths.clear();
+        let _ = simd;
+        depths.clear();
         let mut pixels = Depths16::default();
         let mut lane = 0;
-        for (at, (grey, mut bits)) in grey.iter().zip(sets).enumerate() {
+        for (at, (grey, (whole, white))) in grey.iter().zip(whole.iter().zip(white)).enumerate() {
+            let mut bits = whole & !white;
             let (row, word) = (at / words, at % words);
             while bits != 0 {
                 let column = bits.trailing_zeros() as usize;
@@ -57,14 +64,14 @@ impl Depths {
                 pixels.weight[lane] = 1.0;
                 lane += 1;
                 if lane == LANES {
-                    self.depths.push(pixels);
+                    depths.push(pixels);
                     (pixels, lane) = (Depths16::default(), 0);
                 }
             }
         }
-        self.depths.push(pixels);
+        depths.push(pixels);
         let (outer, inner) = (Rim::new(outer, first), Rim::new(inner, first));
-        for pixels in &mut self.depths {
+        for pixels in depths {
             for lane in 0..LANES {
                 let at = (pixels.outer_px[lane], pixels.inner_px[lane]);
                 let (outer_px, inner_px) = (-outer.distance_px(at), inner.distance_px(at));
@@ -78,12 +85,19 @@ impl Depths {
 
     /// B, if white has this level, the rims are further out by so much (outer, inner) and the blur has
     /// this deviation. Not a number without pixels.
-    #[inline(always)]
-    pub fn level(&self, white: f64, grown_px: (f64, f64), blur_px: f64) -> f64 {
+    #[simd]
+    pub fn level<S: Simd>(
+        simd: S,
+        Self { depths }: &Self,
+        white: f64,
+        grown_px: (f64, f64),
+        blur_px: f64,
+    ) -> f64 {
+        let _ = simd;
         let scale = (1.0 / blur_px) as f32;
         let (by_outer, by_inner) = (grown_px.0 as f32, -grown_px.1 as f32);
         let [mut weights, mut greys, mut mixed] = [[0.0f32; LANES]; 3];
-        for pixels in &self.depths {
+        for pixels in depths {
             for lane in 0..LANES {
                 let weight = pixels.weight[lane];
                 let share = tail((pixels.outer_px[lane] + by_outer) * scale)
@@ -93,8 +107,8 @@ impl Depths {
                 mixed[lane] += weight * share;
             }
         }
-        let [weights, greys, mixed] =
-            [weights, greys, mixed].map(|lanes| f64::from(lanes.iter().sum::<f32>()));
+        let sum = |lanes: &[f32; LANES]| f64::from(lanes.iter().sum::<f32>());
+        let (weights, greys, mixed) = (sum(&weights), sum(&greys), sum(&mixed));
         let mixed = (mixed / weights).min(MOST_MIXED);
         (greys / weights - mixed * white) / (1.0 - mixed)
     }
