@@ -1,4 +1,4 @@
-//! Time of the photometric fit by size of the roundel, from a start as a tracker has it:
+//! Time of the photometric fit by size of the roundel, round or elliptical, from a start as a tracker has it:
 //! `cargo bench -p roundel-core --bench fit`.
 
 #[path = "../tests/drawing/mod.rs"]
@@ -12,28 +12,28 @@ use nalgebra::Vector3;
 use roundel_core::{
     camera::{Camera, Intrinsics, Lens, PixelPoint},
     ellipse::{Ellipse, Shape, Symmetric2},
-    marker::{Kind, Ring},
+    marker::{Kind, Pattern, Ring},
     pose::{
         RimNoise, locate,
         photometry::{FitScratch, Start, fit},
     },
+    rigid::orientation_of_normal,
 };
 
 const SIDE: usize = 240;
 
-/// The ellipse with area, centre and second moments of a circle's image.
+/// The ellipse with area, centre and second moments of an ellipse's image; its axes are those of the yaw 0.
 fn image_of(
     camera: &Camera,
     position_m: &Vector3<f64>,
     normal: &Vector3<f64>,
-    radius_m: f64,
+    radii_m: [f64; 2],
 ) -> Ellipse {
     const POINTS: usize = 400;
-    let a = normal.cross(&Vector3::y()).normalize();
-    let b = normal.cross(&a);
+    let turn = orientation_of_normal(normal);
     let at = |i: usize| {
         let (sin, cos) = (std::f64::consts::TAU * i as f64 / POINTS as f64).sin_cos();
-        let point = position_m + (a * cos + b * sin) * radius_m;
+        let point = position_m + turn * Vector3::new(cos * radii_m[0], sin * radii_m[1], 0.0);
         camera.project(&point).expect("it is in front of the camera")
     };
     let middle = camera.project(position_m).expect("it is in front of the camera");
@@ -58,7 +58,9 @@ fn image_of(
 }
 
 fn fits(criterion: &mut Criterion) {
-    let kind = Kind::plain("robot", 0.16, 0.064);
+    let plain = Kind::plain("robot", 0.16, 0.064);
+    let pattern = Pattern::Elliptical { minor_diameter_m: 0.064 };
+    let elliptical = Kind { pattern, ..Kind::plain("robot", 0.16, 0.096) };
     let camera = Camera::new(Intrinsics {
         width: SIDE,
         height: SIDE,
@@ -69,29 +71,35 @@ fn fits(criterion: &mut Criterion) {
         lens: Lens::PlumbBob([-0.08, 0.02, 0.0003, -0.0004, 0.0]),
     })
     .expect("the intrinsics above are valid");
-    for diameter_px in [15.0, 30.0, 60.0, 110.0] {
+    let sizes = [15.0, 30.0, 60.0, 110.0].map(|diameter_px| ("", &plain, diameter_px));
+    let others = [30.0, 60.0].map(|diameter_px| ("elliptical ", &elliptical, diameter_px));
+    for (name, kind, diameter_px) in sizes.into_iter().chain(others) {
         let (outer_m, inner_m) = (0.5 * kind.outer_diameter_m, 0.5 * kind.inner_diameter_m);
+        let minor_m = match kind.pattern {
+            Pattern::Elliptical { minor_diameter_m } => 0.5 * minor_diameter_m,
+            _ => inner_m,
+        };
         let position_m = Vector3::new(-0.001, 0.002, 1.0) * (2.0 * outer_m * 1100.0 / diameter_px);
         let normal = Vector3::new(0.5, -0.33, -0.8).normalize();
         let [outer, inner] =
-            [outer_m, inner_m].map(|radius_m| image_of(&camera, &position_m, &normal, radius_m));
+            [[outer_m; 2], [inner_m, minor_m]].map(|m| image_of(&camera, &position_m, &normal, m));
         let mut drawing = Drawing::new(SIDE, SIDE, 200.0, 0.7);
         drawing.add_disc(&outer, -160.0);
         drawing.add_disc(&inner, 160.0);
         let pixels = drawing.picture(2.0, 7);
         let frame = frame(&pixels, SIDE);
         let ring = Ring { black: 40.0, white: 200.0, ..Ring::of_rims(outer, inner) };
-        let mut pose = locate(&camera, &kind, &ring, &RimNoise::default()).expect("its rims");
+        let mut pose = locate(&camera, kind, &ring, &RimNoise::default()).expect("its rims");
         // As a tracker knows it.
         if pose.other_normal.dot(&normal) > pose.normal.dot(&normal) {
             pose.normal = pose.other_normal;
         }
         let mut scratch = FitScratch::default();
         let mut start = Start { pose, blur_px: 0.7 };
-        let first = fit(&frame, &camera, &kind, &ring, &start, &mut scratch).expect("it is drawn");
+        let first = fit(&frame, &camera, kind, &ring, &start, &mut scratch).expect("it is drawn");
         start.blur_px = first.blur_px;
-        criterion.bench_function(&format!("fit/{diameter_px} px"), |bencher| {
-            bencher.iter(|| fit(&frame, &camera, &kind, &ring, black_box(&start), &mut scratch));
+        criterion.bench_function(&format!("fit/{name}{diameter_px} px"), |bencher| {
+            bencher.iter(|| fit(&frame, &camera, kind, &ring, black_box(&start), &mut scratch));
         });
     }
 }
