@@ -44,15 +44,15 @@ pub fn glance(
     scratch: &mut FitScratch,
 ) -> Option<Glance> {
     let mirrored = state.mirrored();
-    let mut linear = known.mirrored(state);
-    let found = step(&mirrored, &mut linear, noise2)?;
+    let linear = known.mirrored(state);
+    let found = step(&mirrored, &linear, noise2)?;
     if is_linear(state, known) || found.misfit > known.misfit + EXCLUDED * noise2 {
         return Some(found);
     }
     let mut linear = linearize(problem, &mirrored, Some(&linear), scratch).ok()?;
     turn_round(&mut linear.gradient);
     // A step so far from where the information holds says which place is nearer, and no more.
-    let found = step(&mirrored, &mut linear, noise2)?;
+    let found = step(&mirrored, &linear, noise2)?;
     Some(Glance { state: mirrored, ..found })
 }
 
@@ -63,7 +63,7 @@ pub fn is_linear(state: &State, known: &Linear) -> bool {
 }
 
 /// One step from the mirrored place, with the information of the other, whose turns the gradient's are.
-fn step(mirrored: &State, linear: &mut Linear, noise2: f64) -> Option<Glance> {
+fn step(mirrored: &State, linear: &Linear, noise2: f64) -> Option<Glance> {
     let mut change = linear.step(mirrored, noise2, 0.0)?;
     let gain: f64 = change.iter().zip(&linear.gradient).map(|(x, g)| x * g).sum();
     turn_round(&mut change);
@@ -90,7 +90,6 @@ impl Linear {
             *gradient += grown[i] * (with_residual - own) - with_unknowns[i];
         }
         other.misfit += own - 2.0 * with_residual;
-        other.forget_factor();
         other
     }
 }

@@ -12,8 +12,8 @@ pub const MOST: usize = COLUMNS - 1;
 pub struct Factor {
     size: usize,
     scale: [f64; MOST],
-    /// Lower triangle; on the diagonal its inverse.
-    lower: [[f64; MOST]; MOST],
+    /// Upper triangle; on the diagonal its inverse, below it what is left of the elimination.
+    upper: [[f64; MOST]; MOST],
 }
 
 impl Factor {
@@ -26,34 +26,44 @@ impl Factor {
             }
             scale[i] = 1.0 / matrix[i][i].sqrt();
         }
-        let mut lower = [[0.0; MOST]; MOST];
-        for i in 0..size {
-            for j in 0..=i {
-                let known: f64 = lower[i][..j].iter().zip(&lower[j][..j]).map(|(a, b)| a * b).sum();
-                let rest = matrix[i][j] * scale[i] * scale[j] - known;
-                if i > j {
-                    lower[i][j] = rest * lower[j][j];
-                } else if rest > 1e-12 {
-                    lower[i][i] = 1.0 / rest.sqrt();
-                } else {
-                    return None;
-                }
+        let mut upper = *matrix;
+        for (row, by) in upper.iter_mut().zip(scale) {
+            for (value, scale) in row.iter_mut().zip(scale) {
+                *value *= by * scale;
             }
         }
-        Some(Self { size, scale, lower })
+        for j in 0..size {
+            if upper[j][j].is_nan() || upper[j][j] <= 1e-12 {
+                return None;
+            }
+            let inverse = 1.0 / upper[j][j].sqrt();
+            let row = upper[j].map(|value| value * inverse);
+            // Whole rows, of one length, go into vectors; what comes below the diagonal is not read.
+            for (below, by) in upper.iter_mut().zip(row).take(size).skip(j + 1) {
+                for (value, other) in below.iter_mut().zip(row) {
+                    *value -= by * other;
+                }
+            }
+            upper[j] = row;
+            upper[j][j] = inverse;
+        }
+        Some(Self { size, scale, upper })
     }
 
     /// The solution of matrix · x = right.
     pub fn solve(&self, right: &[f64; MOST]) -> [f64; MOST] {
-        let mut x = [0.0; MOST];
-        for i in 0..self.size {
-            let known: f64 = self.lower[i][..i].iter().zip(&x[..i]).map(|(a, b)| a * b).sum();
-            x[i] = (right[i] * self.scale[i] - known) * self.lower[i][i];
+        let mut x: [f64; MOST] = std::array::from_fn(|i| right[i] * self.scale[i]);
+        for j in 0..self.size {
+            x[j] *= self.upper[j][j];
+            let by = x[j];
+            for (value, above) in x.iter_mut().zip(&self.upper[j]).skip(j + 1) {
+                *value -= by * above;
+            }
         }
         for i in (0..self.size).rev() {
-            let below = self.lower[i + 1..self.size].iter().zip(&x[i + 1..self.size]);
-            let known: f64 = below.map(|(row, value)| row[i] * value).sum();
-            x[i] = (x[i] - known) * self.lower[i][i];
+            let beyond = self.upper[i][i + 1..self.size].iter().zip(&x[i + 1..self.size]);
+            let known: f64 = beyond.map(|(factor, value)| factor * value).sum();
+            x[i] = (x[i] - known) * self.upper[i][i];
         }
         for (value, scale) in x.iter_mut().zip(self.scale) {
             *value *= scale;
@@ -67,13 +77,14 @@ impl Factor {
         // Lower triangle of the inverse of the factor's corner.
         let mut inverse = SMatrix::<f64, COUNT, COUNT>::zeros();
         for column in 0..COUNT {
-            let diagonal = self.lower[first + column][first + column];
+            let diagonal = self.upper[first + column][first + column];
             inverse[(column, column)] = diagonal;
             for row in column + 1..COUNT {
-                let lower = &self.lower[first + row];
-                let known: f64 =
-                    (column..row).map(|k| lower[first + k] * inverse[(k, column)]).sum();
-                inverse[(row, column)] = -known * lower[first + row];
+                let place = first + row;
+                let known: f64 = (column..row)
+                    .map(|k| self.upper[first + k][place] * inverse[(k, column)])
+                    .sum();
+                inverse[(row, column)] = -known * self.upper[place][place];
             }
         }
         let mut product = inverse.transpose() * inverse;

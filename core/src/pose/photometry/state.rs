@@ -77,8 +77,6 @@ pub struct Linear {
     pub mirror: ([f64; MOST], f64, f64),
     /// How far the mirrored place moves the outer rim, pixels.
     pub apart_px: f64,
-    /// The factor of the information for a step without damping.
-    kept: Option<Factor>,
     /// Whether the information is that of an earlier state.
     reused: bool,
     /// Information of a move of both rims.
@@ -412,7 +410,6 @@ impl Linear {
                 products[(0, MIRROR)] * step,
                 products[(MIRROR, MIRROR)] * step * step,
             ),
-            kept: None,
             apart_px: 2.0 * radius_px * model.nearness[1].hypot(model.nearness[2]) as f64,
             pixels: products[(column::WHITE, column::WHITE)],
             together: 1.0,
@@ -474,12 +471,6 @@ impl Linear {
         self.information[unknown][unknown] = 1.0;
         self.gradient[unknown] = 0.0;
         self.mirror.0[unknown] = 0.0;
-        self.forget_factor();
-    }
-
-    /// To be called where the information changes.
-    pub fn forget_factor(&mut self) {
-        self.kept = None;
     }
 
     pub fn noise2(&self) -> f64 {
@@ -521,15 +512,9 @@ impl Linear {
     }
 
     /// A step, damped or not.
-    pub fn step(&mut self, state: &State, noise2: f64, damping: f64) -> Option<[f64; MOST]> {
-        // What is known beforehand is little, and hardly changes: the factor serves again.
-        if let Some(factor) = self.kept.as_ref().filter(|_| damping == 0.0) {
-            return Some(factor.solve(&self.with_prior(state, noise2).1));
-        }
+    pub fn step(&self, state: &State, noise2: f64, damping: f64) -> Option<[f64; MOST]> {
         let (factor, gradient) = self.factor(state, noise2, damping)?;
-        let change = factor.solve(&gradient);
-        self.kept = (damping == 0.0).then_some(factor);
-        Some(change)
+        Some(factor.solve(&gradient))
     }
 
     /// Information, over that of one grey level, about the tilt about either axis.
