@@ -9,10 +9,10 @@ use std::{
 
 use roundel_core::{
     ellipse::Ellipse,
-    marker::{Detector, Kind, Params, Ring, Scratch, Tracker},
+    marker::{Detector, Kind, Params, Polarity, Ring, Scratch, Tracker},
 };
 use roundel_server::image_file;
-use roundel_tests::{python::Python, shared_data::shared_data};
+use roundel_tests::{elliptical, python::Python, shared_data::shared_data};
 use serde::Deserialize;
 
 /// What Python makes is kept here.
@@ -149,17 +149,26 @@ fn the_whole_video_is_one_track() {
 }
 
 /// Nothing is found in any of these pictures by a detector that takes any ring, nor by ones that know
-/// a print.
+/// a print, also where discs may be elliptical.
 fn check_empty(paths: &[PathBuf]) {
+    let kinds = elliptical::kinds(Polarity::BlackRing);
+    let of_kinds = |kinds: &[Kind]| Detector::new(kinds.to_vec(), Params::default()).unwrap();
+    let beside_plain = [kinds[0].clone(), Kind::plain("small disc", 0.16, 0.064)];
+    let detectors = [
+        ("any", detector(None)),
+        ("0.357", detector(Some(0.357))),
+        ("0.5", detector(Some(0.5))),
+        ("0.593", detector(Some(0.593))),
+        ("elliptical and plain", of_kinds(&beside_plain)),
+        ("all elliptical", of_kinds(&kinds)),
+    ];
     let mut scratch = Scratch::default();
     let mut found = Vec::new();
     for path in paths {
         let image = image_file::load(path).unwrap();
-        for ratio in [None, Some(0.357), Some(0.5), Some(0.593)] {
-            let rings = detector(ratio).detect(&image.frame().unwrap(), &mut scratch).to_vec();
-            found.extend(
-                rings.iter().map(|ring| format!("{}: {ratio:?}: {ring:?}", path.display())),
-            );
+        for (kinds, detector) in &detectors {
+            let rings = detector.detect(&image.frame().unwrap(), &mut scratch).to_vec();
+            found.extend(rings.iter().map(|ring| format!("{}: {kinds}: {ring:?}", path.display())));
         }
     }
     assert!(found.is_empty(), "{}", found.join("\n"));

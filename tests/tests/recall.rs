@@ -2,9 +2,13 @@
 //! what `cargo run -p roundel-tests --bin recall` prints.
 
 use rayon::prelude::*;
-use roundel_core::marker::Scratch;
+use roundel_core::{
+    id::KindId,
+    marker::{Detector, Kind, Params, Polarity, Scratch},
+};
 use roundel_tests::{
     clutter::Clutter,
+    elliptical,
     recall::{Plan, Range, Scenes},
 };
 
@@ -44,4 +48,27 @@ fn a_junk_room_holds_no_roundel() {
         let outcome = scene.judge(&scene.detector(false), &mut Scratch::default());
         assert!(outcome.ghosts.is_empty(), "frame {seed}: false {:?}", outcome.ghosts);
     });
+}
+
+/// Beside a kind with an elliptical disc, 0.6 by 0.4 of the outer diameter, a plain one is told as
+/// strictly. The junk has rings with elliptical discs of 0.7 by 0.3: of these only small ones are taken
+/// for the kind, and few.
+#[test]
+fn a_junk_room_holds_next_to_no_roundel_with_an_elliptical_disc() {
+    let kinds = [
+        elliptical::kinds(Polarity::BlackRing).swap_remove(0),
+        Kind::plain("small disc", 0.16, 0.064),
+    ];
+    let detector = Detector::new(kinds.to_vec(), Params::default()).unwrap();
+    let found = |seed| {
+        let scene = Plan::empty(Clutter::JUNK, seed).render();
+        let ghosts = scene.judge(&detector, &mut Scratch::default()).ghosts;
+        for ring in &ghosts {
+            assert_eq!(ring.kind, Some(KindId(0)), "frame {seed}: {ring:?}");
+            assert!(ring.inner.semi_minor_px < 4.0, "frame {seed}: {ring:?}");
+        }
+        ghosts.len()
+    };
+    let count: usize = (0..24u64).into_par_iter().map(found).sum();
+    assert!(count <= 15, "{count} false");
 }

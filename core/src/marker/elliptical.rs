@@ -11,6 +11,19 @@
 //! p/q, with the rims moved back, tells how elliptical the disc is. A plain kind has p/q = 1. A kind is
 //! that whose t and quotient are nearest, both in pixels of the disc's rim, and near enough.
 //!
+//! With the kind's quotient k, the disc's longer axis is off by the share e = ½ ln(p/q / k) one way and
+//! the shorter one by as much the other way. Noise and blur are of the shorter axis, so kinds are
+//! compared by e in pixels of it. But whether it is any of them is seen better in pixels of the longer
+//! axis: a wrong disc is off the more the larger it is, a blurred one only where it is small. Blur
+//! narrows a thin disc, so one that is rounder than its kind is given half as much. Where rims are off
+//! in part, an uneven outline (u, a share of the contrast) tells print from roundels, as in
+//! [`crate::marker::stroke`]:
+//!
+//!   (e a / 0.4 px)² + (u / 0.06)² ≤ 1.45²,   0.2 px for e < 0,
+//!
+//! asked of discs that are newly found and whose shorter semiaxis is up to 8 px. A ring of a plain kind
+//! must pass the test of similarity as where there are plain kinds alone.
+//!
 //! Seen small, kinds are told apart only as far as their rims differ by more than some tenths of a
 //! pixel. `tests/elliptical.rs` of the tests crate judges recall and kinds.
 
@@ -18,46 +31,76 @@ use crate::{
     ellipse::Ellipse,
     id::KindId,
     marker::{
+        Ring,
         kind::{Kind, Pattern, Polarity, shift_limit_px},
+        reject::Reject,
         rim::{compensated, rim_shift_px},
+        stroke,
     },
 };
 
 /// A disc whose shorter diameter is more than this of its longer one is no ellipse to a camera.
 pub const AXIS_RATIO_LIMIT: f64 = 0.9;
 
-/// How far the disc's rim may be off the kind's by its quotient of axes: pixels, and a share of the
-/// disc's shorter semiaxis, which perspective takes.
-const QUOTIENT_LIMIT: (f64, f64) = (0.4, 0.04);
+/// How far the disc's rim may be off the kind's by its quotient of axes: pixels of the longer semiaxis,
+/// and a share of it, which perspective takes …
+const QUOTIENT_LIMIT: (f64, f64) = (0.6, 0.04);
+/// … in full where the outer rim's longer semiaxis is of so many pixels, less as the square below.
+const PERSPECTIVE_PX: f64 = 40.0;
+/// The same of a small disc that is newly found, in what it is measured together with unevenness; the
+/// first where the disc is rounder than its kind.
+const SCALES_PX: (f64, f64) = (0.2, 0.4);
 
-/// As [`crate::marker::kind::nearest_kind`], among plain kinds and those with elliptical discs.
+/// As [`crate::marker::kind::nearest_kind`], among plain kinds, if the rims are similar, and those with
+/// elliptical discs.
 pub(crate) fn nearest_kind(
     kinds: &[Kind],
     polarity: Polarity,
-    outer: &Ellipse,
-    inner: &Ellipse,
+    similar: bool,
+    (outer, inner): (&Ellipse, &Ellipse),
 ) -> Option<(KindId, Ellipse, Ellipse)> {
     let limit_px = shift_limit_px(outer);
     let mut best: Option<(f64, (KindId, Ellipse, Ellipse))> = None;
-    let has_disc = |kind: &Kind| !matches!(kind.pattern, Pattern::Coded(_));
+    let may_be = |kind: &Kind| match kind.pattern {
+        Pattern::Plain => similar,
+        Pattern::Elliptical { .. } => true,
+        Pattern::Coded(_) => false,
+    };
     for (index, kind) in kinds.iter().enumerate() {
-        if kind.polarity != polarity || !has_disc(kind) {
+        if kind.polarity != polarity || !may_be(kind) {
             continue;
         }
-        let (least, most) = kind.ratios();
         let Some(shift_px) = rim_shift_px(outer, inner, kind.mean_ratio()) else { continue };
         let Some((outer, inner)) = compensated(outer, inner, shift_px) else { continue };
-        let off_px = 0.5 * inner.semi_minor_px * (quotient(&outer, &inner) * least / most).ln();
-        let most_off_px = QUOTIENT_LIMIT.0 + QUOTIENT_LIMIT.1 * inner.semi_minor_px;
-        if shift_px.abs() > limit_px || off_px.abs() > most_off_px {
+        let off = off_share(kind, &outer, &inner);
+        let perspective = (outer.semi_major_px / PERSPECTIVE_PX).min(1.0).powi(2);
+        let most_px = QUOTIENT_LIMIT.0 + QUOTIENT_LIMIT.1 * perspective * inner.semi_major_px;
+        if shift_px.abs() > limit_px || off.abs() * inner.semi_major_px > most_px {
             continue;
         }
-        let distance_px = shift_px.hypot(off_px);
+        let distance_px = shift_px.hypot(off * inner.semi_minor_px);
         if best.is_none_or(|(known_px, _)| distance_px < known_px) {
             best = Some((distance_px, (KindId(index as u16), outer, inner)));
         }
     }
     best.map(|(_, found)| found)
+}
+
+/// That a newly found ring of a kind with an elliptical disc is no print.
+pub(crate) fn check_disc(ring: &Ring, kind: &Kind) -> Result<(), Reject> {
+    let Ring { outer, inner, unevenness, .. } = ring;
+    if inner.semi_minor_px > stroke::SMALL_PX {
+        return Ok(());
+    }
+    let off_px = off_share(kind, outer, inner) * inner.semi_major_px;
+    let scale_px = if off_px < 0.0 { SCALES_PX.0 } else { SCALES_PX.1 };
+    stroke::check_both(off_px / scale_px, *unevenness)
+}
+
+/// The share e by which the disc's longer axis is off the kind's, by the quotient of axes.
+fn off_share(kind: &Kind, outer: &Ellipse, inner: &Ellipse) -> f64 {
+    let (least, most) = kind.ratios();
+    0.5 * (quotient(outer, inner) * least / most).ln()
 }
 
 /// p/q, the disc's longer axis over the shorter one on the print.
@@ -122,14 +165,14 @@ mod tests {
             let (least, most) = kinds[drawn].ratios();
             let tilt = (cos_tilt, about_rad);
             let (outer, inner) = rims(radius_px, (most, least), turn_rad, tilt, shift_px);
-            let found = nearest_kind(&kinds, Polarity::BlackRing, &outer, &inner);
+            let found = nearest_kind(&kinds, Polarity::BlackRing, true, (&outer, &inner));
             let (found, _, inner) = found.unwrap();
             prop_assert_eq!(found, KindId(drawn as u16));
             let (_, exact) = rims(radius_px, (most, least), turn_rad, tilt, 0.0);
             // A shift of both axes is no shift of an ellipse that is no circle's: little is left.
             prop_assert!((inner.semi_major_px - exact.semi_major_px).abs() < 0.05);
             let alone = [kinds[drawn].clone()];
-            let white = nearest_kind(&alone, Polarity::WhiteRing, &outer, &inner);
+            let white = nearest_kind(&alone, Polarity::WhiteRing, true, (&outer, &inner));
             prop_assert!(white.is_none());
         }
     }
@@ -138,6 +181,32 @@ mod tests {
     fn a_disc_that_is_no_kinds_is_refused() {
         let kinds = [Kind::plain("", 1.0, 0.5)];
         let (outer, inner) = rims(30.0, (0.65, 0.385), 0.4, (0.8, 0.3), 0.0);
-        assert!(nearest_kind(&kinds, Polarity::BlackRing, &outer, &inner).is_none());
+        assert!(nearest_kind(&kinds, Polarity::BlackRing, true, (&outer, &inner)).is_none());
+    }
+
+    #[test]
+    fn a_plain_kind_needs_similar_rims() {
+        let kinds = [Kind::plain("", 1.0, 0.5)];
+        let (outer, inner) = rims(8.0, (0.5, 0.5), 0.4, (0.8, 0.3), 0.0);
+        let found = |similar| {
+            nearest_kind(&kinds, Polarity::BlackRing, similar, (&outer, &inner)).is_some()
+        };
+        assert!(found(true) && !found(false));
+    }
+
+    #[test]
+    fn small_discs_that_are_off_or_uneven_are_refused() {
+        let pattern = Pattern::Elliptical { minor_diameter_m: 0.4 };
+        let kind = Kind { pattern, ..Kind::plain("", 1.0, 0.6) };
+        let verdict = |(p, q), unevenness| {
+            let (outer, inner) = rims(7.0, (p, q), 0.4, (0.9, 0.3), 0.0);
+            check_disc(&Ring { unevenness, ..Ring::of_rims(outer, inner) }, &kind)
+        };
+        assert_eq!(verdict((0.6, 0.4), 0.06), Ok(()));
+        assert_eq!(verdict((0.64, 0.375), 0.03), Ok(()));
+        assert_eq!(verdict((0.64, 0.375), 0.08), Err(Reject::Similarity));
+        assert_eq!(verdict((0.56, 0.43), 0.03), Err(Reject::Similarity));
+        assert_eq!(verdict((0.7, 0.34), 0.02), Err(Reject::Similarity));
+        assert_eq!(verdict((0.6, 0.4), 0.1), Err(Reject::Similarity));
     }
 }

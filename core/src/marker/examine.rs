@@ -50,7 +50,8 @@ const LEVEL_TOLERANCE: (f64, f64) = (0.1, 10.0);
 pub(crate) struct Rules {
     /// Smallest and largest ratio of inner to outer diameter.
     pub ratios: (f64, f64),
-    /// Whether disc and ring have the same shape; where a kind's disc is elliptical they need not.
+    /// Whether disc and ring must have the same shape; where a kind's disc is elliptical, those of plain
+    /// kinds must.
     pub similar: bool,
     /// Smallest shorter semiaxis of the outer rim, pixels.
     pub min_semi_minor_px: f64,
@@ -129,12 +130,13 @@ pub(crate) fn check_boxes(
     if (filled - 1.0).abs() > white.box_tolerance() { Err(Reject::WhiteBox) } else { Ok(()) }
 }
 
-/// Tests of the shapes: size, tilt, concentricity, eq. (5), similarity.
+/// Tests of the shapes: size, tilt, concentricity, eq. (5), similarity. Whether both shapes are similar,
+/// where they need not be.
 pub(crate) fn check_shapes(
     (outer, outer_rim): (&Shape, &Ellipse),
     (inner, inner_rim): (&Shape, &Ellipse),
     rules: &Rules,
-) -> Result<(), Reject> {
+) -> Result<bool, Reject> {
     if outer_rim.semi_minor_px < rules.min_semi_minor_px {
         return Err(Reject::TooSmall);
     }
@@ -151,7 +153,8 @@ pub(crate) fn check_shapes(
             return Err(Reject::Roundness);
         }
     }
-    if rules.similar { check_similarity((outer, outer_rim), (inner, inner_rim)) } else { Ok(()) }
+    let similar = are_similar((outer, outer_rim), (inner, inner_rim));
+    if rules.similar && !similar { Err(Reject::Similarity) } else { Ok(similar) }
 }
 
 /// Levels without the blur are those of some light: what fits no ring's model has others.
@@ -191,10 +194,10 @@ fn check_centers(
 }
 
 /// Both rims are images of circles in one plane, so their shapes are the same but for perspective.
-fn check_similarity(
+fn are_similar(
     (outer, outer_rim): (&Shape, &Ellipse),
     (inner, inner_rim): (&Shape, &Ellipse),
-) -> Result<(), Reject> {
+) -> bool {
     let (o, i) = (outer.matrix_of(outer_rim), inner.matrix_of(inner_rim));
     // Of determinant 1.
     let of = 1.0 / (outer_rim.semi_major_px * outer_rim.semi_minor_px);
@@ -205,11 +208,7 @@ fn check_similarity(
     let flat = outer_rim.semi_major_px / outer_rim.semi_minor_px;
     let (share, rim_px) = SIMILARITY_TOLERANCE;
     let tolerance = (share + rim_px / inner_rim.semi_minor_px) * flat;
-    if along * along + askew * askew > tolerance * tolerance {
-        Err(Reject::Similarity)
-    } else {
-        Ok(())
-    }
+    along * along + askew * askew <= tolerance * tolerance
 }
 
 #[cfg(test)]

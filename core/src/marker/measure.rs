@@ -94,6 +94,8 @@ impl Default for MeasureScratch {
 struct Outline {
     /// As in [`Ring`].
     unevenness: f64,
+    /// Both rims have the same shape.
+    similar: bool,
     /// Only what lies inside of the threshold's edge was weighed.
     cut: bool,
 }
@@ -143,7 +145,7 @@ fn measure_with<S: Simd>(
             found
         }
     };
-    let (Unblurred { outer, inner, black, white }, Outline { unevenness, .. }) = found;
+    let (Unblurred { outer, inner, black, white }, Outline { unevenness, similar, .. }) = found;
     let (kind, outer, inner) = if kinds.is_empty() {
         let ratio = inner.mean_radius_px() / outer.mean_radius_px();
         if ratio < RATIO_LIMITS.0 || ratio > RATIO_LIMITS.1 {
@@ -151,9 +153,12 @@ fn measure_with<S: Simd>(
         }
         (None, outer, inner)
     } else {
-        let nearest = if rules.similar { nearest_kind } else { elliptical::nearest_kind };
-        let (kind, outer, inner) =
-            nearest(kinds, probe.polarity, &outer, &inner).ok_or(Reject::Kind)?;
+        let nearest = if rules.similar {
+            nearest_kind(kinds, probe.polarity, &outer, &inner)
+        } else {
+            elliptical::nearest_kind(kinds, probe.polarity, similar, (&outer, &inner))
+        };
+        let (kind, outer, inner) = nearest.ok_or(Reject::Kind)?;
         (Some(kind), outer, inner)
     };
     let ring = Ring { kind, threshold, black, white, unevenness, ..Ring::of_rims(outer, inner) };
@@ -328,7 +333,7 @@ fn weigh<S: Simd>(
     if let Some((of_ring, of_disc)) = places.counted {
         check_boxes((of_ring, &outer.shape), (of_disc, &inner.shape), rules)?;
     }
-    check_shapes((&outer.shape, &outer.rim), (&inner.shape, &inner.rim), rules)?;
+    let similar = check_shapes((&outer.shape, &outer.rim), (&inner.shape, &inner.rim), rules)?;
     let matrix = outer.shape.matrix_of(&outer.rim);
     check_edge(frame, outer.shape.center, &matrix)?;
     let unevenness = unevenness(simd, patch, outer.shape.center, &matrix, contrast)?;
@@ -340,7 +345,7 @@ fn weigh<S: Simd>(
             rim.center.v -= moved.v;
         }
     }
-    Ok((found, Outline { unevenness, cut }))
+    Ok((found, Outline { unevenness, similar, cut }))
 }
 
 /// Rows of the belts, and columns, that a segment and the belt round it lie in.

@@ -14,6 +14,7 @@ use crate::{
         cross::{Candidate, CrossRules, cross},
         detector::{Detector, Scratch},
         edge::{ROW_STEP, RowEdges},
+        elliptical::check_disc,
         examine::{Probe, Rules},
         harmonic::check_rims,
         kind::{Kind, Pattern, Polarity},
@@ -187,22 +188,22 @@ impl Detector {
             expected: None,
         };
         let ring = self.measure(frame, &probe, &mut scratch.measure)?;
-        let pattern = self.pattern_of(&ring);
+        let pattern = self.kind_of(&ring).map_or(Pattern::Plain, |kind| kind.pattern);
         let smooth = !matches!(pattern, Pattern::Coded(_));
         check_rims(frame, &ring, smooth)?;
         if smooth {
             check_middle(frame, &ring)?;
         }
-        if pattern == Pattern::Plain {
-            check_stroke(&ring)?;
+        match (pattern, self.kind_of(&ring)) {
+            (Pattern::Elliptical { .. }, Some(kind)) => check_disc(&ring, kind)?,
+            (Pattern::Plain, _) => check_stroke(&ring)?,
+            _ => (),
         }
         let covered = scratch.claims.iter().any(|claim| claim.covers(&ring));
         if covered { Err(Reject::Claimed) } else { Ok(ring) }
     }
 
-    /// What a ring of its kind holds; one of no kind is plain.
-    fn pattern_of(&self, ring: &Ring) -> Pattern {
-        let kind = ring.kind.and_then(|kind| self.kinds().get(usize::from(kind.0)));
-        kind.map_or(Pattern::Plain, |kind| kind.pattern)
+    fn kind_of(&self, ring: &Ring) -> Option<&Kind> {
+        ring.kind.and_then(|kind| self.kinds().get(usize::from(kind.0)))
     }
 }

@@ -23,9 +23,11 @@ use crate::{
 };
 
 /// Discs with a longer shorter semiaxis are no small print, and perspective changes their shapes, pixels.
-const SMALL_PX: f64 = 8.0;
-/// What the difference of shapes and the unevenness are measured in.
-const SCALES: (f64, f64) = (0.3, 0.06);
+pub(crate) const SMALL_PX: f64 = 8.0;
+/// What the difference of shapes is measured in, pixels.
+const APART_PX: f64 = 0.3;
+/// What the unevenness is measured in.
+const UNEVEN: f64 = 0.06;
 /// Quotient of axes of a circle seen at 60°.
 const STEEP: f64 = 2.0;
 const LIMIT: f64 = 1.45;
@@ -39,12 +41,13 @@ pub(crate) fn check_stroke(ring: &Ring) -> Result<(), Reject> {
     let ((o, o_askew), (i, i_askew)) = (normalized(outer), normalized(inner));
     let flat = outer.semi_major_px / outer.semi_minor_px;
     let apart_px = (o - i).hypot(o_askew - i_askew) * inner.semi_minor_px / flat;
-    let scale_px = SCALES.0 * (STEEP / flat).min(1.0);
-    if (apart_px / scale_px).hypot(ring.unevenness / SCALES.1) > LIMIT {
-        Err(Reject::Similarity)
-    } else {
-        Ok(())
-    }
+    let scale_px = APART_PX * (STEEP / flat).min(1.0);
+    check_both(apart_px / scale_px, ring.unevenness)
+}
+
+/// That the difference of shapes, in its own scale, and the unevenness are not both too large.
+pub(crate) fn check_both(apart: f64, unevenness: f64) -> Result<(), Reject> {
+    if apart.hypot(unevenness / UNEVEN) > LIMIT { Err(Reject::Similarity) } else { Ok(()) }
 }
 
 /// The two free entries of an ellipse's matrix scaled to the determinant 1: half the difference of the
