@@ -70,5 +70,5 @@ fn a_junk_room_holds_next_to_no_roundel_with_an_elliptical_disc() {
         ghosts.len()
     };
     let count: usize = (0..24u64).into_par_iter().map(found).sum();
-    assert!(count <= 15, "{count} false");
+    assert!(count <= 20, "{count} false");
 }
