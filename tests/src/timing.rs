@@ -23,6 +23,9 @@ use crate::{
     render::{Canvas, Image, Imaging, Print, Renderer, Seen},
 };
 
+/// Focal length over the image's width, that of the reference installations: the same view on sensors
+/// of other sizes.
+const FOCAL: f64 = 1100.0 / 1920.0;
 /// Frames of one round of the circles.
 const FRAMES: usize = 8;
 /// Radius of the circles, pixels: the roundels move by 1.5 px a frame.
@@ -55,7 +58,7 @@ pub struct Times {
 /// Times in the [`MODES`].
 pub fn times(case: &Case, rounds: usize) -> [Times; 2] {
     let lens = Distortion::PlumbBob([-0.02, 0.0, 0.0, 0.0, 0.0]);
-    let camera = Pinhole::centered(case.width, case.height, 1100.0, lens);
+    let camera = Pinhole::centered(case.width, case.height, FOCAL * case.width as f64, lens);
     let images = pictures(case, &camera);
     let frames: Vec<_> = images
         .iter()

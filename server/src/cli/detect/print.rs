@@ -30,7 +30,7 @@ impl Print {
         let ellipse = |minor_diameter_m| Pattern::Elliptical { minor_diameter_m };
         let disc = minor_m.map_or(Pattern::Plain, ellipse);
         let pattern = self.code.map_or(disc, Pattern::Coded);
-        Some(Kind { pattern, polarity: self.polarity, ..Kind::plain("", outer_m, inner_m) })
+        Some(Kind { pattern, polarity: self.polarity, ..Kind::plain("as given", outer_m, inner_m) })
     }
 
     /// The kind that a ring's pose follows from; `None` if nothing says its size. Where the inner
