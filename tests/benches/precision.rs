@@ -8,7 +8,7 @@
 //! by more than two deviations of chance, `?` what misses it by less.
 
 use roundel_tests::precision::{
-    MODES, NARROW_MARGIN, Range, Shot, Summary, Trial, WIDE_MARGIN, trials,
+    MODES, NARROW_MARGIN, RATIO, Range, Shot, Summary, Trial, WIDE_MARGIN, trials,
 };
 
 const SIZES_PX: [(f64, f64); 4] = [(12.0, 20.0), (20.0, 30.0), (30.0, 50.0), (50.0, 110.0)];
@@ -41,7 +41,7 @@ fn drawn(count: usize, margin: f64) -> Vec<Trial> {
     for (cell, diameter_px) in SIZES_PX.into_iter().enumerate() {
         for (column, tilt_deg) in TILTS_DEG.into_iter().enumerate() {
             let (blur_px, noise) = ((0.5, 1.1), (1.0, 4.0));
-            let range = Range { diameter_px, tilt_deg, blur_px, noise, margin };
+            let range = Range { diameter_px, tilt_deg, blur_px, noise, margin, ratio: RATIO };
             all.extend(trials(&range, count, (10 * cell + column) as u64));
         }
     }

@@ -1,8 +1,8 @@
 //! Single roundels with known poses, seen by core through its public way, and their errors next to
 //! the Cramér-Rao bound.
 //!
-//! A [`Trial`] is one roundel (outer 160 mm, inner 64 mm, on a white sheet on a grey floor) before the reference camera (1920x1080, f = 1100 px, mild `plumb_bob`),
-//! at a random place of the image and a random place within its pixels. Two frames are taken: the
+//! A [`Trial`] is one roundel (outer 160 mm, on a white sheet on a grey floor) before the reference
+//! camera (1920x1080, f = 1100 px, mild `plumb_bob`), at a random place of the image and a random place within its pixels. Two frames are taken: the
 //! first is searched, and in the second, in which it has moved by about a pixel and turned by about a
 //! degree, it is followed. Blur, noise and pose are drawn at random within a [`Range`] and unknown to
 //! core. To save time, only the part of the image about the roundel is drawn: a camera read out in a
@@ -41,6 +41,9 @@ pub const WIDE_MARGIN: f64 = 1.0;
 /// A margin as prints have it: a small roundel's rim and the sheet's edge are blurred into each other.
 pub const NARROW_MARGIN: f64 = 0.25;
 
+/// Ratio of the diameters of most prints.
+pub const RATIO: f64 = 0.4;
+
 /// What trials are drawn from, evenly between both ends.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Range {
@@ -54,6 +57,8 @@ pub struct Range {
     pub noise: (f64, f64),
     /// The white margin, as a share of the outer diameter.
     pub margin: f64,
+    /// The white disc's diameter, as a share of the outer one.
+    pub ratio: f64,
 }
 
 /// One roundel in two frames.
@@ -152,7 +157,8 @@ fn trial(range: &Range, seed: u64, index: u64) -> Trial {
     let (diameter_px, tilt_deg) = (draw(range.diameter_px), draw(range.tilt_deg));
     let (blur_px, noise) = (draw(range.blur_px), draw(range.noise));
     let imaging = Imaging { blur_px, noise, ..Imaging::default() };
-    let kind = Kind::robot();
+    let robot = Kind::robot();
+    let kind = Kind { inner_diameter_m: range.ratio * robot.outer_diameter_m, ..robot };
     let print = Print::plain(kind.outer_diameter_m, kind.inner_diameter_m, range.margin);
 
     let distortion = Distortion::PlumbBob([-0.12, 0.03, 4e-4, -3e-4, 0.0]);

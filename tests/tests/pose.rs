@@ -7,7 +7,7 @@ use std::sync::LazyLock;
 
 use roundel_core::marker::Mode;
 use roundel_tests::precision::{
-    MODES, NARROW_MARGIN, Range, Shot, Summary, Trial, WIDE_MARGIN, trials,
+    MODES, NARROW_MARGIN, RATIO, Range, Shot, Summary, Trial, WIDE_MARGIN, trials,
 };
 
 /// Diameters, pixels, and the most that the depth's rms may be over its bound.
@@ -23,15 +23,15 @@ const PRECISE: usize = 1;
 /// A roundel narrower than this may be missed.
 const SURE_PX: f64 = 10.0;
 
-static WIDE: LazyLock<Vec<Trial>> = LazyLock::new(|| drawn(TRIALS, WIDE_MARGIN));
-static NARROW: LazyLock<Vec<Trial>> = LazyLock::new(|| drawn(TRIALS / 2, NARROW_MARGIN));
+static WIDE: LazyLock<Vec<Trial>> = LazyLock::new(|| drawn(TRIALS, WIDE_MARGIN, RATIO));
+static NARROW: LazyLock<Vec<Trial>> = LazyLock::new(|| drawn(TRIALS / 2, NARROW_MARGIN, RATIO));
 
-fn drawn(count: usize, margin: f64) -> Vec<Trial> {
+fn drawn(count: usize, margin: f64, ratio: f64) -> Vec<Trial> {
     let mut all = Vec::new();
     for (diameter_px, _) in SIZES {
         for tilt_deg in TILTS_DEG {
             let (blur_px, noise) = ((0.5, 1.1), (1.0, 4.0));
-            let range = Range { diameter_px, tilt_deg, blur_px, noise, margin };
+            let range = Range { diameter_px, tilt_deg, blur_px, noise, margin, ratio };
             all.extend(trials(&range, count, 77 + all.len() as u64));
         }
     }
@@ -117,6 +117,30 @@ fn either_mode_knows_its_errors_beside_a_narrow_margin() {
             assert!(share >= 0.92 - room(&summary), "{name:?}, {size:?}: {share}");
         }
     }
+}
+
+/// The wider the disc, the thinner the black, down to where both its rims' blurs meet. Coded prints have
+/// a ratio of 0.6.
+#[test]
+fn fast_positions_are_as_good_as_they_say_at_every_ratio() {
+    let mut thin: Vec<Trial> = Vec::new();
+    for ratio in [0.5, 0.6] {
+        let all = drawn(TRIALS, WIDE_MARGIN, ratio);
+        for (size, _) in SIZES {
+            let summary = chosen(&all, FAST, |trial| within(trial.diameter_px, size));
+            print(&format!("ratio {ratio}, {size:?} px"), &summary);
+            let share = summary.position_share();
+            assert!(share >= 0.92 - room(&summary), "ratio {ratio}, {size:?}: {share}");
+        }
+        let black_px = |trial: &Trial| {
+            0.5 * (1.0 - ratio) * trial.diameter_px * trial.tilt_deg.to_radians().cos()
+        };
+        thin.extend(all.into_iter().filter(|trial| within(black_px(trial), (2.5, 6.0))));
+    }
+    let summary = chosen(&thin, FAST, |_| true);
+    print("black of 2.5 to 6 px", &summary);
+    let share = summary.position_share();
+    assert!(within(share, (0.92, 0.98)), "{share}");
 }
 
 #[test]

@@ -50,8 +50,10 @@ pub fn locate(
     let radii_m = [outer_m, outer_m * kind.mean_ratio()];
     let (least, most) = kind.ratios();
     // The ends of the longer axis are washed out sooner than a circle's rim is.
-    let thin_px = ring.inner.semi_minor_px * (least / most).sqrt();
-    let noise = RingNoise { round_disc: false, ..noise.of_ring(ring, thin_px) };
+    let disc_px = ring.inner.semi_minor_px * (least / most).sqrt();
+    // There the black is narrowest, too.
+    let black_px = ring.outer.semi_minor_px * (1.0 - most);
+    let noise = RingNoise { round_disc: false, ..noise.of_ring(ring, disc_px, black_px) };
     let mut pose = dispatch!(Level::new(), simd => place(simd, camera, &round, radii_m, &noise))?;
     let rays = DiscRays::new(camera, &ring.inner)
         .map_err(|source| PoseError::Lens { rim: "inner", source })?;

@@ -214,7 +214,8 @@ fn tally(radius_px: f64, tilts_rad: std::ops::Range<f64>, runs: usize, noise: &R
             pose(&camera, pixel, distance_m, cos.acos(), random.random_range(-3.1..3.1));
         let exact = ring(&camera, &position_m, &normal);
         let mut draw = || -> f64 { StandardNormal.sample(&mut random) };
-        let of_ring = noise.of_ring(&exact, exact.inner.semi_minor_px);
+        let disc_px = exact.inner.semi_minor_px;
+        let of_ring = noise.of_ring(&exact, disc_px, exact.outer.semi_minor_px - disc_px);
         let outer = stray(&exact.outer, &of_ring, &mut draw);
         let inner = stray(&exact.inner, &of_ring, &mut draw);
         let found = Ring { outer, inner, ..exact };

@@ -1,6 +1,6 @@
 //! Errors of depth and normal next to the bound.
 
-use roundel_tests::precision::{Range, Summary, WIDE_MARGIN, trials};
+use roundel_tests::precision::{RATIO, Range, Summary, WIDE_MARGIN, trials};
 
 use crate::plot::{Curve, Panel, Style};
 
@@ -11,6 +11,7 @@ const USUAL: Range = Range {
     blur_px: (0.7, 0.7),
     noise: (2.0, 2.0),
     margin: WIDE_MARGIN,
+    ratio: RATIO,
 };
 
 /// Errors against size, tilt, blur and noise.
