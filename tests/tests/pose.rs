@@ -119,8 +119,8 @@ fn either_mode_knows_its_errors_beside_a_narrow_margin() {
     }
 }
 
-/// The wider the disc, the thinner the black, down to where both its rims' blurs meet. Coded prints have
-/// a ratio of 0.6.
+/// The wider the disc, the thinner the black, down to where both its rims' blurs meet, which a lens
+/// less sharp shows first. Coded prints have a ratio of 0.6.
 #[test]
 fn fast_positions_are_as_good_as_they_say_at_every_ratio() {
     let mut thin: Vec<Trial> = Vec::new();
@@ -135,12 +135,13 @@ fn fast_positions_are_as_good_as_they_say_at_every_ratio() {
         let black_px = |trial: &Trial| {
             0.5 * (1.0 - ratio) * trial.diameter_px * trial.tilt_deg.to_radians().cos()
         };
-        thin.extend(all.into_iter().filter(|trial| within(black_px(trial), (2.5, 6.0))));
+        let is_thin = |trial: &Trial| within(black_px(trial), (2.5, 6.0)) && trial.blur_px > 0.8;
+        thin.extend(all.into_iter().filter(is_thin));
     }
     let summary = chosen(&thin, FAST, |_| true);
-    print("black of 2.5 to 6 px", &summary);
+    print("black of 2.5 to 6 px, blur above 0.8 px", &summary);
     let share = summary.position_share();
-    assert!(within(share, (0.92, 0.98)), "{share}");
+    assert!(share >= 0.92 - room(&summary), "{share}");
 }
 
 #[test]
