@@ -75,12 +75,14 @@ impl Evenness {
         Self { share_per_px: PERSPECTIVE_SHARE / width as f64, ..self }
     }
 
+    #[inline]
     fn side_share_of(&self, total: f64) -> f64 {
         let most = MOST_SIDE_SHARE.max(self.side_share);
         (self.side_share + self.share_per_px * total).min(most)
     }
 
     /// Whether left black, white and right black of these widths can be a chord.
+    #[inline]
     pub fn allows(&self, left: f64, white: f64, right: f64) -> bool {
         let total = left + white + right;
         // All at once: a branch for each costs more than it saves.
@@ -91,6 +93,7 @@ impl Evenness {
 
     /// Most steps that an even chord goes on, where it has the ring's black and the white beyond it so
     /// many steps before.
+    #[inline]
     fn room_after(&self, (black, white): (i32, i32)) -> usize {
         let side = f64::from(white - black);
         let other = (side + SIDE_SLACK_PX) / (1.0 - self.side_share_of(4.0 * f64::from(white)));
@@ -99,6 +102,7 @@ impl Evenness {
     }
 
     /// Four times the middle of a chord, from twice the ends of its two black sides.
+    #[inline]
     pub fn middle(&self, left: (i32, i32), right: (i32, i32)) -> i32 {
         if self.outer_middle { left.0 + right.1 } else { left.1 + right.0 }
     }
@@ -113,14 +117,17 @@ pub(crate) struct Chord {
 }
 
 impl Chord {
+    #[inline]
     pub fn white_share(&self) -> f64 {
         f64::from(self.inner.1 - self.inner.0) / f64::from(self.outer.1 - self.outer.0)
     }
 
+    #[inline]
     pub fn half(&self) -> f64 {
         0.5 * f64::from(self.outer.1 - self.outer.0)
     }
 
+    #[inline]
     fn is_even(&self, evenness: &Evenness) -> bool {
         let width = |(from, to): (i32, i32)| f64::from(to - from);
         let left = width((self.outer.0, self.inner.0));
@@ -128,6 +135,7 @@ impl Chord {
     }
 
     /// Steps to the roundel's middle.
+    #[inline]
     pub fn middle(&self, evenness: &Evenness) -> isize {
         let (from, to) = if evenness.outer_middle { self.outer } else { self.inner };
         ((from + to - 1) >> 1) as isize
@@ -149,11 +157,13 @@ pub(crate) struct Binary<'a> {
 }
 
 impl Binary<'_> {
+    #[inline]
     fn is_white(&self, index: usize) -> bool {
         self.pixels[index] ^ self.flip >= self.threshold
     }
 
     /// The same for places that may lie outside, where nothing is white.
+    #[inline]
     pub fn is_white_at(&self, (u, v): (f64, f64)) -> bool {
         let (u, v) = (u.round(), v.round());
         let inside = u >= 0.0 && v >= 0.0 && u < self.width as f64 && v < self.height as f64;
@@ -161,6 +171,7 @@ impl Binary<'_> {
     }
 
     /// Steps from a white pixel to the first one of the ring's black, and on to the first white one.
+    #[inline]
     fn side(&self, from: usize, step: isize, room: usize) -> Option<(i32, i32)> {
         let mut at = from;
         let mut steps = 0;
