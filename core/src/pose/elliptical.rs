@@ -21,11 +21,9 @@
 //! 60 px wide at a focal length of 1,100 px and tilted by 60°. Judged by `tests/elliptical.rs` of the
 //! tests crate, in both modes.
 
-use fearless_simd::{Level, Simd, dispatch};
-use fearless_simd_macros::simd;
 use nalgebra::{Matrix2, UnitQuaternion, Vector2, Vector3};
 
-use super::{PoseError, RimNoise, RingNoise, RoundelPose, estimate, finish, rim, yaw};
+use super::{PoseError, RimNoise, RingNoise, RoundelPose, locate_round, rim, yaw};
 use crate::{
     camera::{Camera, PixelPoint},
     ellipse::{Ellipse, Symmetric2},
@@ -54,7 +52,7 @@ pub fn locate(
     // There the black is narrowest, too.
     let black_px = ring.outer.semi_minor_px * (1.0 - most);
     let noise = RingNoise { round_disc: false, ..noise.of_ring(ring, disc_px, black_px) };
-    let mut pose = dispatch!(Level::new(), simd => place(simd, camera, &round, radii_m, &noise))?;
+    let mut pose = locate_round(camera, &round, radii_m, &noise)?;
     let rays = DiscRays::new(camera, &ring.inner)
         .map_err(|source| PoseError::Lens { rim: "inner", source })?;
     let heading = rays.heading(&pose).ok_or(PoseError::NoCircle)?;
@@ -67,18 +65,6 @@ pub fn locate(
     pose.covariance =
         yaw::turned(&pose.covariance, &pose.normal, &still, &by_tilt, deviation_rad.powi(2));
     Ok(pose)
-}
-
-#[simd]
-fn place<S: Simd>(
-    simd: S,
-    camera: &Camera,
-    ring: &Ring,
-    radii_m: [f64; 2],
-    noise: &RingNoise,
-) -> Result<RoundelPose, PoseError> {
-    let _ = simd;
-    Ok(finish(&estimate(camera, ring, radii_m, noise)?))
 }
 
 /// The ring with the round disc of the same area; `None` if its rims are no ellipses.

@@ -244,10 +244,20 @@ pub fn locate(
     let radii_m = [0.5 * kind.outer_diameter_m, 0.5 * kind.inner_diameter_m];
     let disc_px = ring.inner.semi_minor_px;
     let noise = noise.of_ring(ring, disc_px, ring.outer.semi_minor_px - disc_px);
-    dispatch!(Level::new(), simd => locate_with(simd, camera, ring, radii_m, &noise))
+    locate_round(camera, ring, radii_m, &noise)
 }
 
-/// As [`locate`]; one body for all that the processor can do, in which the loops over a rim's points
+/// As [`locate`], of a disc that is round or taken for it.
+fn locate_round(
+    camera: &Camera,
+    ring: &Ring,
+    radii_m: [f64; 2],
+    noise: &RingNoise,
+) -> Result<RoundelPose, PoseError> {
+    dispatch!(Level::new(), simd => locate_with(simd, camera, ring, radii_m, noise))
+}
+
+/// As [`locate_round`]; one body for all that the processor can do, in which the loops over a rim's points
 /// become vector instructions.
 #[simd]
 fn locate_with<S: Simd>(

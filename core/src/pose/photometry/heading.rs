@@ -21,7 +21,8 @@ use nalgebra::Vector3;
 
 use super::{
     FitError, FitScratch, Placed,
-    state::{self, Problem, Solution, State},
+    solution::Solution,
+    state::{self, Problem, State},
 };
 use crate::rigid::UNKNOWN_ANGLE_VARIANCE_RAD2;
 

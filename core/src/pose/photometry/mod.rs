@@ -52,6 +52,7 @@ mod lens;
 mod mirror;
 mod normal;
 mod patches;
+mod solution;
 mod solve;
 mod state;
 #[cfg(test)]
@@ -79,7 +80,8 @@ use image::Window;
 use lens::{LocalLens, Plan};
 use mirror::{Glance, glance};
 use normal::Sums;
-use state::{Problem, Solution, State};
+use solution::Solution;
+use state::{Problem, State};
 use upright::{Leaning, Upright};
 use view::{Nodes, Place};
 
@@ -365,7 +367,8 @@ fn finish(problem: &Problem, ring: &Ring, placed: &Placed, scratch: &mut FitScra
         yaw_symmetry: if is_plain { 1 } else { 2 },
         covariance,
     };
-    let (outer, inner) = state::rims(problem, state, scratch).unwrap_or((ring.outer, ring.inner));
+    let (outer, inner) =
+        solution::rims(problem, state, scratch).unwrap_or((ring.outer, ring.inner));
     let ring = Ring { outer, inner, black: state.white + state.step, white: state.white, ..*ring };
     Fit {
         pose,

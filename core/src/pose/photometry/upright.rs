@@ -21,8 +21,9 @@ use nalgebra::{Matrix2, Matrix3, SMatrix, Vector2, Vector3};
 
 use super::{
     FitScratch,
+    solution::{Covariance5, Solution},
     solve::{Factor, MOST},
-    state::{self, BLUR, Covariance5, Problem, RANGE, SHIFT, STEP, Solution, State, TILT, WHITE},
+    state::{self, BLUR, Problem, RANGE, SHIFT, STEP, State, TILT, WHITE},
     view::Place,
 };
 use crate::pose::{

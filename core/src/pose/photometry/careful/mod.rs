@@ -33,7 +33,8 @@ use super::{
     FitError, FitScratch, Placed,
     mirror::Glance,
     normal::{COLUMNS, Products, column},
-    state::{self, Covariance5, Linear, Parts, Problem, Solution, State},
+    solution::{Covariance5, Solution},
+    state::{self, Linear, Parts, Problem, State},
     window_of,
 };
 use crate::ellipse::Ellipse;

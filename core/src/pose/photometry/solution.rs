@@ -1,0 +1,134 @@
+//! What a fit has found: whether noise explains what is left, the covariance, and the rims.
+
+use nalgebra::{SMatrix, Vector3};
+
+use super::{
+    FitScratch,
+    solve::Factor,
+    state::{Linear, Parts, Problem, State, UNKNOWNS, project},
+};
+use crate::{
+    camera::PixelPoint,
+    ellipse::{Ellipse, Shape, Symmetric2},
+    rigid::{Covariance6, UNKNOWN_ANGLE_VARIANCE_RAD2},
+};
+
+/// Unknowns with their information.
+#[derive(Clone, Debug)]
+pub struct Solution {
+    pub state: State,
+    /// Sum of squared residuals, grey levels².
+    pub misfit: f64,
+    /// Variance of a pixel, grey levels².
+    pub noise2: f64,
+    pub iterations: usize,
+    pub linear: Linear,
+}
+
+/// Over shift, shift, logarithm of the range and two turns.
+pub type Covariance5 = SMatrix<f64, 5, 5>;
+
+/// Deviations of the noise that levels stay away from the ends of the scale.
+const ENDS_NOISE: f64 = 3.0;
+
+impl Solution {
+    /// Whether noise explains the residual, and the scale of grey levels holds white and black.
+    pub fn is_plain(&self) -> bool {
+        let (state, linear) = (&self.state, &self.linear);
+        let slack = ENDS_NOISE * self.noise2.sqrt();
+        let levels = [state.white, state.white + state.step];
+        let (low, high) = (levels[0].min(levels[1]), levels[0].max(levels[1]));
+        linear.is_even() && low > slack && high < 255.0 - slack
+    }
+
+    /// Of (position, rotation) in the camera's frame.
+    pub fn covariance(&self, problem: &Problem) -> Option<Covariance6> {
+        let (information, _) = self.linear.with_prior(&self.state, self.noise2);
+        let factor = Factor::new(&information, UNKNOWNS)?;
+        let own: Covariance5 = factor.inverse_of_last() * self.noise2;
+        let axes = &self.state.place.axes;
+        let turns = [0, 1].map(|axis| axes.column(axis).into_owned());
+        Some(self.carried(problem, &self.state, &own, &turns))
+    }
+
+    /// A covariance over shift, range and turns about these axes as one of (position, rotation) in the
+    /// camera's frame, with nothing about the normal, for a state near the solution's.
+    pub fn carried(
+        &self,
+        problem: &Problem,
+        state: &State,
+        own: &Covariance5,
+        turns: &[Vector3<f64>; 2],
+    ) -> Covariance6 {
+        let camera_from_local = problem.lens.local_from_camera.transpose();
+        let (unit_m, place) = (self.linear.unit_m, &state.place);
+        let mut map = SMatrix::<f64, 6, 5>::zeros();
+        let along = [Vector3::x() * unit_m, Vector3::y() * unit_m, place.position_m];
+        for (column, along) in along.into_iter().enumerate() {
+            map.fixed_view_mut::<3, 1>(0, column).copy_from(&(camera_from_local * along));
+        }
+        for (axis, turn) in turns.iter().enumerate() {
+            map.fixed_view_mut::<3, 1>(3, 3 + axis).copy_from(&(camera_from_local * turn));
+        }
+        let mut covariance = map * (0.5 * (own + own.transpose())) * map.transpose();
+        let normal = camera_from_local * place.axes.column(2);
+        let mut rotation = covariance.fixed_view_mut::<3, 3>(3, 3);
+        rotation += normal * normal.transpose() * UNKNOWN_ANGLE_VARIANCE_RAD2;
+        covariance
+    }
+}
+
+/// A blur whose nodes stand as far apart as can be: for areas and their moments few are enough.
+const FEW_NODES_PX: f64 = 1e6;
+
+/// Both rims as a state images them.
+pub fn rims(
+    problem: &Problem,
+    state: &State,
+    scratch: &mut FitScratch,
+) -> Option<(Ellipse, Ellipse)> {
+    let mut parts = Parts {
+        level: scratch.level,
+        contours: &mut scratch.contours,
+        nodes: &mut scratch.nodes,
+        window: scratch.window.origin,
+    };
+    project(problem, state, FEW_NODES_PX, &mut parts);
+    let nodes = &scratch.nodes;
+    let outer = nodes.outer;
+    let rim = |from: usize, to: usize| {
+        let (x, y, dx, dy) =
+            (&nodes.x[from..to], &nodes.y[from..to], &nodes.dx[from..to], &nodes.dy[from..to]);
+        ellipse_of(x, y, dx, dy, scratch.window.origin)
+    };
+    Some((rim(0, outer)?, rim(outer, nodes.x.len())?))
+}
+
+/// The ellipse of the area, centre and second moments that a contour encloses.
+fn ellipse_of(x: &[f32], y: &[f32], dx: &[f32], dy: &[f32], origin: (i64, i64)) -> Option<Ellipse> {
+    let count = x.len() as f64;
+    let mean = |list: &[f32]| list.iter().map(|&value| f64::from(value)).sum::<f64>() / count;
+    let (middle_x, middle_y) = (mean(x), mean(y));
+    let (mut area, mut first, mut second) = (0.0, [0.0; 2], [0.0; 3]);
+    for i in 0..x.len() {
+        let (px, py) = (f64::from(x[i]) - middle_x, f64::from(y[i]) - middle_y);
+        // ∬ f over a star-shaped area: ∮ f r×dr / (degree + 2).
+        let swept = px * f64::from(dy[i]) - py * f64::from(dx[i]);
+        area += swept / 2.0;
+        first[0] += px * swept / 3.0;
+        first[1] += py * swept / 3.0;
+        second[0] += px * px * swept / 4.0;
+        second[1] += px * py * swept / 4.0;
+        second[2] += py * py * swept / 4.0;
+    }
+    let (mu, mv) = (first[0] / area, first[1] / area);
+    let covariance = Symmetric2 {
+        uu: second[0] / area - mu * mu,
+        uv: second[1] / area - mu * mv,
+        vv: second[2] / area - mv * mv,
+    };
+    let center =
+        PixelPoint { u: origin.0 as f64 + middle_x + mu, v: origin.1 as f64 + middle_y + mv };
+    let ellipse = Shape { area_px2: area.abs(), center, covariance }.ellipse();
+    ellipse.is_valid().then_some(ellipse)
+}
