@@ -31,6 +31,15 @@ const OUTER_M: f64 = 0.16;
 /// A yaw further off than this is taken for wrong, radians: half of a slot of 16 bits.
 const WRONG_YAW_RAD: f64 = PI / 32.0;
 
+/// Words of all identities of `bits` bits, in the order of their numbers: those below every rotation
+/// of themselves.
+pub fn words(bits: u8) -> Vec<u16> {
+    let bits = u32::from(bits);
+    let rotated = |word: u32, by: u32| (word << by | word >> (bits - by)) & ((1 << bits) - 1);
+    let is_identity = |&word: &u32| (1..bits).all(|by| word < rotated(word, by));
+    (0..1 << bits).filter(is_identity).map(|word| word as u16).collect()
+}
+
 /// The print of a word of `bits` bits, the first one the most significant.
 pub fn coded_print(outer_diameter_m: f64, bits: u8, word: u16, margin: f64) -> Print {
     let mut print = Print::plain(outer_diameter_m, outer_diameter_m * DISC, margin);
@@ -203,4 +212,18 @@ pub fn run(case: &Case, count: usize) -> Score {
     score.yaw_rms_rad = (squares / f64::from(right)).sqrt();
     score.yaw_rms_stated = (stated / f64::from(right)).sqrt();
     score
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn words_are_numbered_as_prints_are_known_by() {
+        for bits in [5, 8, 12] {
+            let dictionary = CodeLayout { bits, min_distance: 1 }.codes().unwrap();
+            let known: Vec<u16> = dictionary.iter().map(|(_, word)| word).collect();
+            assert_eq!(words(bits), known);
+        }
+    }
 }

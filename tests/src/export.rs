@@ -123,6 +123,9 @@ impl Export {
             if let Some(minor_m) = kind.inner_minor_m {
                 let _ = writeln!(text, "inner_minor_mm = {:?}", minor_m * 1e3);
             }
+            if let Some(bits) = kind.code_bits {
+                let _ = writeln!(text, "code = {{ bits = {bits}, min_distance = 1 }}");
+            }
         }
         for site in &arena.sites {
             let p = site.world_from_camera.translation.vector;

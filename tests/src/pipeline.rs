@@ -7,7 +7,7 @@ use roundel_core::{
     camera::{Camera, Intrinsics, Lens},
     frame::Frame,
     id::CameraId,
-    marker::{Detector, Kind, Params, Pattern, Tracker},
+    marker::{CodeLayout, Detector, Kind, Params, Pattern, Tracker},
     pose::{Detection, Locator},
     rigid::{self, Covariance6},
     time::Timestamp,
@@ -42,8 +42,11 @@ pub fn core_camera(optics: &Pinhole) -> anyhow::Result<Camera> {
 /// Kinds of roundel as core takes them.
 pub fn core_kinds(kinds: &[arena::Kind]) -> Vec<Kind> {
     let kind = |kind: &arena::Kind| {
-        let ellipse = |minor_diameter_m| Pattern::Elliptical { minor_diameter_m };
-        let pattern = kind.inner_minor_m.map_or(Pattern::Plain, ellipse);
+        let pattern = match (kind.inner_minor_m, kind.code_bits) {
+            (Some(minor_diameter_m), _) => Pattern::Elliptical { minor_diameter_m },
+            (None, Some(bits)) => Pattern::Coded(CodeLayout { bits, min_distance: 1 }),
+            (None, None) => Pattern::Plain,
+        };
         let plain = Kind::plain(&kind.name, kind.outer_diameter_m, kind.inner_diameter_m);
         Kind { pattern, ..plain }
     };

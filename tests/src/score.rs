@@ -271,7 +271,8 @@ mod tests {
     }
 
     fn truth(x: f64) -> Truth {
-        Truth { pose: Isometry3::translation(x, 0.0, 0.3), velocity_m_s: Vector3::zeros() }
+        let pose = Isometry3::translation(x, 0.0, 0.3);
+        Truth { pose, velocity_m_s: Vector3::zeros(), code: None }
     }
 
     fn judged(scale: f64) -> Score {

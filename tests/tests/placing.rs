@@ -6,7 +6,7 @@ use anyhow::{Context, ensure};
 use nalgebra::{Quaternion, UnitQuaternion, Vector3};
 use roundel_client::Client;
 use roundel_tests::{
-    arena::{Arena, Kind, Path, Sine},
+    arena::{Arena, Kind, Path},
     export::Export,
     process::Server,
     render::Print,
@@ -24,10 +24,10 @@ fn arena() -> Arena {
         outer_diameter_m: 0.16,
         inner_diameter_m: 0.096,
         inner_minor_m: None,
+        code_bits: None,
     };
     for (robot, place) in arena.robots.iter_mut().zip(REFERENCES_M) {
-        let sines = [Sine::default(); 3];
-        robot.path = Path { center_m: Vector3::from(place), sines, spin_rad_s: 0.0, flies: false };
+        robot.path = Path::still(Vector3::from(place));
         robot.kind = kind.name.clone();
         robot.print = Print::plain(kind.outer_diameter_m, kind.inner_diameter_m, 0.25);
     }

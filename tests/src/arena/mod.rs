@@ -1,0 +1,231 @@
+//! An arena with known truth: cameras, and robots on smooth paths that carry roundels.
+//!
+//! World frame right-handed with z up, metres; a roundel's z is out of its face. Paths ([`path`]) give
+//! position, velocity and acceleration exactly at any time; [`reference`] builds DESIGN's
+//! installations.
+
+pub mod errand;
+pub mod path;
+pub mod reference;
+
+use nalgebra::{Isometry3, Matrix3, Point3, Rotation3, Translation3, UnitQuaternion, Vector3};
+
+use crate::{
+    optics::Pinhole,
+    render::{Imaging, Print},
+};
+pub use path::{Course, Path, Sine};
+
+/// A camera's place: looking from `position` to `target`, its image upright.
+pub fn look_at(position: Vector3<f64>, target: Vector3<f64>) -> Isometry3<f64> {
+    let forward = (target - position).normalize();
+    // Seen straight from above, the world's y points up in the image.
+    let up = if forward.xy().norm() < 1e-6 { Vector3::y() } else { Vector3::z() };
+    let right = forward.cross(&up).normalize();
+    let down = forward.cross(&right);
+    let turn = Rotation3::from_matrix_unchecked(Matrix3::from_columns(&[right, down, forward]));
+    Isometry3::from_parts(Translation3::from(position), UnitQuaternion::from_rotation_matrix(&turn))
+}
+
+/// One camera of the arena.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Site {
+    /// Name in the configuration.
+    pub name: String,
+    /// Lens.
+    pub optics: Pinhole,
+    /// Grey values and shutter.
+    pub imaging: Imaging,
+    /// Place: world_from_camera.
+    pub world_from_camera: Isometry3<f64>,
+    /// Frames a second.
+    pub rate_hz: f64,
+    /// Its first frame's capture time after the arena's start, seconds.
+    pub offset_s: f64,
+    /// What it believes of the time.
+    pub clock: SiteClock,
+}
+
+/// A camera's clock: at t seconds after the arena's start it shows `ahead_s + (1 + skew) · t`.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct SiteClock {
+    /// Seconds.
+    pub ahead_s: f64,
+    /// Seconds a second.
+    pub skew: f64,
+}
+
+/// A roundel on a robot.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Robot {
+    /// For reports.
+    pub name: String,
+    /// Kind of roundel, as configured.
+    pub kind: String,
+    /// What is printed.
+    pub print: Print,
+    /// Number of its code, if it has one.
+    pub code: Option<u16>,
+    /// Where it goes.
+    pub path: Path,
+    /// From when to when no camera sees it, seconds; in order.
+    pub hidden_s: Vec<(f64, f64)>,
+}
+
+impl Robot {
+    /// Whether anything covers it at `t` seconds.
+    pub fn is_hidden(&self, t: f64) -> bool {
+        let begun = self.hidden_s.partition_point(|span| span.0 <= t);
+        begun > 0 && t < self.hidden_s[begun - 1].1
+    }
+}
+
+/// A kind of roundel.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Kind {
+    /// Name in the configuration.
+    pub name: String,
+    /// Black ring's outer diameter, metres.
+    pub outer_diameter_m: f64,
+    /// White disc's diameter, metres; of an elliptical one the longer.
+    pub inner_diameter_m: f64,
+    /// The shorter one of an elliptical disc.
+    pub inner_minor_m: Option<f64>,
+    /// Bits of the codes of a coded one.
+    pub code_bits: Option<u8>,
+}
+
+impl Kind {
+    /// DESIGN's roundel of 160 mm with the paper's ratio.
+    pub fn robot() -> Self {
+        Self {
+            name: "robot".into(),
+            outer_diameter_m: 0.16,
+            inner_diameter_m: 0.064,
+            inner_minor_m: None,
+            code_bits: None,
+        }
+    }
+
+    /// DESIGN's coded roundel of 160 mm.
+    pub fn coded(bits: u8) -> Self {
+        Self { inner_diameter_m: 0.096, code_bits: Some(bits), ..Self::robot() }
+    }
+}
+
+/// Where an object truly is.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Truth {
+    /// world_from_roundel.
+    pub pose: Isometry3<f64>,
+    /// World frame, m/s.
+    pub velocity_m_s: Vector3<f64>,
+    /// Number of its code, if it has one.
+    pub code: Option<u16>,
+}
+
+/// Cameras and robots, from `start_ns` on.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Arena {
+    /// Unix time of the arena's second 0.
+    pub start_ns: i64,
+    /// Seeds paths, backgrounds and noise.
+    pub seed: u64,
+    /// Kinds of roundel in use.
+    pub kinds: Vec<Kind>,
+    /// Cameras.
+    pub sites: Vec<Site>,
+    /// Robots.
+    pub robots: Vec<Robot>,
+}
+
+impl Arena {
+    /// Where every robot truly is at this Unix time.
+    pub fn truth(&self, time_ns: i64) -> Vec<Truth> {
+        let t = (time_ns - self.start_ns) as f64 * 1e-9;
+        let truth = |robot: &Robot| Truth {
+            pose: robot.path.pose(t),
+            velocity_m_s: robot.path.velocity(t),
+            code: robot.code,
+        };
+        self.robots.iter().map(truth).collect()
+    }
+
+    /// Mid-exposure of the middle row of a camera's frame, Unix time.
+    pub fn capture_time_ns(&self, site: &Site, frame: usize) -> i64 {
+        let seconds = site.offset_s + frame as f64 / site.rate_hz;
+        self.start_ns + (seconds * 1e9).round() as i64
+    }
+
+    /// What a camera's clock shows at this Unix time.
+    pub fn stated_time_ns(&self, site: &Site, time_ns: i64) -> i64 {
+        let t = (time_ns - self.start_ns) as f64 * 1e-9;
+        time_ns + ((site.clock.ahead_s + site.clock.skew * t) * 1e9).round() as i64
+    }
+
+    /// A point of the world in a camera's pixels; `None` if it is not in its image.
+    pub fn pixel(&self, site: &Site, point_m: &Point3<f64>) -> Option<[f64; 2]> {
+        let p = site.optics.project(&site.world_from_camera.inverse_transform_point(point_m))?;
+        let inside = (-0.5..site.optics.width as f64 - 0.5).contains(&p.x)
+            && (-0.5..site.optics.height as f64 - 0.5).contains(&p.y);
+        inside.then_some([p.x, p.y])
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn cameras_look_where_they_should() {
+        for position in [Vector3::new(2.5, 2.0, 5.0), Vector3::new(0.0, 0.0, 4.0)] {
+            let target = Vector3::new(0.0, 0.0, 0.0);
+            let world_from_camera = look_at(position, target);
+            let seen = world_from_camera.inverse_transform_point(&Point3::from(target));
+            assert!((seen.coords - Vector3::new(0.0, 0.0, position.norm())).norm() < 1e-12);
+            // Right-handed, and what is higher in the world is higher in the image (smaller v).
+            assert!(
+                (world_from_camera.rotation.to_rotation_matrix().matrix().determinant() - 1.0)
+                    .abs()
+                    < 1e-12
+            );
+            let higher = if position.x == 0.0 {
+                Point3::new(0.0, 0.1, 0.0)
+            } else {
+                Point3::new(0.0, 0.0, 0.1)
+            };
+            assert!(world_from_camera.inverse_transform_point(&higher).y < 0.0);
+        }
+    }
+
+    #[test]
+    fn robots_are_hidden_from_the_start_of_a_span_to_its_end() {
+        let mut robot = Arena::r4_lite(1, 1, 0).robots.remove(0);
+        robot.hidden_s = vec![(1.0, 1.5), (3.0, 3.5)];
+        let hidden = [0.9, 1.0, 1.4, 1.5, 2.9, 3.2, 4.0].map(|t| robot.is_hidden(t));
+        assert_eq!(hidden, [false, true, true, false, false, true, false]);
+    }
+
+    #[test]
+    fn clocks_run_ahead_and_drift() {
+        let mut arena = Arena::r4_lite(1, 1, 0);
+        let clock = SiteClock { ahead_s: -0.02, skew: 50e-6 };
+        arena.sites[0].clock = clock;
+        let at = arena.start_ns + 10_000_000_000;
+        assert_eq!(arena.stated_time_ns(&arena.sites[0], at) - at, -19_500_000);
+    }
+
+    #[test]
+    fn robots_keep_their_distance() {
+        let arena = Arena::r4_lite(1, 8, 2);
+        for step in 0..200 {
+            let truth = arena.truth(arena.start_ns + step * 100_000_000);
+            for (i, one) in truth.iter().enumerate() {
+                for other in &truth[..i] {
+                    let apart = one.pose.translation.vector - other.pose.translation.vector;
+                    assert!(apart.xy().norm() > 0.3);
+                }
+            }
+        }
+    }
+}
