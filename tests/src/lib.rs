@@ -14,6 +14,7 @@
 //! | [`clutter`] | seeded backgrounds that hold no roundel |
 //! | [`decoy`] | what resembles a roundel and is none |
 //! | [`arena`] | cameras and robots on smooth paths, with the truth at any time |
+//! | [`sensor`] | what those cameras would tell of the robots, without pixels, with the errors stated |
 //! | [`export`] | such an arena as an installation on disk, for `roundel serve` |
 //! | [`pipeline`] | core's own way from such frames to detections and world poses, without a server |
 //! | [`precision`] | single poses drawn at random, with their errors next to the bound |
@@ -43,5 +44,6 @@ pub mod python;
 pub mod recall;
 pub mod render;
 pub mod score;
+pub mod sensor;
 pub mod shared_data;
 pub mod timing;

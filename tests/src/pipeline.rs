@@ -140,6 +140,11 @@ pub fn message(snapshot: &world::Snapshot) -> v1::Snapshot {
             position: Some(vector(&state.position_m)),
             orientation: Some(v1::Quaternion { x: q.i, y: q.j, z: q.k, w: q.w }),
             velocity: Some(vector(&state.velocity_m_s)),
+            yaw_observed: state.yaw_observed,
+            yaw_symmetry: if state.yaw_observed { state.yaw_symmetry } else { 0 },
+            code: state
+                .code
+                .map(|code| v1::Code { bits: code.bits.into(), number: code.number.into() }),
             covariance: rigid::upper_triangle(&state.covariance),
             velocity_covariance: rigid::upper_triangle(&velocity_block),
             ..Default::default()

@@ -2,16 +2,18 @@
 //!
 //! For an unbiased estimate whose covariance is right, the normalized error squared (NEES) eᵀ Σ⁻¹ e of
 //! n degrees of freedom follows χ²(n) (Bar-Shalom, Li, Kirubarajan 2001, section 5.4): 95 % of a
-//! position's lie below 7.815. Objects carry no code, so each is taken for the robot nearest to it at
-//! its first sight, and a change of robot later is a swap.
+//! position's lie below 7.815. Whatever code an object shows, it is taken for the robot nearest to it,
+//! and a change of robot is a swap; the code is held against that robot's.
 
-use std::collections::HashMap;
+use std::collections::{HashMap, HashSet};
 
-use nalgebra::{Matrix2, Matrix3, UnitQuaternion, Vector2, Vector3};
+use nalgebra::{Matrix2, Matrix3, Quaternion, UnitQuaternion, Vector2, Vector3};
 use roundel_proto::v1::{self, LifeStage, Snapshot};
 
 use crate::arena::Truth;
 
+/// 95 % of χ² with one degree of freedom.
+pub const CHI2_95_1: f64 = 3.841;
 /// 95 % of χ² with two degrees of freedom.
 pub const CHI2_95_2: f64 = 5.991;
 /// 95 % of χ² with three degrees of freedom.
@@ -58,17 +60,29 @@ impl Errors {
 pub struct Score {
     /// Position, metres.
     pub position: Errors,
+    /// Its level part.
+    pub plane: Errors,
+    /// Its height.
+    pub height: Errors,
     /// Velocity, m/s, of states that say its covariance.
     pub velocity: Errors,
     /// Normal, radians, over the two rotations that turn it.
     pub normal: Errors,
+    /// The whole rotation, radians, of states whose yaw is observed and unambiguous.
+    pub rotation: Errors,
+    /// Position of objects that no camera sees, metres.
+    pub predicted: Errors,
+    /// Ids that were tracked at some time.
+    pub ids: usize,
+    /// States with another code than the robot's.
+    pub wrong_codes: usize,
     /// Objects that went over to another robot.
     pub swaps: usize,
     /// States farther than the gate from every robot.
     pub strays: usize,
     /// Ids given to each robot beyond its first.
     pub extra_ids: usize,
-    /// Robots and snapshots for which no state was there.
+    /// Robots and snapshots for which no state was there, tracked or predicted.
     pub misses: usize,
     /// States that could not be normalized: a covariance missing or not positive definite.
     pub unusable: usize,
@@ -80,41 +94,69 @@ pub struct Judge {
     /// A state farther than this from every robot is a stray, metres.
     pub gate_m: f64,
     robot_of: HashMap<u64, usize>,
+    ids: HashSet<u64>,
     score: Score,
 }
 
 impl Default for Judge {
     fn default() -> Self {
-        Self { gate_m: 0.3, robot_of: HashMap::new(), score: Score::default() }
+        Self { gate_m: 0.3, robot_of: HashMap::new(), ids: HashSet::new(), score: Score::default() }
     }
 }
 
 impl Judge {
-    /// Takes the states of one snapshot that are tracked (seen now); `truth` is that of its
-    /// `pose_time_ns`.
+    /// Takes the states of one snapshot that are tracked (seen now) or predicted; `truth` is that of
+    /// its `pose_time_ns`.
     pub fn take(&mut self, snapshot: &Snapshot, truth: &[Truth]) {
         let mut found = vec![false; truth.len()];
-        let tracked = |state: &&v1::ObjectState| state.stage() == LifeStage::Tracked;
-        for state in snapshot.objects.iter().filter(tracked) {
-            let Some(position) = state.position.as_ref().map(vector) else {
-                self.score.unusable += 1;
-                continue;
-            };
-            let Some(robot) = self.associate(state.object_id, &position, truth) else {
-                self.score.strays += 1;
-                continue;
-            };
-            found[robot] = true;
-            self.compare(state, &position, &truth[robot]);
+        for state in &snapshot.objects {
+            match state.stage() {
+                LifeStage::Tracked => self.take_tracked(state, truth, &mut found),
+                LifeStage::Predicted => self.take_predicted(state, truth, &mut found),
+                _ => {}
+            }
         }
         self.score.misses += found.iter().filter(|found| !**found).count();
     }
 
     /// The score of all snapshots taken.
     pub fn finish(mut self) -> Score {
-        let robots: std::collections::HashSet<_> = self.robot_of.values().collect();
+        let robots: HashSet<_> = self.robot_of.values().collect();
         self.score.extra_ids = self.robot_of.len() - robots.len();
+        self.score.ids = self.ids.len();
         self.score
+    }
+
+    fn take_tracked(&mut self, state: &v1::ObjectState, truth: &[Truth], found: &mut [bool]) {
+        self.ids.insert(state.object_id);
+        let Some(position) = state.position.as_ref().map(vector) else {
+            self.score.unusable += 1;
+            return;
+        };
+        let Some(robot) = self.associate(state.object_id, &position, truth) else {
+            self.score.strays += 1;
+            return;
+        };
+        found[robot] = true;
+        let shown = state.code.as_ref().map(|code| code.number);
+        if shown.is_some_and(|number| truth[robot].code.map(u32::from) != Some(number)) {
+            self.score.wrong_codes += 1;
+        }
+        self.compare(state, &position, &truth[robot]);
+    }
+
+    /// An object that is not seen may be anywhere that its covariance says, so it is held against
+    /// the robot that it was.
+    fn take_predicted(&mut self, state: &v1::ObjectState, truth: &[Truth], found: &mut [bool]) {
+        let robot = self.robot_of.get(&state.object_id);
+        let (Some(&robot), Some(position)) = (robot, &state.position) else { return };
+        found[robot] = true;
+        let error = vector(position) - truth[robot].pose.translation.vector;
+        let block = position_block(&state.covariance);
+        match block.and_then(|covariance| normalized3(&error, &covariance)) {
+            Some(square) => self.score.predicted.push(error.norm(), square),
+            None => self.score.unusable += 1,
+        }
     }
 
     fn associate(&mut self, id: u64, position: &Vector3<f64>, truth: &[Truth]) -> Option<usize> {
@@ -135,9 +177,8 @@ impl Judge {
 
     fn compare(&mut self, state: &v1::ObjectState, position: &Vector3<f64>, truth: &Truth) {
         let error = position - truth.pose.translation.vector;
-        let block = position_block(&state.covariance);
-        match block.and_then(|covariance| normalized3(&error, &covariance)) {
-            Some(square) => self.score.position.push(error.norm(), square),
+        match position_block(&state.covariance) {
+            Some(covariance) => self.compare_position(&error, &covariance),
             None => self.score.unusable += 1,
         }
         if let (Some(velocity), Some(covariance)) =
@@ -149,15 +190,34 @@ impl Judge {
                 None => self.score.unusable += 1,
             }
         }
-        if let (Some(q), Some(covariance)) = (&state.orientation, rotation_block(&state.covariance))
-        {
-            let quaternion = nalgebra::Quaternion::new(q.w, q.x, q.y, q.z);
-            let normal = UnitQuaternion::from_quaternion(quaternion) * Vector3::z();
-            let true_normal = truth.pose.rotation * Vector3::z();
-            if let Some((angle, square)) = normal_error(&normal, &true_normal, &covariance) {
-                self.score.normal.push(angle, square);
+        let Some(q) = &state.orientation else { return };
+        let Some(covariance) = rotation_block(&state.covariance) else { return };
+        let turned = UnitQuaternion::from_quaternion(Quaternion::new(q.w, q.x, q.y, q.z));
+        let (normal, true_normal) = (turned * Vector3::z(), truth.pose.rotation * Vector3::z());
+        if let Some((angle, square)) = normal_error(&normal, &true_normal, &covariance) {
+            self.score.normal.push(angle, square);
+        }
+        if state.yaw_observed && state.yaw_symmetry == 1 {
+            let error = (turned * truth.pose.rotation.inverse()).scaled_axis();
+            match normalized3(&error, &covariance) {
+                Some(square) => self.score.rotation.push(error.norm(), square),
+                None => self.score.unusable += 1,
             }
         }
+    }
+
+    fn compare_position(&mut self, error: &Vector3<f64>, covariance: &Matrix3<f64>) {
+        let Some(square) = normalized3(error, covariance) else {
+            self.score.unusable += 1;
+            return;
+        };
+        self.score.position.push(error.norm(), square);
+        let level = covariance.fixed_view::<2, 2>(0, 0).into_owned();
+        if let Some(root) = level.cholesky() {
+            let error = error.xy();
+            self.score.plane.push(error.norm(), error.dot(&root.solve(&error)));
+        }
+        self.score.height.push(error.z.abs(), error.z * error.z / covariance[(2, 2)]);
     }
 }
 
@@ -166,10 +226,17 @@ impl std::fmt::Display for Score {
         writeln!(f, "             count        rms   NEES (expected)   inside 95 %")?;
         let rows = [
             ("position", &self.position, 3.0, CHI2_95_3, "m"),
+            ("in plane", &self.plane, 2.0, CHI2_95_2, "m"),
+            ("height", &self.height, 1.0, CHI2_95_1, "m"),
+            ("predicted", &self.predicted, 3.0, CHI2_95_3, "m"),
             ("velocity", &self.velocity, 3.0, CHI2_95_3, "m/s"),
             ("normal", &self.normal, 2.0, CHI2_95_2, "rad"),
+            ("rotation", &self.rotation, 3.0, CHI2_95_3, "rad"),
         ];
         for (name, errors, freedom, bound, unit) in rows {
+            if errors.count() == 0 {
+                continue;
+            }
             writeln!(
                 f,
                 "{name:10} {:7} {:10.5} {unit:4} {:7.2} ({freedom})     {:8.1} %",
@@ -181,8 +248,14 @@ impl std::fmt::Display for Score {
         }
         write!(
             f,
-            "swaps {}, strays {}, extra ids {}, misses {}, unusable {}",
-            self.swaps, self.strays, self.extra_ids, self.misses, self.unusable
+            "ids {}, swaps {}, strays {}, extra ids {}, wrong codes {}, misses {}, unusable {}",
+            self.ids,
+            self.swaps,
+            self.strays,
+            self.extra_ids,
+            self.wrong_codes,
+            self.misses,
+            self.unusable
         )
     }
 }
@@ -318,6 +391,51 @@ mod tests {
         );
         let score = judge.finish();
         assert_eq!((score.swaps, score.strays, score.misses, score.extra_ids), (2, 1, 1, 1));
+    }
+
+    #[test]
+    fn codes_are_held_against_the_nearest_robot() {
+        let coded = |number| Truth { code: Some(number), ..truth(f64::from(number)) };
+        let mut judge = Judge::default();
+        for number in [1, 2, 2] {
+            let code = Some(v1::Code { bits: 8, number });
+            let seen = v1::ObjectState { code, ..state(1, Vector3::new(2.0, 0.0, 0.3), 1e-6) };
+            let snapshot = Snapshot { objects: vec![seen], ..Default::default() };
+            judge.take(&snapshot, &[coded(1), coded(2)]);
+        }
+        let score = judge.finish();
+        assert_eq!((score.wrong_codes, score.ids, score.misses), (1, 1, 3));
+    }
+
+    #[test]
+    fn unseen_objects_are_held_against_the_robots_that_they_were() {
+        let mut judge = Judge::default();
+        let mut seen = state(1, Vector3::new(0.0, 0.0, 0.3), 1e-2);
+        judge.take(&Snapshot { objects: vec![seen.clone()], ..Default::default() }, &[truth(0.0)]);
+        seen.stage = LifeStage::Predicted as i32;
+        let truths = [truth(0.2), truth(0.0)];
+        judge.take(&Snapshot { objects: vec![seen], ..Default::default() }, &truths);
+        let score = judge.finish();
+        assert_eq!((score.predicted.count(), score.position.count(), score.misses), (1, 1, 1));
+        assert!((score.predicted.rms() - 0.2).abs() < 1e-12);
+        assert!((score.predicted.mean_normalized() - 4.0).abs() < 1e-9);
+    }
+
+    #[test]
+    fn a_turn_about_the_normal_counts_where_it_is_observed() {
+        let turn = UnitQuaternion::from_axis_angle(&Vector3::z_axis(), 0.02);
+        let mut judge = Judge::default();
+        for yaw_observed in [false, true] {
+            let mut seen = state(1, Vector3::new(0.0, 0.0, 0.3), 1e-6);
+            let q = turn.quaternion();
+            seen.orientation = Some(v1::Quaternion { x: q.i, y: q.j, z: q.k, w: q.w });
+            (seen.yaw_observed, seen.yaw_symmetry) = (yaw_observed, 1);
+            judge.take(&Snapshot { objects: vec![seen], ..Default::default() }, &[truth(0.0)]);
+        }
+        let score = judge.finish();
+        assert_eq!((score.normal.count(), score.rotation.count()), (2, 1));
+        assert!(score.normal.rms() < 1e-9);
+        assert!((score.rotation.mean_normalized() - 4.0).abs() < 1e-9);
     }
 
     #[test]

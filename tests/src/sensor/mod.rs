@@ -1,0 +1,352 @@
+//! Cameras without pixels: what a worker would hand to fusion of an arena's robots, with errors of
+//! exactly the covariances that it states.
+//!
+//! Each robot is projected where it truly is when its own image row is exposed, through the judging
+//! side's lens; who is outside the image, turned away, hidden or dropped is not seen. With the line of
+//! sight s, the distance d and the focal length f, a noise of σ pixels is
+//!
+//! σ d / f across s,  d σ / (D f / d) along it (D the roundel's diameter),
+//!
+//! so tight in bearing and loose in depth; the rotation errs by `tilt_rad` about each axis across the
+//! normal and by `yaw_rad` about it. Each error is √q b + √(1 - q) w with w fresh every frame and b a
+//! camera's and robot's own Ornstein-Uhlenbeck process, so a share q of the variance stays for about
+//! `systematic_time_s`. The normal told first is the right one as often as the likelihood beside it
+//! says; the other is its mirror image about the line of sight. Tests below hold all of this.
+//!
+//! Times: the frame's capture time is what the camera's clock shows ([`super::arena::SiteClock`]), the
+//! receiving time is the server's.
+
+mod stream;
+
+use nalgebra::{Isometry3, Matrix3, Point3, Rotation3, UnitQuaternion, Vector2, Vector3};
+use roundel_core::{
+    camera::PixelPoint,
+    ellipse::Ellipse,
+    id::{CameraId, KindId, TrackNumber},
+    marker::{Code, CodeReading, Ring},
+    pose::{Detection, RoundelPose},
+    rigid::{Covariance6, UNKNOWN_ANGLE_VARIANCE_RAD2},
+    time::Timestamp,
+    world::FrameObservations,
+};
+
+use crate::{
+    arena::{Arena, Kind, Path, Site},
+    normal::Random,
+};
+pub use stream::Stream;
+
+/// Cosine of the steepest angle at which a roundel is still seen.
+const STEEPEST: f64 = 0.15;
+/// A camera's tracker that has not seen a roundel for so long gives it another number.
+const FORGOTTEN_S: f64 = 0.25;
+/// Likelihoods of the first normal.
+const LIKELIHOOD: (f64, f64) = (0.55, 0.95);
+
+/// How cameras err.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Sensing {
+    /// Standard deviation of a roundel's centre and of its diameter in the image, pixels.
+    pub noise_px: f64,
+    /// Of the normal, about each axis across it, radians.
+    pub tilt_rad: f64,
+    /// Of the turn about it, of a code that is read, radians.
+    pub yaw_rad: f64,
+    /// Share of the variances that stays from frame to frame …
+    pub systematic_share: f64,
+    /// … and for how long.
+    pub systematic_time_s: f64,
+    /// Share of roundels that a frame does not show.
+    pub dropout: f64,
+    /// False detections a frame, up to 1.
+    pub clutter: f64,
+    /// Share of codes that cannot be read.
+    pub unread: f64,
+    /// Share of codes that are read as another's.
+    pub misread: f64,
+    /// Least and greatest time from exposure to arrival, seconds.
+    pub latency_s: (f64, f64),
+}
+
+impl Default for Sensing {
+    fn default() -> Self {
+        Self {
+            noise_px: 0.1,
+            tilt_rad: 0.03,
+            yaw_rad: 0.01,
+            systematic_share: 0.5,
+            systematic_time_s: 1.0,
+            dropout: 0.02,
+            clutter: 0.0,
+            unread: 0.02,
+            misread: 1e-4,
+            latency_s: (0.015, 0.025),
+        }
+    }
+}
+
+/// What one camera remembers of one robot.
+#[derive(Clone, Copy, Debug, Default)]
+struct Sight {
+    number: u64,
+    seen_s: Option<f64>,
+    /// Of position and rotation, unit variance.
+    bias: [Vector3<f64>; 2],
+    bias_s: Option<f64>,
+}
+
+/// Where a robot is when its row is exposed.
+struct Exposed {
+    camera_from_roundel: Isometry3<f64>,
+    pixel: Vector2<f64>,
+    row_s: f64,
+}
+
+/// One camera of an arena.
+#[derive(Clone, Debug)]
+pub struct Sensor<'a> {
+    arena: &'a Arena,
+    index: usize,
+    sensing: Sensing,
+    random: Random,
+    sights: Vec<Sight>,
+    numbers: u64,
+}
+
+impl<'a> Sensor<'a> {
+    /// The `index`-th camera; its errors are seeded by the arena.
+    pub fn new(arena: &'a Arena, index: usize, sensing: Sensing) -> Self {
+        Self {
+            arena,
+            index,
+            sensing,
+            random: Random::new(arena.seed, (index as u64 + 1) << 20),
+            sights: vec![Sight::default(); arena.robots.len()],
+            numbers: 0,
+        }
+    }
+
+    fn site(&self) -> &'a Site {
+        &self.arena.sites[self.index]
+    }
+
+    /// The `frame`-th frame, from 0; frames come in order.
+    pub fn frame(&mut self, frame: usize) -> FrameObservations {
+        let site = self.site();
+        let capture_ns = self.arena.capture_time_ns(site, frame);
+        let stated = Timestamp::from_ns(self.arena.stated_time_ns(site, capture_ns));
+        let t = (capture_ns - self.arena.start_ns) as f64 * 1e-9;
+        let robots = 0..self.arena.robots.len();
+        let mut detections: Vec<_> =
+            robots.filter_map(|robot| self.look(robot, t, stated)).collect();
+        if self.chance(self.sensing.clutter) {
+            detections.extend(self.imagine(stated));
+        }
+        let (least_s, most_s) = self.sensing.latency_s;
+        let latency_s = self.random.uniform(least_s, most_s);
+        FrameObservations {
+            camera: CameraId(self.index as u32),
+            frame: frame as u64 + 1,
+            capture_time: stated,
+            received_time: Timestamp::from_ns(capture_ns).plus_seconds(latency_s),
+            calibration_version: 1,
+            detections,
+        }
+    }
+
+    fn look(&mut self, robot: usize, t: f64, stated: Timestamp) -> Option<Detection> {
+        let bias = self.drift(robot, t);
+        let carrier = &self.arena.robots[robot];
+        if carrier.is_hidden(t) || self.chance(self.sensing.dropout) {
+            return None;
+        }
+        let exposed = expose(self.site(), &carrier.path, t)?;
+        let kinds = &self.arena.kinds;
+        let kind = kinds.iter().position(|kind| kind.name == carrier.kind)?;
+        let reading = self.read(kinds[kind].code_bits.zip(carrier.code));
+        let number = self.number(robot, t);
+        let pose = self.err(&kinds[kind], &exposed, &bias, reading.is_some());
+        Some(detection(number, kind, &exposed, stated, (pose, reading)))
+    }
+
+    /// A roundel that is not there: upright, somewhere in the image and at most 2 m above the floor.
+    fn imagine(&mut self, stated: Timestamp) -> Option<Detection> {
+        let (site, kind) = (self.site(), &self.arena.kinds[0]);
+        let mut within = |size: usize| self.random.uniform(0.0, size as f64 - 1.0);
+        let pixel = Vector2::new(within(site.optics.width), within(site.optics.height));
+        let ray = site.world_from_camera.rotation * site.optics.ray(&pixel)?;
+        let eye = site.world_from_camera.translation.vector;
+        let along = (self.random.uniform(0.0, 2.0) - eye.z) / ray.z;
+        let exposed = expose(site, &Path::still(eye + ray * along), 0.0)?;
+        let fresh = [self.gaussian(), self.gaussian()];
+        let pose = self.err(kind, &exposed, &fresh, false);
+        self.numbers += 1;
+        let number = TrackNumber(self.numbers);
+        (along > 0.0).then(|| detection(number, 0, &exposed, stated, (pose, None)))
+    }
+
+    /// The tracker's number for a robot seen now.
+    fn number(&mut self, robot: usize, t: f64) -> TrackNumber {
+        let sight = &mut self.sights[robot];
+        if sight.seen_s.is_none_or(|seen_s| t - seen_s > FORGOTTEN_S) {
+            self.numbers += 1;
+            sight.number = self.numbers;
+        }
+        sight.seen_s = Some(t);
+        TrackNumber(sight.number)
+    }
+
+    /// The errors that stay for a while, as they are by now.
+    fn drift(&mut self, robot: usize, t: f64) -> [Vector3<f64>; 2] {
+        let fresh = [self.gaussian(), self.gaussian()];
+        let sight = &mut self.sights[robot];
+        sight.bias = match sight.bias_s {
+            None => fresh,
+            Some(before_s) => {
+                let kept = (-(t - before_s) / self.sensing.systematic_time_s).exp();
+                let new = (1.0 - kept * kept).sqrt();
+                [0, 1].map(|which| sight.bias[which] * kept + fresh[which] * new)
+            }
+        };
+        sight.bias_s = Some(t);
+        sight.bias
+    }
+
+    /// What is read of a code with so many bits.
+    fn read(&mut self, code: Option<(u8, u16)>) -> Option<Code> {
+        let (bits, number) = code?;
+        if self.chance(self.sensing.unread) {
+            return None;
+        }
+        let wrong = self.chance(self.sensing.misread);
+        Some(Code { bits, number: if wrong { number % 8 + 1 } else { number } })
+    }
+
+    /// The pose with an error drawn from the covariance that it states.
+    fn err(
+        &mut self,
+        kind: &Kind,
+        exposed: &Exposed,
+        bias: &[Vector3<f64>; 2],
+        with_yaw: bool,
+    ) -> RoundelPose {
+        let Sensing { noise_px, tilt_rad, yaw_rad, systematic_share, .. } = self.sensing;
+        let stays = systematic_share.sqrt();
+        let mixed = [0, 1]
+            .map(|which| bias[which] * stays + self.gaussian() * (1.0 - systematic_share).sqrt());
+        let (true_place, turn) =
+            (exposed.camera_from_roundel.translation.vector, exposed.camera_from_roundel.rotation);
+        let distance_m = true_place.norm();
+        let focal_px = self.site().optics.focal_px[0];
+        let across_m = noise_px * distance_m / focal_px;
+        let along_m = across_m * distance_m / kind.outer_diameter_m;
+        let spread = Vector3::new(across_m, across_m, along_m);
+        let root = frame_along(&true_place) * Matrix3::from_diagonal(&spread);
+        let position_m = true_place + root * mixed[0];
+        let normal = turn * Vector3::z();
+        let about = normal * normal.transpose();
+        let slip = (Matrix3::identity() - about) * mixed[1] * tilt_rad + about * mixed[1] * yaw_rad;
+        let seen = UnitQuaternion::from_scaled_axis(slip) * turn;
+        let likelihood = self.random.uniform(LIKELIHOOD.0, LIKELIHOOD.1);
+        let is_right = self.chance(likelihood);
+        let mirrored = mirror(&seen, &position_m);
+        let (first, other) = if is_right { (seen, mirrored) } else { (mirrored, seen) };
+        let (normal, other_normal) = (first * Vector3::z(), other * Vector3::z());
+        let about = normal * normal.transpose();
+        let about_variance = if with_yaw { yaw_rad * yaw_rad } else { UNKNOWN_ANGLE_VARIANCE_RAD2 };
+        let rotation =
+            (Matrix3::identity() - about) * (tilt_rad * tilt_rad) + about * about_variance;
+        let mut covariance = Covariance6::zeros();
+        covariance.fixed_view_mut::<3, 3>(0, 0).copy_from(&(root * root.transpose()));
+        covariance.fixed_view_mut::<3, 3>(3, 3).copy_from(&rotation);
+        RoundelPose {
+            position_m,
+            normal,
+            normal_likelihood: likelihood,
+            other_normal,
+            yaw_rad: with_yaw.then(|| heading_rad(&first)),
+            yaw_symmetry: 1,
+            covariance,
+        }
+    }
+
+    fn chance(&mut self, share: f64) -> bool {
+        self.random.uniform(0.0, 1.0) < share
+    }
+
+    fn gaussian(&mut self) -> Vector3<f64> {
+        Vector3::from_fn(|_, _| f64::from(self.random.normal()))
+    }
+}
+
+/// Where a path leads when its row is exposed; `None` outside the image, or seen from aside or behind.
+fn expose(site: &Site, path: &Path, t: f64) -> Option<Exposed> {
+    let camera_from_world = site.world_from_camera.inverse();
+    let middle = (site.optics.height as f64 - 1.0) / 2.0;
+    let mut row_s = 0.0;
+    // Each round brings the row's time closer by image speed × line time, below 1/50.
+    for _ in 0..3 {
+        let place = camera_from_world * Point3::from(path.pose(t + row_s).translation.vector);
+        row_s = (site.optics.project(&place)?.y - middle) * site.imaging.line_time_s;
+    }
+    let camera_from_roundel = camera_from_world * path.pose(t + row_s);
+    let place = camera_from_roundel.translation.vector;
+    let pixel = site.optics.project(&Point3::from(place))?;
+    let inside = (0.0..site.optics.width as f64).contains(&pixel.x)
+        && (0.0..site.optics.height as f64).contains(&pixel.y);
+    let normal = camera_from_roundel.rotation * Vector3::z();
+    let faces = normal.dot(&place) < -STEEPEST * place.norm();
+    (inside && faces).then_some(Exposed { camera_from_roundel, pixel, row_s })
+}
+
+fn detection(
+    number: TrackNumber,
+    kind: usize,
+    exposed: &Exposed,
+    stated: Timestamp,
+    (pose, code): (RoundelPose, Option<Code>),
+) -> Detection {
+    let center = PixelPoint { u: exposed.pixel.x, v: exposed.pixel.y };
+    let rim = |semi_px| Ellipse {
+        center,
+        semi_major_px: semi_px,
+        semi_minor_px: semi_px,
+        angle_rad: 0.0,
+    };
+    let ring = Ring {
+        kind: Some(KindId(kind as u16)),
+        code: code.map(|code| CodeReading::certain(code, center)),
+        ..Ring::of_rims(rim(15.0), rim(6.0))
+    };
+    let capture_time = stated.plus_seconds(exposed.row_s);
+    Detection { track: number, ring, capture_time, pose: Some(pose) }
+}
+
+/// Two axes across a direction, and the direction.
+fn frame_along(direction: &Vector3<f64>) -> Matrix3<f64> {
+    let z = direction.normalize();
+    let helper = if z.x.abs() < 0.6 { Vector3::x() } else { Vector3::y() };
+    let x = helper.cross(&z).normalize();
+    Matrix3::from_columns(&[x, z.cross(&x), z])
+}
+
+/// The other orientation that looks the same along the line of sight: its normal is turned by half a
+/// turn about it, and its x points the same way in the image.
+fn mirror(seen: &UnitQuaternion<f64>, position_m: &Vector3<f64>) -> UnitQuaternion<f64> {
+    let sight = position_m.normalize();
+    let (x, z) = (seen * Vector3::x(), seen * Vector3::z());
+    let x = x - sight * (2.0 * sight.dot(&x));
+    let z = sight * (2.0 * sight.dot(&z)) - z;
+    let axes = Matrix3::from_columns(&[x, z.cross(&x), z]);
+    UnitQuaternion::from_rotation_matrix(&Rotation3::from_matrix_unchecked(axes))
+}
+
+/// The turn about the normal, from the smallest rotation that brings +z there.
+fn heading_rad(seen: &UnitQuaternion<f64>) -> f64 {
+    let upright = UnitQuaternion::rotation_between(&Vector3::z(), &(seen * Vector3::z()));
+    let x = upright.unwrap_or_default().inverse() * (seen * Vector3::x());
+    x.y.atan2(x.x)
+}
+
+#[cfg(test)]
+mod tests;
