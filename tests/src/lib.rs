@@ -20,6 +20,7 @@
 //! | [`precision`] | single poses drawn at random, with their errors next to the bound |
 //! | [`recall`] | what of shown roundels is found, and what else |
 //! | [`python`] | Python with packages from PyPI, for tests that need them |
+//! | [`scenario`] | what fusion has to hold: seeded worlds, their bars, one table |
 //! | [`score`] | snapshots against the truth: normalized errors, swaps, rms |
 //! | [`process`] | a real server process: built, started, read, ended |
 //! | [`layering`] | the house's rules of who may use whom, checked on source text |
@@ -43,6 +44,7 @@ pub mod process;
 pub mod python;
 pub mod recall;
 pub mod render;
+pub mod scenario;
 pub mod score;
 pub mod sensor;
 pub mod shared_data;

@@ -1,40 +1,16 @@
 //! A rendered arena through core's detection, poses and fusion, scored against the truth: the same
 //! scenario and score as over a real server, without its timing.
 
-use rayon::prelude::*;
 use roundel_core::{
     time::Timestamp,
     world::{FrameObservations, FusionParams},
 };
 use roundel_tests::{
     arena::Arena,
-    clutter::Clutter,
-    export::Studio,
-    pipeline::{Observer, fusion, message, observations},
+    pipeline::{fusion, message},
+    scenario::pixels::watch,
     score::{CHI2_95_3, Judge, Score},
 };
-
-/// Every camera's observations of `frames` frames, by capture time.
-fn observe(arena: &Arena, frames: usize) -> Vec<FrameObservations> {
-    let mut all: Vec<FrameObservations> = (0..arena.sites.len())
-        .into_par_iter()
-        .flat_map_iter(|index| {
-            let site = &arena.sites[index];
-            let studio = Studio::new(arena, index, 120.0, &Clutter::LAB);
-            let line_time_s = site.imaging.line_time_s;
-            let mut observer = Observer::new(&site.optics, &arena.kinds, line_time_s).unwrap();
-            (0..frames)
-                .map(|frame| {
-                    let capture_ns = arena.capture_time_ns(site, frame);
-                    let found = observer.observe(&studio.frame(frame), capture_ns).unwrap();
-                    observations(index, frame, capture_ns, found)
-                })
-                .collect::<Vec<_>>()
-        })
-        .collect();
-    all.sort_by_key(|frame| frame.capture_time);
-    all
-}
 
 /// Fuses in order, with a snapshot each 1/60 s, 10 ms after the newest frame at least; scores
 /// after the first second, in which tracks begin.
@@ -67,7 +43,7 @@ fn score(arena: &Arena, frames: &[FrameObservations], params: FusionParams) -> S
 fn errors_of_a_crowd_are_those_stated() {
     for seed in [2, 3] {
         let arena = Arena::r4_lite(seed, 24, 8);
-        let score = score(&arena, &observe(&arena, 120), FusionParams::default());
+        let score = score(&arena, &watch(&arena, 120), FusionParams::default());
         println!("24 robots, seed {seed}\n{score}\n");
         let lost = (score.swaps, score.strays, score.extra_ids, score.misses, score.unusable);
         assert_eq!(lost, (0, 0, 0, 0, 0));
@@ -83,7 +59,7 @@ fn errors_of_a_crowd_are_those_stated() {
 #[test]
 fn fused_poses_are_as_exact_as_stated() {
     let arena = Arena::r4_lite(1, 8, 2);
-    let frames = observe(&arena, 90);
+    let frames = watch(&arena, 90);
     for cameras in [1, 2, 4] {
         let used: Vec<_> =
             frames.iter().filter(|frame| (frame.camera.0 as usize) < cameras).cloned().collect();

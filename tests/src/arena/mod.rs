@@ -1,7 +1,7 @@
 //! An arena with known truth: cameras, and robots on smooth paths that carry roundels.
 //!
 //! World frame right-handed with z up, metres; a roundel's z is out of its face. Paths ([`path`]) give
-//! position, velocity and acceleration exactly at any time; [`reference`] builds DESIGN's
+//! position, velocity and acceleration exactly at any time; [`mod@reference`] builds DESIGN's
 //! installations.
 
 pub mod errand;

@@ -86,7 +86,7 @@ impl Arena {
         let sites = (0..16)
             .map(|index| {
                 let (x, y) = (f64::from(index % 4) - 1.5, f64::from(index / 4) - 1.5);
-                let eye = Vector3::new(6.0 * x, 4.5 * y, 8.5);
+                let eye = Vector3::new(6.0 * x, 4.5 * y, 9.0);
                 let target = Vector3::new(5.7 * x, 4.2 * y, 0.0);
                 let name = format!("row {} camera {}", index / 4 + 1, index % 4 + 1);
                 site(name, &R4_MODEL, (eye, target), &mut random)

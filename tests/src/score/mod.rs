@@ -1,59 +1,17 @@
-//! Snapshots against the truth: are the errors as large as the covariances say?
+//! Snapshots against the truth: identities, and errors next to what covariances say (`error`).
 //!
-//! For an unbiased estimate whose covariance is right, the normalized error squared (NEES) eᵀ Σ⁻¹ e of
-//! n degrees of freedom follows χ²(n) (Bar-Shalom, Li, Kirubarajan 2001, section 5.4): 95 % of a
-//! position's lie below 7.815. Whatever code an object shows, it is taken for the robot nearest to it,
-//! and a change of robot is a swap; the code is held against that robot's.
+//! Whatever code an object shows, it is taken for the robot nearest to it, and a change of robot is a
+//! swap; the code is held against that robot's.
+
+mod error;
 
 use std::collections::{HashMap, HashSet};
 
-use nalgebra::{Matrix2, Matrix3, Quaternion, UnitQuaternion, Vector2, Vector3};
+use nalgebra::{Matrix3, Quaternion, UnitQuaternion, Vector3};
 use roundel_proto::v1::{self, LifeStage, Snapshot};
 
 use crate::arena::Truth;
-
-/// 95 % of χ² with one degree of freedom.
-pub const CHI2_95_1: f64 = 3.841;
-/// 95 % of χ² with two degrees of freedom.
-pub const CHI2_95_2: f64 = 5.991;
-/// 95 % of χ² with three degrees of freedom.
-pub const CHI2_95_3: f64 = 7.815;
-
-/// Errors of one kind, with their normalized squares.
-#[derive(Clone, Debug, Default, PartialEq)]
-pub struct Errors {
-    squares: Vec<f64>,
-    normalized: Vec<f64>,
-}
-
-impl Errors {
-    /// Takes one error's length and its normalized square.
-    pub fn push(&mut self, length: f64, normalized: f64) {
-        self.squares.push(length * length);
-        self.normalized.push(normalized);
-    }
-
-    /// How many errors there are.
-    pub fn count(&self) -> usize {
-        self.squares.len()
-    }
-
-    /// Root mean square of the errors' lengths; NaN without any.
-    pub fn rms(&self) -> f64 {
-        (self.squares.iter().sum::<f64>() / self.count() as f64).sqrt()
-    }
-
-    /// Share of normalized squares at most `bound`; NaN without any.
-    pub fn share_within(&self, bound: f64) -> f64 {
-        let inside = self.normalized.iter().filter(|square| **square <= bound).count();
-        inside as f64 / self.count() as f64
-    }
-
-    /// Mean normalized square: the degrees of freedom if the covariances are right.
-    pub fn mean_normalized(&self) -> f64 {
-        self.normalized.iter().sum::<f64>() / self.count() as f64
-    }
-}
+pub use error::{CHI2_95_1, CHI2_95_2, CHI2_95_3, Errors, normal_error, normalized3};
 
 /// What became of a run's snapshots.
 #[derive(Clone, Debug, Default, PartialEq)]
@@ -72,6 +30,8 @@ pub struct Score {
     pub rotation: Errors,
     /// Position of objects that no camera sees, metres.
     pub predicted: Errors,
+    /// Σ vᵀΛe and Σ vᵀΛv over tracked states, of position error, its precision, and true velocity.
+    along: (f64, f64),
     /// Ids that were tracked at some time.
     pub ids: usize,
     /// States with another code than the robot's.
@@ -86,6 +46,14 @@ pub struct Score {
     pub misses: usize,
     /// States that could not be normalized: a covariance missing or not positive definite.
     pub unusable: usize,
+}
+
+impl Score {
+    /// How far poses are behind their times, seconds: -Σ vᵀΛe / Σ vᵀΛv, Λ the inverse of the
+    /// covariance that each states, which is the least squares' solution of e = -delay · v.
+    pub fn delay_s(&self) -> f64 {
+        -self.along.0 / self.along.1
+    }
 }
 
 /// Scores snapshots one by one.
@@ -178,7 +146,7 @@ impl Judge {
     fn compare(&mut self, state: &v1::ObjectState, position: &Vector3<f64>, truth: &Truth) {
         let error = position - truth.pose.translation.vector;
         match position_block(&state.covariance) {
-            Some(covariance) => self.compare_position(&error, &covariance),
+            Some(covariance) => self.compare_position(&error, &covariance, truth),
             None => self.score.unusable += 1,
         }
         if let (Some(velocity), Some(covariance)) =
@@ -206,12 +174,16 @@ impl Judge {
         }
     }
 
-    fn compare_position(&mut self, error: &Vector3<f64>, covariance: &Matrix3<f64>) {
-        let Some(square) = normalized3(error, covariance) else {
+    fn compare_position(&mut self, error: &Vector3<f64>, covariance: &Matrix3<f64>, truth: &Truth) {
+        let square = normalized3(error, covariance);
+        let (Some(square), Some(root)) = (square, covariance.cholesky()) else {
             self.score.unusable += 1;
             return;
         };
         self.score.position.push(error.norm(), square);
+        let along = root.solve(&truth.velocity_m_s);
+        self.score.along.0 += along.dot(error);
+        self.score.along.1 += along.dot(&truth.velocity_m_s);
         let level = covariance.fixed_view::<2, 2>(0, 0).into_owned();
         if let Some(root) = level.cholesky() {
             let error = error.xy();
@@ -263,37 +235,6 @@ impl std::fmt::Display for Score {
 /// A wire vector's numbers.
 pub fn vector(v: &v1::Vector3) -> Vector3<f64> {
     Vector3::new(v.x, v.y, v.z)
-}
-
-/// eᵀ Σ⁻¹ e; `None` unless Σ is positive definite and all is finite.
-pub fn normalized3(error: &Vector3<f64>, covariance: &Matrix3<f64>) -> Option<f64> {
-    let square = error.dot(&covariance.cholesky()?.solve(error));
-    square.is_finite().then_some(square)
-}
-
-/// Angle between two unit normals and its normalized square under a rotation's covariance (left
-/// perturbation, same frame): only the two rotations perpendicular to the normal turn it.
-pub fn normal_error(
-    normal: &Vector3<f64>,
-    true_normal: &Vector3<f64>,
-    rotation: &Matrix3<f64>,
-) -> Option<(f64, f64)> {
-    let axis = normal.cross(true_normal);
-    let angle = axis.norm().atan2(normal.dot(true_normal));
-    let turn = axis.try_normalize(0.0).map_or(Vector3::zeros(), |unit| unit * angle);
-    let helper = if normal.x.abs() < 0.7 { Vector3::x() } else { Vector3::y() };
-    let across = normal.cross(&helper).normalize();
-    let along = normal.cross(&across);
-    let seen = |one: &Vector3<f64>, other: &Vector3<f64>| (one.transpose() * rotation * other)[0];
-    let covariance = Matrix2::new(
-        seen(&across, &across),
-        seen(&across, &along),
-        seen(&along, &across),
-        seen(&along, &along),
-    );
-    let error = Vector2::new(turn.dot(&across), turn.dot(&along));
-    let square = error.dot(&covariance.cholesky()?.solve(&error));
-    square.is_finite().then_some((angle, square))
 }
 
 /// Rows and columns `first`.. of three of a 6×6 matrix given by its upper triangle.
@@ -394,6 +335,17 @@ mod tests {
     }
 
     #[test]
+    fn poses_behind_their_time_show_the_delay() {
+        let velocity_m_s = Vector3::new(0.3, -0.4, 0.0);
+        let true_now = Truth { velocity_m_s, ..truth(1.0) };
+        let behind = true_now.pose.translation.vector - velocity_m_s * 0.02;
+        let mut judge = Judge::default();
+        let objects = vec![state(1, behind, 1e-4)];
+        judge.take(&Snapshot { objects, ..Default::default() }, &[true_now]);
+        assert!((judge.finish().delay_s() - 0.02).abs() < 1e-12);
+    }
+
+    #[test]
     fn codes_are_held_against_the_nearest_robot() {
         let coded = |number| Truth { code: Some(number), ..truth(f64::from(number)) };
         let mut judge = Judge::default();
@@ -439,12 +391,7 @@ mod tests {
     }
 
     #[test]
-    fn a_normal_ignores_the_turn_about_itself() {
-        let covariance = Matrix3::from_diagonal(&Vector3::new(1e-4, 4e-4, 3.3));
-        let tilted = UnitQuaternion::from_axis_angle(&Vector3::y_axis(), 0.02) * Vector3::z();
-        let (angle, square) = normal_error(&Vector3::z(), &tilted, &covariance).unwrap();
-        assert!((angle - 0.02).abs() < 1e-12);
-        assert!((square - 1.0).abs() < 1e-9);
+    fn a_triangle_of_another_size_is_no_covariance() {
         assert!(block(&[0.0; 20], 0).is_none());
     }
 }

@@ -1,0 +1,231 @@
+//! Streams that misbehave: nothing may panic, no pose may be wrong, and each fault must be counted.
+//!
+//! R4's robots on their loops, seen without pixels; what is done to the frames is done between cameras
+//! and fusion.
+
+use roundel_core::{
+    id::CameraId,
+    world::{FrameObservations, FusionCounts},
+};
+
+use super::{
+    Length, Row,
+    run::{Run, Ticks},
+    swarm::PRECISE,
+};
+use crate::{arena::Arena, sensor::Stream};
+
+const BAR: &str = "no panic, no wrong pose, each counted";
+/// No pose may be further off.
+const WRONG_MM: f64 = 50.0;
+const HOUR_S: f64 = 3600.0;
+/// The camera that something is wrong with, and from when to when.
+const SUSPECT: CameraId = CameraId(2);
+const SUSPECT_S: std::ops::Range<f64> = 2.0..3.5;
+/// Beyond and within the late window, seconds.
+const OVERDUE_S: f64 = 0.5;
+const DELAY_S: f64 = 0.2;
+
+/// Something that was done to the stream, and in how many counts it must show.
+struct Fault {
+    what: &'static str,
+    counted: fn(&FusionCounts) -> u64,
+    expected: std::ops::RangeInclusive<u64>,
+}
+
+impl Fault {
+    fn exactly(what: &'static str, count: usize, counted: fn(&FusionCounts) -> u64) -> Self {
+        Self { what, counted, expected: count as u64..=count as u64 }
+    }
+}
+
+/// Frames in the order of their arrival, and what was done to them.
+struct Case<'a> {
+    arena: &'a Arena,
+    seconds: f64,
+    frames: Vec<FrameObservations>,
+    faults: Vec<Fault>,
+}
+
+impl<'a> Case<'a> {
+    fn new(arena: &'a Arena, length: Length) -> Self {
+        let seconds = length.seconds(10.0, 5.0);
+        let frames = Stream::new(arena, PRECISE, seconds).collect();
+        Self { arena, seconds, frames, faults: Vec::new() }
+    }
+
+    fn seconds_of(&self, frame: &FrameObservations) -> f64 {
+        (frame.received_time.as_ns() - self.arena.start_ns) as f64 * 1e-9
+    }
+
+    fn is_suspect(&self, frame: &FrameObservations) -> bool {
+        frame.camera == SUSPECT && SUSPECT_S.contains(&self.seconds_of(frame))
+    }
+
+    /// Does something to those frames that `which` picks; gives how many, and how many detections.
+    fn each(
+        &mut self,
+        which: impl Fn(&Self, &FrameObservations) -> bool,
+        change: impl Fn(&mut FrameObservations),
+    ) -> (usize, usize) {
+        let mut frames = std::mem::take(&mut self.frames);
+        let (mut count, mut detections) = (0, 0);
+        for frame in frames.iter_mut().filter(|frame| which(self, frame)) {
+            change(frame);
+            count += 1;
+            detections += frame.detections.len();
+        }
+        frames.sort_by_key(|frame| frame.received_time);
+        self.frames = frames;
+        (count, detections)
+    }
+
+    /// Every frame comes once more.
+    fn twice(mut self) -> Self {
+        let count = self.frames.len();
+        self.frames = self.frames.iter().flat_map(|frame| [frame.clone(), frame.clone()]).collect();
+        let fault = Fault::exactly("frames twice", count, |counts| counts.duplicate_frames);
+        self.faults.push(fault);
+        self
+    }
+
+    /// Every tenth frame comes when it is no longer of use.
+    fn overdue(mut self) -> Self {
+        // After the end, nothing newer makes them late.
+        let until_s = self.seconds - OVERDUE_S;
+        let (count, _) = self.each(
+            |case, frame| frame.frame.is_multiple_of(10) && case.seconds_of(frame) < until_s,
+            |frame| frame.received_time = frame.received_time.plus_seconds(OVERDUE_S),
+        );
+        self.faults.push(Fault::exactly("frames too late", count, |counts| counts.late_frames));
+        self
+    }
+
+    /// Every third frame comes after a dozen others of its camera.
+    fn reordered(mut self) -> Self {
+        let until_s = self.seconds - DELAY_S;
+        let (_, moved) = self.each(
+            |case, frame| frame.frame.is_multiple_of(3) && case.seconds_of(frame) < until_s,
+            |frame| frame.received_time = frame.received_time.plus_seconds(DELAY_S),
+        );
+        let all: usize = self.frames.iter().map(|frame| frame.detections.len()).sum();
+        self.faults.push(Fault::exactly("detections dropped", 0, |counts| counts.late));
+        self.faults.push(Fault {
+            what: "detections out of order",
+            counted: |counts| counts.out_of_order,
+            // Few find nobody newer; those of other cameras come out of order as well.
+            expected: (moved as u64 * 9 / 10)..=all as u64,
+        });
+        self
+    }
+
+    /// The suspect sends nothing for a while.
+    fn stopped(mut self) -> Self {
+        let frames = std::mem::take(&mut self.frames);
+        self.frames = frames.into_iter().filter(|frame| !self.is_suspect(frame)).collect();
+        self
+    }
+
+    /// The suspect's clock is set to another hour, and back again.
+    fn jumped(mut self, hours: f64) -> Self {
+        let (count, _) = self.each(Self::is_suspect, |frame| {
+            frame.capture_time = frame.capture_time.plus_seconds(hours * HOUR_S);
+            for seen in &mut frame.detections {
+                seen.capture_time = seen.capture_time.plus_seconds(hours * HOUR_S);
+            }
+        });
+        self.faults.push(if hours > 0.0 {
+            Fault::exactly("frames an hour ahead", count, |counts| counts.jumped_frames)
+        } else {
+            Fault::exactly("frames an hour behind", count, |counts| counts.late_frames)
+        });
+        self
+    }
+
+    fn judge(self, name: &str) -> Vec<Row> {
+        let run = Run::new(self.arena, Ticks { rate_hz: 60.0, judged_from_s: 1.0 });
+        let outcome = run.take_all(self.frames).finish();
+        let (score, counts) = (outcome.score, outcome.counts);
+        let worst_mm = score.position.greatest() * 1e3;
+        let mut row = Row::new(name, BAR)
+            .check_identities(self.arena.robots.len(), &score)
+            .check(format!("worst pose {worst_mm:.0} mm off"), worst_mm <= WRONG_MM);
+        for fault in &self.faults {
+            let count = (fault.counted)(&counts);
+            let (least, most) = (fault.expected.start(), fault.expected.end());
+            let of = if least == most { format!(" of {least}") } else { String::new() };
+            let text = format!("{count}{of} {}", fault.what);
+            row = row.check(text, fault.expected.contains(&count));
+        }
+        let known = counts.used
+            + counts.late
+            + counts.duplicate
+            + counts.jumped
+            + counts.no_camera_pose
+            + counts.no_pose
+            + counts.invalid
+            + counts.contradicted
+            + counts.over_max_objects;
+        let lost = counts.detections.abs_diff(known);
+        if lost > 0 {
+            row = row.check(format!("{lost} detections without account"), false);
+        }
+        vec![row.scored(score)]
+    }
+}
+
+fn arena() -> Arena {
+    Arena::r4(41)
+}
+
+/// Every frame comes twice.
+pub fn twice(length: Length) -> Vec<Row> {
+    Case::new(&arena(), length).twice().judge("every frame twice")
+}
+
+/// Frames beyond the late window.
+pub fn overdue(length: Length) -> Vec<Row> {
+    Case::new(&arena(), length).overdue().judge("every tenth frame half a second late")
+}
+
+/// Frames within the late window.
+pub fn reordered(length: Length) -> Vec<Row> {
+    Case::new(&arena(), length).reordered().judge("every third frame 0.2 s late")
+}
+
+/// Frames that never come.
+pub fn missing(length: Length) -> Vec<Row> {
+    let arena = arena();
+    let mut case = Case::new(&arena, length);
+    let before = case.frames.len();
+    case.frames.retain(|frame| frame.frame % 10 > 2);
+    let missing = before - case.frames.len();
+    let rows = case.judge("three frames of ten missing");
+    // Numbers of frames tell, but nothing in `FusionCounts` does.
+    let uncounted = |row: Row| row.check(format!("{missing} missing frames not counted"), false);
+    rows.into_iter().map(uncounted).collect()
+}
+
+/// A camera that stops and returns.
+pub fn stopped(length: Length) -> Vec<Row> {
+    Case::new(&arena(), length).stopped().judge("a camera that stops for 1.5 s and returns")
+}
+
+/// A clock that is set forward, and back.
+pub fn hour_ahead(length: Length) -> Vec<Row> {
+    Case::new(&arena(), length).jumped(1.0).judge("a clock an hour ahead for 1.5 s")
+}
+
+/// A clock that is set back, and forward.
+pub fn hour_behind(length: Length) -> Vec<Row> {
+    Case::new(&arena(), length).jumped(-1.0).judge("a clock an hour behind for 1.5 s")
+}
+
+/// A clock that jumps while frames come late and in disorder.
+pub fn everything(length: Length) -> Vec<Row> {
+    let arena = arena();
+    let mut case = Case::new(&arena, length).jumped(1.0).overdue().reordered().twice();
+    // Which fault a frame is counted under depends on which comes first: only the sums hold.
+    case.faults.clear();
+    case.judge("a clock an hour ahead, frames late, reordered and twice")
+}

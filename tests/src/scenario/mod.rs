@@ -1,0 +1,255 @@
+//! Many cameras, one world: what fusion has to hold, each scenario with fixed seeds and its truth.
+//!
+//! `cargo run --release -p roundel-tests --bin scenarios` runs them all and prints one table. A row
+//! names the scenario, the bar, what was measured (in bold what misses the bar), the shares of
+//! position, velocity and orientation inside their 95 % ellipsoids, and whether the bar is held. Shares
+//! have a row of their own at the end: they must lie within [`BAND`] in every scenario.
+//!
+//! | names | what | module |
+//! | --- | --- | --- |
+//! | `alone`, `late` | 64 objects, 8 cameras, in order and late: ids and speed | [`swarm`] |
+//! | `r16` | 200 coded objects, 16 cameras: speed | [`swarm`] |
+//! | `r4` | 24 coded robots as DESIGN's R4 moves them | [`swarm`] |
+//! | `static`, `walking`, `driving` | R4 from rendered frames | [`pixels`] |
+//! | `clocks` | offsets and skews that nobody has set | [`clocks`] |
+//! | `crossing` | plain roundels that pass each other, occluded, for ten minutes | [`crossing`] |
+//! | `twice`, `overdue`, … | streams that misbehave | [`fault`] |
+//!
+//! All run in virtual time on the calling thread, but for the rendering. Poses are judged where a server
+//! publishes them: at the time of the tick, predicted over the frames' latency. Speeds count the calls
+//! of fusion alone.
+
+pub mod clocks;
+pub mod crossing;
+pub mod fault;
+pub mod pixels;
+pub mod run;
+pub mod swarm;
+
+use std::fmt::Write as _;
+
+use crate::score::{CHI2_95_2, CHI2_95_3, Score};
+
+/// Shares inside 95 % that count as consistent.
+pub const BAND: std::ops::RangeInclusive<f64> = 0.92..=0.98;
+
+/// How much of a scenario is run.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Length {
+    /// As the table has it.
+    Full,
+    /// A few seconds, for tests.
+    Short,
+}
+
+impl Length {
+    /// One of two durations.
+    pub fn seconds(self, full: f64, short: f64) -> f64 {
+        match self {
+            Length::Full => full,
+            Length::Short => short,
+        }
+    }
+}
+
+/// One thing that was measured.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct Part {
+    /// With its unit.
+    pub text: String,
+    /// Whether it is within the bar; what has none holds.
+    pub holds: bool,
+}
+
+/// One row of the table.
+#[derive(Clone, Debug, Default)]
+pub struct Row {
+    /// What was run.
+    pub scenario: String,
+    /// What must hold.
+    pub bar: &'static str,
+    /// What was measured.
+    pub parts: Vec<Part>,
+    /// Its snapshots against the truth; `None` where consistency makes no sense.
+    pub score: Option<Score>,
+}
+
+impl Row {
+    /// A row without anything measured yet.
+    pub fn new(scenario: impl Into<String>, bar: &'static str) -> Self {
+        Self { scenario: scenario.into(), bar, ..Self::default() }
+    }
+
+    /// Adds what is held against the bar.
+    pub fn check(mut self, text: impl Into<String>, holds: bool) -> Self {
+        self.parts.push(Part { text: text.into(), holds });
+        self
+    }
+
+    /// Adds what is told beside it.
+    pub fn note(self, text: impl Into<String>) -> Self {
+        self.check(text, true)
+    }
+
+    /// Adds ids, swaps, strays and misses, of which there must be one, none, none and none an object.
+    pub fn check_identities(self, objects: usize, score: &Score) -> Self {
+        let Score { ids, swaps, strays, misses, wrong_codes, .. } = *score;
+        let row = self
+            .check(format!("{ids} ids for {objects}"), ids == objects)
+            .check(format!("{swaps} swaps"), swaps == 0)
+            .check(format!("{strays} strays"), strays == 0)
+            .check(format!("{misses} misses"), misses == 0);
+        if wrong_codes == 0 { row } else { row.check(format!("{wrong_codes} wrong codes"), false) }
+    }
+
+    /// Adds rms errors of position, in the plane and in height.
+    pub fn note_errors(self, score: &Score) -> Self {
+        self.note(format!(
+            "rms {:.2} mm: {:.2} in the plane, {:.2} in height",
+            score.position.rms() * 1e3,
+            score.plane.rms() * 1e3,
+            score.height.rms() * 1e3
+        ))
+    }
+
+    /// Ends the row with the score that its consistency is read from.
+    pub fn scored(self, score: Score) -> Self {
+        Self { score: Some(score), ..self }
+    }
+
+    /// Whether all that was measured is within the bar.
+    pub fn holds(&self) -> bool {
+        self.parts.iter().all(|part| part.holds)
+    }
+
+    /// Shares of position, velocity and orientation inside 95 %.
+    pub fn shares(&self) -> Option<[f64; 3]> {
+        self.score.as_ref().map(shares)
+    }
+}
+
+/// Shares of position, velocity and orientation inside 95 %; of the orientation the normal where no
+/// yaw is observed.
+pub fn shares(score: &Score) -> [f64; 3] {
+    let orientation = if score.rotation.count() > 0 {
+        score.rotation.share_within(CHI2_95_3)
+    } else {
+        score.normal.share_within(CHI2_95_2)
+    };
+    let [position, velocity] =
+        [&score.position, &score.velocity].map(|errors| errors.share_within(CHI2_95_3));
+    [position, velocity, orientation]
+}
+
+/// A function that runs one scenario.
+pub type Run = fn(Length) -> Vec<Row>;
+
+/// Every scenario by its name, in the order of the table.
+pub const ALL: [(&str, Run); 17] = [
+    ("alone", swarm::alone),
+    ("late", swarm::late),
+    ("r16", swarm::r16),
+    ("r4", swarm::r4),
+    ("static", pixels::still),
+    ("walking", pixels::walking),
+    ("driving", pixels::driving),
+    ("clocks", clocks::unset),
+    ("crossing", crossing::crossing),
+    ("twice", fault::twice),
+    ("overdue", fault::overdue),
+    ("reordered", fault::reordered),
+    ("missing", fault::missing),
+    ("stopped", fault::stopped),
+    ("hour-ahead", fault::hour_ahead),
+    ("hour-behind", fault::hour_behind),
+    ("everything", fault::everything),
+];
+
+/// What the shares of all rows say.
+pub fn consistency(rows: &[Row]) -> Row {
+    const WHAT: [&str; 3] = ["position", "velocity", "orientation"];
+    let mut row = Row::new(
+        "covariances of all the above",
+        "95 % inside 95 %, give or take 3 points: position, velocity and orientation",
+    );
+    let (mut inside, mut counted) = (0, 0);
+    for scored in rows {
+        for (what, share) in std::iter::zip(WHAT, scored.shares().into_iter().flatten()) {
+            counted += 1;
+            if BAND.contains(&share) {
+                inside += 1;
+            } else {
+                let text = format!("{}: {what} {:.1} %", scored.scenario, share * 100.0);
+                row = row.check(text, false);
+            }
+        }
+    }
+    row.parts.insert(
+        0,
+        Part { text: format!("{inside} of {counted} shares are"), holds: inside == counted },
+    );
+    row
+}
+
+/// Rows as a markdown table.
+pub fn table(rows: &[Row]) -> String {
+    let mut text = String::from(
+        "| scenario | bar | measured | inside 95 %: position, velocity, orientation | holds |\n\
+         | --- | --- | --- | --- | --- |\n",
+    );
+    for row in rows {
+        let parts: Vec<String> = row
+            .parts
+            .iter()
+            .map(|part| if part.holds { part.text.clone() } else { format!("**{}**", part.text) })
+            .collect();
+        let share = |share: f64| {
+            let text = format!("{:.1}", share * 100.0);
+            if BAND.contains(&share) { text } else { format!("**{text}**") }
+        };
+        let shares = row.shares().map_or(String::new(), |shares| shares.map(share).join(", "));
+        let verdict = if row.holds() { "yes" } else { "**no**" };
+        let _ = writeln!(
+            text,
+            "| {} | {} | {} | {shares} | {verdict} |",
+            row.scenario,
+            row.bar,
+            parts.join("; ")
+        );
+    }
+    text
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn row(inside: usize, outside: usize) -> Row {
+        let mut score = Score::default();
+        for errors in [&mut score.position, &mut score.velocity, &mut score.normal] {
+            (0..inside).for_each(|_| errors.push(0.001, 1.0));
+            (0..outside).for_each(|_| errors.push(0.01, 100.0));
+        }
+        Row::new("a", "b").note("c").scored(score)
+    }
+
+    #[test]
+    fn what_misses_its_bar_shows() {
+        let bad = Row::new("slow", "fast").check("fast", false).note("seen");
+        assert!(!bad.holds());
+        let text = table(&[row(95, 5), bad, row(80, 20)]);
+        let lines: Vec<&str> = text.lines().skip(2).collect();
+        assert_eq!(lines[0], "| a | b | c | 95.0, 95.0, 95.0 | yes |");
+        assert_eq!(lines[1], "| slow | fast | **fast**; seen |  | **no** |");
+        assert_eq!(lines[2], "| a | b | c | **80.0**, **80.0**, **80.0** | yes |");
+    }
+
+    #[test]
+    fn consistency_names_who_is_outside() {
+        assert!(consistency(&[row(95, 5), row(93, 7)]).holds());
+        let bad = consistency(&[row(95, 5), row(100, 0)]);
+        assert!(!bad.holds());
+        assert_eq!(bad.parts[0].text, "3 of 6 shares are");
+        assert_eq!(bad.parts[1].text, "a: position 100.0 %");
+    }
+}

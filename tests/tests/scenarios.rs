@@ -1,0 +1,62 @@
+//! Short versions of the scenarios of `roundel_tests::scenario`: what holds of them today, without
+//! speeds, which `--bin scenarios` tells.
+
+use roundel_tests::{
+    scenario::{BAND, Length, Row, Run, crossing, fault, swarm},
+    score::Score,
+};
+
+/// Runs a scenario of one row, of which all identities must be right and no covariance too small.
+fn sound(run: Run, objects: usize) -> Row {
+    let mut rows = run(Length::Short);
+    assert_eq!(rows.len(), 1);
+    let row = rows.remove(0);
+    println!("{}: {:?}, inside {:.3?}", row.scenario, row.parts, row.shares());
+    let Score { ids, swaps, strays, misses, wrong_codes, unusable, .. } =
+        row.score.clone().unwrap();
+    assert_eq!((ids, swaps, strays, misses), (objects, 0, 0, 0), "{}", row.scenario);
+    assert_eq!((wrong_codes, unusable), (0, 0), "{}", row.scenario);
+    let shares = row.shares().unwrap();
+    assert!(shares.iter().all(|share| *share >= *BAND.start()), "{}: {shares:?}", row.scenario);
+    assert!(BAND.contains(&shares[0]), "{}: {shares:?}", row.scenario);
+    row
+}
+
+#[test]
+fn sixty_four_objects_keep_their_ids() {
+    sound(swarm::alone, 64);
+}
+
+#[test]
+fn and_do_so_when_frames_come_late() {
+    sound(swarm::late, 64);
+}
+
+#[test]
+fn coded_robots_keep_their_ids_and_codes() {
+    sound(swarm::r4, 24);
+    sound(swarm::r16, 200);
+}
+
+#[test]
+fn plain_roundels_that_cross_are_not_swapped() {
+    assert!(sound(crossing::crossing, 20).holds());
+}
+
+#[test]
+fn streams_that_misbehave_do_no_harm_and_are_counted() {
+    let counted: [Run; 7] = [
+        fault::twice,
+        fault::overdue,
+        fault::reordered,
+        fault::stopped,
+        fault::hour_ahead,
+        fault::hour_behind,
+        fault::everything,
+    ];
+    for run in counted {
+        let row = sound(run, 24);
+        assert!(row.holds(), "{:?}", row.parts);
+    }
+    sound(fault::missing, 24);
+}
