@@ -59,4 +59,5 @@ fn streams_that_misbehave_do_no_harm_and_are_counted() {
         assert!(row.holds(), "{:?}", row.parts);
     }
     sound(fault::missing, 24);
+    sound(fault::hour_for_good, 24);
 }

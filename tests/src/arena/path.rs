@@ -94,7 +94,7 @@ impl Path {
     /// Position as seen from the centre, velocity and acceleration.
     fn motion(&self, t: f64) -> [Vector3<f64>; 3] {
         match &self.course {
-            Course::Sines(sines) => [0, 1, 2].map(|n| derivative(sines, n, t)),
+            Course::Sines(sines) => along(sines, t),
             Course::Stray(stray) => stray.at(t),
             Course::Errands(errands) => errands.at(t),
         }
@@ -121,13 +121,17 @@ impl Path {
     }
 }
 
-/// The n-th derivative of the position at `t` seconds (0: the position itself).
-fn derivative(sines: &[Sine; 3], n: i32, t: f64) -> Vector3<f64> {
-    Vector3::from_fn(|axis, _| {
-        let s = sines[axis];
-        let angle = s.rate_rad_s * t + s.phase_rad + f64::from(n) * PI / 2.0;
-        s.amplitude_m * s.rate_rad_s.powi(n) * angle.sin()
-    })
+/// Position, velocity and acceleration; renderers ask for every point of every rim.
+fn along(sines: &[Sine; 3], t: f64) -> [Vector3<f64>; 3] {
+    let mut motion = [Vector3::zeros(); 3];
+    for (axis, sine) in sines.iter().enumerate().filter(|(_, sine)| sine.amplitude_m != 0.0) {
+        let (sin, cos) = (sine.rate_rad_s * t + sine.phase_rad).sin_cos();
+        let (reach, rate) = (sine.amplitude_m, sine.rate_rad_s);
+        motion[0][axis] = reach * sin;
+        motion[1][axis] = reach * rate * cos;
+        motion[2][axis] = -reach * rate * rate * sin;
+    }
+    motion
 }
 
 /// Accelerations that change at random: a push that forgets itself within 0.4 s, a spring and a damper

@@ -3,6 +3,8 @@
 //! R4's robots on their loops, seen without pixels; what is done to the frames is done between cameras
 //! and fusion.
 
+use std::ops::{Range, RangeInclusive};
+
 use roundel_core::{
     id::CameraId,
     world::{FrameObservations, FusionCounts},
@@ -21,7 +23,7 @@ const WRONG_MM: f64 = 50.0;
 const HOUR_S: f64 = 3600.0;
 /// The camera that something is wrong with, and from when to when.
 const SUSPECT: CameraId = CameraId(2);
-const SUSPECT_S: std::ops::Range<f64> = 2.0..3.5;
+const SUSPECT_S: Range<f64> = 2.0..3.5;
 /// Beyond and within the late window, seconds.
 const OVERDUE_S: f64 = 0.5;
 const DELAY_S: f64 = 0.2;
@@ -30,7 +32,7 @@ const DELAY_S: f64 = 0.2;
 struct Fault {
     what: &'static str,
     counted: fn(&FusionCounts) -> u64,
-    expected: std::ops::RangeInclusive<u64>,
+    expected: RangeInclusive<u64>,
 }
 
 impl Fault {
@@ -58,8 +60,8 @@ impl<'a> Case<'a> {
         (frame.received_time.as_ns() - self.arena.start_ns) as f64 * 1e-9
     }
 
-    fn is_suspect(&self, frame: &FrameObservations) -> bool {
-        frame.camera == SUSPECT && SUSPECT_S.contains(&self.seconds_of(frame))
+    fn is_suspect(&self, frame: &FrameObservations, when_s: &Range<f64>) -> bool {
+        frame.camera == SUSPECT && when_s.contains(&self.seconds_of(frame))
     }
 
     /// Does something to those frames that `which` picks; gives how many, and how many detections.
@@ -122,18 +124,20 @@ impl<'a> Case<'a> {
     /// The suspect sends nothing for a while.
     fn stopped(mut self) -> Self {
         let frames = std::mem::take(&mut self.frames);
-        self.frames = frames.into_iter().filter(|frame| !self.is_suspect(frame)).collect();
+        let stays = |frame: &FrameObservations| !self.is_suspect(frame, &SUSPECT_S);
+        self.frames = frames.into_iter().filter(stays).collect();
         self
     }
 
-    /// The suspect's clock is set to another hour, and back again.
-    fn jumped(mut self, hours: f64) -> Self {
-        let (count, _) = self.each(Self::is_suspect, |frame| {
+    /// The suspect's clock is set to another hour, and back again if the time when ends.
+    fn jumped(mut self, hours: f64, when_s: Range<f64>) -> Self {
+        let change = |frame: &mut FrameObservations| {
             frame.capture_time = frame.capture_time.plus_seconds(hours * HOUR_S);
             for seen in &mut frame.detections {
                 seen.capture_time = seen.capture_time.plus_seconds(hours * HOUR_S);
             }
-        });
+        };
+        let (count, _) = self.each(|case, frame| case.is_suspect(frame, &when_s), change);
         self.faults.push(if hours > 0.0 {
             Fault::exactly("frames an hour ahead", count, |counts| counts.jumped_frames)
         } else {
@@ -213,18 +217,33 @@ pub fn stopped(length: Length) -> Vec<Row> {
 
 /// A clock that is set forward, and back.
 pub fn hour_ahead(length: Length) -> Vec<Row> {
-    Case::new(&arena(), length).jumped(1.0).judge("a clock an hour ahead for 1.5 s")
+    Case::new(&arena(), length).jumped(1.0, SUSPECT_S).judge("a clock an hour ahead for 1.5 s")
 }
 
 /// A clock that is set back, and forward.
 pub fn hour_behind(length: Length) -> Vec<Row> {
-    Case::new(&arena(), length).jumped(-1.0).judge("a clock an hour behind for 1.5 s")
+    Case::new(&arena(), length).jumped(-1.0, SUSPECT_S).judge("a clock an hour behind for 1.5 s")
+}
+
+/// A clock that is set forward for good: refused is not enough, its frames must come to be of use.
+pub fn hour_for_good(length: Length) -> Vec<Row> {
+    let arena = arena();
+    let mut case = Case::new(&arena, length).jumped(1.0, SUSPECT_S.start..f64::INFINITY);
+    let jumped: usize = case.frames.iter().filter(|frame| frame.camera == SUSPECT).count();
+    // How soon is fusion's matter; a second of frames is enough to tell.
+    case.faults.clear();
+    case.faults.push(Fault {
+        what: "frames refused until it is believed",
+        counted: |counts| counts.jumped_frames,
+        expected: 1..=60.min(jumped as u64),
+    });
+    case.judge("a clock an hour ahead for good")
 }
 
 /// A clock that jumps while frames come late and in disorder.
 pub fn everything(length: Length) -> Vec<Row> {
     let arena = arena();
-    let mut case = Case::new(&arena, length).jumped(1.0).overdue().reordered().twice();
+    let mut case = Case::new(&arena, length).jumped(1.0, SUSPECT_S).overdue().reordered().twice();
     // Which fault a frame is counted under depends on which comes first: only the sums hold.
     case.faults.clear();
     case.judge("a clock an hour ahead, frames late, reordered and twice")

@@ -145,7 +145,7 @@ pub fn shares(score: &Score) -> [f64; 3] {
 pub type Run = fn(Length) -> Vec<Row>;
 
 /// Every scenario by its name, in the order of the table.
-pub const ALL: [(&str, Run); 17] = [
+pub const ALL: [(&str, Run); 18] = [
     ("alone", swarm::alone),
     ("late", swarm::late),
     ("r16", swarm::r16),
@@ -162,6 +162,7 @@ pub const ALL: [(&str, Run); 17] = [
     ("stopped", fault::stopped),
     ("hour-ahead", fault::hour_ahead),
     ("hour-behind", fault::hour_behind),
+    ("hour-for-good", fault::hour_for_good),
     ("everything", fault::everything),
 ];
 
