@@ -9,8 +9,10 @@ use nalgebra::Vector3;
 use roundel_core::{
     camera::{Camera, Intrinsics, Lens, PixelPoint},
     ellipse::Ellipse,
-    marker::{Kind, Ring},
-    pose::{RimNoise, locate},
+    frame::Frame,
+    id::{KindId, TrackNumber},
+    marker::{Kind, Mode, Ring, TrackedRing},
+    pose::{Locator, RimNoise, locate},
 };
 
 fn cameras() -> [(&'static str, Camera); 3] {
@@ -36,7 +38,7 @@ fn cameras() -> [(&'static str, Camera); 3] {
 /// Calls in one repetition.
 const CALLS: u32 = 200;
 /// Repetitions, of which the shortest counts.
-const REPETITIONS: usize = 3000;
+const REPETITIONS: usize = 1000;
 
 fn least_us(mut call: impl FnMut()) -> f64 {
     let repetition = |_| {
@@ -64,6 +66,9 @@ fn lens() {
     }
 }
 
+/// Rings located at once, as the server does with a frame's.
+const RINGS: usize = 64;
+
 /// Rings of 30 px with rims off by a few hundredths of a pixel.
 fn pose() {
     let kind = Kind::plain("robot", 0.16, 0.064);
@@ -80,9 +85,28 @@ fn pose() {
             let time_us = least_us(|| {
                 let _ = black_box(locate(&camera, &kind, black_box(&ring), &noise));
             });
-            println!("pose of a ring of 30 px {tilt}, {name}: {time_us:.3} µs");
+            let all_us = least_all_us(camera, &kind, &ring) / RINGS as f64;
+            println!(
+                "pose of a ring of 30 px {tilt}, {name}: alone {time_us:.3} µs, \
+                 one of {RINGS} {all_us:.3} µs"
+            );
         }
     }
+}
+
+fn least_all_us(camera: Camera, kind: &Kind, ring: &Ring) -> f64 {
+    let ring = Ring { kind: Some(KindId(0)), ..*ring };
+    let rings: Vec<_> = (0..RINGS as u64)
+        .map(|number| TrackedRing { track: TrackNumber(number), ring, code: None })
+        .collect();
+    let pixels = [0; 4];
+    let frame = Frame::new(&pixels, 2, 2, 2).expect("as many pixels as it says");
+    let mut locator = Locator::new(camera, vec![kind.clone()], Mode::Fast);
+    let mut located = Vec::new();
+    least_us(|| {
+        locator.locate_all(&frame, black_box(&rings), &mut located);
+        black_box(&located);
+    })
 }
 
 fn main() {

@@ -6,7 +6,9 @@
 //!
 //! | module | makes |
 //! | --- | --- |
-//! | [`time`], [`id`], [`rigid`], [`camera`] | instants, names, rigid transforms with covariance, lens models |
+//! | [`time`], [`id`], [`rigid`] | instants, names, rigid transforms with covariance |
+//! | `lanes` | numbers side by side, one case in each lane of a vector |
+//! | [`camera`] | lens models |
 //! | [`frame`] | a view of 8-bit grey pixels |
 //! | [`segment`] | windows, and moments of runs of pixels |
 //! | [`ellipse`] | rims from moments |
@@ -27,6 +29,7 @@ pub mod camera;
 pub mod ellipse;
 pub mod frame;
 pub mod id;
+mod lanes;
 pub mod marker;
 pub mod pose;
 pub mod rigid;

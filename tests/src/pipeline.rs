@@ -8,7 +8,7 @@ use roundel_core::{
     frame::Frame,
     id::CameraId,
     marker::{CodeLayout, Detector, Kind, Params, Pattern, Tracker},
-    pose::{Detection, Locator},
+    pose::{Detection, Located, Locator, PoseError},
     rigid::{self, Covariance6},
     time::Timestamp,
     world::{self, CameraPlacement, FrameObservations, Fusion, FusionParams},
@@ -57,6 +57,8 @@ pub fn core_kinds(kinds: &[arena::Kind]) -> Vec<Kind> {
 pub struct Observer {
     tracker: Tracker,
     locator: Locator,
+    /// What became of the newest frame's rings.
+    located: Vec<Result<Located, PoseError>>,
     line_time_s: f64,
 }
 
@@ -76,7 +78,7 @@ impl Observer {
         let kinds = core_kinds(kinds);
         let locator = Locator::new(core_camera(optics)?, kinds.clone(), params.mode);
         let tracker = Tracker::new(Detector::new(kinds, params)?);
-        Ok(Self { tracker, locator, line_time_s })
+        Ok(Self { tracker, locator, located: Vec::new(), line_time_s })
     }
 
     /// What is seen in the next frame, whose middle row was exposed at `capture_ns`.
@@ -84,8 +86,9 @@ impl Observer {
         let frame = Frame::new(&image.pixels, image.width, image.height, image.width)?;
         let middle = (image.height as f64 - 1.0) / 2.0;
         let mut detections = Vec::new();
-        for tracked in self.tracker.process(&frame) {
-            let located = self.locator.locate(&frame, tracked).ok();
+        let rings = self.tracker.process(&frame);
+        self.locator.locate_all(&frame, rings, &mut self.located);
+        for (tracked, located) in rings.iter().zip(self.located.drain(..)) {
             let (ring, pose) = located.map_or((tracked.ring, None), |it| (it.ring, Some(it.pose)));
             let row_s = (tracked.ring.outer.center.v - middle) * self.line_time_s;
             let capture_time = Timestamp::from_ns(capture_ns).plus_seconds(row_s);

@@ -1,5 +1,6 @@
 //! Times of following and searching with poses, on rendered roundels.
 //!
+//! Poses are those of all rings of a frame at once, as the server has them; of one roundel that is one alone.
 //! In: how many roundels of which size in an image of which size. Out: least times of a frame, in both
 //! modes, on one thread. The roundels go round in small circles, so that neither their places nor
 //! their poses are those of the frame before. The least of many repetitions counts, since others use
@@ -93,13 +94,15 @@ fn follow(
 ) -> (f64, f64) {
     let mut tracker = Tracker::new(detector(case, mode));
     let mut locator = locator(camera, mode);
+    let mut located = Vec::new();
     let mut round = |with_poses: bool| {
         for frame in frames {
             let tracked = tracker.process(frame);
             assert_eq!(tracked.len(), case.count, "all roundels are followed");
             if with_poses {
-                let located = tracked.iter().filter(|one| locator.locate(frame, one).is_ok());
-                assert_eq!(located.count(), case.count, "all roundels are located");
+                locator.locate_all(frame, tracked, &mut located);
+                let posed = located.iter().filter(|one| one.is_ok());
+                assert_eq!(posed.count(), case.count, "all roundels are located");
             }
         }
     };

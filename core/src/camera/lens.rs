@@ -15,6 +15,7 @@
 use nalgebra::{Matrix2, Matrix2x3, Vector2, Vector3};
 
 use super::LensError;
+use crate::lanes::{Lane, Mask, Mat2, Vec2};
 
 /// A distortion model with its coefficients, named and ordered as in ROS' `camera_info`.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -95,14 +96,14 @@ impl Lens {
                 Some((radius * scale, slope))
             }
             _ => {
-                let (g, dg_ds) = self.planar()?.gain(s)?;
-                Some((radius * g, g + 2.0 * s * dg_ds))
+                let (g, dg_ds, is_known) = self.planar()?.gain(s);
+                is_known.then_some((radius * g, g + 2.0 * s * dg_ds))
             }
         }
     }
 
     /// The planar model's coefficients; `None` for `equidistant`.
-    fn planar(&self) -> Option<Planar> {
+    pub(super) fn planar(&self) -> Option<Planar> {
         match *self {
             Lens::PlumbBob([k1, k2, p1, p2, k3]) => {
                 Some(Planar { above: [k1, k2, k3], below: None, p1, p2 })
@@ -154,12 +155,12 @@ impl Lens {
         if point.norm_squared() > reach * reach {
             return Err(LensError::Outside);
         }
-        let (image, slope) = planar.distort(point).ok_or(LensError::Outside)?;
+        let (image, slope, is_known) = planar.distort(Vec2::new(point.x, point.y));
         // Tangential terms can fold the image within the radial reach.
-        if slope.determinant() <= 0.0 {
+        if !is_known || slope.determinant() <= 0.0 {
             return Err(LensError::Outside);
         }
-        Ok((image, slope))
+        Ok((image.into(), slope.into()))
     }
 
     fn project_equidistant(
@@ -215,20 +216,6 @@ impl Lens {
         }
     }
 
-    /// The point of the plane z = 1 that is distorted to `image`, with the derivative of the distortion
-    /// there; planar models only.
-    pub(super) fn undistorted(
-        &self,
-        reach: f64,
-        image: &Vector2<f64>,
-    ) -> Result<(Vector2<f64>, Matrix2<f64>), LensError> {
-        if !(image.x.is_finite() && image.y.is_finite()) {
-            return Err(LensError::NotFinite);
-        }
-        let planar = self.planar().ok_or(LensError::Outside)?;
-        self.undistort_planar(&planar, reach, image)
-    }
-
     /// The angle to the axis, radians, at which the image has this radius, with the derivative of the
     /// radius there; `equidistant` only.
     pub(super) fn angle(&self, reach: f64, image_radius: f64) -> Result<(f64, f64), LensError> {
@@ -255,14 +242,19 @@ impl Lens {
         reach: f64,
         image: &Vector2<f64>,
     ) -> Result<(Vector2<f64>, Matrix2<f64>), LensError> {
-        if let Some(found) = planar.newton(reach, image, image) {
+        let newton = |start: &Vector2<f64>| {
+            let start = Vec2::new(start.x, start.y);
+            let (point, slope, is_found) = planar.newton(reach, start, Vec2::new(image.x, image.y));
+            is_found.then(|| (point.into(), slope.into()))
+        };
+        if let Some(found) = newton(image) {
             return Ok(found);
         }
         let image_radius = image.norm();
         // A little past the radial image's edge the tangential terms may still reach the point.
         let radius = self.invert_radial(reach, image_radius).unwrap_or(0.999 * reach);
         let start = image * (radius / image_radius);
-        planar.newton(reach, &start, image).ok_or(LensError::Outside)
+        newton(&start).ok_or(LensError::Outside)
     }
 
     /// The radius (or angle) within the reach whose distorted radius is `image_radius`.
@@ -322,78 +314,84 @@ pub(super) struct Ray {
 }
 
 /// Coefficients of the models that distort the plane z = 1.
-struct Planar {
-    above: [f64; 3],
-    below: Option<[f64; 3]>,
-    p1: f64,
-    p2: f64,
+pub(super) struct Planar {
+    pub above: [f64; 3],
+    pub below: Option<[f64; 3]>,
+    pub p1: f64,
+    pub p2: f64,
 }
 
 impl Planar {
-    /// g(s) and dg/ds; `None` at or past a pole.
-    fn gain(&self, s: f64) -> Option<(f64, f64)> {
+    /// g(s) and dg/ds, and where that is before any pole.
+    #[inline(always)]
+    fn gain<T: Lane>(&self, s: T) -> (T, T, T::Mask) {
         let [k1, k2, k3] = self.above;
-        let value = 1.0 + s * (k1 + s * (k2 + s * k3));
-        let slope = k1 + s * (2.0 * k2 + s * 3.0 * k3);
+        let value = s * (s * (s * k3 + k2) + k1) + 1.0;
+        let slope = s * (s * (3.0 * k3) + 2.0 * k2) + k1;
         let Some([k4, k5, k6]) = self.below else {
-            return Some((value, slope));
+            return (value, slope, s.at_most(s));
         };
-        let below = 1.0 + s * (k4 + s * (k5 + s * k6));
-        if below <= 0.0 {
-            return None;
-        }
-        let gain = value / below;
-        Some((gain, (slope - gain * (k4 + s * (2.0 * k5 + s * 3.0 * k6))) / below))
+        let below = s * (s * (s * k6 + k5) + k4) + 1.0;
+        let per_below = below.under(1.0);
+        let gain = value * per_below;
+        let slope = (slope - gain * (s * (s * (3.0 * k6) + 2.0 * k5) + k4)) * per_below;
+        (gain, slope, below.is_positive())
     }
 
-    /// The distorted point and its derivative.
-    fn distort(&self, point: &Vector2<f64>) -> Option<(Vector2<f64>, Matrix2<f64>)> {
-        let (x, y) = (point.x, point.y);
-        let s = x * x + y * y;
-        let (g, dg_ds) = self.gain(s)?;
-        let mixed = 2.0 * (x * y * dg_ds + self.p1 * x + self.p2 * y);
-        Some((
-            Vector2::new(
-                x * g + 2.0 * self.p1 * x * y + self.p2 * (s + 2.0 * x * x),
-                y * g + self.p1 * (s + 2.0 * y * y) + 2.0 * self.p2 * x * y,
-            ),
-            Matrix2::new(
-                g + 2.0 * x * x * dg_ds + 2.0 * self.p1 * y + 6.0 * self.p2 * x,
-                mixed,
-                mixed,
-                g + 2.0 * y * y * dg_ds + 6.0 * self.p1 * y + 2.0 * self.p2 * x,
-            ),
-        ))
+    /// The distorted point and its derivative, and where there are such.
+    #[inline(always)]
+    fn distort<T: Lane>(&self, point: Vec2<T>) -> (Vec2<T>, Mat2<T>, T::Mask) {
+        let Vec2 { x, y } = point;
+        let (xx, xy, yy) = (x * x, x * y, y * y);
+        let s = xx + yy;
+        let (g, dg_ds, is_known) = self.gain(s);
+        let mixed = (xy * dg_ds + x * self.p1 + y * self.p2) * 2.0;
+        let image = Vec2::new(
+            x * g + xy * (2.0 * self.p1) + (s + xx * 2.0) * self.p2,
+            y * g + (s + yy * 2.0) * self.p1 + xy * (2.0 * self.p2),
+        );
+        let slope = Mat2::new(
+            g + xx * dg_ds * 2.0 + y * (2.0 * self.p1) + x * (6.0 * self.p2),
+            mixed,
+            mixed,
+            g + yy * dg_ds * 2.0 + y * (6.0 * self.p1) + x * (2.0 * self.p2),
+        );
+        (image, slope, is_known)
     }
 
-    /// The point within the reach that is distorted to `image`, with the derivative there.
-    fn newton(
+    /// The point within the reach that is distorted to `image`, with the derivative there, and where one
+    /// is found.
+    #[inline(always)]
+    pub(super) fn newton<T: Lane>(
         &self,
         reach: f64,
-        start: &Vector2<f64>,
-        image: &Vector2<f64>,
-    ) -> Option<(Vector2<f64>, Matrix2<f64>)> {
-        let mut point = *start;
+        start: Vec2<T>,
+        image: Vec2<T>,
+    ) -> (Vec2<T>, Mat2<T>, T::Mask) {
+        let limit = image.x.splat(reach * reach);
+        let (mut point, mut slope) = (start, Mat2::new(limit, limit, limit, limit));
+        let mut open = point.square().at_most(limit);
+        let mut found = open & !open;
         for _ in 0..MAX_STEPS {
-            if point.norm_squared() > reach * reach {
-                return None;
-            }
-            let (value, slope) = self.distort(&point)?;
-            let determinant = slope.determinant();
-            if determinant <= 0.0 {
-                return None;
-            }
+            let (value, at, is_known) = self.distort(point);
+            let determinant = at.determinant();
+            open = open & is_known & determinant.is_positive();
             let miss = image - value;
-            let step = Vector2::new(
-                slope.m22 * miss.x - slope.m12 * miss.y,
-                slope.m11 * miss.y - slope.m21 * miss.x,
-            ) / determinant;
-            point += step;
-            if step.norm_squared() <= STEP_TOLERANCE * STEP_TOLERANCE * (1.0 + point.norm_squared())
-            {
-                return (point.norm_squared() <= reach * reach).then_some((point, slope));
+            let per_determinant = determinant.under(1.0);
+            let step =
+                Vec2::new(at.m22 * miss.x - at.m12 * miss.y, at.m11 * miss.y - at.m21 * miss.x)
+                    * per_determinant;
+            point = Vec2::choose(open, point + step, point);
+            slope = Mat2::choose(open, at, slope);
+            let square = point.square();
+            let is_last = step.square().at_most((square + 1.0) * (STEP_TOLERANCE * STEP_TOLERANCE));
+            open = open & square.at_most(limit);
+            found = found | (open & is_last);
+            open = open & !is_last;
+            if !open.any() {
+                break;
             }
         }
-        None
+        (point, slope, found)
     }
 }

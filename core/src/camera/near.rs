@@ -13,9 +13,8 @@
 //! For `equidistant` the same is done for the angle θ to the axis alone, and its sine and cosine are
 //! those of the middle's angle turned by the small difference.
 
-use nalgebra::{Matrix2, Vector3};
-
-use super::{Camera, Lens, LensError, PixelPoint};
+use super::{Camera, Intrinsics, Lens, LensError, PixelPoint, lens::Planar};
+use crate::lanes::{Lane, Mask, Mat2, Vec2, Vec3};
 
 /// Turns before each pixel is solved for itself.
 const MAX_TURNS: usize = 12;
@@ -26,13 +25,15 @@ const SERIES_RAD: f64 = 0.5;
 
 /// Rays near one, structure of arrays: (x, y, 1) for planar models, unit vectors for `equidistant`.
 #[derive(Clone, Copy, Debug)]
-pub(crate) struct NearRays<const N: usize> {
+pub(crate) struct NearRays<T: Lane, const N: usize> {
     /// Of the middle.
-    pub middle: Vector3<f64>,
+    pub middle: Vec3<T>,
     /// Derivatives of the middle's by u and v, per pixel.
-    pub by_pixel: [Vector3<f64>; 2],
+    pub by_pixel: [Vec3<T>; 2],
     /// x, y and z of all of them.
-    pub rays: [[f64; N]; 3],
+    pub rays: [[T; N]; 3],
+    /// Where the turns settle; elsewhere the rays are not yet right, or there are none.
+    pub settled: T::Mask,
 }
 
 impl Camera {
@@ -40,19 +41,50 @@ impl Camera {
     #[inline(always)]
     pub(crate) fn rays_near<const N: usize>(
         &self,
-        middle: PixelPoint,
+        middle: Vec2<f64>,
         offsets_px: &[[f64; N]; 2],
-    ) -> Result<NearRays<N>, LensError> {
-        let (mut near, settled) = match self.intrinsics.lens {
-            Lens::Equidistant(coefficients) => {
-                self.equidistant_near(&coefficients, middle, offsets_px)?
-            }
-            _ => self.planar_near(middle, offsets_px)?,
-        };
-        if !settled {
+    ) -> Result<NearRays<f64, N>, LensError> {
+        let mut near = self.rays_near_each(middle, offsets_px);
+        if !near.settled {
+            let middle = PixelPoint { u: middle.x, v: middle.y };
+            let lens = &self.intrinsics.lens;
+            let ray = lens.ray(self.reach, &self.to_image(middle))?;
+            near.middle = Vec3::new(ray.direction.x, ray.direction.y, ray.direction.z);
+            let [by_x, by_y] = ray.by_image;
+            let (per_fx, per_fy) = (1.0 / self.intrinsics.fx_px, 1.0 / self.intrinsics.fy_px);
+            near.by_pixel = [
+                Vec3::new(by_x.x, by_x.y, by_x.z) * per_fx,
+                Vec3::new(by_y.x, by_y.y, by_y.z) * per_fy,
+            ];
             near.rays = self.rays_one_by_one(middle, offsets_px)?;
         }
         Ok(near)
+    }
+
+    /// The same in each lane, but where the turns do not settle.
+    #[inline(always)]
+    pub(crate) fn rays_near_each<T: Lane, const N: usize>(
+        &self,
+        middle_px: Vec2<T>,
+        offsets_px: &[[T; N]; 2],
+    ) -> NearRays<T, N> {
+        let Intrinsics { fx_px, fy_px, cx_px, cy_px, lens, .. } = &self.intrinsics;
+        let (per_fx, per_fy) = (1.0 / fx_px, 1.0 / fy_px);
+        let middle = Vec2::new((middle_px.x - *cx_px) * per_fx, (middle_px.y - *cy_px) * per_fy);
+        let mut offsets = *offsets_px;
+        for i in 0..N {
+            offsets[0][i] = offsets_px[0][i] * per_fx;
+            offsets[1][i] = offsets_px[1][i] * per_fy;
+        }
+        let mut near = match (lens.planar(), lens) {
+            (Some(planar), _) => self.planar_near(&planar, middle, &offsets),
+            (None, Lens::Equidistant(k)) => self.equidistant_near(k, middle, &offsets),
+            (None, _) => unreachable!("a lens is planar or equidistant"),
+        };
+        let [by_x, by_y] = near.by_pixel;
+        let one = middle.x.splat(1.0);
+        near.by_pixel = [by_x * (one * per_fx), by_y * (one * per_fy)];
+        near
     }
 
     fn rays_one_by_one<const N: usize>(
@@ -70,108 +102,117 @@ impl Camera {
         Ok(rays)
     }
 
-    /// With whether the turns settle: where not, the rays are not yet right.
+    /// Places in focal lengths, and derivatives by them.
     #[inline(always)]
-    fn planar_near<const N: usize>(
+    fn planar_near<T: Lane, const N: usize>(
         &self,
-        middle: PixelPoint,
-        offsets_px: &[[f64; N]; 2],
-    ) -> Result<(NearRays<N>, bool), LensError> {
-        let lens = &self.intrinsics.lens;
-        let image = self.to_image(middle);
-        let (point, slope) = lens.undistorted(self.reach, &image)?;
-        let inverse = slope.try_inverse().ok_or(LensError::Outside)?;
-        let ([mut x, mut y], mut wanted_x, mut wanted_y) = ([[0.0; N]; 2], [0.0; N], [0.0; N]);
-        let (per_fx, per_fy) = (1.0 / self.intrinsics.fx_px, 1.0 / self.intrinsics.fy_px);
-        let mut size: f64 = 0.0;
+        lens: &Planar,
+        image: Vec2<T>,
+        offsets: &[[T; N]; 2],
+    ) -> NearRays<T, N> {
+        let (point, slope, found) = lens.newton(self.reach, image, image);
+        let (inverse, regular) = slope.inverse();
+        let (zero, one) = (image.x.splat(0.0), image.x.splat(1.0));
+        let mut wanted = *offsets;
+        let mut points = *offsets;
+        let mut size = zero;
         for i in 0..N {
-            let (dx, dy) = (offsets_px[0][i] * per_fx, offsets_px[1][i] * per_fy);
-            (wanted_x[i], wanted_y[i]) = (image.x + dx, image.y + dy);
-            let (dx, dy) =
-                (inverse.m11 * dx + inverse.m12 * dy, inverse.m21 * dx + inverse.m22 * dy);
-            (x[i], y[i]) = (point.x + dx, point.y + dy);
-            size = largest(size, dx.abs() + dy.abs());
+            let offset = Vec2::new(offsets[0][i], offsets[1][i]);
+            let by = inverse * offset;
+            (wanted[0][i], wanted[1][i]) = (image.x + offset.x, image.y + offset.y);
+            (points[0][i], points[1][i]) = (point.x + by.x, point.y + by.y);
+            size = largest(size, by.x.size() + by.y.size());
         }
-        let settled = settles(
+        let mut settled = settles(
             size,
+            found & regular,
             #[inline(always)]
-            || planar_turn(lens, &inverse, (&wanted_x, &wanted_y), &mut x, &mut y),
+            |open| planar_turn(lens, inverse, &wanted, &mut points, open),
         );
-        let limit = self.reach * self.reach;
-        let inside = (0..N).fold(true, |inside, i| inside & (x[i] * x[i] + y[i] * y[i] <= limit));
-        let near = NearRays {
-            middle: point.push(1.0),
-            by_pixel: [inverse.column(0).push(0.0) * per_fx, inverse.column(1).push(0.0) * per_fy],
-            rays: [x, y, [1.0; N]],
-        };
-        Ok((near, settled && inside))
+        let limit = zero.splat(self.reach * self.reach);
+        for (x, y) in points[0].iter().zip(&points[1]) {
+            let square = *x * *x + *y * *y;
+            settled = settled & square.at_most(limit);
+        }
+        let [by_x, by_y] = inverse.columns();
+        NearRays {
+            middle: point.push(one),
+            by_pixel: [by_x.push(zero), by_y.push(zero)],
+            rays: [points[0], points[1], [one; N]],
+            settled,
+        }
     }
 
     /// As [`Self::planar_near`]; also where the series do not reach it has not settled.
     #[inline(always)]
-    fn equidistant_near<const N: usize>(
+    fn equidistant_near<T: Lane, const N: usize>(
         &self,
         k: &[f64; 4],
-        middle: PixelPoint,
-        offsets_px: &[[f64; N]; 2],
-    ) -> Result<(NearRays<N>, bool), LensError> {
-        let image = self.to_image(middle);
-        let middle_radius = image.norm();
-        let (angle_rad, slope) = self.intrinsics.lens.angle(self.reach, middle_radius)?;
-        let per_slope = 1.0 / slope;
-        let (per_fx, per_fy) = (1.0 / self.intrinsics.fx_px, 1.0 / self.intrinsics.fy_px);
-        let (mut x, mut y, mut radius, mut turned) = ([0.0; N], [0.0; N], [0.0; N], [0.0; N]);
-        let mut size: f64 = 0.0;
+        image: Vec2<T>,
+        offsets: &[[T; N]; 2],
+    ) -> NearRays<T, N> {
+        let lens = &self.intrinsics.lens;
+        let (zero, one) = (image.x.splat(0.0), image.x.splat(1.0));
+        let middle_radius = image.square().root();
+        let [angle_rad, slope, sin, cos] = one.each(
+            #[inline(always)]
+            |lane| match lens.angle(self.reach, middle_radius.lane(lane)) {
+                Ok((angle_rad, slope)) => [angle_rad, slope, angle_rad.sin(), angle_rad.cos()],
+                Err(_) => [f64::NAN; 4],
+            },
+        );
+        let per_slope = slope.under(1.0);
+        let (mut x, mut y, mut radius, mut turned) = (offsets[0], offsets[1], [one; N], [one; N]);
+        let mut size = zero;
         for i in 0..N {
-            x[i] = image.x + offsets_px[0][i] * per_fx;
-            y[i] = image.y + offsets_px[1][i] * per_fy;
-            radius[i] = (x[i] * x[i] + y[i] * y[i]).sqrt();
+            x[i] = image.x + offsets[0][i];
+            y[i] = image.y + offsets[1][i];
+            radius[i] = (x[i] * x[i] + y[i] * y[i]).root();
             turned[i] = (radius[i] - middle_radius) * per_slope;
-            size = largest(size, turned[i].abs());
+            size = largest(size, turned[i].size());
         }
-        let settled = size <= SERIES_RAD
-            && settles(
-                size,
-                #[inline(always)]
-                || {
-                    let mut most: f64 = 0.0;
-                    for i in 0..N {
-                        let angle = angle_rad + turned[i];
-                        let s = angle * angle;
-                        let value = angle * (1.0 + s * (k[0] + s * (k[1] + s * (k[2] + s * k[3]))));
-                        let by = (radius[i] - value) * per_slope;
-                        turned[i] += by;
-                        most = largest(most, by.abs());
-                    }
-                    most
-                },
-            );
-        let (sin, cos) = angle_rad.sin_cos();
-        let mut z = [0.0; N];
-        let mut inside = true;
+        let mut settled = settles(
+            size,
+            size.at_most(zero.splat(SERIES_RAD)),
+            #[inline(always)]
+            |open| {
+                let mut most = zero;
+                for i in 0..N {
+                    let angle = angle_rad + turned[i];
+                    let s = angle * angle;
+                    let value = angle * (s * (s * (s * (s * k[3] + k[2]) + k[1]) + k[0]) + 1.0);
+                    let by = (radius[i] - value) * per_slope;
+                    turned[i] = T::choose(open, turned[i] + by, turned[i]);
+                    most = largest(most, by.size());
+                }
+                most
+            },
+        );
+        let mut z = [zero; N];
+        // At the very axis the image is the ray's own scale.
+        let axis = zero.splat(1e-12);
         for i in 0..N {
             let (sin_of, cos_of) = small_sin_cos(turned[i]);
             let across = sin * cos_of + cos * sin_of;
-            // At the very axis the image is the ray's own scale.
-            let scale = if radius[i] > 1e-12 { across / radius[i] } else { 1.0 };
-            x[i] *= scale;
-            y[i] *= scale;
+            let scale = T::choose(axis.below(radius[i]), across / radius[i], one);
+            x[i] = x[i] * scale;
+            y[i] = y[i] * scale;
             z[i] = cos * cos_of - sin * sin_of;
-            inside &= angle_rad + turned[i] < self.reach;
+            settled = settled & (angle_rad + turned[i]).below(zero.splat(self.reach));
         }
-        let (ux, uy, scale) = if middle_radius > 1e-12 {
-            (image.x / middle_radius, image.y / middle_radius, sin / middle_radius)
-        } else {
-            (1.0, 0.0, 1.0)
-        };
-        let along = Vector3::new(cos * ux, cos * uy, -sin) * per_slope;
-        let across = Vector3::new(-uy, ux, 0.0) * scale;
-        let near = NearRays {
-            middle: Vector3::new(sin * ux, sin * uy, cos),
-            by_pixel: [(along * ux - across * uy) * per_fx, (along * uy + across * ux) * per_fy],
+        let is_aside = axis.below(middle_radius);
+        let per_radius = middle_radius.under(1.0);
+        let ux = T::choose(is_aside, image.x * per_radius, one);
+        let uy = T::choose(is_aside, image.y * per_radius, zero);
+        let scale = T::choose(is_aside, sin * per_radius, one);
+        let along = Vec3::new(cos * ux, cos * uy, -sin) * per_slope;
+        let across = Vec3::new(-uy, ux, zero) * scale;
+        NearRays {
+            middle: Vec3::new(sin * ux, sin * uy, cos),
+            by_pixel: [along * ux - across * uy, along * uy + across * ux],
             rays: [x, y, z],
-        };
-        Ok((near, settled && inside))
+            settled,
+        }
     }
 
     /// Whether rays are points (x, y, 1) of one plane.
@@ -180,78 +221,89 @@ impl Camera {
     }
 }
 
-/// One turn for all points; the largest step.
+/// One turn for all points where `open`; the largest step.
 #[inline(always)]
-fn planar_turn<const N: usize>(
-    lens: &Lens,
-    inverse: &Matrix2<f64>,
-    (wanted_x, wanted_y): (&[f64; N], &[f64; N]),
-    x: &mut [f64; N],
-    y: &mut [f64; N],
-) -> f64 {
-    let (above, below, p1, p2) = match *lens {
-        Lens::PlumbBob([k1, k2, p1, p2, k3]) => ([k1, k2, k3], [0.0; 3], p1, p2),
-        Lens::Rational([k1, k2, p1, p2, k3, k4, k5, k6]) => ([k1, k2, k3], [k4, k5, k6], p1, p2),
-        Lens::Equidistant(_) => return f64::INFINITY,
-    };
-    let divides = below != [0.0; 3];
-    let mut gains = [0.0; N];
+fn planar_turn<T: Lane, const N: usize>(
+    lens: &Planar,
+    inverse: Mat2<T>,
+    wanted: &[[T; N]; 2],
+    points: &mut [[T; N]; 2],
+    open: T::Mask,
+) -> T {
+    let (above, p1, p2) = (lens.above, lens.p1, lens.p2);
+    let [x, y] = points;
+    let mut gains = *x;
     for i in 0..N {
         let s = x[i] * x[i] + y[i] * y[i];
-        gains[i] = 1.0 + s * (above[0] + s * (above[1] + s * above[2]));
+        gains[i] = s * (s * (s * above[2] + above[1]) + above[0]) + 1.0;
     }
-    if divides {
+    if let Some(below) = lens.below {
         for i in 0..N {
             let s = x[i] * x[i] + y[i] * y[i];
-            gains[i] /= 1.0 + s * (below[0] + s * (below[1] + s * below[2]));
+            gains[i] = gains[i] / (s * (s * (s * below[2] + below[1]) + below[0]) + 1.0);
         }
     }
-    let mut steps = [0.0; N];
+    let mut steps = *x;
     for i in 0..N {
         let (px, py) = (x[i], y[i]);
-        let s = px * px + py * py;
-        let miss_x = wanted_x[i] - px * gains[i] - 2.0 * p1 * px * py - p2 * (s + 2.0 * px * px);
-        let miss_y = wanted_y[i] - py * gains[i] - p1 * (s + 2.0 * py * py) - 2.0 * p2 * px * py;
-        let dx = inverse.m11 * miss_x + inverse.m12 * miss_y;
-        let dy = inverse.m21 * miss_x + inverse.m22 * miss_y;
-        x[i] = px + dx;
-        y[i] = py + dy;
-        steps[i] = dx.abs() + dy.abs();
+        let (xx, xy, yy) = (px * px, px * py, py * py);
+        let s = xx + yy;
+        let miss = Vec2::new(
+            wanted[0][i] - px * gains[i] - xy * (2.0 * p1) - (s + xx * 2.0) * p2,
+            wanted[1][i] - py * gains[i] - (s + yy * 2.0) * p1 - xy * (2.0 * p2),
+        );
+        let by = inverse * miss;
+        x[i] = T::choose(open, px + by.x, px);
+        y[i] = T::choose(open, py + by.y, py);
+        steps[i] = by.x.size() + by.y.size();
     }
-    steps.iter().fold(0.0, |most, &step| largest(most, step))
+    let mut most = inverse.m11.splat(0.0);
+    for step in steps {
+        most = largest(most, step);
+    }
+    most
 }
 
 /// The larger one; not a number if the second is not.
 #[inline(always)]
-fn largest(one: f64, other: f64) -> f64 {
-    if other <= one { one } else { other }
+fn largest<T: Lane>(one: T, other: T) -> T {
+    T::choose(other.at_most(one), one, other)
 }
 
-/// Turns until the error left, which shrinks as the steps do, is below the tolerance.
+/// Turns where `open` until the error left, which shrinks as the steps do, is below the tolerance; where
+/// it gets there.
 #[inline(always)]
-fn settles(size: f64, mut turn: impl FnMut() -> f64) -> bool {
+fn settles<T: Lane>(size: T, open: T::Mask, mut turn: impl FnMut(T::Mask) -> T) -> T::Mask {
     let mut before = size;
+    let mut open = open;
+    let mut settled = open & !open;
     for _ in 0..MAX_TURNS {
-        let step = turn();
+        let step = turn(open);
         // A step of at most half the last one leaves at most itself times their ratio.
-        if step * step <= TOLERANCE * size * before {
-            return true;
-        }
-        if step.is_nan() || step > 0.5 * before {
-            return false;
+        let is_last = (step * step).at_most(size * before * TOLERANCE);
+        settled = settled | (open & is_last);
+        open = open & !is_last & step.at_most(before * 0.5);
+        if !open.any() {
+            break;
         }
         before = step;
     }
-    false
+    settled
 }
 
 /// Sine and cosine of an angle of up to [`SERIES_RAD`].
 #[inline(always)]
-fn small_sin_cos(angle: f64) -> (f64, f64) {
+fn small_sin_cos<T: Lane>(angle: T) -> (T, T) {
     let s = angle * angle;
-    let sin = 1.0 - s / 6.0 * (1.0 - s / 20.0 * (1.0 - s / 42.0 * (1.0 - s / 72.0)));
-    let cos =
-        1.0 - s / 2.0 * (1.0 - s / 12.0 * (1.0 - s / 30.0 * (1.0 - s / 56.0 * (1.0 - s / 90.0))));
+    let mut sin = s * (-1.0 / 72.0) + 1.0;
+    sin = sin * s * (-1.0 / 42.0) + 1.0;
+    sin = sin * s * (-1.0 / 20.0) + 1.0;
+    sin = sin * s * (-1.0 / 6.0) + 1.0;
+    let mut cos = s * (-1.0 / 90.0) + 1.0;
+    cos = cos * s * (-1.0 / 56.0) + 1.0;
+    cos = cos * s * (-1.0 / 30.0) + 1.0;
+    cos = cos * s * (-1.0 / 12.0) + 1.0;
+    cos = cos * s * (-1.0 / 2.0) + 1.0;
     (angle * sin, cos)
 }
 
@@ -291,7 +343,7 @@ mod tests {
                 let middle = PixelPoint { u, v };
                 let angles: [f64; 8] = std::array::from_fn(|i| i as f64);
                 let offsets = [angles.map(|a| radius_px * a.cos()), angles.map(|a| radius_px * a.sin())];
-                let found = camera.rays_near(middle, &offsets);
+                let found = camera.rays_near(Vec2::new(u, v), &offsets);
                 let exact = camera.rays_one_by_one(middle, &offsets);
                 match (found, exact) {
                     (Ok(found), Ok(exact)) => {
@@ -309,7 +361,7 @@ mod tests {
     #[test]
     fn the_axis_of_a_fisheye_is_no_hole() {
         let camera = camera(Lens::Equidistant([-0.02, 0.011, -0.007, 0.0013]));
-        let middle = PixelPoint { u: 647.0, v: 352.0 };
+        let middle = Vec2::new(647.0, 352.0);
         let offsets = [[-2.0, 0.0], [0.0, 1.0]];
         let found = camera.rays_near(middle, &offsets).unwrap().rays;
         assert!((found[0][0].abs()) < 1e-12 && (found[2][0] - 1.0).abs() < 1e-12);

@@ -19,10 +19,10 @@
 //! What is left out is the third order, as little as [`MAX_BEND`] and [`MAX_CUBIC`] allow: less than ten
 //! millionths of the rim (`tests::bends_are_those_of_the_turns`, against the turns of [`super::rim`]).
 
-use nalgebra::{Complex, Matrix2, Vector2};
+use std::ops::{Add, Mul, Sub};
 
-use super::rim::{Flat, POINTS};
-use crate::ellipse::Ellipse;
+use super::rim::{Flat, POINTS, RimSeen};
+use crate::lanes::{Lane, Mat2, Vec2};
 
 /// |a| + |b| + |c| at most …
 const MAX_BEND: f64 = 6e-3;
@@ -32,108 +32,185 @@ const MAX_CUBIC: f64 = 4e-4;
 /// cos 45°.
 const H: f64 = std::f64::consts::FRAC_1_SQRT_2;
 
+/// A complex number.
+#[derive(Clone, Copy, Debug)]
+struct Complex<T> {
+    re: T,
+    im: T,
+}
+
 /// Coefficients of Z.
 #[derive(Clone, Copy, Debug)]
-struct Terms {
-    a: Complex<f64>,
-    b: Complex<f64>,
-    c: Complex<f64>,
-    d: Complex<f64>,
-    e: Complex<f64>,
-    f: Complex<f64>,
-    g: Complex<f64>,
+struct Terms<T> {
+    a: Complex<T>,
+    b: Complex<T>,
+    c: Complex<T>,
+    d: Complex<T>,
+    e: Complex<T>,
+    f: Complex<T>,
+    g: Complex<T>,
 }
 
 /// A lens near a rim.
 #[derive(Clone, Copy, Debug)]
-pub struct Bend {
-    terms: Terms,
+pub struct Bend<T> {
+    terms: Terms<T>,
     /// Image of the rim's centre in the plane …
-    middle: Vector2<f64>,
+    middle: Vec2<T>,
     /// … and of its semiaxes by the derivative there.
-    semiaxes: Matrix2<f64>,
+    semiaxes: Mat2<T>,
 }
 
 /// An ellipse m + p w + r w̄, |w| = 1.
 #[derive(Clone, Copy, Debug)]
-struct Oval {
-    m: Complex<f64>,
-    p: Complex<f64>,
-    r: Complex<f64>,
+struct Oval<T> {
+    m: Complex<T>,
+    p: Complex<T>,
+    r: Complex<T>,
 }
 
-impl Bend {
-    /// From the images of the rim's eight points, of its centre and of its semiaxes by the derivative
-    /// there; `None` where the lens bends it more than the closed form holds for.
+impl<T: Lane> Complex<T> {
     #[inline(always)]
-    pub fn of(
-        points: &[[f64; POINTS]; 2],
-        middle: Vector2<f64>,
-        semiaxes: Matrix2<f64>,
-    ) -> Option<Self> {
-        let inverse = semiaxes.try_inverse()?;
-        let (mut x, mut y) = ([0.0; POINTS], [0.0; POINTS]);
+    fn new(re: T, im: T) -> Self {
+        Self { re, im }
+    }
+
+    #[inline(always)]
+    fn of(v: Vec2<T>) -> Self {
+        Self { re: v.x, im: v.y }
+    }
+
+    #[inline(always)]
+    fn conj(self) -> Self {
+        Self { re: self.re, im: -self.im }
+    }
+
+    #[inline(always)]
+    fn norm_sqr(self) -> T {
+        self.re * self.re + self.im * self.im
+    }
+
+    #[inline(always)]
+    fn scaled(self, by: T) -> Self {
+        Self { re: self.re * by, im: self.im * by }
+    }
+
+    #[inline(always)]
+    fn times(self, by: f64) -> Self {
+        Self { re: self.re * by, im: self.im * by }
+    }
+
+    /// |re| + |im|.
+    #[inline(always)]
+    fn size(self) -> T {
+        self.re.size() + self.im.size()
+    }
+}
+
+impl<T: Lane> Add for Complex<T> {
+    type Output = Self;
+
+    #[inline(always)]
+    fn add(self, other: Self) -> Self {
+        Self { re: self.re + other.re, im: self.im + other.im }
+    }
+}
+
+impl<T: Lane> Sub for Complex<T> {
+    type Output = Self;
+
+    #[inline(always)]
+    fn sub(self, other: Self) -> Self {
+        Self { re: self.re - other.re, im: self.im - other.im }
+    }
+}
+
+impl<T: Lane> Mul for Complex<T> {
+    type Output = Self;
+
+    #[inline(always)]
+    fn mul(self, other: Self) -> Self {
+        Self {
+            re: self.re * other.re - self.im * other.im,
+            im: self.re * other.im + self.im * other.re,
+        }
+    }
+}
+
+impl<T: Lane> Bend<T> {
+    /// From the images of the rim's eight points, of its centre and of its semiaxes by the derivative
+    /// there, and where the lens bends it so little that the closed form holds.
+    #[inline(always)]
+    pub fn of(points: &[[T; POINTS]; 2], middle: Vec2<T>, semiaxes: Mat2<T>) -> (Self, T::Mask) {
+        let (inverse, regular) = semiaxes.inverse();
+        let [mut x, mut y] = *points;
         for i in 0..POINTS {
-            let (dx, dy) = (points[0][i] - middle.x, points[1][i] - middle.y);
-            x[i] = inverse.m11 * dx + inverse.m12 * dy;
-            y[i] = inverse.m21 * dx + inverse.m22 * dy;
+            let v = inverse * (Vec2::new(x[i], y[i]) - middle);
+            (x[i], y[i]) = (v.x, v.y);
         }
         let terms = Terms::of(&x, &y);
-        let size = |z: Complex<f64>| z.re.abs() + z.im.abs();
-        let bend = size(terms.a) + size(terms.b) + size(terms.c);
-        let cubic = size(terms.d) + size(terms.e) + size(terms.f);
-        (bend <= MAX_BEND && cubic <= MAX_CUBIC).then_some(Self { terms, middle, semiaxes })
+        let bend = terms.a.size() + terms.b.size() + terms.c.size();
+        let cubic = terms.d.size() + terms.e.size() + terms.f.size();
+        let little = bend.at_most(bend.splat(MAX_BEND)) & cubic.at_most(bend.splat(MAX_CUBIC));
+        (Self { terms, middle, semiaxes }, regular & little)
     }
 
     /// The outer rim's ellipse.
     #[inline(always)]
-    pub fn outer(&self) -> Flat {
+    pub fn outer(&self) -> Flat<T> {
         let Terms { a, b, .. } = self.terms;
         let (h0, h) = self.terms.second_order();
-        self.flat(&Oval { m: a.conj() + b, p: Complex::new(1.0 + h0, 0.0), r: h })
+        let zero = h0.splat(0.0);
+        self.flat(&Oval { m: a.conj() + b, p: Complex::new(h0 + 1.0, zero), r: h })
     }
 
     /// The ellipse of the inner rim, whose centre is so far from the outer one's, in units of the outer
     /// one's semiaxes and in their directions.
     #[inline(always)]
-    pub fn inner(&self, outer: &Ellipse, inner: &Ellipse) -> Flat {
-        let oval = self.terms.carried(&place(outer, inner));
-        self.flat(&oval)
+    pub fn inner(&self, outer: &RimSeen<T>, inner: &RimSeen<T>) -> Flat<T> {
+        self.flat(&self.terms.carried(&place(outer, inner)))
     }
 
     #[inline(always)]
-    fn flat(&self, oval: &Oval) -> Flat {
-        let Oval { m, p, r } = oval;
-        let center = self.middle + self.semiaxes * Vector2::new(m.re, m.im);
+    fn flat(&self, oval: &Oval<T>) -> Flat<T> {
+        let Oval { m, p, r } = *oval;
+        let center = self.middle + self.semiaxes * Vec2::new(m.re, m.im);
         // At w = 1 and w = i.
         let (first, second) = (p + r, p - r);
-        let own = Matrix2::new(first.re, -second.im, first.im, second.re);
-        Flat { center, semiaxes: self.semiaxes * own }
+        let own = Mat2::new(first.re, -second.im, first.im, second.re);
+        Flat { center, semiaxes: self.semiaxes.times(own) }
     }
 }
 
 /// The inner rim where the outer one is the unit circle.
 #[inline(always)]
-fn place(outer: &Ellipse, inner: &Ellipse) -> Oval {
-    let (sin, cos) = outer.angle_rad.sin_cos();
-    let (per_a, per_b) = (1.0 / outer.semi_major_px, 1.0 / outer.semi_minor_px);
-    let scaled =
-        |u: f64, v: f64| Complex::new((cos * u + sin * v) * per_a, (cos * v - sin * u) * per_b);
-    let m = scaled(inner.center.u - outer.center.u, inner.center.v - outer.center.v);
-    let (sin_own, cos_own) = inner.angle_rad.sin_cos();
-    let (a, b) = (inner.semi_major_px, inner.semi_minor_px);
-    let major = scaled(a * cos_own, a * sin_own);
-    let minor = scaled(-b * sin_own, b * cos_own);
+fn place<T: Lane>(outer: &RimSeen<T>, inner: &RimSeen<T>) -> Oval<T> {
+    let (per_a, per_b) = (outer.semi_major_px.under(1.0), outer.semi_minor_px.under(1.0));
+    let unit =
+        Mat2::new(outer.cos * per_a, outer.sin * per_a, -(outer.sin * per_b), outer.cos * per_b);
+    let [major, minor] = inner.semiaxes();
+    let m = Complex::of(unit * (inner.center - outer.center));
+    let (major, minor) = (Complex::of(unit * major), Complex::of(unit * minor));
     let turned = Complex::new(-minor.im, minor.re);
-    Oval { m, p: (major - turned) * 0.5, r: (major + turned) * 0.5 }
+    Oval { m, p: (major - turned).times(0.5), r: (major + turned).times(0.5) }
 }
 
-impl Terms {
+/// Means of the odd orders: with cos kt and sin kt, k = 1 (`sign` 1) or 3 (-1).
+#[inline(always)]
+fn odd<T: Lane>(v: &[T; 4], sign: f64) -> (T, T) {
+    let (cos, sin) = ((v[1] - v[3]) * H, (v[1] + v[3]) * H);
+    let per = 1.0 / POINTS as f64;
+    ((v[0] + cos * sign) * per, (v[2] * sign + sin) * per)
+}
+
+impl<T: Lane> Terms<T> {
     /// Harmonics of eight points: of even order from the sums of opposite ones, of odd order from their
     /// differences.
     #[inline(always)]
-    fn of(x: &[f64; POINTS], y: &[f64; POINTS]) -> Self {
-        let (mut sum_x, mut sum_y, mut odd_x, mut odd_y) = ([0.0; 4], [0.0; 4], [0.0; 4], [0.0; 4]);
+    fn of(x: &[T; POINTS], y: &[T; POINTS]) -> Self {
+        let zero = x[0].splat(0.0);
+        let (mut sum_x, mut sum_y, mut odd_x, mut odd_y) =
+            ([zero; 4], [zero; 4], [zero; 4], [zero; 4]);
         for i in 0..4 {
             (sum_x[i], odd_x[i]) = (x[i] + x[i + 4], x[i] - x[i + 4]);
             (sum_y[i], odd_y[i]) = (y[i] + y[i + 4], y[i] - y[i + 4]);
@@ -147,10 +224,6 @@ impl Terms {
         let (xc, xs) = ((sum_x[0] - sum_x[2]) * per, (sum_x[1] - sum_x[3]) * per);
         let (yc, ys) = ((sum_y[0] - sum_y[2]) * per, (sum_y[1] - sum_y[3]) * per);
         let (a, c) = (Complex::new(xc + ys, yc - xs), Complex::new(xc - ys, yc + xs));
-        let odd = |v: &[f64; 4], sign: f64| {
-            let (cos, sin) = (H * (v[1] - v[3]), H * (v[1] + v[3]));
-            ((v[0] + sign * cos) * per, (sign * v[2] + sin) * per)
-        };
         let ((xc, xs), (yc, ys)) = (odd(&odd_x, 1.0), odd(&odd_y, 1.0));
         let e = Complex::new(xc + ys - 1.0, yc - xs);
         let f = Complex::new(xc - ys, yc + xs);
@@ -161,44 +234,43 @@ impl Terms {
 
     /// h₀ and h.
     #[inline(always)]
-    fn second_order(&self) -> (f64, Complex<f64>) {
+    fn second_order(&self) -> (T, Complex<T>) {
         let Self { a, b, c, d, e, f, .. } = *self;
-        let h0 = e.re + a.norm_sqr() - 0.75 * c.norm_sqr();
-        (h0, d.conj() + f - (a * a).conj() - b.conj() * c - a * c * 2.0)
+        let h0 = e.re + a.norm_sqr() - c.norm_sqr() * 0.75;
+        (h0, d.conj() + f - (a * a).conj() - b.conj() * c - (a * c).times(2.0))
     }
 
     /// The image of an ellipse.
     #[inline(always)]
-    fn carried(&self, of: &Oval) -> Oval {
+    fn carried(&self, of: &Oval<T>) -> Oval<T> {
         let Self { a, b, c, d, e, f, g } = *self;
         let Oval { m: z, p: alpha, r: beta } = *of;
-        let m = z + a * z * z + b * z.norm_sqr() + c * (z * z).conj();
+        let m = z + a * z * z + b.scaled(z.norm_sqr()) + c * (z * z).conj();
         // The derivative there, of z and of z̄, but for z² times the cubic terms, and below the image of
         // w and of w̄ by it.
-        let straight = a * z * 2.0 + b * z.conj() + 1.0;
-        let mirror = b * z + c * z.conj() * 2.0;
+        let mut straight = (a * z).times(2.0) + b * z.conj();
+        straight.re = straight.re + 1.0;
+        let mirror = b * z + (c * z.conj()).times(2.0);
         // About z, the cubic terms are quadratic ones too.
-        let a = a + d * z * 3.0 + e * z.conj();
-        let b = b + (e * z + f * z.conj()) * 2.0;
-        let c = c + f * z + g * z.conj() * 3.0;
+        let a = a + (d * z).times(3.0) + e * z.conj();
+        let b = b + (e * z + f * z.conj()).times(2.0);
+        let c = c + f * z + (g * z.conj()).times(3.0);
         let p = straight * alpha + mirror * beta.conj();
         let r = straight * beta + mirror * alpha.conj();
         let own_a = a * alpha * alpha + b * alpha * beta.conj() + c * (beta * beta).conj();
-        let own_b = (a * alpha * beta + c * (alpha * beta).conj()) * 2.0
-            + b * (alpha.norm_sqr() + beta.norm_sqr());
+        let own_b = (a * alpha * beta + c * (alpha * beta).conj()).times(2.0)
+            + b.scaled(alpha.norm_sqr() + beta.norm_sqr());
         let own_c = a * beta * beta + b * beta * alpha.conj() + c * (alpha * alpha).conj();
         // Divided by that image, x ↦ p x + r x̄.
-        let per = 1.0 / (p.norm_sqr() - r.norm_sqr());
-        let divided = |by_w: Complex<f64>, by_conj: Complex<f64>| {
-            (p.conj() * by_w - r * by_conj.conj()) * per
-        };
+        let per = (p.norm_sqr() - r.norm_sqr()).under(1.0);
+        let (q, s) = (p.conj().scaled(per), r.scaled(per));
         let square = alpha.norm_sqr();
         let own = Terms {
-            a: divided(own_a, own_c),
-            b: divided(own_b, own_b),
-            c: divided(own_c, own_a),
+            a: q * own_a - s * own_c.conj(),
+            b: q * own_b - s * own_b.conj(),
+            c: q * own_c - s * own_a.conj(),
             d: d * alpha * alpha,
-            e: e * square,
+            e: e.scaled(square),
             f: f * (alpha * alpha).conj(),
             g,
         };
@@ -206,14 +278,15 @@ impl Terms {
         let shift = own.a.conj() + own.b;
         Oval {
             m: m + p * shift + r * shift.conj(),
-            p: p * (1.0 + h0) + r * h.conj(),
-            r: p * h + r * (1.0 + h0),
+            p: p.scaled(h0 + 1.0) + r * h.conj(),
+            r: p * h + r.scaled(h0 + 1.0),
         }
     }
 }
 
 #[cfg(test)]
 mod tests {
+    use nalgebra::Matrix2;
     use proptest::prelude::*;
 
     use super::super::{
@@ -223,14 +296,16 @@ mod tests {
     use super::*;
     use crate::{
         camera::{Lens, PixelPoint},
+        ellipse::Ellipse,
         marker::Ring,
     };
 
     /// The most that two ellipses differ by, as a share of the size.
-    fn off(one: &Flat, other: &Flat) -> f64 {
-        let size = one.semiaxes.norm();
-        let shape = |flat: &Flat| flat.semiaxes * flat.semiaxes.transpose();
-        let moved = (one.center - other.center).norm() / size;
+    fn off(one: &Flat<f64>, other: &Flat<f64>) -> f64 {
+        let semiaxes = |flat: &Flat<f64>| Matrix2::from(flat.semiaxes);
+        let size = semiaxes(one).norm();
+        let shape = |flat: &Flat<f64>| semiaxes(flat) * semiaxes(flat).transpose();
+        let moved = (one.center - other.center).square().sqrt() / size;
         moved.max((shape(one) - shape(other)).norm() / (size * size))
     }
 
@@ -257,9 +332,13 @@ mod tests {
                 };
                 let inner = rim(0.4, apart * radius_px * share, turned_rad * (1.0 - share));
                 let ring = Ring::of_rims(rim(1.0, 0.0, 0.0), inner);
-                let Some((_, closed)) = flat_closed(&camera, &ring) else { continue };
-                let (_, turns) = flat_by_turns(&camera, &ring).unwrap();
-                for (closed, turns) in closed.iter().zip(&turns) {
+                let seen = [&ring.outer, &ring.inner].map(RimSeen::of);
+                let closed = flat_closed(&camera, &seen);
+                if !closed.known {
+                    continue;
+                }
+                let turns = flat_by_turns(&camera, &seen).unwrap();
+                for (closed, turns) in closed.flats.iter().zip(&turns.flats) {
                     let off = off(closed, turns);
                     prop_assert!(off < 1e-5, "{lens:?}: {off}");
                 }

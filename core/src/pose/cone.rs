@@ -22,19 +22,18 @@
 //! (paper, eqs. 9 and 10 and section 4.3 as corrected in [`crate::errata`], which have the same conic by
 //! its points where this has it by its tangents.)
 
-use nalgebra::{Vector2, Vector3};
-
 use super::rim::{Harmonics, Information, Rim};
+use crate::lanes::{Lane, Vec2, Vec3};
 
 /// A circle's place in a local frame, by the numbers that its image depends on.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Circle {
+pub struct Circle<T> {
     /// α: where the centre is in the plane z = 1.
-    pub aside: Vector2<f64>,
+    pub aside: Vec2<T>,
     /// d: the centre's z, metres.
-    pub depth_m: f64,
+    pub depth_m: T,
     /// w: the unit normal's x and y; its z is negative.
-    pub lean: Vector2<f64>,
+    pub lean: Vec2<T>,
 }
 
 /// 1/√2.
@@ -42,107 +41,112 @@ pub const PER_ROOT: f64 = std::f64::consts::FRAC_1_SQRT_2;
 /// The largest sine of the tilt: 89°, where a ring is hardly a line.
 const MAX_LEAN_SQUARED: f64 = 0.9997;
 
-impl Circle {
-    /// The two circles of which this rim, near the frame's axis, is the image; `None` if it is no
-    /// image of a circle in front of the camera.
+impl<T: Lane> Circle<T> {
+    /// The two circles of which this rim, near the frame's axis, is the image, and where it is the image of a
+    /// circle in front of the camera.
     #[inline(always)]
-    pub fn both(rim: &Rim) -> Option<[Circle; 2]> {
+    pub fn both(rim: &Rim<T>) -> ([Self; 2], T::Mask) {
         let m = rim.shape;
-        let (x, y) = (0.5 * (m.m11 - m.m22), m.m12);
-        let spread = (x * x + y * y).sqrt();
-        let a2 = 0.5 * (m.m11 + m.m22) + spread;
-        let b2 = a2 - 2.0 * spread;
-        if b2.is_nan() || b2 <= 0.0 {
-            return None;
-        }
-        let lean_squared = 2.0 * spread / (a2 * (1.0 + b2));
-        let depth_m = rim.radius_m * ((1.0 + a2) / (a2 * (1.0 + b2))).sqrt();
-        let lean = Circle::held(minor_direction(x, y, spread) * lean_squared.sqrt());
-        let r2 = (rim.radius_m / depth_m).powi(2);
-        let squeeze = 1.0 - r2 * lean.norm_squared();
-        Some([lean, -lean].map(|lean| {
-            // What puts the image's centre where it is: the axis may be off by rounding and less.
-            let aside = rim.center * squeeze + lean * (r2 * (1.0 - lean.norm_squared()).sqrt());
-            Circle { aside, depth_m, lean }
-        }))
+        let (x, y) = ((m.m11 - m.m22) * 0.5, m.m12);
+        let spread = (x * x + y * y).root();
+        let a2 = (m.m11 + m.m22) * 0.5 + spread;
+        let b2 = a2 - spread * 2.0;
+        let per_both = (a2 * (b2 + 1.0)).under(1.0);
+        let lean_squared = spread * 2.0 * per_both;
+        let depth_m = rim.radius_m * ((a2 + 1.0) * per_both).root();
+        let lean = Self::held(minor_direction(x, y, spread) * lean_squared.root());
+        let r2 = (rim.radius_m / depth_m).squared();
+        let square = lean.square();
+        // What puts the image's centre where it is: the axis may be off by rounding and less.
+        let middle = rim.center * (-(r2 * square) + 1.0);
+        let aside = lean * (r2 * (-square + 1.0).root());
+        let first = Self { aside: middle + aside, depth_m, lean };
+        let second = Self { aside: middle - aside, depth_m, lean: -lean };
+        ([first, second], b2.is_positive())
     }
 
     /// A lean, held at what a circle can have.
     #[inline(always)]
-    pub fn held(lean: Vector2<f64>) -> Vector2<f64> {
-        lean * (MAX_LEAN_SQUARED / lean.norm_squared().max(MAX_LEAN_SQUARED)).sqrt()
+    pub fn held(lean: Vec2<T>) -> Vec2<T> {
+        let limit = lean.x.splat(MAX_LEAN_SQUARED);
+        lean * (limit / lean.square().larger(limit)).root()
     }
 
     /// Centre, metres.
     #[inline(always)]
-    pub fn position_m(&self) -> Vector3<f64> {
-        self.aside.push(1.0) * self.depth_m
+    pub fn position_m(&self) -> Vec3<T> {
+        let aside = self.aside * self.depth_m;
+        aside.push(self.depth_m)
     }
 
     /// z of the normal.
     #[inline(always)]
-    pub fn facing(&self) -> f64 {
-        -(1.0 - self.lean.norm_squared()).sqrt()
+    pub fn facing(&self) -> T {
+        -(-self.lean.square() + 1.0).root()
     }
 
     /// Unit normal facing the camera.
     #[inline(always)]
-    pub fn normal(&self) -> Vector3<f64> {
+    pub fn normal(&self) -> Vec3<T> {
         self.lean.push(self.facing())
     }
 
-    /// The circle moved by (α, ln d, w); `None` if it is then no circle in front of the camera.
+    /// The circle moved by (α, ln d, w), and where it is then one in front of the camera.
     #[inline(always)]
-    pub fn moved(&self, by: &[f64; 5]) -> Option<Circle> {
-        let moved = Circle {
-            aside: self.aside + Vector2::new(by[0], by[1]),
-            depth_m: self.depth_m * by[2].exp(),
-            lean: self.lean + Vector2::new(by[3], by[4]),
+    pub fn moved(&self, by: &[T; 5]) -> (Self, T::Mask) {
+        let moved = Self {
+            aside: self.aside + Vec2::new(by[0], by[1]),
+            depth_m: self.depth_m * by[2].exponential(),
+            lean: self.lean + Vec2::new(by[3], by[4]),
         };
-        let upright = moved.lean.norm_squared() < MAX_LEAN_SQUARED;
-        (upright && moved.normal().dot(&moved.position_m()) < 0.0).then_some(moved)
+        let upright = moved.lean.square().below(by[0].splat(MAX_LEAN_SQUARED));
+        let away = moved.normal().dot(moved.position_m());
+        (moved, upright & away.below(by[0].splat(0.0)))
     }
 
     /// A rim's five numbers as seen less those that this circle would give it.
     #[inline(always)]
-    pub fn compare(&self, rim: &Rim) -> Harmonics {
-        let Circle { aside, depth_m, lean } = *self;
-        let r2 = (rim.radius_m / depth_m).powi(2);
-        let per_squeeze = 1.0 / (1.0 - r2 * lean.norm_squared());
+    pub fn compare(&self, rim: &Rim<T>) -> Harmonics<T> {
+        let Self { aside, depth_m, lean } = *self;
+        let r2 = (rim.radius_m / depth_m).squared();
+        let per_squeeze = (-(r2 * lean.square()) + 1.0).under(1.0);
         let center = (aside + lean * (r2 * self.facing())) * per_squeeze;
-        let shape = |i: usize, j: usize, same: f64| {
-            let inner = aside[i] * aside[j] - r2 * (same - lean[i] * lean[j]);
-            center[i] * center[j] - inner * per_squeeze
-        };
-        let (m11, m12, m22) = (shape(0, 0, 1.0), shape(0, 1, 0.0), shape(1, 1, 1.0));
+        let (a, w, c) = (aside, lean, center);
+        let m11 = c.x * c.x - (a.x * a.x - r2 * (-(w.x * w.x) + 1.0)) * per_squeeze;
+        let m12 = c.x * c.y - (a.x * a.y + r2 * (w.x * w.y)) * per_squeeze;
+        let m22 = c.y * c.y - (a.y * a.y - r2 * (-(w.y * w.y) + 1.0)) * per_squeeze;
         let seen = &rim.shape;
-        harmonics(rim, &(rim.center - center), [seen.m11 - m11, seen.m12 - m12, seen.m22 - m22])
+        harmonics(rim, rim.center - center, [seen.m11 - m11, seen.m12 - m12, seen.m22 - m22])
+    }
+
+    #[inline(always)]
+    pub fn choose(mask: T::Mask, yes: &Self, no: &Self) -> Self {
+        Self {
+            aside: Vec2::choose(mask, yes.aside, no.aside),
+            depth_m: T::choose(mask, yes.depth_m, no.depth_m),
+            lean: Vec2::choose(mask, yes.lean, no.lean),
+        }
     }
 }
 
 /// The unit vector along the minor axis of the shape with half the difference `x` of its diagonal, `y`
 /// off it, and `spread` their root of squares.
 #[inline(always)]
-fn minor_direction(x: f64, y: f64, spread: f64) -> Vector2<f64> {
-    if spread <= 0.0 {
-        return Vector2::new(1.0, 0.0);
-    }
+fn minor_direction<T: Lane>(x: T, y: T, spread: T) -> Vec2<T> {
+    let (zero, one) = (x.splat(0.0), x.splat(1.0));
     // The major axis has twice its angle along (x, y); of the two halves of its cosine the larger one
     // keeps its digits.
-    let cos_2 = x / spread;
-    if x >= 0.0 {
-        let cos = (0.5 * (1.0 + cos_2)).sqrt();
-        Vector2::new(-0.5 * y / (spread * cos), cos)
-    } else {
-        let sin = (0.5 * (1.0 - cos_2)).sqrt();
-        Vector2::new(-sin, 0.5 * y / (spread * sin))
-    }
+    let larger = ((x.size() / spread + 1.0) * 0.5).root();
+    let smaller = y * 0.5 / (spread * larger);
+    let along =
+        Vec2::choose(zero.at_most(x), Vec2::new(-smaller, larger), Vec2::new(-larger, smaller));
+    Vec2::choose(spread.is_positive(), along, Vec2::new(one, zero))
 }
 
 /// The five numbers of a small change of a rim's centre and shape (its 11, 12 and 22): with y = A⁻¹ δc
 /// and N = A⁻¹ δM A⁻ᵀ, q = u·y + ½ uᵀ N u over the unit vectors u.
 #[inline(always)]
-fn harmonics(rim: &Rim, center: &Vector2<f64>, [m11, m12, m22]: [f64; 3]) -> Harmonics {
+fn harmonics<T: Lane>(rim: &Rim<T>, center: Vec2<T>, [m11, m12, m22]: [T; 3]) -> Harmonics<T> {
     let i = &rim.inverse;
     let (p, q) = (i.m11 * m11 + i.m12 * m12, i.m11 * m12 + i.m12 * m22);
     let (s, t) = (i.m21 * m11 + i.m22 * m12, i.m21 * m12 + i.m22 * m22);
@@ -150,18 +154,18 @@ fn harmonics(rim: &Rim, center: &Vector2<f64>, [m11, m12, m22]: [f64; 3]) -> Har
     let n12 = p * i.m21 + q * i.m22;
     let n22 = s * i.m21 + t * i.m22;
     [
-        0.25 * (n11 + n22),
-        PER_ROOT * (i.m11 * center.x + i.m12 * center.y),
-        PER_ROOT * (i.m21 * center.x + i.m22 * center.y),
-        0.25 * PER_ROOT * (n11 - n22),
-        0.5 * PER_ROOT * n12,
+        (n11 + n22) * 0.25,
+        (i.m11 * center.x + i.m12 * center.y) * PER_ROOT,
+        (i.m21 * center.x + i.m22 * center.y) * PER_ROOT,
+        (n11 - n22) * (0.25 * PER_ROOT),
+        n12 * (0.5 * PER_ROOT),
     ]
 }
 
-impl Information {
+impl<T: Lane> Information<T> {
     /// These five numbers weighted.
     #[inline(always)]
-    pub fn times(&self, h: &Harmonics) -> Harmonics {
+    pub fn times(&self, h: &Harmonics<T>) -> Harmonics<T> {
         [
             self.size * h[0] + self.size_and_elongation * h[3],
             self.along * h[1],

@@ -23,7 +23,11 @@
 
 use nalgebra::{Matrix2, UnitQuaternion, Vector2, Vector3};
 
-use super::{PoseError, RimNoise, RingNoise, RoundelPose, locate_round, rim, yaw};
+use super::{
+    PoseError, RimNoise, RingNoise, RoundelPose, closed,
+    rim::{self, RimSeen, RingSeen},
+    yaw,
+};
 use crate::{
     camera::{Camera, PixelPoint},
     ellipse::{Ellipse, Symmetric2},
@@ -52,7 +56,7 @@ pub fn locate(
     // There the black is narrowest, too.
     let black_px = ring.outer.semi_minor_px * (1.0 - most);
     let noise = RingNoise { round_disc: false, ..noise.of_ring(ring, disc_px, black_px) };
-    let mut pose = locate_round(camera, &round, radii_m, &noise)?;
+    let mut pose = closed::locate(camera, &RingSeen::of(&round, radii_m, noise))?;
     let rays = DiscRays::new(camera, &ring.inner)
         .map_err(|source| PoseError::Lens { rim: "inner", source })?;
     let heading = rays.heading(&pose).ok_or(PoseError::NoCircle)?;
@@ -167,8 +171,8 @@ impl DiscRays {
 
 impl Heading {
     /// Variance from the errors of the disc's rim alone.
-    fn variance_rad2(&self, kind: &Kind, inner: &Ellipse, noise: &RingNoise) -> Option<f64> {
-        let known = rim::information(inner, noise)?;
+    fn variance_rad2(&self, kind: &Kind, inner: &Ellipse, noise: &RingNoise<f64>) -> Option<f64> {
+        let (known, true) = rim::information(&RimSeen::of(inner), noise) else { return None };
         let turn = 1.0 / known.turn;
         let elongation =
             known.size / (known.size * known.elongation - known.size_and_elongation.powi(2));

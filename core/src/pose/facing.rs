@@ -29,6 +29,8 @@
 
 use nalgebra::{Matrix2, Vector2};
 
+use crate::lanes::{Lane, Vec2};
+
 /// What an image says of a lean; complex numbers as vectors.
 #[derive(Clone, Copy, Debug)]
 pub struct Evidence {
@@ -82,10 +84,11 @@ const COLUMNS: usize = 16;
 const ROWS: usize = 12;
 const STEP: f64 = 0.4;
 
-/// Whether the posterior is no Gaussian: `squared` is |ê|.
+/// Where the posterior is no Gaussian: `squared` is |ê|.
 #[inline(always)]
-pub fn is_needed(squared: f64, squared_sigma: f64, linear_information: f64) -> bool {
-    4.0 * squared + linear_information * squared_sigma * squared_sigma < GAUSSIAN * squared_sigma
+pub fn is_needed<T: Lane>(squared: T, squared_sigma: T, linear_information: T) -> T::Mask {
+    let curvature = squared * 4.0 + linear_information * squared_sigma * squared_sigma;
+    curvature.below(squared_sigma * GAUSSIAN)
 }
 
 /// Sums over one half of the grid.
@@ -121,7 +124,11 @@ pub fn leans(evidence: &Evidence) -> Leans {
         share / wide * (-s * s / (dies * wide)).exp()
     };
     let lean = |half: &Half| half.lean(unbiased, root, &along);
-    let is_apart = are_apart(&left.moments(), &right.moments());
+    let spread = |half: &Half| {
+        let (mean, c) = half.moments();
+        (Vec2::new(mean.x, mean.y), [c.m11, c.m12, c.m22])
+    };
+    let is_apart = are_apart(&spread(&left), &spread(&right));
     let least = left.weight.min(right.weight);
     if !is_apart || least < NEGLIGIBLE * (left.weight + right.weight) {
         return Leans { first: lean(&left.with(&right)), other: None, likelihood: 1.0 };
@@ -131,14 +138,13 @@ pub fn leans(evidence: &Evidence) -> Leans {
     Leans { first: lean(&first), other: Some(lean(&other)), likelihood }
 }
 
-/// Whether two leans, mean and covariance each, are two hypotheses rather than one broad one.
+/// Where two leans, mean and covariance (its 11, 12 and 22) each, are two hypotheses rather than one broad one.
 #[inline(always)]
-pub fn are_apart(one: &(Vector2<f64>, Matrix2<f64>), other: &(Vector2<f64>, Matrix2<f64>)) -> bool {
+pub fn are_apart<T: Lane>(one: &(Vec2<T>, [T; 3]), other: &(Vec2<T>, [T; 3])) -> T::Mask {
     let apart = one.0 - other.0;
-    let spread = one.1 + other.1;
-    let across = spread.m22 * apart.x * apart.x - 2.0 * spread.m12 * apart.x * apart.y
-        + spread.m11 * apart.y * apart.y;
-    across > APART * spread.determinant()
+    let (s11, s12, s22) = (one.1[0] + other.1[0], one.1[1] + other.1[1], one.1[2] + other.1[2]);
+    let across = s22 * apart.x * apart.x - s12 * apart.x * apart.y * 2.0 + s11 * apart.y * apart.y;
+    ((s11 * s22 - s12 * s12) * APART).below(across)
 }
 
 /// Sums of the posterior over the left and the right half of the grid.

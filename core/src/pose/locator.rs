@@ -1,7 +1,8 @@
 //! The one way from a ring in a frame to a pose, for both modes.
 //!
-//! A [`Locator`] knows one camera and its kinds of roundel. [`Locator::locate`] takes the rings that a
-//! tracker follows, [`Locator::locate_single`] a ring of a picture that stands alone.
+//! A [`Locator`] knows one camera and its kinds of roundel. [`Locator::locate_all`] takes the rings that a
+//! tracker follows, [`Locator::locate`] one of them, [`Locator::locate_single`] a ring of a picture that
+//! stands alone.
 //!
 //! Both modes begin with the rims' pose in closed form. [`Mode::Precise`] fits the grey levels from
 //! there (`photometry`); of a followed ring it starts from the blur of the frame before, and from that
@@ -14,7 +15,9 @@
 use nalgebra::Vector3;
 
 use super::{
-    PoseError, RimNoise, RoundelPose, locate,
+    PoseError, RimNoise, RoundelPose,
+    closed::LANES,
+    locate, locate_each,
     photometry::{self, DEFAULT_BLUR_PX, FitScratch, Start},
     yaw,
 };
@@ -103,19 +106,47 @@ impl Locator {
         self.warm.clear();
     }
 
+    /// The poses of the rings that a tracker follows, in the frame that they were found in and in their
+    /// order: each just what [`Self::locate`] gives, in a fraction of the time.
+    pub fn locate_all(
+        &mut self,
+        frame: &Frame,
+        tracked: &[TrackedRing],
+        located: &mut Vec<Result<Located, PoseError>>,
+    ) {
+        located.clear();
+        let mut poses = [const { Err(PoseError::NoCircle) }; LANES];
+        for tracked in tracked.chunks(LANES) {
+            let rings =
+                tracked.iter().map(|one| Ok((kind_of(&self.kinds, one.ring.kind)?, &one.ring)));
+            locate_each(&self.camera, rings, &self.noise, &mut poses);
+            located.extend(tracked.iter().zip(&mut poses).map(|(one, pose)| {
+                let pose = std::mem::replace(pose, Err(PoseError::NoCircle))?;
+                self.follow(frame, one, pose)
+            }));
+        }
+    }
+
     /// The pose of a ring that a tracker follows, in the frame that it was found in.
     pub fn locate(&mut self, frame: &Frame, tracked: &TrackedRing) -> Result<Located, PoseError> {
+        let kind = kind_of(&self.kinds, tracked.ring.kind)?;
+        let pose = locate(&self.camera, kind, &tracked.ring, &self.noise)?;
+        self.follow(frame, tracked, pose)
+    }
+
+    /// From the rims' pose to the mode's.
+    fn follow(
+        &mut self,
+        frame: &Frame,
+        tracked: &TrackedRing,
+        pose: RoundelPose,
+    ) -> Result<Located, PoseError> {
         let kind = kind_of(&self.kinds, tracked.ring.kind)?;
         self.calls += 1;
         let place = self.warm.binary_search_by_key(&tracked.track, |warm| warm.track);
         let before = place.ok().map(|index| self.warm[index]);
-        let located = locate_from(
-            (&self.camera, kind, &self.noise, self.mode),
-            frame,
-            &tracked.ring,
-            before,
-            &mut self.scratch,
-        )?;
+        let with = (&self.camera, kind, self.mode);
+        let located = locate_from(with, frame, &tracked.ring, pose, before, &mut self.scratch);
         if let Some(image) = located.image {
             let warm = Warm {
                 track: tracked.track,
@@ -139,8 +170,9 @@ impl Locator {
         kind: &Kind,
         ring: &Ring,
     ) -> Result<Located, PoseError> {
-        let with = (&self.camera, kind, &self.noise, self.mode);
-        locate_from(with, frame, ring, None, &mut self.scratch)
+        let pose = locate(&self.camera, kind, ring, &self.noise)?;
+        let with = (&self.camera, kind, self.mode);
+        Ok(locate_from(with, frame, ring, pose, None, &mut self.scratch))
     }
 
     /// Keeps a new track, at its place in the order of numbers, and never more than there is room for:
@@ -158,14 +190,15 @@ fn kind_of(kinds: &[Kind], id: Option<KindId>) -> Result<&Kind, PoseError> {
     id.and_then(|id| kinds.get(usize::from(id.0))).ok_or(PoseError::UnknownKind)
 }
 
+/// A ring located from its rims' pose.
 fn locate_from(
-    (camera, kind, noise, mode): (&Camera, &Kind, &RimNoise, Mode),
+    (camera, kind, mode): (&Camera, &Kind, Mode),
     frame: &Frame,
     ring: &Ring,
+    pose: RoundelPose,
     before: Option<Warm>,
     scratch: &mut FitScratch,
-) -> Result<Located, PoseError> {
-    let pose = locate(camera, kind, ring, noise)?;
+) -> Located {
     let mut located = match mode {
         Mode::Fast => None,
         Mode::Precise => {
@@ -182,7 +215,7 @@ fn locate_from(
     if let Some(reading) = &ring.code {
         yaw::add(&mut located.pose, camera, reading);
     }
-    Ok(located)
+    located
 }
 
 /// Where a fit starts: of the rims' normals, from the one that the frame before says.
@@ -196,4 +229,124 @@ fn start(pose: &RoundelPose, before: Option<Warm>) -> Start {
         std::mem::swap(&mut pose.normal, &mut pose.other_normal);
     }
     Start { pose, blur_px: before.blur_px }
+}
+
+#[cfg(test)]
+mod tests {
+    use proptest::prelude::*;
+
+    use super::super::tests::{camera, pose, rim_of};
+    use super::*;
+    use crate::{
+        camera::{Lens, PixelPoint},
+        marker::Pattern,
+        rigid::orientation_of_normal,
+    };
+
+    /// What is odd about a ring.
+    #[derive(Clone, Copy, Debug)]
+    enum Odd {
+        Nothing,
+        FaceOn,
+        OfNoKind,
+        OfAnEllipticalDisc,
+        NoEllipse,
+        /// Where this lens has ended.
+        Beyond,
+        /// Rims that no circle can have.
+        FarApart,
+    }
+
+    #[derive(Clone, Debug)]
+    struct Drawn {
+        at: (f64, f64),
+        distance_m: f64,
+        tilt_rad: f64,
+        turn_rad: f64,
+        unevenness: f64,
+        off_px: f64,
+        odd: Odd,
+    }
+
+    fn drawn() -> impl Strategy<Value = Drawn> {
+        let odd = prop_oneof![
+            12 => Just(Odd::Nothing),
+            2 => Just(Odd::FaceOn),
+            1 => Just(Odd::OfNoKind),
+            1 => Just(Odd::OfAnEllipticalDisc),
+            1 => Just(Odd::NoEllipse),
+            1 => Just(Odd::Beyond),
+            1 => Just(Odd::FarApart),
+        ];
+        let place = ((100.0..1820.0f64, 100.0..980.0f64), 0.25..12.0f64);
+        let tilt = (0.0..1.4f64, -3.1..3.1f64);
+        (place, tilt, 0.0..0.1f64, -0.1..0.1f64, odd).prop_map(
+            |((at, distance_m), (tilt_rad, turn_rad), unevenness, off_px, odd)| Drawn {
+                at,
+                distance_m,
+                tilt_rad,
+                turn_rad,
+                unevenness,
+                off_px,
+                odd,
+            },
+        )
+    }
+
+    fn tracked(camera: &Camera, number: usize, drawn: &Drawn) -> TrackedRing {
+        let pixel = PixelPoint { u: drawn.at.0, v: drawn.at.1 };
+        let tilt_rad = if let Odd::FaceOn = drawn.odd { 0.0 } else { drawn.tilt_rad };
+        let (position_m, normal) = pose(camera, pixel, drawn.distance_m, tilt_rad, drawn.turn_rad);
+        let turn = orientation_of_normal(&normal);
+        let rim = |radius_m| rim_of(camera, &position_m, &turn, [radius_m; 2]);
+        let (outer, mut inner) = (rim(0.08), rim(0.032));
+        inner.center.u += drawn.off_px;
+        inner.semi_major_px += drawn.off_px.abs();
+        let kind = if let Odd::OfAnEllipticalDisc = drawn.odd { 1 } else { 0 };
+        let mut ring = Ring {
+            unevenness: drawn.unevenness,
+            kind: Some(KindId(kind)),
+            ..Ring::of_rims(outer, inner)
+        };
+        match drawn.odd {
+            Odd::OfNoKind => ring.kind = None,
+            Odd::NoEllipse => ring.outer.semi_minor_px = 0.1,
+            Odd::Beyond => ring.outer.center.u = 4e3,
+            Odd::FarApart => ring.inner.center.u += 30.0 * ring.outer.semi_major_px,
+            Odd::Nothing | Odd::FaceOn | Odd::OfAnEllipticalDisc => {}
+        }
+        TrackedRing { track: TrackNumber(number as u64), ring, code: None }
+    }
+
+    proptest! {
+        #[test]
+        fn rings_side_by_side_are_each_as_alone(
+            drawn in prop::collection::vec(drawn(), 1..20), lens in 0..4usize,
+        ) {
+            let lens = [
+                Lens::PlumbBob([0.0; 5]),
+                Lens::PlumbBob([-0.12, 0.04, 0.0008, -0.0006, 0.0]),
+                Lens::Rational([8.1, 5.2, 0.0004, -0.0002, 0.21, 8.4, 8.0, 1.3]),
+                Lens::Equidistant([-0.02, 0.011, -0.007, 0.0013]),
+            ][lens];
+            let camera = camera(lens);
+            let pattern = Pattern::Elliptical { minor_diameter_m: 0.05 };
+            let kinds =
+                vec![Kind::plain("", 0.16, 0.064), Kind { pattern, ..Kind::plain("", 0.16, 0.078) }];
+            let rings: Vec<_> =
+                drawn.iter().enumerate().map(|(k, drawn)| tracked(&camera, k, drawn)).collect();
+            let pixels = [0; 4];
+            let frame = Frame::new(&pixels, 2, 2, 2).unwrap();
+            let mut locator = Locator::new(camera, kinds, Mode::Fast);
+            let mut located = Vec::new();
+            locator.locate_all(&frame, &rings, &mut located);
+            prop_assert_eq!(located.len(), rings.len());
+            for ((ring, located), drawn) in rings.iter().zip(&located).zip(&drawn) {
+                let alone = locator.locate(&frame, ring);
+                prop_assert_eq!(located, &alone, "{:?}", drawn);
+                let is_odd = !matches!(drawn.odd, Odd::Nothing | Odd::FaceOn);
+                prop_assert!(is_odd || alone.is_ok(), "{:?}: {:?}", drawn, alone);
+            }
+        }
+    }
 }

@@ -20,23 +20,32 @@
 //! With the other lean, -w, only the terms of ln d with α and w change their sign: one normal matrix,
 //! and one inverse, serve both.
 
-use nalgebra::{Matrix2, Matrix3, Matrix3x2, SMatrix, Vector2, Vector3};
-
 use super::{
     cone::{Circle, PER_ROOT},
+    facing,
     rim::Rim,
 };
+use crate::lanes::{Lane, Mat2, Vec2, Vec3};
 
 /// Over (α, ln d, w).
-pub type Covariance5 = SMatrix<f64, 5, 5>;
+pub type Covariance5<T> = [[T; 5]; 5];
 
 /// A circle, and what is known of it.
 #[derive(Clone, Copy, Debug)]
-pub struct Estimate {
-    pub circle: Circle,
-    pub covariance: Covariance5,
+pub struct Estimate<T> {
+    pub circle: Circle<T>,
+    pub covariance: Covariance5<T>,
     /// Squared Mahalanobis length of what the circle leaves unexplained of both rims.
-    pub misfit: f64,
+    pub misfit: T,
+}
+
+/// The likelier circle with the other one, and the likelihood of the first against it; where there is one
+/// alone, it is its own other one, with the likelihood 1.
+#[derive(Clone, Copy, Debug)]
+pub struct Estimates<T> {
+    pub first: Estimate<T>,
+    pub other: Estimate<T>,
+    pub likelihood: T,
 }
 
 /// Steps at most; one is the rule.
@@ -44,262 +53,348 @@ const MAX_STEPS: usize = 10;
 /// A step whose square is this share of the lean's square, or less, is the last one.
 const LAST_STEP: f64 = 0.02;
 
-/// Fits both circles to both rims; `None` for one that leaves the space of circles in front of the
-/// camera. The second one's lean is about the first one's reversed.
-#[inline(always)]
-pub fn refine_both(starts: &[Circle; 2], rims: &[Rim; 2]) -> [Option<Estimate>; 2] {
-    let linear = Linear::of(&starts[0], rims);
-    let Some(covariance) = linear.covariance() else { return [None, None] };
-    let mirrored = mirrored(&covariance);
-    let first = step(&starts[0], rims, &linear, &covariance, 1.0);
-    let second = step(&starts[1], rims, &linear, &mirrored, -1.0);
-    [finish(first, rims), finish(second, rims)]
-}
-
-/// An estimate after a step, and whether that was the last one.
-type Step = Option<(Estimate, bool)>;
-
-#[inline(always)]
-fn finish(step: Step, rims: &[Rim; 2]) -> Option<Estimate> {
-    match step? {
-        (estimate, true) => Some(estimate),
-        (estimate, false) => refine_on(&estimate.circle, rims),
+/// Fits both circles to both rims; `None` if both leave the space of circles in front of the camera. The
+/// second one's lean is about the first one's reversed.
+pub fn refine(starts: &[Circle<f64>; 2], rims: &[Rim<f64>; 2]) -> Option<Estimates<f64>> {
+    let [first, second] = Step::both(starts, rims);
+    match [first.finish(rims), second.finish(rims)] {
+        [Some(a), Some(b)] => Some(Estimates::of(&a, &b)),
+        // One of the two has left the space of circles in front of the camera: it is no candidate.
+        [Some(only), None] | [None, Some(only)] => Some(Estimates::alone(only)),
+        [None, None] => None,
     }
 }
 
-/// The rare steps after the first one.
-#[inline(never)]
-fn refine_on(start: &Circle, rims: &[Rim; 2]) -> Option<Estimate> {
-    let mut circle = *start;
-    for taken in 2..=MAX_STEPS {
-        let linear = Linear::of(&circle, rims);
-        let covariance = linear.covariance()?;
-        let (estimate, is_last) = step(&circle, rims, &linear, &covariance, 1.0)?;
-        if is_last || taken == MAX_STEPS {
-            return Some(estimate);
+/// As [`refine`], and where a single step of both circles does it.
+#[inline(always)]
+pub fn refine_once<T: Lane>(
+    starts: &[Circle<T>; 2],
+    rims: &[Rim<T>; 2],
+) -> (Estimates<T>, T::Mask) {
+    let [a, b] = Step::both(starts, rims);
+    let known = a.valid & b.valid & a.is_last & b.is_last;
+    (Estimates::of(&a.estimate, &b.estimate), known)
+}
+
+impl<T: Lane> Estimates<T> {
+    #[inline(always)]
+    pub fn alone(only: Estimate<T>) -> Self {
+        Self { first: only, other: only, likelihood: only.misfit.splat(1.0) }
+    }
+
+    /// Of two, which may be one.
+    #[inline(always)]
+    fn of(a: &Estimate<T>, b: &Estimate<T>) -> Self {
+        let swapped = b.misfit.below(a.misfit);
+        let first = Estimate::choose(swapped, b, a);
+        let other = Estimate::choose(swapped, a, b);
+        let odds = ((first.misfit - other.misfit) * 0.5).exponential();
+        let likelihood = (odds + 1.0).under(1.0);
+        // Seen from near, perspective alone tells the tilt, and both starts end in one place.
+        let is_apart = facing::are_apart(&first.lean(), &other.lean());
+        Self {
+            first,
+            other: Estimate::choose(is_apart, &other, &first),
+            likelihood: T::choose(is_apart, likelihood, odds.splat(1.0)),
         }
-        circle = estimate.circle;
     }
-    None
 }
 
-/// One step from a circle, with the derivatives at it (`sign` 1) or at its mirror image (-1).
-#[inline(always)]
-fn step(
-    circle: &Circle,
-    rims: &[Rim; 2],
-    linear: &Linear,
-    covariance: &Covariance5,
-    sign: f64,
-) -> Step {
-    let mut right = [0.0; 5];
-    let mut square = 0.0;
-    for (rim, at) in rims.iter().zip(&linear.rims) {
-        let left = circle.compare(rim);
-        let weighted = rim.information.times(&left);
+/// What a step of Gauss and Newton makes of a circle.
+#[derive(Clone, Copy)]
+struct Step<T: Lane> {
+    estimate: Estimate<T>,
+    /// Where that is a circle in front of the camera.
+    valid: T::Mask,
+    /// Where no further step is needed.
+    is_last: T::Mask,
+}
+
+impl Step<f64> {
+    fn finish(self, rims: &[Rim<f64>; 2]) -> Option<Estimate<f64>> {
+        let mut step = self;
+        for _ in 1..MAX_STEPS {
+            if !step.valid || step.is_last {
+                break;
+            }
+            let circle = &step.estimate.circle;
+            let linear = Linear::of(circle, rims);
+            let (covariance, valid) = linear.covariance();
+            step = Step::from(circle, rims, &linear, &covariance, 1.0);
+            step.valid &= valid;
+        }
+        step.valid.then_some(step.estimate)
+    }
+}
+
+impl<T: Lane> Step<T> {
+    /// From either circle.
+    #[inline(always)]
+    fn both(starts: &[Circle<T>; 2], rims: &[Rim<T>; 2]) -> [Self; 2] {
+        let linear = Linear::of(&starts[0], rims);
+        let (covariance, valid) = linear.covariance();
+        let mirrored = mirrored(&covariance);
+        let mut first = Self::from(&starts[0], rims, &linear, &covariance, 1.0);
+        let mut second = Self::from(&starts[1], rims, &linear, &mirrored, -1.0);
+        (first.valid, second.valid) = (first.valid & valid, second.valid & valid);
+        [first, second]
+    }
+
+    /// With the derivatives at this circle (`sign` 1) or at its mirror image (-1).
+    #[inline(always)]
+    fn from(
+        circle: &Circle<T>,
+        rims: &[Rim<T>; 2],
+        linear: &Linear<T>,
+        covariance: &Covariance5<T>,
+        sign: f64,
+    ) -> Self {
+        let (mut right, mut square) = linear.rims[0].pull(circle, &rims[0], sign);
+        let (right_inner, square_inner) = linear.rims[1].pull(circle, &rims[1], sign);
+        square = square + square_inner;
         for k in 0..5 {
-            square += left[k] * weighted[k];
+            right[k] = right[k] + right_inner[k];
         }
-        // The centre's part, in the plane, and the shape's.
-        let i = &rim.inverse;
-        let pull = Vector2::new(
-            PER_ROOT * (i.m11 * weighted[1] + i.m21 * weighted[2]),
-            PER_ROOT * (i.m12 * weighted[1] + i.m22 * weighted[2]),
-        );
-        right[0] += pull.x;
-        right[1] += pull.y;
-        right[2] += sign * (at.by_depth.x * pull.x + at.by_depth.y * pull.y) - weighted[0];
-        for k in 0..2 {
-            let [size, elongation, turn] = at.shape_by_lean[k];
-            let shape = size * weighted[0] + elongation * weighted[3] + turn * weighted[4];
-            right[3 + k] +=
-                at.by_lean[(0, k)] * pull.x + at.by_lean[(1, k)] * pull.y + sign * shape;
+        let mut change = right;
+        for row in 0..5 {
+            let c = &covariance[row];
+            change[row] = c[0] * right[0]
+                + c[1] * right[1]
+                + c[2] * right[2]
+                + c[3] * right[3]
+                + c[4] * right[4];
         }
+        let explained = change[0] * right[0]
+            + change[1] * right[1]
+            + change[2] * right[2]
+            + change[3] * right[3]
+            + change[4] * right[4];
+        let tilted = circle.lean.square();
+        let (circle, valid) = circle.moved(&change);
+        let turned = change[3] * change[3] + change[4] * change[4];
+        let misfit = (square - explained).larger(square.splat(0.0));
+        // A millionth of a radian is nothing, however upright the circle is.
+        let is_last = turned.at_most(tilted * LAST_STEP + 1e-12);
+        Self { estimate: Estimate { circle, covariance: *covariance, misfit }, valid, is_last }
     }
-    let mut change = [0.0; 5];
-    let mut explained = 0.0;
-    for row in 0..5 {
-        for column in 0..5 {
-            change[row] += covariance[(row, column)] * right[column];
-        }
-        explained += change[row] * right[row];
-    }
-    let tilted = circle.lean.norm_squared();
-    let circle = circle.moved(&change)?;
-    let turned = change[3] * change[3] + change[4] * change[4];
-    let misfit = (square - explained).max(0.0);
-    // A millionth of a radian is nothing, however upright the circle is.
-    let is_last = turned <= LAST_STEP * tilted + 1e-12;
-    Some((Estimate { circle, covariance: *covariance, misfit }, is_last))
 }
 
 /// The normal matrix at a circle, in blocks of place (α, ln d) and lean, and what it is made of.
-struct Linear {
-    rims: [LinearRim; 2],
-    place: Matrix3<f64>,
-    between: Matrix3x2<f64>,
-    lean: Matrix2<f64>,
+struct Linear<T> {
+    rims: [LinearRim<T>; 2],
+    normal: Normal<T>,
+}
+
+/// A normal matrix.
+#[derive(Clone, Copy)]
+struct Normal<T> {
+    /// Its 11, 12, 13, 22, 23 and 33.
+    place: [T; 6],
+    between: [[T; 2]; 3],
+    /// Its 11, 12 and 22.
+    lean: [T; 3],
 }
 
 /// Derivatives of one rim's numbers.
-struct LinearRim {
+#[derive(Clone, Copy)]
+struct LinearRim<T> {
     /// Of the centre by ln d.
-    by_depth: Vector2<f64>,
+    by_depth: Vec2<T>,
     /// Of the centre by w.
-    by_lean: Matrix2<f64>,
+    by_lean: Mat2<T>,
     /// Of size, elongation and turn by either component of w.
-    shape_by_lean: [[f64; 3]; 2],
+    shape_by_lean: [Vec3<T>; 2],
 }
 
-impl Linear {
+impl<T: Lane> Linear<T> {
     #[inline(always)]
-    fn of(circle: &Circle, rims: &[Rim; 2]) -> Self {
+    fn of(circle: &Circle<T>, rims: &[Rim<T>; 2]) -> Self {
         let linear = [LinearRim::of(circle, &rims[0]), LinearRim::of(circle, &rims[1])];
-        let mut place = Matrix3::zeros();
-        let mut between = Matrix3x2::zeros();
-        let mut lean = Matrix2::zeros();
-        for (rim, at) in rims.iter().zip(&linear) {
-            let (w, i) = (&rim.information, &rim.inverse);
-            // Information about the centre in the plane.
-            let p11 = 0.5 * (w.along * i.m11 * i.m11 + w.across * i.m21 * i.m21);
-            let p12 = 0.5 * (w.along * i.m11 * i.m12 + w.across * i.m21 * i.m22);
-            let p22 = 0.5 * (w.along * i.m12 * i.m12 + w.across * i.m22 * i.m22);
-            let (g, t) = (&at.by_depth, &at.by_lean);
-            let pg = (p11 * g.x + p12 * g.y, p12 * g.x + p22 * g.y);
-            place.m11 += p11;
-            place.m12 += p12;
-            place.m22 += p22;
-            place.m13 += pg.0;
-            place.m23 += pg.1;
-            place.m33 += g.x * pg.0 + g.y * pg.1 + w.size;
-            let shape = &at.shape_by_lean;
-            let mut weighted = [[0.0; 3]; 2];
-            for k in 0..2 {
-                let [size, elongation, turn] = shape[k];
-                weighted[k] = [
-                    w.size * size + w.size_and_elongation * elongation,
-                    w.size_and_elongation * size + w.elongation * elongation,
-                    w.turn * turn,
-                ];
-                let (tx, ty) = (t[(0, k)], t[(1, k)]);
-                between[(0, k)] += p11 * tx + p12 * ty;
-                between[(1, k)] += p12 * tx + p22 * ty;
-                between[(2, k)] += pg.0 * tx + pg.1 * ty - weighted[k][0];
-            }
-            let dot = |a: &[f64; 3], b: &[f64; 3]| a[0] * b[0] + a[1] * b[1] + a[2] * b[2];
-            let pt1 = (p11 * t.m11 + p12 * t.m21, p12 * t.m11 + p22 * t.m21);
-            let pt2 = (p11 * t.m12 + p12 * t.m22, p12 * t.m12 + p22 * t.m22);
-            lean.m11 += t.m11 * pt1.0 + t.m21 * pt1.1 + dot(&shape[0], &weighted[0]);
-            lean.m12 += t.m11 * pt2.0 + t.m21 * pt2.1 + dot(&shape[0], &weighted[1]);
-            lean.m22 += t.m12 * pt2.0 + t.m22 * pt2.1 + dot(&shape[1], &weighted[1]);
-        }
-        Self { rims: linear, place, between, lean }
+        let normal = linear[0].normal(&rims[0]).plus(&linear[1].normal(&rims[1]));
+        Self { rims: linear, normal }
     }
 
-    /// The inverse, by the complement of the place; `None` unless positive definite.
+    /// The inverse, by the complement of the place, and where the matrix is positive definite.
     #[inline(always)]
-    fn covariance(&self) -> Option<Covariance5> {
-        let place = inverse3(&self.place)?;
-        let b = &self.between;
-        let mut follow = [[0.0; 2]; 3];
+    fn covariance(&self) -> (Covariance5<T>, T::Mask) {
+        let Normal { place, between: b, lean } = &self.normal;
+        let (place, place_valid) = inverse3(place);
+        let mut follow = *b;
         for row in 0..3 {
             for k in 0..2 {
-                follow[row][k] = place[row][0] * b[(0, k)]
-                    + place[row][1] * b[(1, k)]
-                    + place[row][2] * b[(2, k)];
+                follow[row][k] =
+                    place[row][0] * b[0][k] + place[row][1] * b[1][k] + place[row][2] * b[2][k];
             }
         }
-        let rest = |k: usize, l: usize, own: f64| {
-            own - b[(0, k)] * follow[0][l] - b[(1, k)] * follow[1][l] - b[(2, k)] * follow[2][l]
-        };
-        let (r11, r12, r22) =
-            (rest(0, 0, self.lean.m11), rest(0, 1, self.lean.m12), rest(1, 1, self.lean.m22));
-        let determinant = r11 * r22 - r12 * r12;
-        if !(determinant > 0.0 && r11 > 0.0) {
-            return None;
+        let mut rest = *lean;
+        for (rest, (k, l)) in rest.iter_mut().zip([(0, 0), (0, 1), (1, 1)]) {
+            *rest =
+                *rest - b[0][k] * follow[0][l] - b[1][k] * follow[1][l] - b[2][k] * follow[2][l];
         }
-        let per = 1.0 / determinant;
+        let [r11, r12, r22] = rest;
+        let determinant = r11 * r22 - r12 * r12;
+        let per = determinant.under(1.0);
         let (l11, l12, l22) = (r22 * per, -r12 * per, r11 * per);
-        let mut all = Covariance5::zeros();
-        (all[(3, 3)], all[(3, 4)], all[(4, 3)], all[(4, 4)]) = (l11, l12, l12, l22);
+        let mut all = [[per; 5]; 5];
+        (all[3][3], all[3][4], all[4][3], all[4][4]) = (l11, l12, l12, l22);
         for row in 0..3 {
             let cross = (
                 -(follow[row][0] * l11 + follow[row][1] * l12),
                 -(follow[row][0] * l12 + follow[row][1] * l22),
             );
-            (all[(row, 3)], all[(3, row)]) = (cross.0, cross.0);
-            (all[(row, 4)], all[(4, row)]) = (cross.1, cross.1);
-            for column in 0..3 {
-                all[(row, column)] =
+            (all[row][3], all[3][row]) = (cross.0, cross.0);
+            (all[row][4], all[4][row]) = (cross.1, cross.1);
+            for column in row..3 {
+                let own =
                     place[row][column] - cross.0 * follow[column][0] - cross.1 * follow[column][1];
+                (all[row][column], all[column][row]) = (own, own);
             }
         }
-        Some(all)
+        (all, place_valid & determinant.is_positive() & r11.is_positive())
     }
 }
 
-impl LinearRim {
+impl<T: Lane> Normal<T> {
     #[inline(always)]
-    fn of(circle: &Circle, rim: &Rim) -> Self {
-        let r2 = (rim.radius_m / circle.depth_m).powi(2);
-        let (w, facing, i) = (&circle.lean, circle.facing(), &rim.inverse);
-        let bend = -r2 / facing;
-        let mixed = bend * w.x * w.y;
-        let by_lean = Matrix2::new(
-            r2 * facing + bend * w.x * w.x,
-            mixed,
-            mixed,
-            r2 * facing + bend * w.y * w.y,
-        );
-        let v = (i.m11 * w.x + i.m12 * w.y, i.m21 * w.x + i.m22 * w.y);
-        let shape = |p: (f64, f64)| {
-            let (n11, n22) = (-2.0 * r2 * p.0 * v.0, -2.0 * r2 * p.1 * v.1);
-            let n12 = -r2 * (p.0 * v.1 + p.1 * v.0);
-            [0.25 * (n11 + n22), 0.25 * PER_ROOT * (n11 - n22), 0.5 * PER_ROOT * n12]
-        };
-        Self {
-            by_depth: w * (-2.0 * r2 * facing),
-            by_lean,
-            shape_by_lean: [shape((i.m11, i.m21)), shape((i.m12, i.m22))],
+    fn plus(mut self, other: &Self) -> Self {
+        for k in 0..6 {
+            self.place[k] = self.place[k] + other.place[k];
         }
+        for row in 0..3 {
+            for k in 0..2 {
+                self.between[row][k] = self.between[row][k] + other.between[row][k];
+            }
+            self.lean[row] = self.lean[row] + other.lean[row];
+        }
+        self
+    }
+}
+
+impl<T: Lane> LinearRim<T> {
+    #[inline(always)]
+    fn of(circle: &Circle<T>, rim: &Rim<T>) -> Self {
+        let r2 = (rim.radius_m / circle.depth_m).squared();
+        let (w, facing, i) = (circle.lean, circle.facing(), &rim.inverse);
+        let bend = -r2 / facing;
+        let level = r2 * facing;
+        let mixed = bend * w.x * w.y;
+        let by_lean = Mat2::new(level + bend * w.x * w.x, mixed, mixed, level + bend * w.y * w.y);
+        let v = *i * w * r2;
+        let mut shape_by_lean = [Vec3::new(r2, r2, r2); 2];
+        for (shape, p) in shape_by_lean.iter_mut().zip(i.columns()) {
+            let (n11, n22) = (p.x * v.x * -2.0, p.y * v.y * -2.0);
+            let n12 = -(p.x * v.y + p.y * v.x);
+            *shape = Vec3::new(
+                (n11 + n22) * 0.25,
+                (n11 - n22) * (0.25 * PER_ROOT),
+                n12 * (0.5 * PER_ROOT),
+            );
+        }
+        Self { by_depth: w * (level * -2.0), by_lean, shape_by_lean }
+    }
+
+    /// This rim's part of Σ Jᵀ W J.
+    #[inline(always)]
+    fn normal(&self, rim: &Rim<T>) -> Normal<T> {
+        let (w, i) = (&rim.information, &rim.inverse);
+        // Information about the centre in the plane.
+        let (along, across) = (w.along * 0.5, w.across * 0.5);
+        let p11 = along * i.m11 * i.m11 + across * i.m21 * i.m21;
+        let p12 = along * i.m11 * i.m12 + across * i.m21 * i.m22;
+        let p22 = along * i.m12 * i.m12 + across * i.m22 * i.m22;
+        let plane = Mat2::new(p11, p12, p12, p22);
+        let by_depth = plane * self.by_depth;
+        let [t1, t2] = self.by_lean.columns();
+        let (pt1, pt2) = (plane * t1, plane * t2);
+        let shape = self.shape_by_lean;
+        let mut weighted = shape;
+        for (weighted, of) in weighted.iter_mut().zip(shape) {
+            *weighted = Vec3::new(
+                w.size * of.x + w.size_and_elongation * of.y,
+                w.size_and_elongation * of.x + w.elongation * of.y,
+                w.turn * of.z,
+            );
+        }
+        let [first, second] = weighted;
+        Normal {
+            place: [p11, p12, by_depth.x, p22, by_depth.y, self.by_depth.dot(by_depth) + w.size],
+            between: [
+                [pt1.x, pt2.x],
+                [pt1.y, pt2.y],
+                [by_depth.dot(t1) - first.x, by_depth.dot(t2) - second.x],
+            ],
+            lean: [
+                t1.dot(pt1) + shape[0].dot(first),
+                t1.dot(pt2) + shape[0].dot(second),
+                t2.dot(pt2) + shape[1].dot(second),
+            ],
+        }
+    }
+
+    /// This rim's part of Σ Jᵀ W h and of Σ hᵀ W h.
+    #[inline(always)]
+    fn pull(&self, circle: &Circle<T>, rim: &Rim<T>, sign: f64) -> ([T; 5], T) {
+        let left = circle.compare(rim);
+        let weighted = rim.information.times(&left);
+        let square = left[0] * weighted[0]
+            + left[1] * weighted[1]
+            + left[2] * weighted[2]
+            + left[3] * weighted[3]
+            + left[4] * weighted[4];
+        // The centre's part, in the plane, and the shape's.
+        let i = &rim.inverse;
+        let pull = Vec2::new(
+            (i.m11 * weighted[1] + i.m21 * weighted[2]) * PER_ROOT,
+            (i.m12 * weighted[1] + i.m22 * weighted[2]) * PER_ROOT,
+        );
+        let [t1, t2] = self.by_lean.columns();
+        let shape = Vec3::new(weighted[0], weighted[3], weighted[4]) * square.splat(sign);
+        let right = [
+            pull.x,
+            pull.y,
+            self.by_depth.dot(pull) * sign - weighted[0],
+            t1.dot(pull) + shape.dot(self.shape_by_lean[0]),
+            t2.dot(pull) + shape.dot(self.shape_by_lean[1]),
+        ];
+        (right, square)
     }
 }
 
 /// The covariance of the circle with the other lean.
 #[inline(always)]
-fn mirrored(covariance: &Covariance5) -> Covariance5 {
+fn mirrored<T: Lane>(covariance: &Covariance5<T>) -> Covariance5<T> {
     let mut mirrored = *covariance;
     for k in [0, 1, 3, 4] {
-        mirrored[(2, k)] = -mirrored[(2, k)];
-        mirrored[(k, 2)] = -mirrored[(k, 2)];
+        mirrored[2][k] = -mirrored[2][k];
+        mirrored[k][2] = -mirrored[k][2];
     }
     mirrored
 }
 
-/// The inverse of a symmetric positive definite matrix given by its upper triangle, by cofactors.
+/// The inverse of a symmetric positive definite matrix given by its upper triangle, by cofactors, and
+/// where it is one.
 #[inline(always)]
-fn inverse3(m: &Matrix3<f64>) -> Option<[[f64; 3]; 3]> {
-    let c11 = m.m22 * m.m33 - m.m23 * m.m23;
-    let c12 = m.m13 * m.m23 - m.m12 * m.m33;
-    let c13 = m.m12 * m.m23 - m.m13 * m.m22;
-    let determinant = m.m11 * c11 + m.m12 * c12 + m.m13 * c13;
-    let c22 = m.m11 * m.m33 - m.m13 * m.m13;
-    let c23 = m.m12 * m.m13 - m.m11 * m.m23;
-    let c33 = m.m11 * m.m22 - m.m12 * m.m12;
-    if !(determinant > 0.0 && c33 > 0.0 && m.m11 > 0.0) {
-        return None;
-    }
-    let per = 1.0 / determinant;
+fn inverse3<T: Lane>([m11, m12, m13, m22, m23, m33]: &[T; 6]) -> ([[T; 3]; 3], T::Mask) {
+    let (m11, m12, m13, m22, m23, m33) = (*m11, *m12, *m13, *m22, *m23, *m33);
+    let c11 = m22 * m33 - m23 * m23;
+    let c12 = m13 * m23 - m12 * m33;
+    let c13 = m12 * m23 - m13 * m22;
+    let determinant = m11 * c11 + m12 * c12 + m13 * c13;
+    let c22 = m11 * m33 - m13 * m13;
+    let c23 = m12 * m13 - m11 * m23;
+    let c33 = m11 * m22 - m12 * m12;
+    let per = determinant.under(1.0);
     let (c12, c13, c23) = (c12 * per, c13 * per, c23 * per);
-    Some([[c11 * per, c12, c13], [c12, c22 * per, c23], [c13, c23, c33 * per]])
+    let inverse = [[c11 * per, c12, c13], [c12, c22 * per, c23], [c13, c23, c33 * per]];
+    (inverse, determinant.is_positive() & c33.is_positive() & m11.is_positive())
 }
 
-impl Estimate {
-    /// The lean with its covariance.
+impl<T: Lane> Estimate<T> {
+    /// The lean with its covariance's 11, 12 and 22.
     #[inline(always)]
-    pub fn lean(&self) -> (Vector2<f64>, Matrix2<f64>) {
+    fn lean(&self) -> (Vec2<T>, [T; 3]) {
         let c = &self.covariance;
-        (self.circle.lean, Matrix2::new(c[(3, 3)], c[(3, 4)], c[(4, 3)], c[(4, 4)]))
+        (self.circle.lean, [c[3][3], c[3][4], c[4][4]])
     }
 
     /// The changes of the position by (α, ln d), and of the rotation by w, in the local frame.
@@ -307,16 +402,35 @@ impl Estimate {
     /// p = d (α, 1); the normal moves by δn = (δw, -(w·δw)/n_z), and the left rotation that does it,
     /// with nothing about the normal, is n × δn.
     #[inline(always)]
-    pub fn changes(&self) -> ([Vector3<f64>; 3], [Vector3<f64>; 2]) {
-        let Circle { aside, depth_m, lean } = self.circle;
+    pub fn changes(&self) -> ([Vec3<T>; 3], [Vec3<T>; 2]) {
+        let depth_m = self.circle.depth_m;
         let normal = self.circle.normal();
-        let turn =
-            |x: f64, y: f64, along: f64| normal.cross(&Vector3::new(x, y, -along / normal.z));
+        let (zero, one) = (depth_m.splat(0.0), depth_m.splat(1.0));
+        let per_facing = normal.z.under(-1.0);
         let place = [
-            Vector3::new(depth_m, 0.0, 0.0),
-            Vector3::new(0.0, depth_m, 0.0),
-            Vector3::new(aside.x * depth_m, aside.y * depth_m, depth_m),
+            Vec3::new(depth_m, zero, zero),
+            Vec3::new(zero, depth_m, zero),
+            self.circle.position_m(),
         ];
-        (place, [turn(1.0, 0.0, lean.x), turn(0.0, 1.0, lean.y)])
+        let turns = [
+            normal.cross(Vec3::new(one, zero, normal.x * per_facing)),
+            normal.cross(Vec3::new(zero, one, normal.y * per_facing)),
+        ];
+        (place, turns)
+    }
+
+    #[inline(always)]
+    fn choose(mask: T::Mask, yes: &Self, no: &Self) -> Self {
+        let mut covariance = yes.covariance;
+        for (row, other) in covariance.iter_mut().zip(&no.covariance) {
+            for (own, other) in row.iter_mut().zip(other) {
+                *own = T::choose(mask, *own, *other);
+            }
+        }
+        Self {
+            circle: Circle::choose(mask, &yes.circle, &no.circle),
+            covariance,
+            misfit: T::choose(mask, yes.misfit, no.misfit),
+        }
     }
 }

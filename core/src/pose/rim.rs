@@ -22,12 +22,11 @@
 //! D = (c cᵀ - A Aᵀ, c; cᵀ, 1), the set of its tangents l, lᵀ D l = 0. It turns with the frame:
 //! D → R D Rᵀ.
 
-use nalgebra::{Matrix2, Matrix3, Vector2, Vector3};
-
 use super::{PoseError, RingNoise, bend::Bend};
 use crate::{
-    camera::{Camera, LensError, NearRays, PixelPoint},
+    camera::{Camera, LensError, NearRays},
     ellipse::Ellipse,
+    lanes::{Lane, Mask, Mat2, Mat3, Vec2, Vec3},
     marker::Ring,
 };
 
@@ -42,138 +41,234 @@ const SETTLED: f64 = 1e-6;
 /// The floor's share of centre, elongation and turn: blur and bloom are nearly even around a rim.
 const REST_OF_FLOOR: f64 = 0.25;
 
+/// A rim as imaged, pixels.
+#[derive(Clone, Copy, Debug)]
+pub struct RimSeen<T> {
+    pub center: Vec2<T>,
+    pub semi_major_px: T,
+    pub semi_minor_px: T,
+    /// Of the major axis' angle.
+    pub cos: T,
+    pub sin: T,
+}
+
+/// Both rims, outer and inner, and all else that a pose depends on.
+#[derive(Clone, Copy, Debug)]
+pub struct RingSeen<T> {
+    pub rims: [RimSeen<T>; 2],
+    /// Of the print.
+    pub radii_m: [T; 2],
+    pub noise: RingNoise<T>,
+}
+
 /// Five numbers of a rim.
-pub type Harmonics = [f64; 5];
+pub type Harmonics<T> = [T; 5];
 
 /// A rim in the plane z = 1 of a local frame.
 #[derive(Clone, Copy, Debug)]
-pub struct Rim {
+pub struct Rim<T> {
     /// The circle's radius, metres.
-    pub radius_m: f64,
+    pub radius_m: T,
     /// Centre of the ellipse.
-    pub center: Vector2<f64>,
+    pub center: Vec2<T>,
     /// A Aᵀ.
-    pub shape: Matrix2<f64>,
+    pub shape: Mat2<T>,
     /// A⁻¹, but for perspective's second order.
-    pub inverse: Matrix2<f64>,
+    pub inverse: Mat2<T>,
     /// Of its five numbers.
-    pub information: Information,
+    pub information: Information<T>,
 }
 
 /// Inverse covariance of a rim's five numbers; what is not here is zero.
 #[derive(Clone, Copy, Debug)]
-pub struct Information {
-    pub size: f64,
-    pub size_and_elongation: f64,
-    pub elongation: f64,
-    pub along: f64,
-    pub across: f64,
-    pub turn: f64,
+pub struct Information<T> {
+    pub size: T,
+    pub size_and_elongation: T,
+    pub elongation: T,
+    pub along: T,
+    pub across: T,
+    pub turn: T,
 }
 
-impl Information {
-    /// With elongation and turn unknown.
-    fn without_shape(&self) -> Self {
-        let size = self.size - self.size_and_elongation.powi(2) / self.elongation;
-        Self { size, size_and_elongation: 0.0, elongation: 0.0, turn: 0.0, ..*self }
-    }
+/// Both rims in a frame whose z is the axis of the outer rim's cone, so that a circle of which the rim is an
+/// image lies on it up to its tilt.
+#[derive(Clone, Copy, Debug)]
+pub struct Carried<T: Lane> {
+    pub local_from_camera: Mat3<T>,
+    /// Outer and inner.
+    pub rims: [Rim<T>; 2],
+    /// Where they are ellipses there.
+    pub known: T::Mask,
 }
 
-/// Both rims, outer and inner, with the rows of the frame that they are in: its z is the axis of the
-/// outer rim's cone, so that a circle of which the rim is an image lies on it up to its tilt.
-#[inline(always)]
-pub fn carry(
-    camera: &Camera,
-    ring: &Ring,
-    radii_m: [f64; 2],
-    noise: &RingNoise,
-) -> Result<(Matrix3<f64>, [Rim; 2]), PoseError> {
-    let (base_from_camera, [outer, inner]) = match flat_closed(camera, ring) {
-        Some(both) => both,
-        None => flat_by_turns(camera, ring)?,
-    };
-    let local_from_base = frame_along(&outer.cone_axis());
-    let outer = outer.rim(&local_from_base, &ring.outer, radii_m[0], noise);
-    let inner = inner.rim(&local_from_base, &ring.inner, radii_m[1], noise);
-    match (outer, inner) {
-        (Some(outer), Some(mut inner)) => {
-            if !noise.round_disc {
-                inner.information = inner.information.without_shape();
-            }
-            Ok((local_from_base * base_from_camera, [outer, inner]))
+/// Both rims in the plane z = 1 of a base frame.
+#[derive(Clone, Copy, Debug)]
+pub struct Flattened<T: Lane> {
+    /// The base frame; `None` for the camera's own.
+    pub base_from_camera: Option<Mat3<T>>,
+    /// Outer and inner.
+    pub flats: [Flat<T>; 2],
+    /// Where that holds.
+    pub known: T::Mask,
+}
+
+impl RimSeen<f64> {
+    #[inline(always)]
+    pub fn of(ellipse: &Ellipse) -> Self {
+        let (sin, cos) = ellipse.angle_rad.sin_cos();
+        Self {
+            center: Vec2::new(ellipse.center.u, ellipse.center.v),
+            semi_major_px: ellipse.semi_major_px,
+            semi_minor_px: ellipse.semi_minor_px,
+            cos,
+            sin,
         }
-        _ => Err(PoseError::NoCircle),
     }
 }
 
-/// Both rims in the plane z = 1 of a base frame, with its rows, if the lens bends them little.
+impl RingSeen<f64> {
+    #[inline(always)]
+    pub fn of(ring: &Ring, radii_m: [f64; 2], noise: RingNoise<f64>) -> Self {
+        Self { rims: [RimSeen::of(&ring.outer), RimSeen::of(&ring.inner)], radii_m, noise }
+    }
+}
+
+impl<T: Lane> RingSeen<T> {
+    /// Rings side by side, all with round discs or none.
+    #[inline(always)]
+    pub fn gather(like: T, rings: &[RingSeen<f64>]) -> Self {
+        let [u, v, a, b, cos, sin, u1, v1, a1, b1, cos1, sin1, r, r1, edge_px, floor_px, uneven_px] =
+            like.each(
+                #[inline(always)]
+                |lane| {
+                    let RingSeen { rims: [one, other], radii_m, noise } = &rings[lane];
+                    [
+                        one.center.x,
+                        one.center.y,
+                        one.semi_major_px,
+                        one.semi_minor_px,
+                        one.cos,
+                        one.sin,
+                        other.center.x,
+                        other.center.y,
+                        other.semi_major_px,
+                        other.semi_minor_px,
+                        other.cos,
+                        other.sin,
+                        radii_m[0],
+                        radii_m[1],
+                        noise.edge_px,
+                        noise.floor_px,
+                        noise.uneven_px,
+                    ]
+                },
+            );
+        let outer =
+            RimSeen { center: Vec2::new(u, v), semi_major_px: a, semi_minor_px: b, cos, sin };
+        let inner = RimSeen {
+            center: Vec2::new(u1, v1),
+            semi_major_px: a1,
+            semi_minor_px: b1,
+            cos: cos1,
+            sin: sin1,
+        };
+        let round_disc = rings[0].noise.round_disc;
+        let noise = RingNoise { edge_px, floor_px, uneven_px, round_disc };
+        Self { rims: [outer, inner], radii_m: [r, r1], noise }
+    }
+}
+
+impl<T: Lane> RimSeen<T> {
+    /// As vectors in the image.
+    #[inline(always)]
+    pub fn semiaxes(&self) -> [Vec2<T>; 2] {
+        let (a, b) = (self.semi_major_px, self.semi_minor_px);
+        [Vec2::new(self.cos * a, self.sin * a), Vec2::new(-(self.sin * b), self.cos * b)]
+    }
+
+    /// Its points from a pixel.
+    #[inline(always)]
+    fn points(&self, from: Vec2<T>) -> [[T; POINTS]; 2] {
+        let [major, minor] = self.semiaxes();
+        let at = self.center - from;
+        let mut points = [[at.x; POINTS], [at.y; POINTS]];
+        for i in 0..POINTS {
+            points[0][i] = at.x + major.x * COS[i] + minor.x * SIN[i];
+            points[1][i] = at.y + major.y * COS[i] + minor.y * SIN[i];
+        }
+        points
+    }
+}
+
+/// The rims through any lens.
 #[inline(always)]
-pub fn flat_closed(camera: &Camera, ring: &Ring) -> Option<(Matrix3<f64>, [Flat; 2])> {
-    let outer = &ring.outer;
-    let near = camera.rays_near(outer.center, &points(outer, outer.center)).ok()?;
-    let base_from_camera = base(camera, &near.middle);
+pub fn carry(camera: &Camera, seen: &RingSeen<f64>) -> Result<Carried<f64>, PoseError> {
+    let mut flattened = flat_closed(camera, &seen.rims);
+    if !flattened.known {
+        flattened = flat_by_turns(camera, &seen.rims)?;
+    }
+    let carried = flattened.carry(seen);
+    if carried.known { Ok(carried) } else { Err(PoseError::NoCircle) }
+}
+
+/// The rims in closed form, where the lens bends them little.
+#[inline(always)]
+pub fn flat_closed<T: Lane>(camera: &Camera, rims: &[RimSeen<T>; 2]) -> Flattened<T> {
+    let [outer, inner] = rims;
+    let near = camera.rays_near_each(outer.center, &outer.points(outer.center));
+    let base_from_camera = base(camera, near.middle);
     let (middle, semiaxes) = line(&near, outer.center, outer, &base_from_camera);
-    let points = plane_points(&near.rays, &base_from_camera, camera.is_planar())?;
-    let bend = Bend::of(&points, middle, semiaxes)?;
-    Some((base_from_camera, [bend.outer(), bend.inner(outer, &ring.inner)]))
+    let (points, ahead) = plane_points(&near.rays, &base_from_camera);
+    let (bend, bent_little) = Bend::of(&points, middle, semiaxes);
+    let mut known = near.settled & bent_little;
+    if base_from_camera.is_some() {
+        known = known & ahead;
+    }
+    Flattened { base_from_camera, flats: [bend.outer(), bend.inner(outer, inner)], known }
 }
 
 /// The same for any lens.
 #[inline(always)]
-pub fn flat_by_turns(camera: &Camera, ring: &Ring) -> Result<(Matrix3<f64>, [Flat; 2]), PoseError> {
-    let near = match camera.rays_near(ring.outer.center, &offsets(ring)) {
+pub fn flat_by_turns(
+    camera: &Camera,
+    seen: &[RimSeen<f64>; 2],
+) -> Result<Flattened<f64>, PoseError> {
+    let near = match camera.rays_near(seen[0].center, &offsets(seen)) {
         Ok(near) => near,
-        Err(source) => return Err(PoseError::Lens { rim: refused(camera, ring), source }),
+        Err(source) => return Err(PoseError::Lens { rim: refused(camera, &seen[0]), source }),
     };
-    let base_from_camera = base(camera, &near.middle);
-    let outer = Flat::through(&near, 0, ring, &base_from_camera);
-    let inner = Flat::through(&near, 1, ring, &base_from_camera);
+    let base_from_camera = base(camera, near.middle);
+    let outer = Flat::through(&near, 0, seen, &base_from_camera);
+    let inner = Flat::through(&near, 1, seen, &base_from_camera);
     let behind = |rim| PoseError::Lens { rim, source: LensError::Behind };
     let (outer, inner) = (outer.ok_or(behind("outer"))?, inner.ok_or(behind("inner"))?);
-    Ok((base_from_camera, [outer, inner]))
+    Ok(Flattened { base_from_camera, flats: [outer, inner], known: true })
 }
 
 /// Rays of planar models are points of one plane, in which a lens without distortion is linear.
 #[inline(always)]
-fn base(camera: &Camera, middle: &Vector3<f64>) -> Matrix3<f64> {
-    if camera.is_planar() { Matrix3::identity() } else { frame_along(middle) }
+fn base<T: Lane>(camera: &Camera, middle: Vec3<T>) -> Option<Mat3<T>> {
+    if camera.is_planar() { None } else { Some(frame_along(middle)) }
 }
 
 /// Rows of a right-handed frame whose z lies along `axis`, of any length.
 #[inline(always)]
-pub fn frame_along(axis: &Vector3<f64>) -> Matrix3<f64> {
-    let z = axis / axis.norm_squared().sqrt();
-    let across = if z.y.abs() < 0.9 {
-        Vector3::new(z.z, 0.0, -z.x) // y × z
-    } else {
-        Vector3::new(0.0, -z.z, z.y) // x × z
-    };
-    let x = across / across.norm_squared().sqrt();
-    let y = z.cross(&x);
-    Matrix3::new(x.x, x.y, x.z, y.x, y.y, y.z, z.x, z.y, z.z)
-}
-
-/// A rim's points from a pixel, pixels.
-#[inline(always)]
-fn points(ellipse: &Ellipse, from: PixelPoint) -> [[f64; POINTS]; 2] {
-    let (sin, cos) = ellipse.angle_rad.sin_cos();
-    let (a, b) = (ellipse.semi_major_px, ellipse.semi_minor_px);
-    let (du, dv) = (ellipse.center.u - from.u, ellipse.center.v - from.v);
-    let mut points = [[0.0; POINTS]; 2];
-    for i in 0..POINTS {
-        let (x, y) = (a * COS[i], b * SIN[i]);
-        points[0][i] = du + cos * x - sin * y;
-        points[1][i] = dv + sin * x + cos * y;
-    }
-    points
+pub fn frame_along<T: Lane>(axis: Vec3<T>) -> Mat3<T> {
+    let z = axis * axis.square().root().under(1.0);
+    let zero = z.x.splat(0.0);
+    let is_level = z.y.size().below(zero.splat(0.9));
+    // y × z, or x × z.
+    let across = Vec3::choose(is_level, Vec3::new(z.z, zero, -z.x), Vec3::new(zero, -z.z, z.y));
+    let x = across * across.square().root().under(1.0);
+    Mat3([x, z.cross(x), z])
 }
 
 /// The rims' points from the outer rim's centre, pixels: the outer rim's, then the inner one's.
 #[inline(always)]
-fn offsets(ring: &Ring) -> [[f64; 2 * POINTS]; 2] {
+fn offsets(rims: &[RimSeen<f64>; 2]) -> [[f64; 2 * POINTS]; 2] {
     let mut offsets = [[0.0; 2 * POINTS]; 2];
-    for (rim, ellipse) in [&ring.outer, &ring.inner].into_iter().enumerate() {
-        let points = points(ellipse, ring.outer.center);
+    for (rim, seen) in rims.iter().enumerate() {
+        let points = seen.points(rims[0].center);
         for axis in 0..2 {
             offsets[axis][rim * POINTS..(rim + 1) * POINTS].copy_from_slice(&points[axis]);
         }
@@ -181,93 +276,109 @@ fn offsets(ring: &Ring) -> [[f64; 2 * POINTS]; 2] {
     offsets
 }
 
-/// Where rays cross the plane z = 1 of the base frame; `None` if one lies 90° or more from its axis.
+/// Where rays cross the plane z = 1 of the base frame, and where none lies 90° or more from its axis.
 #[inline(always)]
-fn plane_points(
-    rays: &[[f64; POINTS]; 3],
-    turn: &Matrix3<f64>,
-    is_planar: bool,
-) -> Option<[[f64; POINTS]; 2]> {
-    if is_planar {
-        return Some([rays[0], rays[1]]);
+fn plane_points<T: Lane>(
+    rays: &[[T; POINTS]; 3],
+    base_from_camera: &Option<Mat3<T>>,
+) -> ([[T; POINTS]; 2], T::Mask) {
+    let mut points = [rays[0], rays[1]];
+    let mut ahead = rays[2][0].is_positive();
+    if let Some(turn) = base_from_camera {
+        for i in 0..POINTS {
+            let ray = *turn * Vec3::new(rays[0][i], rays[1][i], rays[2][i]);
+            let per_depth = ray.z.under(1.0);
+            (points[0][i], points[1][i]) = (ray.x * per_depth, ray.y * per_depth);
+            let is_ahead = ray.z.is_positive();
+            ahead = if i == 0 { is_ahead } else { ahead & is_ahead };
+        }
     }
-    let mut points = [[0.0; POINTS]; 2];
-    let mut depths = [0.0; POINTS];
-    for i in 0..POINTS {
-        let [u, v, w] = [rays[0][i], rays[1][i], rays[2][i]];
-        depths[i] = turn.m31 * u + turn.m32 * v + turn.m33 * w;
-        points[0][i] = (turn.m11 * u + turn.m12 * v + turn.m13 * w) / depths[i];
-        points[1][i] = (turn.m21 * u + turn.m22 * v + turn.m23 * w) / depths[i];
-    }
-    depths.iter().fold(true, |ahead, depth| ahead & (*depth > 0.0)).then_some(points)
+    (points, ahead)
 }
 
 /// Image of the rim's own centre, and of its semiaxes by the derivative there.
 #[inline(always)]
-fn line<const N: usize>(
-    near: &NearRays<N>,
-    middle_px: PixelPoint,
-    ellipse: &Ellipse,
-    base_from_camera: &Matrix3<f64>,
-) -> (Vector2<f64>, Matrix2<f64>) {
-    let middle = base_from_camera * near.middle;
-    let per_depth = 1.0 / middle.z;
-    let flat = Vector2::new(middle.x, middle.y) * per_depth;
-    let [by_u, by_v] = near.by_pixel.map(|by| {
-        let by = base_from_camera * by;
-        (Vector2::new(by.x, by.y) - flat * by.z) * per_depth
-    });
-    let (sin, cos) = ellipse.angle_rad.sin_cos();
-    let (a, b) = (ellipse.semi_major_px, ellipse.semi_minor_px);
-    let (du, dv) = (ellipse.center.u - middle_px.u, ellipse.center.v - middle_px.v);
-    let major = (by_u * cos + by_v * sin) * a;
-    let minor = (by_v * cos - by_u * sin) * b;
-    (flat + by_u * du + by_v * dv, Matrix2::from_columns(&[major, minor]))
+fn line<T: Lane, const N: usize>(
+    near: &NearRays<T, N>,
+    middle_px: Vec2<T>,
+    rim: &RimSeen<T>,
+    base_from_camera: &Option<Mat3<T>>,
+) -> (Vec2<T>, Mat2<T>) {
+    let (mut flat, [mut by_u, mut by_v]) =
+        (near.middle.xy(), [near.by_pixel[0].xy(), near.by_pixel[1].xy()]);
+    if let Some(turn) = base_from_camera {
+        let middle = *turn * near.middle;
+        let per_depth = middle.z.under(1.0);
+        flat = middle.xy() * per_depth;
+        let [u, v] = [*turn * near.by_pixel[0], *turn * near.by_pixel[1]];
+        by_u = (u.xy() - flat * u.z) * per_depth;
+        by_v = (v.xy() - flat * v.z) * per_depth;
+    }
+    let slope = Mat2::of_columns(by_u, by_v);
+    let [major, minor] = rim.semiaxes();
+    let semiaxes = Mat2::of_columns(slope * major, slope * minor);
+    (flat + slope * (rim.center - middle_px), semiaxes)
 }
 
 /// The first rim of which a point has no ray.
-fn refused(camera: &Camera, ring: &Ring) -> &'static str {
-    let outer = points(&ring.outer, ring.outer.center);
-    if camera.rays_near(ring.outer.center, &outer).is_err() { "outer" } else { "inner" }
+fn refused(camera: &Camera, outer: &RimSeen<f64>) -> &'static str {
+    let outer = camera.rays_near(outer.center, &outer.points(outer.center));
+    if outer.is_err() { "outer" } else { "inner" }
+}
+
+impl<T: Lane> Flattened<T> {
+    /// In the frame along the outer rim's cone.
+    #[inline(always)]
+    pub fn carry(&self, seen: &RingSeen<T>) -> Carried<T> {
+        let [outer, inner] = &self.flats;
+        let local_from_base = frame_along(outer.cone_axis());
+        let (outer, outer_known) = outer.rim(&local_from_base, seen, 0);
+        let (inner, inner_known) = inner.rim(&local_from_base, seen, 1);
+        let local_from_camera = match self.base_from_camera {
+            Some(base_from_camera) => local_from_base.times(base_from_camera),
+            None => local_from_base,
+        };
+        let known = self.known & outer_known & inner_known;
+        Carried { local_from_camera, rims: [outer, inner], known }
+    }
 }
 
 /// An ellipse in the plane z = 1 of the base frame.
 #[derive(Clone, Copy, Debug)]
-pub struct Flat {
-    pub center: Vector2<f64>,
-    pub semiaxes: Matrix2<f64>,
+pub struct Flat<T> {
+    pub center: Vec2<T>,
+    pub semiaxes: Mat2<T>,
 }
 
-impl Flat {
+impl Flat<f64> {
     /// The ellipse through the images of a rim's points, the outer (0) or the inner one (1); `None` if
     /// one lies 90° or more from the frame's axis.
     #[inline(always)]
     fn through(
-        near: &NearRays<{ 2 * POINTS }>,
+        near: &NearRays<f64, { 2 * POINTS }>,
         rim: usize,
-        ring: &Ring,
-        base_from_camera: &Matrix3<f64>,
+        seen: &[RimSeen<f64>; 2],
+        base_from_camera: &Option<Mat3<f64>>,
     ) -> Option<Self> {
-        let turn = base_from_camera;
         let own = near.rays.map(|axis| std::array::from_fn(|i| axis[rim * POINTS + i]));
-        let is_planar = *turn == Matrix3::identity();
-        let [mut x, mut y] = plane_points(&own, turn, is_planar)?;
-        let center = Vector2::new(mean(&x, &ONE), mean(&y, &ONE));
-        let affine = Matrix2::new(
+        let ([mut x, mut y], ahead) = plane_points(&own, base_from_camera);
+        if !ahead {
+            return None;
+        }
+        let center = Vec2::new(mean(&x, &ONE), mean(&y, &ONE));
+        let affine = Mat2::new(
             2.0 * mean(&x, &COS),
             2.0 * mean(&x, &SIN),
             2.0 * mean(&y, &COS),
             2.0 * mean(&y, &SIN),
         );
-        let inverse = affine.try_inverse()?;
+        let (inverse, true) = affine.inverse() else { return None };
         for i in 0..POINTS {
-            let (dx, dy) = (x[i] - center.x, y[i] - center.y);
-            x[i] = inverse.m11 * dx + inverse.m12 * dy;
-            y[i] = inverse.m21 * dx + inverse.m22 * dy;
+            let v = inverse * (Vec2::new(x[i], y[i]) - center);
+            (x[i], y[i]) = (v.x, v.y);
         }
-        let ellipse = [&ring.outer, &ring.inner][rim];
-        let (middle, linear) = line(near, ring.outer.center, ellipse, turn);
-        let (middle, linear) = (inverse * (middle - center), inverse * linear);
+        let (middle, linear) = line(near, seen[0].center, &seen[rim], base_from_camera);
+        let (middle, linear) = (inverse * (middle - center), inverse.times(linear));
         // dy/ds = P₁ + 2 P₂ + 3 P₃, with the even part y₀ + P₂ and the odd one P₁ + P₃.
         let (mut along_x, mut along_y) = ([0.0; POINTS], [0.0; POINTS]);
         for i in 0..POINTS {
@@ -279,11 +390,11 @@ impl Flat {
             let first = linear.m21 * COS[i] + linear.m22 * SIN[i];
             along_y[i] = 3.0 * odd - 2.0 * first + 2.0 * (even - middle.y);
         }
-        // The unit circle's own ellipse: moved by `shift`, its points longer by the factor 1 + `grown`.
-        let mut shift = Vector2::zeros();
-        let mut grown = Matrix2::zeros();
+        // The unit circle's own ellipse: moved by `shift`, its points longer by the factor `grown`.
+        let mut shift = Vec2::new(0.0, 0.0);
+        let mut grown = Mat2::new(1.0, 0.0, 0.0, 1.0);
         for _ in 0..TURNS {
-            let back = (Matrix2::identity() + grown).try_inverse()?;
+            let (back, true) = grown.inverse() else { return None };
             let mut q = [0.0; POINTS];
             for i in 0..POINTS {
                 let (dx, dy) = (x[i] - shift.x, y[i] - shift.y);
@@ -295,72 +406,111 @@ impl Flat {
                 let beyond = excess * (0.5 - 0.125 * excess);
                 q[i] = beyond * (1.0 + beyond) / (dx * ex + dy * ey);
             }
-            let moved = Vector2::new(2.0 * mean(&q, &COS), 2.0 * mean(&q, &SIN));
+            let moved = Vec2::new(2.0 * mean(&q, &COS), 2.0 * mean(&q, &SIN));
             let (size, elongation, turn) =
                 (mean(&q, &ONE), 2.0 * mean(&q, &COS_2), 2.0 * mean(&q, &SIN_2));
-            shift += moved;
-            grown += Matrix2::new(size + elongation, turn, turn, size - elongation);
+            shift = shift + moved;
+            grown.m11 += size + elongation;
+            grown.m12 += turn;
+            grown.m21 += turn;
+            grown.m22 += size - elongation;
             let most = moved.x.abs() + moved.y.abs() + size.abs() + elongation.abs() + turn.abs();
             if most <= SETTLED {
                 break;
             }
         }
-        let semiaxes = affine * (Matrix2::identity() + grown);
-        Some(Self { center: center + affine * shift, semiaxes })
+        Some(Self { center: center + affine * shift, semiaxes: affine.times(grown) })
     }
+}
 
-    /// This rim as it is seen from another frame, with what is known of its errors.
+impl<T: Lane> Flat<T> {
+    /// This rim, the outer (0) or the inner one (1), as it is seen from another frame, with what is known of
+    /// its errors; and where it is an ellipse there.
     #[inline(always)]
     fn rim(
         &self,
-        local_from_base: &Matrix3<f64>,
-        ellipse: &Ellipse,
-        radius_m: f64,
-        noise: &RingNoise,
-    ) -> Option<Rim> {
-        let (center, shape, semiaxes) = self.seen_from(local_from_base)?;
-        let information = information(ellipse, noise)?;
-        Some(Rim { radius_m, center, shape, inverse: semiaxes.try_inverse()?, information })
+        local_from_base: &Mat3<T>,
+        seen: &RingSeen<T>,
+        number: usize,
+    ) -> (Rim<T>, T::Mask) {
+        let (center, shape, semiaxes, is_ellipse) = self.seen_from(local_from_base);
+        let (mut information, is_informed) = information(&seen.rims[number], &seen.noise);
+        if number == 1 && !seen.noise.round_disc {
+            information = information.without_shape();
+        }
+        let (inverse, regular) = semiaxes.inverse();
+        let rim = Rim { radius_m: seen.radii_m[number], center, shape, inverse, information };
+        (rim, is_ellipse & is_informed & regular)
     }
 
     /// The axis of the cone through the ellipse, that eigenvector of its dual conic which lies inside:
     /// its other eigenvalues are smaller by the square of the ellipse's size, so that two turns of the
     /// power method from the centre find it.
     #[inline(always)]
-    fn cone_axis(&self) -> Vector3<f64> {
-        let shape = self.semiaxes * self.semiaxes.transpose();
+    fn cone_axis(&self) -> Vec3<T> {
+        let shape = self.semiaxes.square();
         let mut axis = self.center;
         for _ in 0..2 {
-            let inside = self.center.dot(&axis) + 1.0;
-            axis = self.center - shape * axis / inside;
+            let inside = self.center.dot(axis) + 1.0;
+            axis = self.center - shape * axis * inside.under(1.0);
         }
-        axis.push(1.0)
+        axis.push(axis.x.splat(1.0))
     }
 
     /// Centre, shape A Aᵀ and, but for perspective's second order, semiaxes in the plane z = 1 of another
-    /// frame; `None` if the ellipse is none there.
+    /// frame; and where the ellipse is one there.
     #[inline(always)]
-    fn seen_from(
-        &self,
-        local_from_base: &Matrix3<f64>,
-    ) -> Option<(Vector2<f64>, Matrix2<f64>, Matrix2<f64>)> {
+    fn seen_from(&self, local_from_base: &Mat3<T>) -> (Vec2<T>, Mat2<T>, Mat2<T>, T::Mask) {
         // The dual conic is p pᵀ - a aᵀ - b bᵀ.
-        let [a, b] = [0, 1].map(|k| local_from_base * self.semiaxes.column(k).push(0.0));
-        let p = local_from_base * self.center.push(1.0);
+        let [x, y, z] = local_from_base.transpose().0;
+        let [a, b] = self.semiaxes.columns();
+        let (a, b) = (x * a.x + y * a.y, x * b.x + y * b.y);
+        let p = x * self.center.x + y * self.center.y + z;
         let scale = p.z * p.z - a.z * a.z - b.z * b.z;
-        if scale.is_nan() || scale <= 0.0 {
-            return None;
-        }
-        let [fp, fa, fb] = [&p, &a, &b].map(|v| Vector2::new(v.x, v.y));
-        let per_scale = 1.0 / scale;
+        let (fp, fa, fb) = (p.xy(), a.xy(), b.xy());
+        let per_scale = scale.under(1.0);
         let center = (fp * p.z - fa * a.z - fb * b.z) * per_scale;
-        let dual = fp * fp.transpose() - fa * fa.transpose() - fb * fb.transpose();
-        let shape = center * center.transpose() - dual * per_scale;
-        let per_depth = 1.0 / p.z;
+        let c = center;
+        let m11 = c.x * c.x - (fp.x * fp.x - fa.x * fa.x - fb.x * fb.x) * per_scale;
+        let m12 = c.x * c.y - (fp.x * fp.y - fa.x * fa.y - fb.x * fb.y) * per_scale;
+        let m22 = c.y * c.y - (fp.y * fp.y - fa.y * fa.y - fb.y * fb.y) * per_scale;
+        let per_depth = p.z.under(1.0);
         let flat = fp * per_depth;
         let semiaxes =
-            Matrix2::from_columns(&[(fa - flat * a.z) * per_depth, (fb - flat * b.z) * per_depth]);
-        Some((center, shape, semiaxes))
+            Mat2::of_columns((fa - flat * a.z) * per_depth, (fb - flat * b.z) * per_depth);
+        (center, Mat2::new(m11, m12, m12, m22), semiaxes, scale.is_positive())
+    }
+}
+
+impl<T: Lane> Carried<T> {
+    #[inline(always)]
+    pub fn lane(&self, lane: usize) -> Carried<f64> {
+        Carried {
+            local_from_camera: self.local_from_camera.lane(lane),
+            rims: [self.rims[0].lane(lane), self.rims[1].lane(lane)],
+            known: self.known.is_set(lane),
+        }
+    }
+}
+
+impl<T: Lane> Rim<T> {
+    #[inline(always)]
+    fn lane(&self, lane: usize) -> Rim<f64> {
+        let information = &self.information;
+        Rim {
+            radius_m: self.radius_m.lane(lane),
+            center: self.center.lane(lane),
+            shape: self.shape.lane(lane),
+            inverse: self.inverse.lane(lane),
+            information: Information {
+                size: information.size.lane(lane),
+                size_and_elongation: information.size_and_elongation.lane(lane),
+                elongation: information.elongation.lane(lane),
+                along: information.along.lane(lane),
+                across: information.across.lane(lane),
+                turn: information.turn.lane(lane),
+            },
+        }
     }
 }
 
@@ -384,42 +534,56 @@ const COS_2: [f64; POINTS] = [1.0, 0.0, -1.0, 0.0, 1.0, 0.0, -1.0, 0.0];
 /// … and sin 2t.
 const SIN_2: [f64; POINTS] = [0.0, 1.0, 0.0, -1.0, 0.0, 1.0, 0.0, -1.0];
 
-/// Inverse covariance of a rim's five numbers.
+/// Inverse covariance of a rim's five numbers, and where there is one.
 ///
 /// The rim's samples stray by n(s) across it, independently from one pixel of arc s to the next, so
 /// that q = g n / (ab) with g = ds/dt = √(a² sin² t + b² cos² t) and cov h = σ²/(2π a²b²) mean(g ψψᵀ);
 /// to that come the floor and, alike in all five, the unevenness. By symmetry only size and elongation
 /// are coupled. The means of g, g cos 2t and g cos 4t are those over the eight points.
 #[inline(always)]
-pub fn information(ellipse: &Ellipse, noise: &RingNoise) -> Option<Information> {
-    let (a, b) = (ellipse.semi_major_px, ellipse.semi_minor_px);
-    let between = (0.5 * (a * a + b * b)).sqrt();
+pub fn information<T: Lane>(rim: &RimSeen<T>, noise: &RingNoise<T>) -> (Information<T>, T::Mask) {
+    let (a, b) = (rim.semi_major_px, rim.semi_minor_px);
+    let between = ((a * a + b * b) * 0.5).root();
     let (g0, g2, g4) =
-        (0.25 * (a + b + 2.0 * between), 0.25 * (b - a), 0.25 * (a + b - 2.0 * between));
-    let edge = noise.edge_px * noise.edge_px / (std::f64::consts::TAU * a * a * b * b);
+        ((a + b + between * 2.0) * 0.25, (b - a) * 0.25, (a + b - between * 2.0) * 0.25);
+    let per_area = (a * b).under(1.0);
+    let edge = (noise.edge_px * per_area).squared() * (1.0 / std::f64::consts::TAU);
     // A shift η of the whole rim across itself: q = g η/(ab), whose numbers are size and elongation.
-    let per_shift = noise.floor_px / (a * b);
+    let per_shift = noise.floor_px * per_area;
     let (shift_size, shift_elongation) =
-        (g0 * per_shift, std::f64::consts::SQRT_2 * g2 * per_shift);
-    let rest = (REST_OF_FLOOR * noise.floor_px).powi(2);
-    let uneven = noise.uneven_px * noise.uneven_px / (a * b);
+        (g0 * per_shift, g2 * per_shift * std::f64::consts::SQRT_2);
+    let rest = (noise.floor_px * REST_OF_FLOOR).squared();
+    let uneven = noise.uneven_px.squared() * per_area;
     let size = edge * g0 + shift_size * shift_size + uneven;
-    let elongation =
-        edge * (g0 + g4) + shift_elongation * shift_elongation + 0.25 * rest / (a * b) + uneven;
-    let coupling = std::f64::consts::SQRT_2 * edge * g2 + shift_size * shift_elongation;
-    let along = edge * (g0 + g2) + 0.5 * rest / (a * a) + uneven;
-    let across = edge * (g0 - g2) + 0.5 * rest / (b * b) + uneven;
-    let turn = edge * (g0 - g4) + 0.25 * rest / (a * b) + uneven;
+    let quarter = rest * per_area * 0.25 + uneven;
+    let elongation = edge * (g0 + g4) + shift_elongation * shift_elongation + quarter;
+    let coupling = edge * g2 * std::f64::consts::SQRT_2 + shift_size * shift_elongation;
+    // 1/a² is b²/(ab)².
+    let half = rest * per_area.squared() * 0.5;
+    let along = edge * (g0 + g2) + half * b.squared() + uneven;
+    let across = edge * (g0 - g2) + half * a.squared() + uneven;
+    let turn = edge * (g0 - g4) + quarter;
     let determinant = size * elongation - coupling * coupling;
-    if !(determinant > 0.0 && along > 0.0 && across > 0.0 && turn > 0.0) {
-        return None;
+    let per_determinant = determinant.under(1.0);
+    let information = Information {
+        size: elongation * per_determinant,
+        size_and_elongation: -coupling * per_determinant,
+        elongation: size * per_determinant,
+        along: along.under(1.0),
+        across: across.under(1.0),
+        turn: turn.under(1.0),
+    };
+    let known =
+        determinant.is_positive() & along.is_positive() & across.is_positive() & turn.is_positive();
+    (information, known)
+}
+
+impl<T: Lane> Information<T> {
+    /// With elongation and turn unknown.
+    #[inline(always)]
+    fn without_shape(&self) -> Self {
+        let zero = self.size.splat(0.0);
+        let size = self.size - self.size_and_elongation.squared() / self.elongation;
+        Self { size, size_and_elongation: zero, elongation: zero, turn: zero, ..*self }
     }
-    Some(Information {
-        size: elongation / determinant,
-        size_and_elongation: -coupling / determinant,
-        elongation: size / determinant,
-        along: 1.0 / along,
-        across: 1.0 / across,
-        turn: 1.0 / turn,
-    })
 }

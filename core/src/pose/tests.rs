@@ -5,10 +5,10 @@ use proptest::prelude::*;
 use rand::{RngExt, SeedableRng};
 use rand_distr::{Distribution, StandardNormal};
 
-use super::*;
+use super::{noise::CLEAN_UNEVENNESS, refine::Estimates, *};
 use crate::{
     camera::{Intrinsics, Lens, PixelPoint},
-    rigid::{mahalanobis_squared, orientation_of_normal},
+    rigid::{UNKNOWN_ANGLE_VARIANCE_RAD2, mahalanobis_squared, orientation_of_normal},
 };
 
 pub fn camera(lens: Lens) -> Camera {
@@ -137,7 +137,7 @@ proptest! {
 
 /// An ellipse as found: its rim strays by white noise along its arc, of which an ellipse takes up the
 /// first harmonics, and by a floor on its numbers.
-fn stray(ellipse: &Ellipse, noise: &RingNoise, draw: &mut impl FnMut() -> f64) -> Ellipse {
+fn stray(ellipse: &Ellipse, noise: &RingNoise<f64>, draw: &mut impl FnMut() -> f64) -> Ellipse {
     const SAMPLES: usize = 48;
     let (a, b) = (ellipse.semi_major_px, ellipse.semi_minor_px);
     let step = std::f64::consts::TAU / SAMPLES as f64;
@@ -224,17 +224,17 @@ fn tally(radius_px: f64, tilts_rad: std::ops::Range<f64>, runs: usize, noise: &R
         let spread = reported.covariance.fixed_view::<3, 3>(0, 0).into_owned();
         tally.position_inside += usize::from(mahalanobis_squared(&off_m, &spread).unwrap() < 7.815);
         let radii_m = [0.5 * kind.outer_diameter_m, 0.5 * kind.inner_diameter_m];
-        let estimates = estimate(&camera, &found, radii_m, &of_ring).unwrap();
-        let nearer = match estimates.other {
-            Some((other, _)) => {
-                let off = |n: &Vector3<f64>| (n - normal).norm();
-                let right = off(&reported.normal) <= off(&reported.other_normal);
-                tally.wrong += usize::from(!right);
-                tally.expected_wrong += 1.0 - reported.normal_likelihood;
-                let first = if right { estimates.first } else { other };
-                finish(&Estimates { first, other: None, ..estimates })
-            }
-            None => reported,
+        let nearer = if reported.normal == reported.other_normal {
+            reported
+        } else {
+            let off = |n: &Vector3<f64>| (n - normal).norm();
+            let right = off(&reported.normal) <= off(&reported.other_normal);
+            tally.wrong += usize::from(!right);
+            tally.expected_wrong += 1.0 - reported.normal_likelihood;
+            let carried = rim::carry(&camera, &RingSeen::of(&found, radii_m, of_ring)).unwrap();
+            let Estimates { first, other, .. } = closed::estimate(&carried.rims).unwrap();
+            let alone = Estimates::alone(if right { first } else { other });
+            closed::finish(&carried.local_from_camera, &alone).pose(0)
         };
         let off_m = position_m - nearer.position_m;
         let turn = nearer.normal.cross(&normal);

@@ -10,83 +10,118 @@ use nalgebra::{Matrix2, Vector2};
 use super::{
     cone::Circle,
     facing::{self, Evidence, Lean},
-    refine::{Covariance5, Estimate},
+    refine::{Covariance5, Estimate, Estimates},
     rim::Rim,
 };
+use crate::lanes::{Lane, Vec2};
 
-/// The one or two circles, the likelier first with its likelihood; `None` where the circle is tilted
-/// enough, or seen from near enough, for Gauss and Newton. `about` is the outer rim's own circle.
-#[inline(always)]
-pub fn estimate(about: &Circle, rims: &[Rim; 2]) -> Option<(Estimate, Option<(Estimate, f64)>)> {
-    let r2 = rims.map(|rim| (rim.radius_m / about.depth_m).powi(2));
-    // Of an elongation h (rms over the rim) w² is -4√2 h.
-    let squared_weight = rims.map(|rim| (rim.information.elongation + rim.information.turn) / 64.0);
-    let squared_information = squared_weight[0] + squared_weight[1];
-    let squared_sigma = (1.0 / squared_information).sqrt();
-    // A shift y of the centre, in radii, is a first harmonic of y/√2.
-    let center_weight =
-        [0, 1].map(|k| (rims[k].information.along + rims[k].information.across) / (4.0 * r2[k]));
-    let center_information = center_weight[0] + center_weight[1];
-    let per_center = 1.0 / center_information;
-    let apart = r2[0] - r2[1];
-    let linear_information = apart * apart * center_weight[0] * center_weight[1] * per_center;
-    let tilted = about.lean.norm_squared();
-    if !facing::is_needed(tilted, squared_sigma, linear_information) {
-        return None;
+/// What both rims say of the tilt, and how much that weighs.
+#[derive(Clone, Copy)]
+struct Weights<T> {
+    /// Squares of the radii as angles.
+    r2: [T; 2],
+    /// Of the elongations, and what the mean strays by.
+    squared: [T; 2],
+    squared_sigma: T,
+    /// Of the centres, and of their distance.
+    center: [T; 2],
+    linear: T,
+}
+
+impl<T: Lane> Weights<T> {
+    #[inline(always)]
+    fn of(about: &Circle<T>, rims: &[Rim<T>; 2]) -> Self {
+        let [outer, inner] = rims;
+        let per_depth = about.depth_m.under(1.0);
+        let r2 = [(outer.radius_m * per_depth).squared(), (inner.radius_m * per_depth).squared()];
+        let (one, other) = (&outer.information, &inner.information);
+        // Of an elongation h (rms over the rim) w² is -4√2 h.
+        let squared = [
+            (one.elongation + one.turn) * (1.0 / 64.0),
+            (other.elongation + other.turn) * (1.0 / 64.0),
+        ];
+        let squared_sigma = (squared[0] + squared[1]).under(1.0).root();
+        // A shift y of the centre, in radii, is a first harmonic of y/√2.
+        let center =
+            [(one.along + one.across) * 0.25 / r2[0], (other.along + other.across) * 0.25 / r2[1]];
+        let apart = r2[0] - r2[1];
+        let linear = apart * apart * center[0] * center[1] / (center[0] + center[1]);
+        Self { r2, squared, squared_sigma, center, linear }
     }
+}
+
+/// Where the circle is tilted too little, and seen from too far, for Gauss and Newton. `about` is the outer
+/// rim's own circle.
+#[inline(always)]
+pub fn is_needed<T: Lane>(about: &Circle<T>, rims: &[Rim<T>; 2]) -> T::Mask {
+    let weights = Weights::of(about, rims);
+    facing::is_needed(about.lean.square(), weights.squared_sigma, weights.linear)
+}
+
+/// The one or two circles where that is so.
+pub fn estimate(about: &Circle<f64>, rims: &[Rim<f64>; 2]) -> Estimates<f64> {
+    let weights = Weights::of(about, rims);
+    let Weights { r2, squared_sigma, linear: linear_information, .. } = weights;
     let mean = |values: [f64; 2], weights: &[f64; 2]| {
         (values[0] * weights[0] + values[1] * weights[1]) / (weights[0] + weights[1])
     };
     let mean2 = |values: [Vector2<f64>; 2], weights: &[f64; 2]| {
         (values[0] * weights[0] + values[1] * weights[1]) / (weights[0] + weights[1])
     };
-    let shapes = [0, 1].map(|k| rims[k].shape / r2[k]);
+    let shapes = [0, 1].map(|k| Matrix2::from(rims[k].shape) / r2[k]);
     let squares = shapes.map(|m| Vector2::new(m.m22 - m.m11, -2.0 * m.m12));
-    let squared = mean2(squares, &squared_weight);
+    let squared = mean2(squares, &weights.squared);
     let size_weight = rims.map(|rim| rim.information.size);
     let sizes = shapes.map(|m| 0.25 * (m.m11 * m.m22 - m.m12 * m.m12).ln());
     let size = mean(sizes, &size_weight);
-    let centers = [rims[0].center, rims[1].center];
-    let center = mean2(centers, &center_weight);
-    let follow = mean(r2, &center_weight);
-    let linear = (centers[1] - centers[0]) / apart;
+    let centers = rims.map(|rim| Vector2::from(rim.center));
+    let center = mean2(centers, &weights.center);
+    let follow = mean(r2, &weights.center);
+    let linear = (centers[1] - centers[0]) / (r2[0] - r2[1]);
     let evidence = Evidence { squared, squared_sigma, linear, linear_information };
     let leans = facing::leans(&evidence);
     let size_information = size_weight[0] + size_weight[1];
+    let per_center = 1.0 / (weights.center[0] + weights.center[1]);
     let make = |lean: &Lean| {
+        let aside = center + lean.mean * follow;
         let circle = Circle {
-            aside: center + lean.mean * follow,
+            aside: Vec2::new(aside.x, aside.y),
             depth_m: about.depth_m * (-size - 0.25 * lean.squared).exp(),
-            lean: Circle::held(lean.mean),
+            lean: Circle::held(Vec2::new(lean.mean.x, lean.mean.y)),
         };
         let covariance = covariance(lean, per_center, 1.0 / size_information, follow);
         // Five numbers are fitted, and the other five are left: the rims' differences of size and
         // elongation, and what the centres' distance says against this lean.
         let between = |weights: &[f64; 2]| weights[0] * weights[1] / (weights[0] + weights[1]);
         let misfit = between(&size_weight) * (sizes[0] - sizes[1]).powi(2)
-            + between(&squared_weight) * (squares[0] - squares[1]).norm_squared()
+            + between(&weights.squared) * (squares[0] - squares[1]).norm_squared()
             + linear_information * (linear - lean.mean).norm_squared();
         Estimate { circle, covariance, misfit }
     };
-    let other = leans.other.map(|lean| (make(&lean), leans.likelihood));
-    Some((make(&leans.first), other))
+    let first = make(&leans.first);
+    match leans.other {
+        Some(other) => Estimates { first, other: make(&other), likelihood: leans.likelihood },
+        None => Estimates::alone(first),
+    }
 }
 
 /// Over (α, ln d, w): α is the centre plus `follow` w, ln d the size and -¼ |w|².
-#[inline(always)]
-fn covariance(lean: &Lean, center: f64, size: f64, follow: f64) -> Covariance5 {
-    let mut all = Covariance5::zeros();
-    let aside = Matrix2::identity() * center + lean.covariance * (follow * follow);
-    let across = lean.covariance * follow;
-    all.fixed_view_mut::<2, 2>(0, 0).copy_from(&aside);
-    all.fixed_view_mut::<2, 2>(0, 3).copy_from(&across);
-    all.fixed_view_mut::<2, 2>(3, 0).copy_from(&across);
-    all.fixed_view_mut::<2, 2>(3, 3).copy_from(&lean.covariance);
-    all[(2, 2)] = size + 0.0625 * lean.squared_variance;
+fn covariance(lean: &Lean, center: f64, size: f64, follow: f64) -> Covariance5<f64> {
+    let mut all = [[0.0; 5]; 5];
+    for row in 0..2 {
+        for column in 0..2 {
+            let own = lean.covariance[(row, column)];
+            all[row][column] = own * follow * follow;
+            (all[row][3 + column], all[3 + column][row]) = (own * follow, own * follow);
+            all[3 + row][3 + column] = own;
+        }
+        all[row][row] += center;
+    }
+    all[2][2] = size + 0.0625 * lean.squared_variance;
     let with_depth = lean.cross * -0.25;
     for k in 0..2 {
-        (all[(2, 3 + k)], all[(3 + k, 2)]) = (with_depth[k], with_depth[k]);
-        (all[(2, k)], all[(k, 2)]) = (follow * with_depth[k], follow * with_depth[k]);
+        (all[2][3 + k], all[3 + k][2]) = (with_depth[k], with_depth[k]);
+        (all[2][k], all[k][2]) = (follow * with_depth[k], follow * with_depth[k]);
     }
     all
 }

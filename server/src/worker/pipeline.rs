@@ -7,7 +7,7 @@ use roundel_core::{
     frame::{Frame, FrameError},
     id::CameraId,
     marker::{Detector, DetectorError, Kind, Mask, Mode, Params, Tracker},
-    pose::{Detection, ImageQuality, Locator},
+    pose::{Detection, ImageQuality, Located, Locator, PoseError},
     time::{Timestamp, row_time},
     world::FrameObservations,
 };
@@ -45,6 +45,8 @@ pub struct StageTimes {
 pub struct Pipeline {
     tracker: Tracker,
     locator: Locator,
+    /// What became of the newest frame's rings.
+    located: Vec<Result<Located, PoseError>>,
     line_time_s: f64,
     counts: DetectionCounts,
     times: StageTimes,
@@ -59,7 +61,15 @@ impl Pipeline {
         let locator = Locator::new(camera, kinds.clone(), params.mode);
         let tracker = Tracker::new(Detector::new(kinds, params)?.with_mask(mask));
         let (counts, times) = (DetectionCounts::default(), StageTimes::default());
-        Ok(Self { tracker, locator, line_time_s, counts, times, qualities: Vec::new() })
+        Ok(Self {
+            tracker,
+            locator,
+            located: Vec::new(),
+            line_time_s,
+            counts,
+            times,
+            qualities: Vec::new(),
+        })
     }
 
     /// What became of all rings and candidates so far.
@@ -109,11 +119,12 @@ impl Pipeline {
         let begun = Instant::now();
         let rings = self.tracker.process(&view);
         let found = Instant::now();
+        self.locator.locate_all(&view, rings, &mut self.located);
         let mut detections = Vec::with_capacity(rings.len());
         self.qualities.clear();
-        for tracked in rings {
+        for (tracked, located) in rings.iter().zip(self.located.drain(..)) {
             let row_px = tracked.ring.outer.center.v;
-            let located = self.locator.locate(&view, tracked).ok();
+            let located = located.ok();
             let counted = match located.as_ref().map(|located| located.by) {
                 Some(Mode::Precise) => &mut self.counts.precise,
                 Some(Mode::Fast) => &mut self.counts.fast,

@@ -28,7 +28,7 @@ use super::{
 };
 use crate::pose::{
     facing::{self, Evidence, Lean},
-    rim::frame_along,
+    frame_along,
 };
 
 /// What a solution near face-on comes to.
