@@ -74,6 +74,7 @@ impl AttitudeMeasurement {
             // Turned from both sides, so that the same part of the systematic error goes on meaning
             // nearly the same direction when the candidates change places.
             systematic_root: turn * noise.systematic_root * turn.transpose(),
+            timing_s: noise.timing_s,
         };
         Self { candidates, likelihood, yaw_symmetry, noises: [noise, turned] }
     }
@@ -159,14 +160,14 @@ impl Attitude {
 
     /// The present estimate; both normals show in the covariance while both are possible.
     pub fn estimate(&self) -> AttitudeEstimate {
-        let mut spread = self.best.kernel.spread;
+        let mut spread = self.best.kernel.told();
         if let Some(rival) = &self.rival {
             let weight = 1.0 / (1.0 + self.log_odds.exp());
+            let told = rival.kernel.told();
             let apart = smallest_turn(&self.best.normal(), &rival.normal());
-            spread.value +=
-                (rival.kernel.spread.value - spread.value + apart * apart.transpose()) * weight;
-            spread.rate += (rival.kernel.spread.rate - spread.rate) * weight;
-            spread.cross += (rival.kernel.spread.cross - spread.cross) * weight;
+            spread.value += (told.value - spread.value + apart * apart.transpose()) * weight;
+            spread.rate += (told.rate - spread.rate) * weight;
+            spread.cross += (told.cross - spread.cross) * weight;
         }
         let mut estimate = AttitudeEstimate {
             orientation: self.best.orientation,

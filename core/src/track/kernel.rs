@@ -15,6 +15,18 @@
 //!   innovation), S = A + Cp Lᵀ + L Cpᵀ + R, K = [M; N] S⁻¹, P ← P - K S Kᵀ,
 //!   C_j ← C_j - K (Cp_j + [j = c] L).
 //!
+//! A camera's clock may be off: what it stamps t was seen at t - ε, so that z = p - v ε. ε (a deviation
+//! σ, the measurement's `timing_s`) is the same for all that the camera sees and forgets nothing; it is
+//! considered as well, but apart, since what is known of it grows. P is what would be if the clocks were
+//! known, and q_c = ∂x̃/∂ε_c, the state's error by each camera's ε, is carried along:
+//!
+//! - predict: q ← F q;
+//! - update: with u_j = qp_j - [j = c] v, the innovation's error by ε_j, q_j ← q_j - K u_j; the gain is
+//!   that of M + Σ σ_j² qp_j u_jᵀ, N + Σ σ_j² qv_j u_jᵀ and S + Σ σ_j² u_j u_jᵀ + σ_c² D (v itself is
+//!   known with the covariance D), and P ← P - K Mᵀ - M Kᵀ + K (S + σ_c² D) Kᵀ, as for any gain.
+//!
+//! What is told is P + Σ σ_j² q_j q_jᵀ ([`Kernel::told`]).
+//!
 //! An innovation longer than the robust limit k (Mahalanobis) is held back with Huber's weight
 //! w = k/d; the covariance is then that of the gain w K: P ← P - (2w - w²) K S Kᵀ.
 //!
@@ -39,15 +51,21 @@ pub struct Noise {
     pub total: Matrix3<f64>,
     /// L with L Lᵀ the covariance of the systematic part; zero where nothing is systematic.
     pub systematic_root: Matrix3<f64>,
+    /// Deviation of the camera's clock from the others', seconds; comes on top of `total`.
+    pub timing_s: f64,
 }
 
-/// A camera's systematic error and the state: E[x̃ βᵀ].
+/// A camera's systematic error and the state, E[x̃ βᵀ], and its clock's error and the state, q.
 #[derive(Clone, Copy, Debug, PartialEq)]
 struct Source {
     camera: CameraId,
     age_s: f64,
     value: Matrix3<f64>,
     rate: Matrix3<f64>,
+    value_by_clock: Vector3<f64>,
+    rate_by_clock: Vector3<f64>,
+    /// σ.
+    timing_s: f64,
 }
 
 const NO_SOURCE: Source = Source {
@@ -55,7 +73,31 @@ const NO_SOURCE: Source = Source {
     age_s: 0.0,
     value: Matrix3::new(0., 0., 0., 0., 0., 0., 0., 0., 0.),
     rate: Matrix3::new(0., 0., 0., 0., 0., 0., 0., 0., 0.),
+    value_by_clock: Vector3::new(0., 0., 0.),
+    rate_by_clock: Vector3::new(0., 0., 0.),
+    timing_s: 0.0,
 };
+
+impl Source {
+    /// What the clock's error adds to an innovation, each second; `own` the rate if it is the clock of
+    /// the measurement's camera.
+    fn by_clock(&self, own: Option<&Vector3<f64>>) -> Vector3<f64> {
+        own.map_or(self.value_by_clock, |rate| self.value_by_clock - rate)
+    }
+
+    /// `dt` seconds later, of which the systematic error keeps this share.
+    fn predicted(&self, dt: f64, kept: f64) -> Self {
+        Self {
+            camera: self.camera,
+            age_s: self.age_s + dt.abs(),
+            value: (self.value + self.rate * dt) * kept,
+            rate: self.rate * kept,
+            value_by_clock: self.value_by_clock + self.rate_by_clock * dt,
+            rate_by_clock: self.rate_by_clock,
+            timing_s: self.timing_s,
+        }
+    }
+}
 
 /// Covariance over (value, rate) in blocks.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -140,6 +182,72 @@ impl Innovation {
     }
 }
 
+/// Covariances of the errors of value and rate with an innovation, M and N, and of that, S.
+#[derive(Clone, Copy)]
+struct Joint {
+    value: Matrix3<f64>,
+    rate: Matrix3<f64>,
+    innovation: Matrix3<f64>,
+}
+
+impl Joint {
+    /// As if the clocks were known.
+    #[inline]
+    fn of(spread: &Spread, source: Option<&Source>, noise: &Noise) -> Self {
+        let mut joint = Self {
+            value: spread.value,
+            rate: spread.cross.transpose(),
+            innovation: spread.value + noise.total,
+        };
+        if let Some(source) = source {
+            let root_transposed = noise.systematic_root.transpose();
+            let shared = source.value * root_transposed;
+            joint.value += shared;
+            joint.rate += source.rate * root_transposed;
+            joint.innovation += shared + shared.transpose();
+        }
+        if noise.timing_s > 0.0 {
+            joint.innovation += spread.rate * noise.timing_s.powi(2);
+        }
+        joint
+    }
+
+    /// With what a clock may add: `own` the rate if it is that of the measurement's camera.
+    #[inline]
+    fn add_clock(&mut self, source: &Source, timing_s: f64, own: Option<&Vector3<f64>>) {
+        let by_clock = source.by_clock(own);
+        let weighted = by_clock.transpose() * (timing_s * timing_s);
+        self.value += source.value_by_clock * weighted;
+        self.rate += source.rate_by_clock * weighted;
+        self.innovation += by_clock * weighted;
+    }
+
+    /// With what all clocks may add, that of the measurement's camera among them.
+    #[inline]
+    fn add_clocks(
+        &mut self,
+        sources: impl Iterator<Item = Source>,
+        rate: &Vector3<f64>,
+        (camera, timing_s): (CameraId, f64),
+    ) {
+        let mut known = false;
+        for source in sources {
+            let own = source.camera == camera;
+            known |= own;
+            let timing_s = if own { timing_s } else { source.timing_s };
+            self.add_clock(&source, timing_s, own.then_some(rate));
+        }
+        if !known {
+            self.add_clock(&NO_SOURCE, timing_s, Some(rate));
+        }
+    }
+
+    fn innovation(&self, residual: &Vector3<f64>) -> Option<Innovation> {
+        let (inverse, determinant) = invert_positive(&self.innovation)?;
+        Some(Innovation::new(residual, &(inverse * residual), &inverse, determinant))
+    }
+}
+
 /// Rate, covariance and systematic correlations; the value itself lies with the caller, who knows
 /// whether it is a vector or a rotation.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -158,7 +266,9 @@ impl Kernel {
         let mut kernel = Self {
             rate: Vector3::zeros(),
             spread: Spread {
-                value: noise.total,
+                // The rate is not known yet, and neither is what the clock's error does.
+                value: noise.total
+                    + Matrix3::from_diagonal_element(rate_variance * noise.timing_s.powi(2)),
                 cross: Matrix3::zeros(),
                 rate: Matrix3::from_diagonal_element(rate_variance),
             },
@@ -175,13 +285,10 @@ impl Kernel {
         let kept = (-dt.abs() / systematic_time_s).exp();
         let mut live = 0;
         for index in 0..self.len {
-            let mut source = self.sources[index];
-            source.age_s += dt.abs();
+            let source = self.sources[index].predicted(dt, kept);
             if source.age_s > FORGOTTEN_TIMES * systematic_time_s {
                 continue;
             }
-            source.value = (source.value + source.rate * dt) * kept;
-            source.rate *= kept;
             self.sources[live] = source;
             live += 1;
         }
@@ -199,16 +306,15 @@ impl Kernel {
     ) -> Option<Innovation> {
         let mut spread = self.spread;
         spread.predict(dt, &model.acceleration_density());
-        let mut covariance = spread.value + noise.total;
-        if let Some(index) = self.source(camera) {
-            let source = &self.sources[index];
-            let kept = (-dt.abs() / model.systematic_time_s).exp();
-            let shared =
-                (source.value + source.rate * dt) * noise.systematic_root.transpose() * kept;
-            covariance += shared + shared.transpose();
+        let kept = (-dt.abs() / model.systematic_time_s).exp();
+        let own = self.source(camera);
+        let source = own.map(|index| self.sources[index].predicted(dt, kept));
+        let mut joint = Joint::of(&spread, source.as_ref(), noise);
+        if noise.timing_s > 0.0 {
+            let sources = self.sources[..self.len].iter().map(|source| source.predicted(dt, 1.0));
+            joint.add_clocks(sources, &self.rate, (camera, noise.timing_s));
         }
-        let (inverse, determinant) = invert_positive(&covariance)?;
-        Some(Innovation::new(residual, &(inverse * residual), &inverse, determinant))
+        joint.innovation(residual)
     }
 
     /// How far `residual` (measured less predicted value) is from zero, by a camera's noise.
@@ -219,13 +325,33 @@ impl Kernel {
         noise: &Noise,
         camera: CameraId,
     ) -> Option<Innovation> {
-        let shared = match self.source(camera) {
-            Some(index) => self.sources[index].value * noise.systematic_root.transpose(),
-            None => Matrix3::zeros(),
-        };
-        let covariance = self.spread.value + shared + shared.transpose() + noise.total;
-        let (inverse, determinant) = invert_positive(&covariance)?;
-        Some(Innovation::new(residual, &(inverse * residual), &inverse, determinant))
+        self.joint(camera, noise).1.innovation(residual)
+    }
+
+    /// The covariance with what the clocks may add.
+    pub fn told(&self) -> Spread {
+        let mut spread = self.spread;
+        for source in self.sources[..self.len].iter().filter(|source| source.timing_s > 0.0) {
+            let square = source.timing_s * source.timing_s;
+            let weighted = source.value_by_clock.transpose() * square;
+            spread.value += source.value_by_clock * weighted;
+            spread.cross += source.value_by_clock * source.rate_by_clock.transpose() * square;
+            spread.rate += source.rate_by_clock * source.rate_by_clock.transpose() * square;
+        }
+        spread
+    }
+
+    /// As if the clocks were known, and with what they may add.
+    fn joint(&self, camera: CameraId, noise: &Noise) -> (Joint, Joint) {
+        let source = self.source(camera).map(|index| &self.sources[index]);
+        let joint = Joint::of(&self.spread, source, noise);
+        if noise.timing_s <= 0.0 {
+            return (joint, joint);
+        }
+        let mut whole = joint;
+        let sources = self.sources[..self.len].iter().copied();
+        whole.add_clocks(sources, &self.rate, (camera, noise.timing_s));
+        (joint, whole)
     }
 
     /// Takes in a measurement; gives the correction of the value. A measurement whose innovation
@@ -238,11 +364,9 @@ impl Kernel {
         robust_distance_squared: f64,
     ) -> (Vector3<f64>, Innovation) {
         let own = self.source_or_new(camera);
-        let root_transposed = noise.systematic_root.transpose();
-        let value_shared = self.sources[own].value * root_transposed;
-        let value_cov = self.spread.value + value_shared;
-        let rate_cov = self.spread.cross.transpose() + self.sources[own].rate * root_transposed;
-        let covariance = value_cov + value_shared.transpose() + noise.total;
+        self.sources[own].timing_s = noise.timing_s;
+        let (given, whole) = self.joint(camera, noise);
+        let Joint { value: value_cov, rate: rate_cov, innovation: covariance } = whole;
         let Some((inverse, determinant)) = invert_positive(&covariance) else {
             let nothing = Innovation {
                 distance_squared: f64::INFINITY,
@@ -262,23 +386,54 @@ impl Kernel {
         };
         let value_gain = value_cov * inverse;
         let rate_gain = rate_cov * inverse;
-        let share = 2.0 * weight - weight * weight;
-        self.spread.value =
-            symmetric(self.spread.value - value_gain * value_cov.transpose() * share);
-        self.spread.cross -= value_gain * rate_cov.transpose() * share;
-        self.spread.rate = symmetric(self.spread.rate - rate_gain * rate_cov.transpose() * share);
+        if noise.timing_s > 0.0 {
+            self.shrink_by_any(&given, &(value_gain * weight), &(rate_gain * weight));
+        } else {
+            let share = 2.0 * weight - weight * weight;
+            let spread = &mut self.spread;
+            spread.value = symmetric(spread.value - value_gain * value_cov.transpose() * share);
+            spread.cross -= value_gain * rate_cov.transpose() * share;
+            spread.rate = symmetric(spread.rate - rate_gain * rate_cov.transpose() * share);
+        }
+        let rate = self.rate;
         for (index, source) in self.sources[..self.len].iter_mut().enumerate() {
             let mut with_innovation = source.value;
+            let mut by_clock = source.value_by_clock;
             if index == own {
                 with_innovation += noise.systematic_root;
+                by_clock -= rate;
                 source.age_s = 0.0;
             }
             with_innovation *= weight;
+            by_clock *= weight;
             source.value -= value_gain * with_innovation;
             source.rate -= rate_gain * with_innovation;
+            source.value_by_clock -= value_gain * by_clock;
+            source.rate_by_clock -= rate_gain * by_clock;
         }
         self.rate += rate_cov * weighted * weight;
         (value_cov * weighted * weight, innovation)
+    }
+
+    /// P after an update with any gain.
+    fn shrink_by_any(
+        &mut self,
+        given: &Joint,
+        value_gain: &Matrix3<f64>,
+        rate_gain: &Matrix3<f64>,
+    ) {
+        let spread = &mut self.spread;
+        let of_value = value_gain * given.innovation;
+        let of_rate = rate_gain * given.innovation;
+        let value = value_gain * given.value.transpose();
+        spread.value =
+            symmetric(spread.value - value - value.transpose() + of_value * value_gain.transpose());
+        spread.cross += of_value * rate_gain.transpose()
+            - value_gain * given.rate.transpose()
+            - given.value * rate_gain.transpose();
+        let rate = rate_gain * given.rate.transpose();
+        spread.rate =
+            symmetric(spread.rate - rate - rate.transpose() + of_rate * rate_gain.transpose());
     }
 
     fn source(&self, camera: CameraId) -> Option<usize> {

@@ -50,8 +50,10 @@ pub struct MotionModel {
 /// One detection, carried into the world frame.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Measurement {
-    /// When it was exposed.
+    /// When it was exposed …
     pub time: Timestamp,
+    /// … by a stamp that was put back by so much, seconds.
+    pub late_s: f64,
     /// Who saw it.
     pub camera: CameraId,
     /// In which of its frames.
@@ -79,6 +81,13 @@ impl MotionModel {
 }
 
 impl Measurement {
+    /// With this uncertainty of its camera's clock, seconds.
+    pub fn timed(mut self, timing_s: f64) -> Self {
+        self.position_noise.timing_s = timing_s;
+        self.attitude.noises.iter_mut().for_each(|noise| noise.timing_s = timing_s);
+        self
+    }
+
     /// What orders measurements of one object, whatever the order in which they came.
     fn key(&self) -> (Timestamp, CameraId, u64, TrackNumber) {
         (self.time, self.camera, self.frame, self.number)

@@ -163,7 +163,7 @@ impl Motion {
             return MotionEstimate {
                 position_m: self.agile.position_m,
                 velocity_m_s: self.agile.kernel.rate,
-                spread: self.agile.kernel.spread,
+                spread: self.agile.kernel.told(),
                 density_m2_s3: self.density(0.0).sup(&model.acceleration_density()),
             };
         }
@@ -171,7 +171,7 @@ impl Motion {
         let mixed = |calm: Vector3<f64>, lively: Vector3<f64>| calm.lerp(&lively, LIVELY_SHARE);
         let apart_m = lively.position_m - calm.position_m;
         let rate_apart = lively.kernel.rate - calm.kernel.rate;
-        let (a, b) = (&calm.kernel.spread, &lively.kernel.spread);
+        let (a, b) = (&calm.kernel.told(), &lively.kernel.told());
         let between = LIVELY_SHARE * (1.0 - LIVELY_SHARE);
         MotionEstimate {
             position_m: mixed(calm.position_m, lively.position_m),

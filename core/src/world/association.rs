@@ -12,12 +12,13 @@ use nalgebra::Vector3;
 use super::{
     FusionParams,
     assignment::{FORBIDDEN, assign},
+    clock::Clocks,
     life::Track,
 };
 use crate::{
     id::KindId,
     marker::Code,
-    track::{Innovation, Measurement, MotionModel},
+    track::{Innovation, Measurement, MotionModel, Noise},
 };
 
 /// A detection may stay without a track at this cost: above that of a true pair at the gate whose
@@ -65,13 +66,14 @@ struct Coarse {
     position_m: Vector3<f64>,
     velocity_m_s: Vector3<f64>,
     deviation_m: f64,
+    speed_deviation_m_s: f64,
 }
 
 /// Decides for every sighting of one frame; no track gets two.
 pub(super) fn associate(
     tracks: &[Track],
     sightings: &[Sighting],
-    (params, model): (&FusionParams, &MotionModel),
+    (params, model, clocks): (&FusionParams, &MotionModel, &Clocks),
     scratch: &mut Scratch,
 ) -> Vec<Decision> {
     let mut decisions = vec![None; sightings.len()];
@@ -88,12 +90,13 @@ pub(super) fn associate(
             position_m: filter.position_m + filter.kernel.rate * dt,
             velocity_m_s: filter.kernel.rate,
             deviation_m: spread.value.trace().max(0.0).sqrt(),
+            speed_deviation_m_s: spread.rate.trace().max(0.0).sqrt(),
         }
     }));
     scratch.pairs.clear();
     for (index, sighting) in sightings.iter().enumerate() {
         let gate = params.gate_distance_squared;
-        possible(index, sighting, tracks, (gate, model), time, scratch);
+        possible(index, sighting, tracks, (gate, model, clocks), time, scratch);
     }
     group(sightings.len(), tracks.len(), scratch);
     solve(&mut decisions, scratch);
@@ -105,7 +108,7 @@ fn possible(
     index: usize,
     sighting: &Sighting,
     tracks: &[Track],
-    (gate, model): (f64, &MotionModel),
+    (gate, model, clocks): (f64, &MotionModel, &Clocks),
     frame_time: crate::time::Timestamp,
     scratch: &mut Scratch,
 ) {
@@ -119,7 +122,9 @@ fn possible(
             continue;
         }
         let residual_m = seen.position_m - coarse.position_m - coarse.velocity_m_s * offset_s;
-        let reach_m = reach * (coarse.deviation_m + deviation_m);
+        let timing_s = track.timing_s(seen, clocks);
+        let speed_m_s = coarse.velocity_m_s.norm() + coarse.speed_deviation_m_s;
+        let reach_m = reach * (coarse.deviation_m + deviation_m + speed_m_s * timing_s);
         if residual_m.norm_squared() > reach_m * reach_m {
             continue;
         }
@@ -129,7 +134,7 @@ fn possible(
             dt,
             model,
             &residual_m,
-            (&seen.position_noise, seen.camera),
+            (&Noise { timing_s, ..seen.position_noise }, seen.camera),
         ) else {
             continue;
         };

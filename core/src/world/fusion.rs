@@ -7,6 +7,7 @@ use nalgebra::Vector3;
 use super::{
     Event, EventKind, FrameObservations, FusionParams, LifeStage, Snapshot,
     association::{Scratch, Sighting, associate},
+    clock::{ClockEstimate, ClockPrior, Clocks},
     life::Track,
     merge,
     observation::{Refused, measure},
@@ -85,6 +86,7 @@ pub struct Fusion {
     params: FusionParams,
     model: MotionModel,
     cameras: BTreeMap<CameraId, CameraPlacement>,
+    clocks: Clocks,
     offsets_m: BTreeMap<KindId, Vector3<f64>>,
     timeline: Timeline,
     /// By id.
@@ -107,6 +109,7 @@ impl Fusion {
             params,
             model: params.motion_model(),
             cameras: BTreeMap::new(),
+            clocks: Clocks::default(),
             offsets_m: BTreeMap::new(),
             timeline: Timeline::default(),
             tracks: Vec::new(),
@@ -127,6 +130,16 @@ impl Fusion {
             Some(placement) => self.cameras.insert(camera, placement),
             None => self.cameras.remove(&camera),
         };
+    }
+
+    /// Says how far a camera's stamps can be trusted; without it, they are exact.
+    pub fn set_clock(&mut self, camera: CameraId, prior: ClockPrior) {
+        self.clocks.set_prior(camera, prior);
+    }
+
+    /// What is known of a camera's clock; `None` for one whose stamps are exact.
+    pub fn clock(&self, camera: CameraId) -> Option<ClockEstimate> {
+        self.clocks.estimate(camera)
     }
 
     /// Says which point of a kind's objects is tracked: metres, in the roundel's frame.
@@ -151,8 +164,10 @@ impl Fusion {
         self.counts.frames += 1;
         self.counts.detections += detections;
         let limits = (self.params.late_window_ns, self.params.max_lead_ns);
-        let source = (frame.camera, frame.frame);
-        match self.timeline.judge(source, frame.capture_time, frame.received_time, limits) {
+        let late_s = self.clocks.offset_s(frame.camera, frame.received_time);
+        let capture_time = frame.capture_time.plus_seconds(-late_s);
+        let source = (frame.camera, frame.frame, frame.capture_time);
+        match self.timeline.judge(source, capture_time, frame.received_time, limits) {
             Verdict::Use => {}
             Verdict::Restart => self.restart(),
             Verdict::Duplicate => {
@@ -172,11 +187,12 @@ impl Fusion {
             }
         }
         let Some(now) = self.timeline.newest() else { return };
+        self.clocks.receive(frame.camera, frame.capture_time, frame.received_time);
         self.advance(now);
-        if !self.collect(frame, now) {
+        if !self.collect(frame, late_s, now) {
             return;
         }
-        self.apply(frame, now);
+        self.apply(frame, capture_time, now);
         if self.next_merge.is_none_or(|time| now >= time) {
             self.next_merge = Some(now.plus_ns(MERGE_EVERY_NS));
             self.merge(now);
@@ -203,7 +219,7 @@ impl Fusion {
     }
 
     /// Turns the frame's detections into sightings; false if the camera's place is not known.
-    fn collect(&mut self, frame: &FrameObservations, now: Timestamp) -> bool {
+    fn collect(&mut self, frame: &FrameObservations, late_s: f64, now: Timestamp) -> bool {
         let Some(placement) = self.cameras.get(&frame.camera) else {
             self.counts.no_camera_pose += frame.detections.len() as u64;
             return false;
@@ -215,7 +231,8 @@ impl Fusion {
                 self.counts.invalid += 1;
                 continue;
             }
-            if now.ns_since(detection.capture_time) > self.params.late_window_ns {
+            let time = detection.capture_time.plus_seconds(-late_s);
+            if now.ns_since(time) > self.params.late_window_ns {
                 self.counts.late += 1;
                 continue;
             }
@@ -225,7 +242,7 @@ impl Fusion {
                 continue;
             }
             let source = (frame.camera, frame.frame);
-            match measure(detection, source, placement, &self.params) {
+            match measure(detection, source, placement, late_s, &self.params) {
                 Ok(measurement) => {
                     let ring = &detection.ring;
                     let code = ring.code.map(|reading| reading.code);
@@ -239,18 +256,18 @@ impl Fusion {
     }
 
     /// Gives each sighting to its track, or to a new one.
-    fn apply(&mut self, frame: &FrameObservations, now: Timestamp) {
+    fn apply(&mut self, frame: &FrameObservations, capture_time: Timestamp, now: Timestamp) {
         let decisions = associate(
             &self.tracks,
             &self.sightings,
-            (&self.params, &self.model),
+            (&self.params, &self.model, &self.clocks),
             &mut self.scratch,
         );
         let forgotten = now.plus_ns(-self.params.late_window_ns);
         let known = self.tracks.len();
         let mut seen = vec![false; known];
         for (index, decision) in decisions.iter().enumerate() {
-            let sighting = self.sightings[index];
+            let mut sighting = self.sightings[index];
             let Some((track, innovation)) = *decision else {
                 if !self.is_contradiction(&sighting.measurement, known) {
                     self.begin(&sighting);
@@ -259,8 +276,15 @@ impl Fusion {
             };
             seen[track] = true;
             let track = &mut self.tracks[track];
+            let seen = &mut sighting.measurement;
+            *seen = seen.timed(track.timing_s(seen, &self.clocks));
             let (inserted, event) =
                 track.observe(&sighting.measurement, &innovation, &self.params, &self.model);
+            if self.clocks.is_estimating()
+                && let Some(comparison) = track.compare(&self.clocks)
+            {
+                self.clocks.add(&comparison);
+            }
             track.history.forget(forgotten);
             if matches!(inserted, Inserted::InOrder | Inserted::OutOfOrder) {
                 sighting.code.into_iter().for_each(|code| track.codes.add(code));
@@ -281,7 +305,7 @@ impl Fusion {
         }
         for (track, seen) in self.tracks[..known].iter_mut().zip(seen) {
             if !seen {
-                track.miss(frame.camera, frame.capture_time);
+                track.miss(frame.camera, capture_time);
             }
         }
     }

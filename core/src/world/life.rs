@@ -8,7 +8,12 @@
 //! camera that saw it and sees it no more takes away. Trusted above [`TRUSTED_SCORE`] with enough
 //! hits, dropped below [`DROPPED_SCORE`].
 
-use super::{Event, EventKind, FusionParams, LifeStage, vote::CodeVote};
+use super::{
+    Event, EventKind, FusionParams, LifeStage,
+    clock::Clocks,
+    comparison::{self, Comparison},
+    vote::CodeVote,
+};
 use crate::{
     id::{CameraId, KindId, ObjectId, TrackNumber},
     time::Timestamp,
@@ -24,6 +29,8 @@ const MISS_SCORE: f64 = -2.0;
 const CLUTTER_SCORE: f64 = 4.6;
 /// A camera that contradicts all others for longer than this is believed to see something else.
 const CONTRADICTION_NS: i64 = 1_000_000_000;
+/// Cameras that saw it within this time are those that a time is compared with.
+const COMPARED_NS: i64 = 1_000_000_000;
 /// ln 2π · 3 / 2.
 const GAUSS_CONSTANT: f64 = 2.756_815_6;
 
@@ -51,6 +58,8 @@ pub(super) struct Track {
     pub(super) views: Vec<View>,
     /// Tracks that a camera saw beside this one.
     pub(super) apart: Vec<ObjectId>,
+    /// When its cameras' views were compared last.
+    compared: Option<Timestamp>,
     score: f64,
 }
 
@@ -73,6 +82,7 @@ impl Track {
             observations: 1,
             views: vec![view(&measurement)],
             apart: Vec::new(),
+            compared: None,
             score: 0.0,
         }
     }
@@ -96,6 +106,29 @@ impl Track {
         let is_witness =
             |view: &View| view.camera != seen.camera && within(view, params.predicted_after_ns);
         agreed && !self.is_tentative() && self.views.iter().any(is_witness)
+    }
+
+    /// How far the measurement's time may be off from those of the other cameras that see this, seconds.
+    pub(super) fn timing_s(&self, seen: &Measurement, clocks: &Clocks) -> f64 {
+        if !clocks.is_estimating() {
+            return 0.0;
+        }
+        let is_other = |view: &&View| {
+            view.camera != seen.camera
+                && seen.time.ns_since(view.time).saturating_abs() < COMPARED_NS
+        };
+        let others = self.views.iter().filter(is_other);
+        others.map(|view| clocks.deviation_s(seen.camera, view.camera)).fold(0.0, f64::max)
+    }
+
+    /// The cameras' views of this held against one another, from time to time.
+    pub(super) fn compare(&mut self, clocks: &Clocks) -> Option<Comparison> {
+        let now = self.history.newest().time;
+        if self.compared.is_some_and(|time| now.ns_since(time) < comparison::WINDOW_NS) {
+            return None;
+        }
+        self.compared = Some(now);
+        (!self.is_tentative()).then(|| Comparison::of(&self.history, now, clocks)).flatten()
     }
 
     /// Takes in a measurement; gives what became of it and what happened to the track.

@@ -10,6 +10,8 @@
 
 mod assignment;
 mod association;
+mod clock;
+mod comparison;
 mod fusion;
 mod life;
 mod merge;
@@ -19,6 +21,7 @@ mod snapshot;
 mod timeline;
 mod vote;
 
+pub use clock::{ClockEstimate, ClockPrior};
 pub use fusion::{CameraPlacement, Fusion, FusionCounts};
 pub use param::FusionParams;
 

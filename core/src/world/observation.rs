@@ -35,11 +35,12 @@ pub(super) enum Refused {
     Invalid,
 }
 
-/// Carries a detection into the world frame.
+/// Carries a detection into the world frame; its camera's stamps are late by `late_s`.
 pub(super) fn measure(
     detection: &Detection,
     (camera, frame): (CameraId, u64),
     placement: &CameraPlacement,
+    late_s: f64,
     params: &FusionParams,
 ) -> Result<Measurement, Refused> {
     let pose = detection.pose.as_ref().ok_or(Refused::NoPose)?;
@@ -61,6 +62,7 @@ pub(super) fn measure(
             total: block(&seen) + block(&placed) + Matrix3::from_diagonal_element(FLOOR_VARIANCE),
             // Nothing systematic: no root, and none is needed.
             systematic_root: positive_root(&systematic).unwrap_or_else(Matrix3::zeros),
+            timing_s: 0.0,
         }
     };
     let (position_noise, rotation_noise) = (noise(0), noise(3));
@@ -70,7 +72,8 @@ pub(super) fn measure(
         return Err(Refused::Invalid);
     }
     Ok(Measurement {
-        time: detection.capture_time,
+        time: detection.capture_time.plus_seconds(-late_s),
+        late_s,
         camera,
         frame,
         number: detection.track,

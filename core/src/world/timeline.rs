@@ -67,22 +67,23 @@ impl Timeline {
         self.newest.map(|newest| newest.capture)
     }
 
-    /// Judges a frame and remembers it.
+    /// Judges a frame by its stamp, by the time that is made of it, and by when it was received; remembers
+    /// it.
     pub(super) fn judge(
         &mut self,
-        (camera, frame): (CameraId, u64),
+        (camera, frame, stamp): (CameraId, u64, Timestamp),
         capture: Timestamp,
         received: Timestamp,
         (late_window_ns, max_lead_ns): (i64, i64),
     ) -> Verdict {
         let frames = self.seen.entry(camera).or_default();
-        if frames.iter().any(|&(number, time)| number == frame || time == capture) {
+        if frames.iter().any(|&(number, time)| number == frame || time == stamp) {
             return Verdict::Duplicate;
         }
         if frames.len() == REMEMBERED_FRAMES {
             frames.pop_front();
         }
-        frames.push_back((frame, capture));
+        frames.push_back((frame, stamp));
         let now = Instant { capture, received };
         let Some(newest) = self.newest else {
             self.newest = Some(now);

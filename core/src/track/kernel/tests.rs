@@ -66,7 +66,8 @@ impl Plain {
 fn noise(across_m: f64, along_m: f64, direction: &Vector3<f64>, share: f64) -> Noise {
     let along = direction * direction.transpose();
     let total = (Matrix3::identity() - along) * across_m.powi(2) + along * along_m.powi(2);
-    Noise { total, systematic_root: positive_root(&(total * share)).unwrap_or_else(Matrix3::zeros) }
+    let systematic_root = positive_root(&(total * share)).unwrap_or_else(Matrix3::zeros);
+    Noise { total, systematic_root, timing_s: 0.0 }
 }
 
 fn direction() -> impl Strategy<Value = Vector3<f64>> {
