@@ -7,8 +7,9 @@
 //!
 //! Of each clock three numbers are unknown: offset, skew, and the latency between capture and receipt,
 //! which is known to be nearly constant: stamp less receiving time = δ - latency + jitter. This holds the
-//! mean of all clocks, which no moving object shows, to the server's clock in the long run. A step of
-//! it is taken for one of the latency. Offset and latency are told apart by their priors alone.
+//! mean of all clocks, which no moving object shows, to the server's clock in the long run. Where it steps,
+//! either of them may have done so, and moving objects tell which. Else offset and latency are told apart
+//! by their priors alone.
 //!
 //! Time differences are what can be known: [`Clocks::deviation_s`] is that of one clock from another.
 //! A camera that joins later does not move the mean of those before.
@@ -61,8 +62,11 @@ const LATENCY_WALK: f64 = 4e-10;
 const LATENCY: (f64, f64) = (0.03, 0.1);
 /// The receiving times' jitter is this at least, seconds.
 const LEAST_JITTER_S: f64 = 1e-3;
-/// A step of stamp less receiving time beyond so many deviations is one of the latency.
+/// Stamp less receiving time has stepped if it is so many deviations away from what was expected.
 const LATENCY_STEP: f64 = 3.0;
+
+/// What a clock that was set may be off by after its stamps were brought back.
+const STEPPED: ClockPrior = ClockPrior { offset_s: 0.03, skew: 1e-4 };
 
 const NUMBERS: usize = 3;
 
@@ -95,10 +99,7 @@ pub struct Clocks {
 impl Clocks {
     /// Says what is known of a clock beforehand; a camera known already begins anew.
     pub fn set_prior(&mut self, camera: CameraId, prior: ClockPrior) {
-        let index = match self.index(camera) {
-            Some(index) => index,
-            None => self.join(camera),
-        };
+        let index = self.know(camera);
         self.members[index].prior = prior;
         let base = index * NUMBERS;
         for number in base..base + NUMBERS {
@@ -112,6 +113,18 @@ impl Clocks {
         self.mean[base] = 0.0;
         self.mean[base + 1] = 0.0;
         self.mean[base + 2] = LATENCY.0;
+        self.compare();
+    }
+
+    /// Says that a camera's clock was set: what is known of its offset holds to a step's error only.
+    pub(super) fn doubt(&mut self, camera: CameraId) {
+        let index = self.know(camera);
+        let member = &mut self.members[index];
+        if member.prior == ClockPrior::EXACT {
+            return self.set_prior(camera, STEPPED);
+        }
+        member.delay = (0, 0.0, 0.0);
+        self.covariance[(index * NUMBERS, index * NUMBERS)] += STEPPED.offset_s.powi(2);
         self.compare();
     }
 
@@ -132,7 +145,7 @@ impl Clocks {
         self.index(camera).map_or(0.0, |index| self.mean[index * NUMBERS])
     }
 
-    /// Deviation of the difference of two cameras' clocks, seconds; 0 for cameras of exact clocks.
+    /// Deviation of the difference of two cameras' clocks, seconds.
     pub fn deviation_s(&self, one: CameraId, other: CameraId) -> f64 {
         match (self.index(one), self.index(other)) {
             (Some(one), Some(other)) => self.apart[(one, other)].sqrt(),
@@ -202,8 +215,11 @@ impl Clocks {
         self.members.iter().position(|member| member.camera == camera)
     }
 
-    /// A new member; the mean of those before is what all times are stated by, and so it is exact.
-    fn join(&mut self, camera: CameraId) -> usize {
+    /// A camera's place; of a new one the clock is exact until other is said.
+    pub(super) fn know(&mut self, camera: CameraId) -> usize {
+        if let Some(index) = self.index(camera) {
+            return index;
+        }
         self.fix_mean();
         let index = self.members.len();
         let member = Member { camera, prior: ClockPrior::EXACT, delay: (0, 0.0, 0.0) };
@@ -215,11 +231,16 @@ impl Clocks {
         self.mean = old.resize_vertically(size * NUMBERS, 0.0);
         self.information = DMatrix::zeros(size, size);
         self.score = DVector::zeros(size);
+        self.compare();
         index
     }
 
-    /// Declares the mean of all offsets exact.
+    /// Declares the mean of all offsets exact: it is what times are stated by. Where a clock is exact, it is
+    /// that.
     fn fix_mean(&mut self) {
+        if self.members.iter().any(|member| member.prior == ClockPrior::EXACT) {
+            return;
+        }
         let mut looks = DVector::zeros(self.mean.len());
         for index in 0..self.members.len() {
             looks[index * NUMBERS] = 1.0;
@@ -269,6 +290,7 @@ impl Clocks {
             (looks[base], looks[base + 2]) = (1.0, -1.0);
             let variance = looks.dot(&(&self.covariance * &looks)) + noise;
             if residual * residual > LATENCY_STEP * LATENCY_STEP * variance {
+                self.covariance[(base, base)] += residual * residual;
                 self.covariance[(base + 2, base + 2)] += residual * residual;
             }
             let with_delay = &self.covariance * &looks;

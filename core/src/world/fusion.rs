@@ -6,11 +6,12 @@ use nalgebra::Vector3;
 
 use super::{
     Event, EventKind, FrameObservations, FusionParams, LifeStage, Snapshot,
+    anchor::{Anchors, Stamp},
     association::{Scratch, Sighting, associate},
     clock::{ClockEstimate, ClockPrior, Clocks},
     life::Track,
     merge,
-    observation::{Refused, measure},
+    observation::{Lateness, Refused, measure},
     snapshot::state_of,
     timeline::{Timeline, Verdict},
 };
@@ -46,8 +47,11 @@ pub struct FusionCounts {
     pub duplicate_frames: u64,
     /// Frames older than the late window.
     pub late_frames: u64,
-    /// Frames from an implausible future.
+    /// Frames from an implausible future, or a past that their camera has left.
     pub jumped_frames: u64,
+    /// Times that a camera's clock was found to be of another epoch or to have been set, so that its
+    /// stamps were moved.
+    pub clock_steps: u64,
     /// Times that the timeline was begun anew, ending all tracks.
     pub restarts: u64,
     /// Detections in all frames.
@@ -86,6 +90,7 @@ pub struct Fusion {
     params: FusionParams,
     model: MotionModel,
     cameras: BTreeMap<CameraId, CameraPlacement>,
+    anchors: Anchors,
     clocks: Clocks,
     offsets_m: BTreeMap<KindId, Vector3<f64>>,
     timeline: Timeline,
@@ -109,6 +114,7 @@ impl Fusion {
             params,
             model: params.motion_model(),
             cameras: BTreeMap::new(),
+            anchors: Anchors::default(),
             clocks: Clocks::default(),
             offsets_m: BTreeMap::new(),
             timeline: Timeline::default(),
@@ -137,7 +143,7 @@ impl Fusion {
         self.clocks.set_prior(camera, prior);
     }
 
-    /// What is known of a camera's clock; `None` for one whose stamps are exact.
+    /// What is known of a camera's clock; `None` before its first frame.
     pub fn clock(&self, camera: CameraId) -> Option<ClockEstimate> {
         self.clocks.estimate(camera)
     }
@@ -164,8 +170,12 @@ impl Fusion {
         self.counts.frames += 1;
         self.counts.detections += detections;
         let limits = (self.params.late_window_ns, self.params.max_lead_ns);
-        let late_s = self.clocks.offset_s(frame.camera, frame.received_time);
-        let capture_time = frame.capture_time.plus_seconds(-late_s);
+        let Some(late) = self.lateness(frame) else {
+            self.counts.jumped_frames += 1;
+            self.counts.jumped += detections;
+            return;
+        };
+        let capture_time = late.corrected(frame.capture_time);
         let source = (frame.camera, frame.frame, frame.capture_time);
         match self.timeline.judge(source, capture_time, frame.received_time, limits) {
             Verdict::Use => {}
@@ -187,9 +197,9 @@ impl Fusion {
             }
         }
         let Some(now) = self.timeline.newest() else { return };
-        self.clocks.receive(frame.camera, frame.capture_time, frame.received_time);
+        self.clocks.receive(frame.camera, late.based(frame.capture_time), frame.received_time);
         self.advance(now);
-        if !self.collect(frame, late_s, now) {
+        if !self.collect(frame, late, now) {
             return;
         }
         self.apply(frame, capture_time, now);
@@ -218,8 +228,25 @@ impl Fusion {
         Snapshot { pose_time, capture_time: self.newest_used, objects }
     }
 
+    /// By how much the frame's stamps are late; `None` if they cannot be believed at all.
+    fn lateness(&mut self, frame: &FrameObservations) -> Option<Lateness> {
+        let (source, received) = ((frame.camera, frame.frame), frame.received_time);
+        let stamp = frame.capture_time;
+        self.clocks.know(frame.camera);
+        let base_ns = match self.anchors.judge(source, stamp, received, self.params.max_lead_ns) {
+            Stamp::Good(base_ns) => base_ns,
+            Stamp::Stepped(base_ns) => {
+                self.counts.clock_steps += 1;
+                self.clocks.doubt(frame.camera);
+                base_ns
+            }
+            Stamp::Refused => return None,
+        };
+        Some(Lateness { base_ns, offset_s: self.clocks.offset_s(frame.camera, received) })
+    }
+
     /// Turns the frame's detections into sightings; false if the camera's place is not known.
-    fn collect(&mut self, frame: &FrameObservations, late_s: f64, now: Timestamp) -> bool {
+    fn collect(&mut self, frame: &FrameObservations, late: Lateness, now: Timestamp) -> bool {
         let Some(placement) = self.cameras.get(&frame.camera) else {
             self.counts.no_camera_pose += frame.detections.len() as u64;
             return false;
@@ -231,8 +258,7 @@ impl Fusion {
                 self.counts.invalid += 1;
                 continue;
             }
-            let time = detection.capture_time.plus_seconds(-late_s);
-            if now.ns_since(time) > self.params.late_window_ns {
+            if now.ns_since(late.corrected(detection.capture_time)) > self.params.late_window_ns {
                 self.counts.late += 1;
                 continue;
             }
@@ -242,7 +268,7 @@ impl Fusion {
                 continue;
             }
             let source = (frame.camera, frame.frame);
-            match measure(detection, source, placement, late_s, &self.params) {
+            match measure(detection, source, placement, late, &self.params) {
                 Ok(measurement) => {
                     let ring = &detection.ring;
                     let code = ring.code.map(|reading| reading.code);

@@ -8,6 +8,7 @@
 //! tracks of one object, `vote` counts the codes that it was seen with, `snapshot` shows the result at
 //! an instant.
 
+mod anchor;
 mod assignment;
 mod association;
 mod clock;

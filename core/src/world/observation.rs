@@ -13,6 +13,7 @@ use crate::{
     id::CameraId,
     pose::{Detection, RoundelPose},
     rigid::{Covariance6, orientation_of_normal, rotate_covariance},
+    time::Timestamp,
     track::{AttitudeMeasurement, Measurement, Noise, positive_root},
 };
 
@@ -25,6 +26,27 @@ const CEILING_ROTATION_RAD2: f64 = 1e4;
 /// A unit normal's length may be off by so much.
 const UNIT_TOLERANCE: f64 = 1e-3;
 
+/// By how much a camera's stamps are late.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub(super) struct Lateness {
+    /// Of its clock's epoch, nanoseconds …
+    pub(super) base_ns: i64,
+    /// … and what its clock is off beside.
+    pub(super) offset_s: f64,
+}
+
+impl Lateness {
+    /// On the server's time, but for the clock's offset.
+    pub(super) fn based(&self, stamp: Timestamp) -> Timestamp {
+        stamp.plus_ns(self.base_ns.saturating_neg())
+    }
+
+    /// On the server's time.
+    pub(super) fn corrected(&self, stamp: Timestamp) -> Timestamp {
+        self.based(stamp).plus_seconds(-self.offset_s)
+    }
+}
+
 /// Why a detection is no measurement.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum Refused {
@@ -35,12 +57,12 @@ pub(super) enum Refused {
     Invalid,
 }
 
-/// Carries a detection into the world frame; its camera's stamps are late by `late_s`.
+/// Carries a detection into the world frame.
 pub(super) fn measure(
     detection: &Detection,
     (camera, frame): (CameraId, u64),
     placement: &CameraPlacement,
-    late_s: f64,
+    late: Lateness,
     params: &FusionParams,
 ) -> Result<Measurement, Refused> {
     let pose = detection.pose.as_ref().ok_or(Refused::NoPose)?;
@@ -72,8 +94,8 @@ pub(super) fn measure(
         return Err(Refused::Invalid);
     }
     Ok(Measurement {
-        time: detection.capture_time.plus_seconds(-late_s),
-        late_s,
+        time: late.corrected(detection.capture_time),
+        late_s: late.offset_s,
         camera,
         frame,
         number: detection.track,
