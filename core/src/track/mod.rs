@@ -13,13 +13,15 @@ mod attitude;
 mod history;
 mod kernel;
 mod motion;
+mod spread;
 
 pub(crate) use attitude::without_yaw;
 pub use attitude::{Attitude, AttitudeEstimate, AttitudeMeasurement};
 pub use history::{History, Inserted};
 pub(crate) use kernel::positive_root;
-pub use kernel::{Innovation, Kernel, MAX_SOURCES, Noise, Spread};
+pub use kernel::{Innovation, Kernel, MAX_SOURCES, Noise};
 pub use motion::{Filter, Motion, MotionEstimate};
+pub use spread::Spread;
 
 use nalgebra::Vector3;
 

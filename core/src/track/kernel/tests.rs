@@ -5,18 +5,25 @@ use nalgebra::{DMatrix, DVector};
 use proptest::prelude::*;
 
 const CAMERAS: usize = 3;
-const SIZE: usize = 6 + 3 * CAMERAS;
+const SIZE: usize = 6 + 4 * CAMERAS;
+/// Where the clocks' errors are.
+const CLOCKS: usize = 6 + 3 * CAMERAS;
 
-/// The same filter over (p, v, β of every camera) as one plain matrix; β's gain is left out.
+/// The same filter over (p, v, β and ε of every camera) as one plain matrix; the gain of β and ε is left
+/// out.
 struct Plain {
     state: DVector<f64>,
     covariance: DMatrix<f64>,
 }
 
 impl Plain {
-    fn begin(noise: &Noise, camera: usize, rate_variance: f64) -> Self {
+    fn begin(noise: &Noise, camera: usize, rate_variance: f64, clocks_s: &[f64; CAMERAS]) -> Self {
         let mut covariance = DMatrix::identity(SIZE, SIZE);
-        covariance.view_mut((0, 0), (3, 3)).copy_from(&noise.total);
+        let blurred = Matrix3::identity() * (rate_variance * noise.timing_s.powi(2));
+        covariance.view_mut((0, 0), (3, 3)).copy_from(&(noise.total + blurred));
+        for (clock, deviation_s) in clocks_s.iter().enumerate() {
+            covariance[(CLOCKS + clock, CLOCKS + clock)] = deviation_s * deviation_s;
+        }
         covariance.view_mut((3, 3), (3, 3)).fill_with_identity();
         covariance.view_mut((3, 3), (3, 3)).scale_mut(rate_variance);
         let own = 6 + 3 * camera;
@@ -29,6 +36,7 @@ impl Plain {
         let kept = (-dt / time_s).exp();
         let mut motion = DMatrix::identity(SIZE, SIZE) * kept;
         motion.view_mut((0, 0), (6, 6)).fill_with_identity();
+        motion.view_mut((CLOCKS, CLOCKS), (CAMERAS, CAMERAS)).fill_with_identity();
         motion.view_mut((0, 3), (3, 3)).fill_with_identity();
         motion.view_mut((0, 3), (3, 3)).scale_mut(dt);
         self.state = &motion * &self.state;
@@ -39,9 +47,22 @@ impl Plain {
             self.covariance[(axis + 3, axis)] += q * dt * dt / 2.0;
             self.covariance[(axis + 3, axis + 3)] += q * dt;
         }
-        for index in 6..SIZE {
+        for index in 6..CLOCKS {
             self.covariance[(index, index)] += 1.0 - kept * kept;
         }
+    }
+
+    /// The rate's covariance if the clocks were known.
+    fn rate_of_known_clocks(&self) -> Matrix3<f64> {
+        let mut rate: Matrix3<f64> = self.covariance.fixed_view::<3, 3>(3, 3).into_owned();
+        for clock in CLOCKS..SIZE {
+            let variance = self.covariance[(clock, clock)];
+            if variance > 0.0 {
+                let with_clock = self.covariance.fixed_view::<3, 1>(3, clock).into_owned();
+                rate -= with_clock * with_clock.transpose() / variance;
+            }
+        }
+        rate
     }
 
     /// Joseph's form: true for any gain.
@@ -49,11 +70,14 @@ impl Plain {
         let mut looks = DMatrix::zeros(3, SIZE);
         looks.view_mut((0, 0), (3, 3)).fill_with_identity();
         looks.view_mut((0, 6 + 3 * camera), (3, 3)).copy_from(&noise.systematic_root);
-        let fresh = noise.total - noise.systematic_root * noise.systematic_root.transpose();
+        let rate = self.state.rows(3, 3).clone_owned();
+        looks.view_mut((0, CLOCKS + camera), (3, 1)).copy_from(&-rate);
+        let fresh = noise.total - noise.systematic_root * noise.systematic_root.transpose()
+            + self.rate_of_known_clocks() * noise.timing_s.powi(2);
         let fresh = DMatrix::from_column_slice(3, 3, fresh.as_slice());
         let innovation = &looks * &self.covariance * looks.transpose() + &fresh;
         let mut gain = &self.covariance * looks.transpose() * innovation.try_inverse().unwrap();
-        gain.view_mut((6, 0), (3 * CAMERAS, 3)).fill(0.0);
+        gain.view_mut((6, 0), (4 * CAMERAS, 3)).fill(0.0);
         let seen = DVector::from_column_slice(seen.as_slice());
         self.state += &gain * (seen - &looks * &self.state);
         let left = DMatrix::identity(SIZE, SIZE) - &gain * looks;
@@ -82,13 +106,22 @@ fn step() -> impl Strategy<Value = (usize, f64, Vector3<f64>, Vector3<f64>)> {
 
 proptest! {
     #[test]
-    fn equals_the_plain_filter(steps in prop::collection::vec(step(), 1..30), share in 0.0..0.9f64) {
-        let first = noise(0.001, 0.02, &steps[0].2, share);
+    fn equals_the_plain_filter(
+        steps in prop::collection::vec(step(), 1..30),
+        share in 0.0..0.9f64,
+        clocks_s in prop::sample::select(vec![[0.0; CAMERAS], [0.02, 0.002, 0.005]]),
+    ) {
+        let first = Noise { timing_s: clocks_s[0], ..noise(0.001, 0.02, &steps[0].2, share) };
         let mut kernel = Kernel::begin(&first, CameraId(0), 9.0);
         let mut value = Vector3::zeros();
-        let mut plain = Plain::begin(&first, 0, 9.0);
+        let mut plain = Plain::begin(&first, 0, 9.0, &clocks_s);
+        for (camera, timing_s) in clocks_s.iter().enumerate() {
+            let index = kernel.source_or_new(CameraId(camera as u32));
+            kernel.sources[index].timing_s = *timing_s;
+        }
         for (camera, dt, direction, seen) in &steps {
-            let noise = noise(0.001, 0.02, direction, share);
+            let timing_s = clocks_s[*camera];
+            let noise = Noise { timing_s, ..noise(0.001, 0.02, direction, share) };
             value += kernel.rate * *dt;
             kernel.predict(*dt, &Vector3::repeat(0.2), 1.0);
             plain.predict(*dt, 0.2, 1.0);
@@ -97,7 +130,7 @@ proptest! {
             plain.update(seen, &noise, *camera);
         }
         let expected = plain.covariance.view((0, 0), (6, 6)).clone_owned();
-        let found = kernel.spread.matrix();
+        let found = kernel.told().matrix();
         for row in 0..6 {
             for column in 0..6 {
                 let scale = (expected[(row, row)] * expected[(column, column)]).sqrt();
@@ -120,7 +153,9 @@ proptest! {
         let first = noise(1.0, 1.0, &Vector3::z(), share);
         let mut kernel = Kernel::begin(&first, CameraId(0), 9.0);
         for ((camera, dt, direction, seen), across, along) in &steps {
+            let timing_s = if *camera == 1 { 0.05 } else { 0.0 };
             let noise = noise(10f64.powf(*across), 10f64.powf(*along), direction, share);
+            let noise = Noise { timing_s, ..noise };
             kernel.predict(*dt * 20.0, &Vector3::new(0.2, 0.2, 1e-6), 1.0);
             let camera = CameraId(*camera as u32);
             let (_, innovation) = kernel.update(seen, &noise, camera, 16.3);

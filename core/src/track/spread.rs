@@ -1,0 +1,50 @@
+//! The covariance of a value in three dimensions and its rate.
+
+use nalgebra::{Matrix3, Matrix6, Vector3};
+
+/// Covariance over (value, rate) in blocks.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Spread {
+    /// Of the value: A.
+    pub value: Matrix3<f64>,
+    /// Between value (rows) and rate (columns): B.
+    pub cross: Matrix3<f64>,
+    /// Of the rate: D.
+    pub rate: Matrix3<f64>,
+}
+
+impl Spread {
+    /// F P Fᵀ + Q over `dt` seconds (either sign; the noise grows with |dt|), with the noise's
+    /// density along each axis.
+    pub fn predict(&mut self, dt: f64, density: &Vector3<f64>) {
+        let span = dt.abs();
+        let sum = self.cross + self.cross.transpose();
+        self.value += sum * dt + self.rate * (dt * dt);
+        self.cross += self.rate * dt;
+        for axis in 0..3 {
+            let q = density[axis];
+            self.value[(axis, axis)] += q * span * span * span / 3.0;
+            self.cross[(axis, axis)] += q * dt * span / 2.0;
+            self.rate[(axis, axis)] += q * span;
+        }
+    }
+
+    /// The whole 6×6.
+    pub fn matrix(&self) -> Matrix6<f64> {
+        let mut whole = Matrix6::zeros();
+        whole.fixed_view_mut::<3, 3>(0, 0).copy_from(&self.value);
+        whole.fixed_view_mut::<3, 3>(0, 3).copy_from(&self.cross);
+        whole.fixed_view_mut::<3, 3>(3, 0).copy_from(&self.cross.transpose());
+        whole.fixed_view_mut::<3, 3>(3, 3).copy_from(&self.rate);
+        whole
+    }
+
+    /// The blocks of a symmetric 6×6.
+    pub fn from_matrix(whole: &Matrix6<f64>) -> Self {
+        Self {
+            value: whole.fixed_view::<3, 3>(0, 0).into_owned(),
+            cross: whole.fixed_view::<3, 3>(0, 3).into_owned(),
+            rate: whole.fixed_view::<3, 3>(3, 3).into_owned(),
+        }
+    }
+}
