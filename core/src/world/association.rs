@@ -4,7 +4,7 @@
 //! Mahalanobis length of the position with its whole covariance, so along the line of sight far
 //! more is allowed than across it). Its cost is -2 ln likelihood up to a constant,
 //! d² + ln det S - ln det R, less a bonus if the camera's own tracker says that it is the same
-//! roundel as before. Independent groups of pairs are solved one by one, each optimally; leaving a
+//! roundel as before, and a larger one if the teeth say so; teeth that say otherwise count against it. Independent groups of pairs are solved one by one, each optimally; leaving a
 //! detection out costs [`UNASSIGNED_COST`].
 
 use nalgebra::Vector3;
@@ -29,6 +29,8 @@ const CONTINUITY_BONUS: f64 = 12.0;
 /// And the gate is wider by this factor, since a moment's error is then the better explanation; the
 /// filter holds such innovations back.
 const CONTINUITY_GATE: f64 = 3.0;
+/// The track's code was read: likelihood e¹⁰ in favour, and the wider gate; another code, as much against.
+const CODE_BONUS: f64 = 20.0;
 /// A track that is not trusted yet takes nothing from one that is.
 const TENTATIVE_COST: f64 = 6.0;
 
@@ -139,13 +141,16 @@ fn possible(
             continue;
         };
         let continued = track.is_continued_by(seen);
-        let limit = if continued { gate * CONTINUITY_GATE } else { gate };
+        let agrees = sighting.code.and_then(|read| track.codes.agrees(read));
+        let is_known = agrees.unwrap_or(continued);
+        let limit = if is_known { gate * CONTINUITY_GATE } else { gate };
         if innovation.distance_squared > limit {
             continue;
         }
         let cost = innovation.distance_squared + innovation.log_det()
             - noise_det
             - if continued { CONTINUITY_BONUS } else { 0.0 }
+            - agrees.map_or(0.0, |agrees| if agrees { CODE_BONUS } else { -CODE_BONUS })
             + if track.is_tentative() { TENTATIVE_COST } else { 0.0 };
         scratch.pairs.push(Pair { sighting: index, track: number, cost, innovation });
     }

@@ -9,6 +9,7 @@ use super::{
     anchor::{Anchors, Stamp},
     association::{Scratch, Sighting, associate},
     clock::{ClockEstimate, ClockPrior, Clocks},
+    identity::{Claim, Identities},
     life::Track,
     merge,
     observation::{Lateness, Refused, measure},
@@ -17,6 +18,7 @@ use super::{
 };
 use crate::{
     id::{CameraId, KindId, ObjectId},
+    marker::Code,
     rigid::{Covariance6, Rigid},
     time::Timestamp,
     track::{Inserted, Measurement, MotionModel},
@@ -82,6 +84,10 @@ pub struct FusionCounts {
     pub over_max_objects: u64,
     /// Tracks joined with another of the same object.
     pub merged: u64,
+    /// Objects that were lost, or not seen, and known again by their code.
+    pub returned: u64,
+    /// Tracks with the code of another object that is seen as well.
+    pub ambiguous_codes: u64,
 }
 
 /// All objects of an installation.
@@ -93,8 +99,9 @@ pub struct Fusion {
     anchors: Anchors,
     clocks: Clocks,
     offsets_m: BTreeMap<KindId, Vector3<f64>>,
+    identities: Identities,
     timeline: Timeline,
-    /// By id.
+    /// In the order in which they began.
     tracks: Vec<Track>,
     /// To be named once more.
     lost: Vec<Track>,
@@ -117,6 +124,7 @@ impl Fusion {
             anchors: Anchors::default(),
             clocks: Clocks::default(),
             offsets_m: BTreeMap::new(),
+            identities: Identities::default(),
             timeline: Timeline::default(),
             tracks: Vec::new(),
             lost: Vec::new(),
@@ -291,6 +299,7 @@ impl Fusion {
         );
         let forgotten = now.plus_ns(-self.params.late_window_ns);
         let known = self.tracks.len();
+        let mut claims = Vec::new();
         let mut seen = vec![false; known];
         for (index, decision) in decisions.iter().enumerate() {
             let mut sighting = self.sightings[index];
@@ -325,7 +334,9 @@ impl Fusion {
                 Inserted::TooLate => self.counts.late += 1,
                 Inserted::Duplicate => self.counts.duplicate += 1,
             }
-            if let Some(event) = event {
+            if let Some(code) = track.unheeded_code() {
+                claims.push((track.id, code, event));
+            } else if let Some(event) = event {
                 self.tell(event);
             }
         }
@@ -334,6 +345,43 @@ impl Fusion {
                 track.miss(frame.camera, capture_time);
             }
         }
+        for (id, code, event) in claims {
+            self.identify(id, code, event, now);
+        }
+    }
+
+    /// Gives a track whose code is settled the id of that code's object; `event` is what has just happened
+    /// to it.
+    fn identify(&mut self, id: ObjectId, code: Code, event: Option<Event>, now: Timestamp) {
+        let Some(index) = self.tracks.iter().position(|track| track.id == id) else { return };
+        self.tracks[index].identified = Some(code);
+        let fresh = (now, self.params.predicted_after_ns);
+        let (object, kind, elsewhere) =
+            match self.identities.claim(&self.tracks, index, code, fresh) {
+                Claim::Own => return event.into_iter().for_each(|event| self.tell(event)),
+                Claim::Twice => {
+                    self.counts.ambiguous_codes += 1;
+                    return event.into_iter().for_each(|event| self.tell(event));
+                }
+                Claim::Returned(object) => (object, EventKind::Appeared, None),
+                Claim::Elsewhere(other, object) => (object, EventKind::Recovered, Some(other)),
+            };
+        self.counts.returned += 1;
+        let is_new = event.is_some_and(|event| event.kind == EventKind::Appeared);
+        if !is_new {
+            // It was told under another id, which ends here.
+            let mut gone = self.tracks[index].clone();
+            let event = gone.lose(now);
+            self.end(gone, Some(event));
+        }
+        // Not named as lost any more.
+        self.lost.retain(|lost| lost.id != object);
+        self.tracks[index].id = object;
+        let time = self.tracks[index].newest;
+        if let Some(other) = elsewhere {
+            self.tracks.remove(other);
+        }
+        self.tell(Event { time, object, kind });
     }
 
     /// Whether a sighting that fits no track is an error about one of the first `known`: its camera

@@ -16,6 +16,7 @@ use super::{
 };
 use crate::{
     id::{CameraId, KindId, ObjectId, TrackNumber},
+    marker::Code,
     time::Timestamp,
     track::{History, Innovation, Inserted, Measurement, MotionModel},
 };
@@ -58,6 +59,8 @@ pub(super) struct Track {
     pub(super) views: Vec<View>,
     /// Tracks that a camera saw beside this one.
     pub(super) apart: Vec<ObjectId>,
+    /// The settled code that has said whose id it has.
+    pub(super) identified: Option<Code>,
     /// When its cameras' views were compared last.
     compared: Option<Timestamp>,
     score: f64,
@@ -82,6 +85,7 @@ impl Track {
             observations: 1,
             views: vec![view(&measurement)],
             apart: Vec::new(),
+            identified: None,
             compared: None,
             score: 0.0,
         }
@@ -89,6 +93,12 @@ impl Track {
 
     pub(super) fn is_tentative(&self) -> bool {
         self.stage == LifeStage::Tentative
+    }
+
+    /// A settled code of a trusted track that nothing has followed from yet.
+    pub(super) fn unheeded_code(&self) -> Option<Code> {
+        let settled = self.codes.settled().filter(|_| !self.is_tentative());
+        settled.filter(|_| self.identified != settled)
     }
 
     /// Whether the camera's tracker says that this is the roundel it saw as this track before.

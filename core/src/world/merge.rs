@@ -2,7 +2,8 @@
 //!
 //! Two cameras that disagree by more than they admit begin two tracks of one object. When these
 //! come within their uncertainties and no camera has ever shown both in one frame, they are one: the
-//! older id stays, unless only the younger one is trusted.
+//! older id stays, unless only the younger one is trusted. One settled code makes two near tracks one
+//! whatever their uncertainties say, two different ones never.
 
 use nalgebra::Vector3;
 
@@ -39,11 +40,18 @@ pub(super) fn find(
             {
                 continue;
             }
+            let [a, b] = [older, younger].map(|index| tracks[index].codes.settled());
+            if a.is_some() && b.is_some() && a != b {
+                continue;
+            }
+            let is_same_code = a.is_some() && a == b;
             if seen_together(&tracks[older], &tracks[younger]) {
                 let (low, high) = (tracks[older].id, tracks[younger].id);
                 tracks[older].apart.push(high);
                 tracks[younger].apart.push(low);
-            } else if are_one(&tracks[older], &tracks[younger], &apart_m, now, model) {
+            } else if is_same_code
+                || are_one(&tracks[older], &tracks[younger], &apart_m, now, model)
+            {
                 let swap = tracks[older].is_tentative() && !tracks[younger].is_tentative();
                 return Some(if swap { (younger, older) } else { (older, younger) });
             }

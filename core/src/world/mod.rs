@@ -5,7 +5,7 @@
 //! same calls give the same bits. What is where: `timeline` judges frames by their times,
 //! `observation` carries detections into the world, `association` says which object each one is
 //! of, [`crate::track`] estimates, `life` tells new from trusted from lost, `merge` joins two
-//! tracks of one object, `vote` counts the codes that it was seen with, `snapshot` shows the result at
+//! tracks of one object, `vote` counts the codes that it was seen with, `identity` gives an object that returns its id again, `snapshot` shows the result at
 //! an instant.
 
 mod anchor;
@@ -14,6 +14,7 @@ mod association;
 mod clock;
 mod comparison;
 mod fusion;
+mod identity;
 mod life;
 mod merge;
 mod observation;

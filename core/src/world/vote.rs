@@ -2,12 +2,16 @@
 //! (Boyer, Moore, *MJRTY*, 1981), so it costs the same however many codes are misread.
 //!
 //! The lead is bounded, so that a track which came by a wrong code gets rid of it in about a second.
-//! The vote only says what was read; which object a detection belongs to is decided without it.
+//! A settled code also says which track a detection belongs to (`association`) and which object a
+//! track is (`identity`).
 
 use crate::marker::Code;
 
 /// As many readings of another code, less what speaks for the candidate meanwhile, change it.
 const MOST_LEAD: u32 = 60;
+
+/// Readings, less those of others, after which a code is settled.
+const SETTLED_LEAD: u32 = 3;
 
 /// The vote of one track.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
@@ -37,6 +41,19 @@ impl CodeVote {
         } else {
             self.lead -= other.lead;
         }
+    }
+
+    /// Whether a reading is of the same object; `None` if that cannot be said yet.
+    pub(super) fn agrees(&self, read: Code) -> Option<bool> {
+        if self.candidate == Some(read) {
+            return Some(true);
+        }
+        self.settled().map(|_| false)
+    }
+
+    /// What was read most, if that is beyond doubt.
+    pub(super) fn settled(&self) -> Option<Code> {
+        self.candidate.filter(|_| self.lead >= SETTLED_LEAD)
     }
 
     /// What was read most; `None` before the first reading.

@@ -6,12 +6,12 @@ use roundel_core::{
     id::{CameraId, KindId, ObjectId},
     marker::{Code, CodeReading},
     rigid::Covariance6,
-    world::{CameraPlacement, EventKind, FusionParams, LifeStage, ObjectState},
+    world::{CameraPlacement, EventKind, FrameObservations, FusionParams, LifeStage, ObjectState},
 };
 
 use crate::{
     arena::{Arena, START, Setting},
-    score::fusion_of,
+    score::{Score, fusion_of},
 };
 
 fn one_still() -> Setting {
@@ -188,4 +188,108 @@ fn the_tracked_point_is_offset_along_the_normal() {
     let position = grown.fixed_view::<3, 3>(0, 0);
     assert!(level.dot(&(position * level)) > 0.5 * 0.05 * 0.05);
     assert!(moved.covariance.cholesky().is_some());
+}
+
+/// Its code is read in each frame, and nothing else says who it is.
+fn coded(arena: &Arena, seconds: f64, number: u16) -> Vec<FrameObservations> {
+    let mut frames = arena.frames(seconds);
+    let reading = CodeReading::certain(Code { bits: 8, number }, PixelPoint::default());
+    for frame in &mut frames {
+        frame.detections.iter_mut().for_each(|seen| seen.ring.code = Some(reading));
+    }
+    frames
+}
+
+/// The same, so many seconds later, somewhere else in the world.
+fn again(
+    arena: &Arena,
+    mut frames: Vec<FrameObservations>,
+    seconds: f64,
+) -> Vec<FrameObservations> {
+    let moved_m = Vector3::new(0.8, -0.5, 0.0);
+    for frame in &mut frames {
+        let place = &arena.placements[frame.camera.0 as usize].world_from_camera;
+        frame.frame += 100_000;
+        frame.capture_time = frame.capture_time.plus_seconds(seconds);
+        frame.received_time = frame.received_time.plus_seconds(seconds);
+        for seen in &mut frame.detections {
+            seen.capture_time = seen.capture_time.plus_seconds(seconds);
+            // The camera's tracker has lost it and counts on.
+            seen.track.0 += 1000;
+            let pose = seen.pose.as_mut().unwrap();
+            pose.position_m += place.rotation.inverse() * moved_m;
+        }
+    }
+    frames
+}
+
+#[test]
+fn a_coded_object_that_comes_back_is_the_same() {
+    use EventKind::{Appeared, Lost, Predicted, Recovered};
+    let arena = Arena::new(one_still());
+    // After it was lost, and while it is still predicted where it was seen last.
+    let cases =
+        [(6.0, vec![Appeared, Lost, Appeared]), (2.0, vec![Appeared, Predicted, Recovered])];
+    for (pause_s, kinds) in cases {
+        let mut fusion = fusion_of(&arena, FusionParams::default());
+        coded(&arena, 1.0, 7).iter().for_each(|frame| fusion.observe(frame));
+        let back = again(&arena, coded(&arena, 1.0, 7), pause_s);
+        back.iter().for_each(|frame| fusion.observe(frame));
+        let snapshot = fusion.snapshot(back.last().unwrap().capture_time);
+        let object = only(&snapshot.objects);
+        assert_eq!((object.id, object.stage), (ObjectId(1), LifeStage::Tracked), "{pause_s} s");
+        let found: Vec<_> = fusion.drain_events().map(|event| (event.object, event.kind)).collect();
+        let expected: Vec<_> = kinds.into_iter().map(|kind| (ObjectId(1), kind)).collect();
+        assert_eq!(found, expected);
+        assert_eq!(fusion.counts().returned, u64::from(pause_s > 3.0));
+        // Another code is another object.
+        let other = again(&arena, coded(&arena, 1.0, 8), pause_s + 6.0);
+        other.iter().for_each(|frame| fusion.observe(frame));
+        let snapshot = fusion.snapshot(other.last().unwrap().capture_time);
+        assert!(snapshot.objects.iter().any(|object| object.id > ObjectId(1)));
+    }
+}
+
+#[test]
+fn a_code_that_is_there_twice_stays_two_objects() {
+    let arena = Arena::new(one_still());
+    let mut fusion = fusion_of(&arena, FusionParams::default());
+    let twin = again(&arena, coded(&arena, 1.0, 7), 0.0);
+    for (mut frame, twin) in coded(&arena, 1.0, 7).into_iter().zip(twin) {
+        frame.detections.extend(twin.detections);
+        fusion.observe(&frame);
+    }
+    let snapshot = fusion.snapshot(START.plus_seconds(1.0));
+    let ids: Vec<_> = snapshot.objects.iter().map(|object| object.id).collect();
+    assert_eq!(ids.len(), 2, "{ids:?}");
+    assert_eq!((fusion.counts().ambiguous_codes, fusion.counts().returned), (1, 0));
+}
+
+/// Two coded robots so near one another that places alone cannot tell them apart.
+#[test]
+fn codes_decide_between_neighbours() {
+    let setting = Setting { passing: true, random: false, noise_px: 7.0, ..Setting::default() };
+    let arena = Arena::new(Setting { objects: 8, ..setting });
+    let run = |with_codes: bool| {
+        let mut fusion = fusion_of(&arena, FusionParams::default());
+        let mut score = Score::default();
+        for mut frame in arena.frames(8.0) {
+            for seen in &mut frame.detections {
+                let code = Code { bits: 8, number: seen.track.0 as u16 };
+                let reading = CodeReading::certain(code, PixelPoint::default());
+                seen.ring.code = with_codes.then_some(reading);
+                // The camera's tracker loses them again and again.
+                seen.track.0 += 1000 * (frame.frame / 15);
+            }
+            fusion.observe(&frame);
+            if frame.frame > 30 {
+                score.add(&arena, &fusion.snapshot(frame.received_time));
+            }
+        }
+        score
+    };
+    let (coded, plain) = (run(true), run(false));
+    println!("{}\n{}", coded.summary(), plain.summary());
+    assert_eq!((coded.ids.len(), coded.swaps, coded.ghosts), (8, 0, 0), "{}", coded.summary());
+    assert!(plain.ids.len() > 8, "{}", plain.summary());
 }
