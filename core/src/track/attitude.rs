@@ -22,7 +22,7 @@
 
 use nalgebra::{Matrix3, Matrix6, UnitQuaternion, Vector3};
 
-use super::{Kernel, MotionModel, Noise, Spread};
+use super::{Ground, Kernel, MotionModel, Noise, Spread};
 use crate::{
     id::CameraId,
     rigid::{UNKNOWN_ANGLE_VARIANCE_RAD2, orientation_of_normal},
@@ -115,7 +115,7 @@ impl Attitude {
     pub fn begin(seen: &AttitudeMeasurement, camera: CameraId, model: &MotionModel) -> Self {
         let hypothesis = |index: usize| Hypothesis {
             orientation: nearest(seen, index, &completed(seen, 0)),
-            kernel: Kernel::begin(&seen.noises[index], camera, model.angular_speed_rad_s.powi(2)),
+            kernel: Kernel::begin(&seen.noises[index], camera, &turning(model)),
         };
         let mut attitude = Self {
             best: hypothesis(0),
@@ -134,7 +134,7 @@ impl Attitude {
         for hypothesis in std::iter::once(&mut self.best).chain(self.rival.as_mut()) {
             let turn = UnitQuaternion::from_scaled_axis(hypothesis.kernel.rate * dt);
             hypothesis.orientation = turn * hypothesis.orientation;
-            hypothesis.kernel.predict(dt, &model.angular_density(), model.systematic_time_s);
+            hypothesis.kernel.predict(dt, &model.angular_density_rad2_s3, model.systematic_time_s);
         }
         let prior = if self.rival.is_some() { self.prior(model) } else { 0.0 };
         self.log_odds = prior + (self.log_odds - prior) * (-dt.abs() / VERDICT_TIME_S).exp();
@@ -186,6 +186,16 @@ impl Attitude {
         estimate
     }
 
+    /// Holds it upright.
+    pub fn hold(&mut self, ground: &Ground) {
+        for hypothesis in std::iter::once(&mut self.best).chain(self.rival.as_mut()) {
+            let turn = smallest_turn(&hypothesis.normal(), &Vector3::z());
+            let correction = ground.hold_upright(&mut hypothesis.kernel, &turn);
+            hypothesis.orientation =
+                UnitQuaternion::from_scaled_axis(correction) * hypothesis.orientation;
+        }
+    }
+
     /// Log-odds of the best normal against the rival's before any evidence.
     fn prior(&self, model: &MotionModel) -> f64 {
         let other = match &self.rival {
@@ -202,7 +212,7 @@ impl Attitude {
         camera: CameraId,
         model: &MotionModel,
     ) {
-        let kernel = Kernel::begin(&seen.noises[index], camera, model.angular_speed_rad_s.powi(2));
+        let kernel = Kernel::begin(&seen.noises[index], camera, &turning(model));
         let orientation = nearest(seen, index, &self.best.orientation);
         self.rival = Some(Hypothesis { orientation, kernel });
     }
@@ -296,6 +306,11 @@ pub(crate) fn without_yaw(spread: &Spread, normal: &Vector3<f64>) -> Spread {
         cross: across * spread.cross * across,
         rate: across * spread.rate * across + along * rate_variance,
     }
+}
+
+/// Variance of an unseen angular velocity about each axis.
+fn turning(model: &MotionModel) -> Vector3<f64> {
+    model.angular_speed_rad_s.component_mul(&model.angular_speed_rad_s)
 }
 
 fn log_likelihood(seen: &AttitudeMeasurement, index: usize) -> f64 {

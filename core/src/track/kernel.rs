@@ -62,16 +62,16 @@ pub struct Kernel {
 }
 
 impl Kernel {
-    /// After one measurement of the value, with a rate of which only the variance is known.
-    pub fn begin(noise: &Noise, camera: CameraId, rate_variance: f64) -> Self {
+    /// After one measurement of the value, with a rate of which only the variance along each axis is known.
+    pub fn begin(noise: &Noise, camera: CameraId, rate_variance: &Vector3<f64>) -> Self {
         let mut kernel = Self {
             rate: Vector3::zeros(),
             spread: Spread {
                 // The rate is not known yet, and neither is what the clock's error does.
                 value: noise.total
-                    + Matrix3::from_diagonal_element(rate_variance * noise.timing_s.powi(2)),
+                    + Matrix3::from_diagonal(&(rate_variance * noise.timing_s.powi(2))),
                 cross: Matrix3::zeros(),
-                rate: Matrix3::from_diagonal_element(rate_variance),
+                rate: Matrix3::from_diagonal(rate_variance),
             },
             sources: [NO_SOURCE; MAX_SOURCES],
             len: 1,
@@ -106,7 +106,7 @@ impl Kernel {
         (noise, camera): (&Noise, CameraId),
     ) -> Option<Innovation> {
         let mut spread = self.spread;
-        spread.predict(dt, &model.acceleration_density());
+        spread.predict(dt, &model.acceleration_density_m2_s3);
         let kept = (-dt.abs() / model.systematic_time_s).exp();
         let own = self.source(camera);
         let source = own.map(|index| self.sources[index].predicted(dt, kept));

@@ -10,6 +10,7 @@
 //! *Estimation with Applications to Tracking and Navigation*, 2001, section 6.2.2).
 
 mod attitude;
+mod ground;
 mod history;
 mod kernel;
 mod motion;
@@ -33,20 +34,33 @@ use crate::{
 /// How objects can move, and how measurements err; equal for all tracks of a kind.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct MotionModel {
-    /// Spectral density of the white acceleration, m²/s³.
-    pub acceleration_density_m2_s3: f64,
-    /// Spectral density of the white angular acceleration, rad²/s³.
-    pub angular_density_rad2_s3: f64,
-    /// Standard deviation of an unseen velocity, each axis, m/s.
-    pub speed_m_s: f64,
-    /// Standard deviation of an unseen angular velocity, each axis, rad/s.
-    pub angular_speed_rad_s: f64,
+    /// Spectral density of the white acceleration along each axis of the world, m²/s³.
+    pub acceleration_density_m2_s3: Vector3<f64>,
+    /// Spectral density of the white angular acceleration about each axis of the world, rad²/s³.
+    pub angular_density_rad2_s3: Vector3<f64>,
+    /// Standard deviation of an unseen velocity along each axis, m/s.
+    pub speed_m_s: Vector3<f64>,
+    /// Standard deviation of an unseen angular velocity about each axis, rad/s.
+    pub angular_speed_rad_s: Vector3<f64>,
     /// Time in which a camera's systematic error forgets itself, s.
     pub systematic_time_s: f64,
     /// Innovations beyond this squared Mahalanobis length are held back to it.
     pub robust_distance_squared: f64,
     /// Log-odds by which a normal straight up is preferred to a level one before any evidence.
     pub upright_log_odds: f64,
+    /// The floor that it keeps to.
+    pub ground: Option<Ground>,
+}
+
+/// What holds an object that drives.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Ground {
+    /// Height of the roundel's centre, metres; `None`: the same all the time, but not known.
+    pub height_m: Option<f64>,
+    /// Standard deviation of it, over the unevenness of floor and robots, metres.
+    pub deviation_m: f64,
+    /// Standard deviation of the normal from straight up, each of its two angles, radians.
+    pub tilt_rad: f64,
 }
 
 /// One detection, carried into the world frame.
@@ -68,18 +82,6 @@ pub struct Measurement {
     pub position_noise: Noise,
     /// How the roundel is turned.
     pub attitude: AttitudeMeasurement,
-}
-
-impl MotionModel {
-    /// The acceleration's density along each axis of the world.
-    pub fn acceleration_density(&self) -> Vector3<f64> {
-        Vector3::repeat(self.acceleration_density_m2_s3)
-    }
-
-    /// The angular acceleration's density about each axis of the world.
-    pub fn angular_density(&self) -> Vector3<f64> {
-        Vector3::repeat(self.angular_density_rad2_s3)
-    }
 }
 
 impl Measurement {
@@ -112,11 +114,21 @@ pub struct Estimate {
 impl Estimate {
     /// What one measurement tells; the velocity is the model's prior.
     pub fn begin(measurement: &Measurement, model: &MotionModel) -> Self {
-        Self {
+        let mut estimate = Self {
             time: measurement.time,
             motion: Motion::begin(measurement, model),
             attitude: Attitude::begin(&measurement.attitude, measurement.camera, model),
             residual: 1.0,
+        };
+        estimate.hold(model);
+        estimate
+    }
+
+    /// Holds what drives to its floor.
+    fn hold(&mut self, model: &MotionModel) {
+        if let Some(ground) = &model.ground {
+            self.motion.hold(ground);
+            self.attitude.hold(ground);
         }
     }
 
@@ -138,5 +150,6 @@ impl Estimate {
         let innovation = self.motion.update(measurement, model);
         self.residual = innovation.distance_squared / 3.0;
         self.attitude.update(&measurement.attitude, measurement.camera, model);
+        self.hold(model);
     }
 }

@@ -24,7 +24,7 @@
 
 use nalgebra::{Matrix3, Vector3};
 
-use super::{Innovation, Kernel, Measurement, MotionModel, Spread};
+use super::{Ground, Innovation, Kernel, Measurement, MotionModel, Spread};
 
 /// The lively filter's density over the calm one's is e to this.
 const LOG_RATIO: f64 = 1.386_294_361_119_890_6;
@@ -107,14 +107,15 @@ impl Filter {
 impl Motion {
     /// What one measurement tells.
     pub fn begin(seen: &Measurement, model: &MotionModel) -> Self {
-        let kernel = Kernel::begin(&seen.position_noise, seen.camera, model.speed_m_s.powi(2));
+        let speed = model.speed_m_s.component_mul(&model.speed_m_s);
+        let kernel = Kernel::begin(&seen.position_noise, seen.camera, &speed);
         let filter = Filter { position_m: seen.position_m, kernel };
         Self {
             calm: filter,
             lively: filter,
             agile: filter,
-            level: LogDensity::begin(model),
-            upright: LogDensity::begin(model),
+            level: LogDensity::begin(model.acceleration_density_m2_s3.x),
+            upright: LogDensity::begin(model.acceleration_density_m2_s3.z),
             alarm: 0.0,
             unseen_s: 0.0,
         }
@@ -130,7 +131,7 @@ impl Motion {
         let lively = self.density(0.5 * LOG_RATIO);
         self.calm.predict(dt, &(lively * (-LOG_RATIO).exp()), model);
         self.lively.predict(dt, &lively, model);
-        self.agile.predict(dt, &lively.sup(&model.acceleration_density()), model);
+        self.agile.predict(dt, &lively.sup(&model.acceleration_density_m2_s3), model);
         self.level.forget(dt);
         self.upright.forget(dt);
         self.unseen_s += dt;
@@ -144,17 +145,26 @@ impl Motion {
         let agile = self.agile.update(seen, model);
         let squared = calm.conditional_squared - lively.conditional_squared;
         let precision = lively.conditional_precision.component_div(&calm.conditional_precision);
-        self.level.learn(0.5 * (squared.x + squared.y + (precision.x * precision.y).ln()), model);
-        self.upright.learn(0.5 * (squared.z + precision.z.ln()), model);
+        let level = 0.5 * (squared.x + squared.y + (precision.x * precision.y).ln());
+        self.level.learn(level, model.acceleration_density_m2_s3.x);
+        let upright = 0.5 * (squared.z + precision.z.ln());
+        self.upright.learn(upright, model.acceleration_density_m2_s3.z);
         self.alarm = (self.alarm + agile.log_ratio(&lively).min(LOG_LIMIT)).max(0.0);
         if self.alarm > ALARM_LOG_RATIO {
             self.alarm = 0.0;
             self.calm = self.agile;
             self.lively = self.agile;
-            self.level = LogDensity::begin(model);
-            self.upright = LogDensity::begin(model);
+            self.level = LogDensity::begin(model.acceleration_density_m2_s3.x);
+            self.upright = LogDensity::begin(model.acceleration_density_m2_s3.z);
         }
         lively
+    }
+
+    /// Holds it to its floor.
+    pub fn hold(&mut self, ground: &Ground) {
+        for filter in [&mut self.calm, &mut self.lively, &mut self.agile] {
+            filter.position_m += ground.hold_height(&mut filter.kernel, filter.position_m.z);
+        }
     }
 
     /// The present estimate.
@@ -164,7 +174,7 @@ impl Motion {
                 position_m: self.agile.position_m,
                 velocity_m_s: self.agile.kernel.rate,
                 spread: self.agile.kernel.told(),
-                density_m2_s3: self.density(0.0).sup(&model.acceleration_density()),
+                density_m2_s3: self.density(0.0).sup(&model.acceleration_density_m2_s3),
             };
         }
         let (calm, lively) = (&self.calm, &self.lively);
@@ -198,8 +208,8 @@ fn blended(calm: &Matrix3<f64>, lively: &Matrix3<f64>) -> Matrix3<f64> {
 
 impl LogDensity {
     /// That of the capability.
-    fn begin(model: &MotionModel) -> Self {
-        Self { mean: model.acceleration_density_m2_s3.ln(), variance: LOG_VARIANCE }
+    fn begin(capability: f64) -> Self {
+        Self { mean: capability.ln(), variance: LOG_VARIANCE }
     }
 
     fn forget(&mut self, dt: f64) {
@@ -207,13 +217,13 @@ impl LogDensity {
     }
 
     /// Learns from the lively filter's ln likelihood less the calm one's.
-    fn learn(&mut self, log_ratio: f64, model: &MotionModel) {
+    fn learn(&mut self, log_ratio: f64, capability: f64) {
         if !log_ratio.is_finite() {
             return;
         }
         let slope = log_ratio.clamp(-LOG_LIMIT, LOG_LIMIT) / LOG_RATIO;
         self.variance = 1.0 / (1.0 / self.variance + slope * slope);
-        let capability = model.acceleration_density_m2_s3.ln();
+        let capability = capability.ln();
         self.mean = (self.mean + self.variance * slope)
             .clamp(capability + LOG_FLOOR, capability + LOG_CEILING);
     }

@@ -18,7 +18,7 @@ use super::{
 use crate::{
     id::KindId,
     marker::Code,
-    track::{Innovation, Measurement, MotionModel, Noise},
+    track::{Innovation, Measurement, Noise},
 };
 
 /// A detection may stay without a track at this cost: above that of a true pair at the gate whose
@@ -75,7 +75,7 @@ struct Coarse {
 pub(super) fn associate(
     tracks: &[Track],
     sightings: &[Sighting],
-    (params, model, clocks): (&FusionParams, &MotionModel, &Clocks),
+    (params, clocks): (&FusionParams, &Clocks),
     scratch: &mut Scratch,
 ) -> Vec<Decision> {
     let mut decisions = vec![None; sightings.len()];
@@ -87,7 +87,7 @@ pub(super) fn associate(
         let filter = newest.motion.agile();
         let dt = time.seconds_since(newest.time);
         let mut spread = filter.kernel.spread;
-        spread.predict(dt, &model.acceleration_density());
+        spread.predict(dt, &track.model.acceleration_density_m2_s3);
         Coarse {
             position_m: filter.position_m + filter.kernel.rate * dt,
             velocity_m_s: filter.kernel.rate,
@@ -98,7 +98,7 @@ pub(super) fn associate(
     scratch.pairs.clear();
     for (index, sighting) in sightings.iter().enumerate() {
         let gate = params.gate_distance_squared;
-        possible(index, sighting, tracks, (gate, model, clocks), time, scratch);
+        possible(index, sighting, tracks, (gate, clocks), time, scratch);
     }
     group(sightings.len(), tracks.len(), scratch);
     solve(&mut decisions, scratch);
@@ -110,7 +110,7 @@ fn possible(
     index: usize,
     sighting: &Sighting,
     tracks: &[Track],
-    (gate, model, clocks): (f64, &MotionModel, &Clocks),
+    (gate, clocks): (f64, &Clocks),
     frame_time: crate::time::Timestamp,
     scratch: &mut Scratch,
 ) {
@@ -134,7 +134,7 @@ fn possible(
         let dt = seen.time.seconds_since(newest.time);
         let Some(innovation) = newest.motion.agile().kernel.innovation_after(
             dt,
-            model,
+            &track.model,
             &residual_m,
             (&Noise { timing_s, ..seen.position_noise }, seen.camera),
         ) else {

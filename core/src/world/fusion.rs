@@ -5,7 +5,7 @@ use std::collections::{BTreeMap, VecDeque};
 use nalgebra::Vector3;
 
 use super::{
-    Event, EventKind, FrameObservations, FusionParams, LifeStage, Snapshot,
+    Event, EventKind, FrameObservations, FusionParams, LifeStage, MotionClass, Snapshot,
     anchor::{Anchors, Stamp},
     association::{Scratch, Sighting, associate},
     clock::{ClockEstimate, ClockPrior, Clocks},
@@ -21,7 +21,7 @@ use crate::{
     marker::Code,
     rigid::{Covariance6, Rigid},
     time::Timestamp,
-    track::{Inserted, Measurement, MotionModel},
+    track::{Inserted, Measurement},
 };
 
 /// Events kept for a caller that does not fetch them; the oldest give way.
@@ -94,7 +94,7 @@ pub struct FusionCounts {
 #[derive(Clone, Debug)]
 pub struct Fusion {
     params: FusionParams,
-    model: MotionModel,
+    classes: BTreeMap<KindId, MotionClass>,
     cameras: BTreeMap<CameraId, CameraPlacement>,
     anchors: Anchors,
     clocks: Clocks,
@@ -119,7 +119,7 @@ impl Fusion {
     pub fn new(params: FusionParams) -> Self {
         Self {
             params,
-            model: params.motion_model(),
+            classes: BTreeMap::new(),
             cameras: BTreeMap::new(),
             anchors: Anchors::default(),
             clocks: Clocks::default(),
@@ -159,6 +159,11 @@ impl Fusion {
     /// Says which point of a kind's objects is tracked: metres, in the roundel's frame.
     pub fn set_offset(&mut self, kind: KindId, offset_m: Vector3<f64>) {
         self.offsets_m.insert(kind, offset_m);
+    }
+
+    /// Says how a kind's objects move; without it, they may fly. Holds for tracks that begin from now on.
+    pub fn set_motion(&mut self, kind: KindId, class: MotionClass) {
+        self.classes.insert(kind, class);
     }
 
     /// What became of everything so far.
@@ -228,7 +233,7 @@ impl Fusion {
             .map(|track| {
                 let offset = track.kind.and_then(|kind| self.offsets_m.get(&kind));
                 let offset_m = offset.copied().unwrap_or_else(Vector3::zeros);
-                state_of(track, pose_time, &offset_m, &self.model)
+                state_of(track, pose_time, &offset_m)
             })
             .collect();
         self.lost.clear();
@@ -294,7 +299,7 @@ impl Fusion {
         let decisions = associate(
             &self.tracks,
             &self.sightings,
-            (&self.params, &self.model, &self.clocks),
+            (&self.params, &self.clocks),
             &mut self.scratch,
         );
         let forgotten = now.plus_ns(-self.params.late_window_ns);
@@ -313,8 +318,7 @@ impl Fusion {
             let track = &mut self.tracks[track];
             let seen = &mut sighting.measurement;
             *seen = seen.timed(track.timing_s(seen, &self.clocks));
-            let (inserted, event) =
-                track.observe(&sighting.measurement, &innovation, &self.params, &self.model);
+            let (inserted, event) = track.observe(&sighting.measurement, &innovation, &self.params);
             if self.clocks.is_estimating()
                 && let Some(comparison) = track.compare(&self.clocks)
             {
@@ -407,7 +411,9 @@ impl Fusion {
         self.counts.used += 1;
         self.counts.begun += 1;
         self.newest_used = self.newest_used.max(Some(sighting.measurement.time));
-        let mut track = Track::begin(id, sighting.kind, sighting.measurement, &self.model);
+        let class = sighting.kind.and_then(|kind| self.classes.get(&kind)).copied();
+        let model = self.params.motion_model(&class.unwrap_or_default());
+        let mut track = Track::begin(id, sighting.kind, sighting.measurement, model);
         sighting.code.into_iter().for_each(|code| track.codes.add(code));
         self.tracks.push(track);
     }
@@ -444,7 +450,7 @@ impl Fusion {
     }
 
     fn merge(&mut self, now: Timestamp) {
-        while let Some((stays, goes)) = merge::find(&mut self.tracks, now, &self.model) {
+        while let Some((stays, goes)) = merge::find(&mut self.tracks, now) {
             let mut gone = self.tracks[goes].clone();
             self.tracks[stays].adopt_views(&gone);
             self.tracks[stays].codes.join(&gone.codes);

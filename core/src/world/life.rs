@@ -52,6 +52,7 @@ pub(super) struct Track {
     pub(super) codes: CodeVote,
     pub(super) stage: LifeStage,
     pub(super) history: History,
+    pub(super) model: MotionModel,
     pub(super) first: Timestamp,
     pub(super) newest: Timestamp,
     pub(super) observations: u64,
@@ -72,14 +73,15 @@ impl Track {
         id: ObjectId,
         kind: Option<KindId>,
         measurement: Measurement,
-        model: &MotionModel,
+        model: MotionModel,
     ) -> Self {
         Self {
             id,
             kind,
             codes: CodeVote::default(),
             stage: LifeStage::Tentative,
-            history: History::begin(measurement, model),
+            history: History::begin(measurement, &model),
+            model,
             first: measurement.time,
             newest: measurement.time,
             observations: 1,
@@ -147,9 +149,8 @@ impl Track {
         seen: &Measurement,
         innovation: &Innovation,
         params: &FusionParams,
-        model: &MotionModel,
     ) -> (Inserted, Option<Event>) {
-        let inserted = self.history.insert(*seen, model);
+        let inserted = self.history.insert(*seen, &self.model);
         if matches!(inserted, Inserted::TooLate | Inserted::Duplicate) {
             return (inserted, None);
         }

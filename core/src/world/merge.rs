@@ -8,7 +8,7 @@
 use nalgebra::Vector3;
 
 use super::life::Track;
-use crate::{time::Timestamp, track::MotionModel};
+use crate::time::Timestamp;
 
 /// Squared Mahalanobis distance below which two tracks may be one (χ², 3 degrees of freedom, 0.95).
 const SAME_DISTANCE_SQUARED: f64 = 7.8;
@@ -18,11 +18,7 @@ const CERTAIN_M: f64 = 0.25;
 const NEAR_M: f64 = 1.0;
 
 /// Finds a pair that is one object: indexes of the one that stays and the one that goes.
-pub(super) fn find(
-    tracks: &mut [Track],
-    now: Timestamp,
-    model: &MotionModel,
-) -> Option<(usize, usize)> {
+pub(super) fn find(tracks: &mut [Track], now: Timestamp) -> Option<(usize, usize)> {
     let places: Vec<Vector3<f64>> = tracks
         .iter()
         .map(|track| {
@@ -49,9 +45,7 @@ pub(super) fn find(
                 let (low, high) = (tracks[older].id, tracks[younger].id);
                 tracks[older].apart.push(high);
                 tracks[younger].apart.push(low);
-            } else if is_same_code
-                || are_one(&tracks[older], &tracks[younger], &apart_m, now, model)
-            {
+            } else if is_same_code || are_one(&tracks[older], &tracks[younger], &apart_m, now) {
                 let swap = tracks[older].is_tentative() && !tracks[younger].is_tentative();
                 return Some(if swap { (younger, older) } else { (older, younger) });
             }
@@ -66,18 +60,12 @@ fn seen_together(a: &Track, b: &Track) -> bool {
     })
 }
 
-fn are_one(
-    a: &Track,
-    b: &Track,
-    apart_m: &Vector3<f64>,
-    now: Timestamp,
-    model: &MotionModel,
-) -> bool {
+fn are_one(a: &Track, b: &Track, apart_m: &Vector3<f64>, now: Timestamp) -> bool {
     let [of_a, of_b] = [a, b].map(|track| {
         let newest = track.history.newest();
         let mut spread = newest.motion.agile().kernel.spread;
         let dt = now.seconds_since(newest.time);
-        spread.predict(dt, &model.acceleration_density());
+        spread.predict(dt, &track.model.acceleration_density_m2_s3);
         spread.value
     });
     let both = of_a + of_b;

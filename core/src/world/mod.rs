@@ -25,7 +25,7 @@ mod vote;
 
 pub use clock::{ClockEstimate, ClockPrior};
 pub use fusion::{CameraPlacement, Fusion, FusionCounts};
-pub use param::FusionParams;
+pub use param::{FusionParams, MotionClass};
 
 pub mod reference;
 

@@ -1,6 +1,8 @@
 //! What fusion can be told; the defaults are those of `deploy/roundel.example.toml`.
 
-use crate::track::MotionModel;
+use nalgebra::Vector3;
+
+use crate::track::{Ground, MotionModel};
 
 /// How long an acceleration lasts, as seen by a filter that remembers a tenth of a second: turns
 /// the acceleration that objects are capable of into the density of a white one, q = a² · T. Found
@@ -13,6 +15,33 @@ const ROBUST_DISTANCE_SQUARED: f64 = 16.3;
 
 /// Printed faces look up: this much likelier, in log-odds, than to the side.
 const UPRIGHT_LOG_ODDS: f64 = 3.0;
+
+/// What drives: its face looks up, …
+const GROUND_LOG_ODDS: f64 = 30.0;
+/// … within this, …
+const TILT_RAD: f64 = 0.02;
+/// … and rocks by so much at most, rms.
+const ROCKING_RAD_S2: f64 = 1.0;
+const ROCKING_RAD_S: f64 = 0.1;
+/// Its floor is even to this, m, …
+const FLOOR_M: f64 = 0.003;
+/// … so that up and down it moves by so much at most, rms.
+const BUMP_M_S2: f64 = 0.05;
+const SLOPE_M_S: f64 = 0.05;
+
+/// How objects of a kind move.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub enum MotionClass {
+    /// Any way they like, as what flies.
+    #[default]
+    Free,
+    /// On a level floor, upright.
+    Ground {
+        /// Height of the roundel's centre in the world, metres: with it one camera alone locates as
+        /// exactly as it sees (2D mode); `None`: it is measured.
+        height_m: Option<f64>,
+    },
+}
 
 /// Parameters of fusion.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -71,16 +100,40 @@ impl Default for FusionParams {
 }
 
 impl FusionParams {
-    /// The filter's view of these parameters.
-    pub(super) fn motion_model(&self) -> MotionModel {
-        MotionModel {
-            acceleration_density_m2_s3: self.acceleration_m_s2.powi(2) * ACCELERATION_TIME_S,
-            angular_density_rad2_s3: self.angular_acceleration_rad_s2.powi(2) * ACCELERATION_TIME_S,
-            speed_m_s: self.speed_m_s,
-            angular_speed_rad_s: self.angular_speed_rad_s,
+    /// The filter's view of these parameters, of objects that move like this.
+    pub(super) fn motion_model(&self, class: &MotionClass) -> MotionModel {
+        let density = |most: f64| most * most * ACCELERATION_TIME_S;
+        let level = density(self.acceleration_m_s2);
+        let turning = density(self.angular_acceleration_rad_s2);
+        let free = MotionModel {
+            acceleration_density_m2_s3: Vector3::repeat(level),
+            angular_density_rad2_s3: Vector3::repeat(turning),
+            speed_m_s: Vector3::repeat(self.speed_m_s),
+            angular_speed_rad_s: Vector3::repeat(self.angular_speed_rad_s),
             systematic_time_s: self.systematic_time_s,
             robust_distance_squared: ROBUST_DISTANCE_SQUARED,
             upright_log_odds: UPRIGHT_LOG_ODDS,
+            ground: None,
+        };
+        match *class {
+            MotionClass::Free => free,
+            MotionClass::Ground { height_m } => MotionModel {
+                acceleration_density_m2_s3: Vector3::new(level, level, density(BUMP_M_S2)),
+                angular_density_rad2_s3: Vector3::new(
+                    density(ROCKING_RAD_S2),
+                    density(ROCKING_RAD_S2),
+                    turning,
+                ),
+                speed_m_s: Vector3::new(self.speed_m_s, self.speed_m_s, SLOPE_M_S),
+                angular_speed_rad_s: Vector3::new(
+                    ROCKING_RAD_S,
+                    ROCKING_RAD_S,
+                    self.angular_speed_rad_s,
+                ),
+                upright_log_odds: GROUND_LOG_ODDS,
+                ground: Some(Ground { height_m, deviation_m: FLOOR_M, tilt_rad: TILT_RAD }),
+                ..free
+            },
         }
     }
 }

@@ -14,7 +14,7 @@ use crate::{
     id::CameraId,
     rigid::orientation_of_normal,
     time::Timestamp,
-    track::{AttitudeEstimate, MotionModel, Spread},
+    track::{AttitudeEstimate, Spread},
 };
 
 /// Cameras that contributed within this time are named.
@@ -58,14 +58,10 @@ impl ObjectState {
 }
 
 /// A track's state at `time`; `offset_m` is the tracked point in the roundel's frame.
-pub(super) fn state_of(
-    track: &mut Track,
-    time: Timestamp,
-    offset_m: &Vector3<f64>,
-    model: &MotionModel,
-) -> ObjectState {
-    let estimate = track.history.at(time, model);
-    let motion = estimate.motion.estimate(model);
+pub(super) fn state_of(track: &mut Track, time: Timestamp, offset_m: &Vector3<f64>) -> ObjectState {
+    let model = track.model;
+    let estimate = track.history.at(time, &model);
+    let motion = estimate.motion.estimate(&model);
     let attitude = estimate.attitude.estimate();
     let mut state = ObjectState {
         id: track.id,
@@ -83,7 +79,7 @@ pub(super) fn state_of(
         rotation_covariance: attitude.covariance,
         process_noise: ProcessNoise {
             acceleration_density_m2_s3: motion.density_m2_s3,
-            angular_density_rad2_s3: model.angular_density(),
+            angular_density_rad2_s3: model.angular_density_rad2_s3,
         },
         cameras: contributing(track, time),
         newest_observation: track.newest,

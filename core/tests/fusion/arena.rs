@@ -48,6 +48,8 @@ pub struct Setting {
     pub starts_s: f64,
     /// Neighbours go round the same place and pass each other at 0.25 m.
     pub passing: bool,
+    /// None of them flies.
+    pub ground: bool,
 }
 
 impl Default for Setting {
@@ -70,6 +72,7 @@ impl Default for Setting {
             noise_px: 0.1,
             starts_s: 0.0,
             passing: false,
+            ground: false,
         }
     }
 }
@@ -179,7 +182,7 @@ impl Arena {
         let cell = (5.6 / columns as f64, 4.4 / columns as f64);
         let paths = (0..setting.objects)
             .map(|index| {
-                let flying = index % 3 == 2;
+                let flying = index % 3 == 2 && !setting.ground;
                 let still = setting.still > 0 && index % setting.still == 0;
                 let center_m = Vector3::new(
                     -2.8 + cell.0 * ((index % columns) as f64 + 0.5),

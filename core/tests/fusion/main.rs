@@ -4,6 +4,7 @@ mod arena;
 mod clock;
 mod consistency;
 mod fault;
+mod ground;
 mod heading;
 mod life;
 mod normal;

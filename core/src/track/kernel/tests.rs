@@ -112,7 +112,7 @@ proptest! {
         clocks_s in prop::sample::select(vec![[0.0; CAMERAS], [0.02, 0.002, 0.005]]),
     ) {
         let first = Noise { timing_s: clocks_s[0], ..noise(0.001, 0.02, &steps[0].2, share) };
-        let mut kernel = Kernel::begin(&first, CameraId(0), 9.0);
+        let mut kernel = Kernel::begin(&first, CameraId(0), &Vector3::repeat(9.0));
         let mut value = Vector3::zeros();
         let mut plain = Plain::begin(&first, 0, 9.0, &clocks_s);
         for (camera, timing_s) in clocks_s.iter().enumerate() {
@@ -151,7 +151,7 @@ proptest! {
         share in 0.0..1.0f64,
     ) {
         let first = noise(1.0, 1.0, &Vector3::z(), share);
-        let mut kernel = Kernel::begin(&first, CameraId(0), 9.0);
+        let mut kernel = Kernel::begin(&first, CameraId(0), &Vector3::repeat(9.0));
         for ((camera, dt, direction, seen), across, along) in &steps {
             let timing_s = if *camera == 1 { 0.05 } else { 0.0 };
             let noise = noise(10f64.powf(*across), 10f64.powf(*along), direction, share);
@@ -168,7 +168,7 @@ proptest! {
 #[test]
 fn one_camera_never_averages_its_systematic_error_away() {
     let seen = noise(0.001, 0.001, &Vector3::z(), 0.5);
-    let mut kernel = Kernel::begin(&seen, CameraId(0), 9.0);
+    let mut kernel = Kernel::begin(&seen, CameraId(0), &Vector3::repeat(9.0));
     let still = Vector3::repeat(1e-12);
     for _ in 0..1000 {
         kernel.predict(0.01, &still, 1e6);
@@ -188,7 +188,7 @@ fn one_camera_never_averages_its_systematic_error_away() {
 #[test]
 fn the_camera_heard_of_longest_ago_gives_way() {
     let seen = noise(0.001, 0.001, &Vector3::z(), 0.5);
-    let mut kernel = Kernel::begin(&seen, CameraId(0), 9.0);
+    let mut kernel = Kernel::begin(&seen, CameraId(0), &Vector3::repeat(9.0));
     for camera in 1..=MAX_SOURCES as u32 {
         kernel.predict(0.01, &Vector3::repeat(0.2), 1.0);
         kernel.update(&Vector3::zeros(), &seen, CameraId(camera), 16.3);
