@@ -121,9 +121,14 @@ impl Locator {
                 tracked.iter().map(|one| Ok((kind_of(&self.kinds, one.ring.kind)?, &one.ring)));
             locate_each(&self.camera, rings, &self.noise, &mut poses);
             located.extend(tracked.iter().zip(&mut poses).map(|(one, pose)| {
-                let pose = std::mem::replace(pose, Err(PoseError::NoCircle))?;
-                self.follow(frame, one, pose)
+                let pose = std::mem::replace(pose, Err(PoseError::NoCircle));
+                pose.map(|pose| Located::by_rims(&one.ring, pose))
             }));
+        }
+        for (tracked, located) in tracked.iter().zip(located) {
+            if let Ok(located) = located {
+                self.follow(frame, tracked, located);
+            }
         }
     }
 
@@ -131,34 +136,8 @@ impl Locator {
     pub fn locate(&mut self, frame: &Frame, tracked: &TrackedRing) -> Result<Located, PoseError> {
         let kind = kind_of(&self.kinds, tracked.ring.kind)?;
         let pose = locate(&self.camera, kind, &tracked.ring, &self.noise)?;
-        self.follow(frame, tracked, pose)
-    }
-
-    /// From the rims' pose to the mode's.
-    fn follow(
-        &mut self,
-        frame: &Frame,
-        tracked: &TrackedRing,
-        pose: RoundelPose,
-    ) -> Result<Located, PoseError> {
-        let kind = kind_of(&self.kinds, tracked.ring.kind)?;
-        self.calls += 1;
-        let place = self.warm.binary_search_by_key(&tracked.track, |warm| warm.track);
-        let before = place.ok().map(|index| self.warm[index]);
-        let with = (&self.camera, kind, self.mode);
-        let located = locate_from(with, frame, &tracked.ring, pose, before, &mut self.scratch);
-        if let Some(image) = located.image {
-            let warm = Warm {
-                track: tracked.track,
-                call: self.calls,
-                normal: located.pose.normal,
-                blur_px: image.blur_px,
-            };
-            match place {
-                Ok(index) => self.warm[index] = warm,
-                Err(index) => self.remember(index, warm),
-            }
-        }
+        let mut located = Located::by_rims(&tracked.ring, pose);
+        self.follow(frame, tracked, &mut located);
         Ok(located)
     }
 
@@ -171,8 +150,32 @@ impl Locator {
         ring: &Ring,
     ) -> Result<Located, PoseError> {
         let pose = locate(&self.camera, kind, ring, &self.noise)?;
+        let mut located = Located::by_rims(ring, pose);
         let with = (&self.camera, kind, self.mode);
-        Ok(locate_from(with, frame, ring, pose, None, &mut self.scratch))
+        located.improve(with, frame, None, &mut self.scratch);
+        Ok(located)
+    }
+
+    /// From a followed ring's rims to what its mode makes of it.
+    fn follow(&mut self, frame: &Frame, tracked: &TrackedRing, located: &mut Located) {
+        let Ok(kind) = kind_of(&self.kinds, tracked.ring.kind) else { return };
+        self.calls += 1;
+        let place = self.warm.binary_search_by_key(&tracked.track, |warm| warm.track);
+        let before = place.ok().map(|index| self.warm[index]);
+        let with = (&self.camera, kind, self.mode);
+        located.improve(with, frame, before, &mut self.scratch);
+        if let Some(image) = located.image {
+            let warm = Warm {
+                track: tracked.track,
+                call: self.calls,
+                normal: located.pose.normal,
+                blur_px: image.blur_px,
+            };
+            match place {
+                Ok(index) => self.warm[index] = warm,
+                Err(index) => self.remember(index, warm),
+            }
+        }
     }
 
     /// Keeps a new track, at its place in the order of numbers, and never more than there is room for:
@@ -190,32 +193,35 @@ fn kind_of(kinds: &[Kind], id: Option<KindId>) -> Result<&Kind, PoseError> {
     id.and_then(|id| kinds.get(usize::from(id.0))).ok_or(PoseError::UnknownKind)
 }
 
-/// A ring located from its rims' pose.
-fn locate_from(
-    (camera, kind, mode): (&Camera, &Kind, Mode),
-    frame: &Frame,
-    ring: &Ring,
-    pose: RoundelPose,
-    before: Option<Warm>,
-    scratch: &mut FitScratch,
-) -> Located {
-    let mut located = match mode {
-        Mode::Fast => None,
-        Mode::Precise => {
-            let start = start(&pose, before);
-            photometry::fit(frame, camera, kind, ring, &start, scratch).ok().map(|fit| Located {
-                ring: fit.ring,
-                pose: fit.pose,
-                by: Mode::Precise,
-                image: Some(ImageQuality { blur_px: fit.blur_px, noise: fit.noise }),
-            })
+impl Located {
+    fn by_rims(ring: &Ring, pose: RoundelPose) -> Self {
+        Self { ring: *ring, pose, by: Mode::Fast, image: None }
+    }
+
+    /// From the rims' pose to the mode's, and to the yaw that a code tells.
+    fn improve(
+        &mut self,
+        (camera, kind, mode): (&Camera, &Kind, Mode),
+        frame: &Frame,
+        before: Option<Warm>,
+        scratch: &mut FitScratch,
+    ) {
+        let code = self.ring.code;
+        if mode == Mode::Precise {
+            let start = start(&self.pose, before);
+            if let Ok(fit) = photometry::fit(frame, camera, kind, &self.ring, &start, scratch) {
+                *self = Self {
+                    ring: fit.ring,
+                    pose: fit.pose,
+                    by: Mode::Precise,
+                    image: Some(ImageQuality { blur_px: fit.blur_px, noise: fit.noise }),
+                };
+            }
+        }
+        if let Some(reading) = &code {
+            yaw::add(&mut self.pose, camera, reading);
         }
     }
-    .unwrap_or(Located { ring: *ring, pose, by: Mode::Fast, image: None });
-    if let Some(reading) = &ring.code {
-        yaw::add(&mut located.pose, camera, reading);
-    }
-    located
 }
 
 /// Where a fit starts: of the rims' normals, from the one that the frame before says.
