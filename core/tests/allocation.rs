@@ -63,6 +63,43 @@ fn a_warm_tracker_allocates_nothing() {
 }
 
 #[test]
+fn what_turns_up_late_allocates_nothing() {
+    let roundel = |at, axes, ratio| Roundel {
+        outer: ellipse(at, axes, 0.3),
+        ratio,
+        margin: 1.1,
+        black: 40.0,
+        white: 200.0,
+    };
+    let drawn = |late: &[Roundel], stripes: bool| {
+        let mut drawing = Drawing::new(SIDE, SIDE, 90.0, 0.7);
+        if stripes {
+            drawing.stripe(|u, v| if v >= 260 && u % 8 < 4 { 100.0 } else { 0.0 });
+        }
+        drawing.add(&roundel((24.0, 24.0), (9.0, 8.0), 0.5), 90.0);
+        late.iter().for_each(|late| drawing.add(late, 90.0));
+        drawing.picture(2.0, 1)
+    };
+    let first = drawn(&[], false);
+    // Larger than any before, its black thinner, and rows with more edges.
+    let large = drawn(&[roundel((155.0, 150.0), (104.0, 90.0), 0.5)], false);
+    let thin = drawn(&[roundel((150.0, 150.0), (13.0, 13.0), 0.78)], true);
+    let params = Params { search_frames: 4, ..Params::default() };
+    let detector = Detector::new(Vec::new(), params).unwrap();
+    let mut tracker = Tracker::new(detector);
+    assert_eq!(tracker.process(&frame(&first, SIDE)).len(), 1);
+    let spent = allocation_counter::measure(|| {
+        for picture in [&large, &thin] {
+            for _ in 0..4 {
+                tracker.process(&frame(picture, SIDE));
+            }
+            assert_eq!(tracker.process(&frame(picture, SIDE)).len(), 2);
+        }
+    });
+    assert_eq!(spent.count_total, 0);
+}
+
+#[test]
 fn a_warm_tracker_of_coded_roundels_allocates_nothing() {
     let layout = CodeLayout { bits: 8, min_distance: 2 };
     let teeth = layout.codes().unwrap().teeth(9).unwrap();

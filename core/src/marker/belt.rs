@@ -26,7 +26,7 @@ use fearless_simd::Simd;
 use fearless_simd_macros::simd;
 
 use crate::marker::{
-    patch::Patch,
+    patch::{PADDING_ROWS, Patch},
     spans::{Extent, Span},
 };
 
@@ -74,6 +74,12 @@ pub(crate) struct Belts<'a> {
 pub(crate) type BeltScratch = Vec<u64>;
 
 const PLANES: usize = 13;
+
+/// Words of the belts of a patch with so many words a row and so many rows; those about expected rims
+/// need fewer.
+pub(crate) fn most_words(words: usize, rows: usize) -> usize {
+    PLANES * (rows + PADDING_ROWS) * words
+}
 
 impl<'a> Belts<'a> {
     /// The sets of a disc and the ring round it.

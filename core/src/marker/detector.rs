@@ -40,9 +40,16 @@ pub struct Detector {
     pub(crate) level: Level,
 }
 
-/// Memory of detection, kept from frame to frame; nothing is allocated once it has grown.
+/// Rings of a frame that there is room for from the start, at most.
+pub(crate) const MOST_ROOM: usize = 1024;
+
+/// Memory of detection, kept from frame to frame. The first frame of a size takes room for whatever may
+/// turn up in any other, address space of about three frames; nothing is allocated from then on, and
+/// memory is used only as far as rings have filled it.
 #[derive(Debug, Default)]
 pub struct Scratch {
+    /// Width and height of the frames that there is room for.
+    size: (usize, usize),
     pub(crate) measure: MeasureScratch,
     pub(crate) search: SearchScratch,
     pub(crate) found: Vec<Ring>,
@@ -51,6 +58,20 @@ pub struct Scratch {
 }
 
 impl Scratch {
+    /// Room for what a frame can show: rings as large as itself, and an edge at each pixel of a row.
+    pub(crate) fn make_room(&mut self, frame: &Frame, max_roundels: usize) {
+        let size = (frame.width(), frame.height());
+        if self.size == size {
+            return;
+        }
+        self.size = size;
+        self.measure.make_room(size);
+        self.search.make_room(size.0);
+        let most = max_roundels.min(MOST_ROOM);
+        make_room(&mut self.found, most);
+        make_room(&mut self.claims, most);
+    }
+
     /// Candidates of the newest frame that died, by stage.
     pub fn rejects(&self) -> &RejectCounts {
         &self.rejects.counts
@@ -66,6 +87,11 @@ impl Scratch {
     pub fn rejected(&self) -> &[Rejected] {
         self.rejects.list.as_deref().unwrap_or_default()
     }
+}
+
+/// Makes room for so many items in all.
+pub(crate) fn make_room<T>(items: &mut Vec<T>, most: usize) {
+    items.reserve_exact(most.saturating_sub(items.len()));
 }
 
 impl Detector {

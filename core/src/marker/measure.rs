@@ -37,8 +37,9 @@ use crate::{
     frame::Frame,
     marker::{
         Ring,
-        belt::{BELT_PX, BeltScratch, Belts, THIN_PX, WIDE_PX, pixels_in},
+        belt::{self, BELT_PX, BeltScratch, Belts, THIN_PX, WIDE_PX, pixels_in},
         blur::{Cuts, Taken, Unblurred, Weighed, unblur},
+        detector::make_room,
         elliptical,
         examine::{Counted, Probe, Rules, check_boxes, check_levels, check_shapes},
         follow::{Expected, Followed, belts_about, motion},
@@ -86,6 +87,17 @@ impl Default for MeasureScratch {
             belts: BeltScratch::new(),
             depths: Depths::default(),
         }
+    }
+}
+
+impl MeasureScratch {
+    /// Room for rings as large as frames of this size.
+    pub fn make_room(&mut self, (width, height): (usize, usize)) {
+        let words = width.div_ceil(WORD_PX);
+        self.patch.make_room(words, height);
+        self.spans.make_room(height);
+        make_room(&mut self.belts, belt::most_words(words, height));
+        self.depths.make_room(width, height);
     }
 }
 

@@ -12,7 +12,11 @@
 use fearless_simd::{Simd, prelude::*, u8x64};
 use fearless_simd_macros::simd;
 
-use crate::{frame::Frame, marker::kind::Polarity, segment::Window};
+use crate::{
+    frame::Frame,
+    marker::{detector::make_room, kind::Polarity},
+    segment::Window,
+};
 
 /// Columns of a word.
 pub(crate) const WORD_PX: usize = 64;
@@ -36,6 +40,13 @@ pub(crate) struct Patch {
 }
 
 impl Patch {
+    /// Room for so many words a row and so many rows.
+    pub fn make_room(&mut self, words: usize, rows: usize) {
+        make_room(&mut self.grey, words * rows);
+        make_room(&mut self.white, words * (rows + PADDING_ROWS));
+        make_room(&mut self.black, words * rows);
+    }
+
     /// Rows.
     pub fn rows(&self) -> usize {
         self.window.height()

@@ -9,7 +9,7 @@
 //! A row of edges costs a few instructions for each 64 pixels ([`crate::marker::edge`]), and a few
 //! for each edge; grey levels are looked at only where the widths agree.
 
-use crate::marker::{chord::Evenness, edge::RowEdges, kind::Polarity};
+use crate::marker::{chord::Evenness, detector::make_room, edge::RowEdges, kind::Polarity};
 
 /// Least steps of the edges that are looked at together, in least steps of all. Waves are up to a fifth
 /// of the contrast and edges at least half of it, so one of these lies between them.
@@ -70,6 +70,18 @@ pub(crate) struct HitScratch {
     stronger: Vec<[Black; 2]>,
     /// The hits of the newest row.
     pub hits: Vec<Hit>,
+}
+
+impl HitScratch {
+    /// Room for a row of so many pixels with an edge at each, half of them falls.
+    pub fn make_room(&mut self, width: usize) {
+        make_room(&mut self.edges, width);
+        make_room(&mut self.strong, width);
+        make_room(&mut self.blacks, width);
+        make_room(&mut self.rings, width);
+        make_room(&mut self.stronger, width);
+        make_room(&mut self.hits, LEAST_STEPS.len() * width / 2);
+    }
 }
 
 /// All hits of a row, those of strong edges first. Of white rings, rises and

@@ -56,6 +56,13 @@ pub(crate) struct SearchScratch {
     claimed: ClaimedPixels,
 }
 
+impl SearchScratch {
+    /// Room for rows of frames of this width. The rest has it from the first search of a whole frame on.
+    pub fn make_room(&mut self, width: usize) {
+        self.hits.make_room(width);
+    }
+}
+
 impl SearchRules {
     pub fn new(kinds: &[Kind], rules: &Rules, contrast: u8) -> Self {
         let coded = kinds.iter().any(|kind| matches!(kind.pattern, Pattern::Coded(_)));
@@ -101,6 +108,7 @@ impl Detector {
     /// Appends to `found` the rings whose disc crosses `window` and that no claim covers, and claims
     /// them, until there are `most` of them.
     pub(crate) fn search(&self, frame: &Frame, window: Window, most: usize, scratch: &mut Scratch) {
+        scratch.make_room(frame, self.params().max_roundels);
         let mut memory = std::mem::take(&mut scratch.search);
         let SearchScratch { row, hits, claimed } = &mut memory;
         claimed.clear(window);

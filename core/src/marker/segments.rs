@@ -9,6 +9,7 @@ use fearless_simd_macros::simd;
 use crate::{
     frame::Frame,
     marker::{
+        detector::make_room,
         examine::{Counted, Rules, check_counts},
         patch::Patch,
         reject::Reject,
@@ -21,6 +22,14 @@ use crate::{
 pub(crate) struct Spans {
     pub discs: Vec<Span>,
     pub rings: Vec<Span>,
+}
+
+impl Spans {
+    /// Room for so many rows.
+    pub fn make_room(&mut self, rows: usize) {
+        make_room(&mut self.discs, rows);
+        make_room(&mut self.rings, rows);
+    }
 }
 
 /// Where both segments lie, and how many pixels they have.

@@ -10,7 +10,7 @@
 use fearless_simd::Simd;
 use fearless_simd_macros::simd;
 
-use crate::marker::{blur::Weighed, patch::WORD_PX};
+use crate::marker::{blur::Weighed, detector::make_room, patch::WORD_PX};
 
 /// h: how far from the middle pixels count, pixels.
 const HALF_WIDTH_PX: f32 = 1.0;
@@ -19,6 +19,9 @@ const MOST_MIXED: f64 = 0.4;
 
 /// Pixels that are looked at together.
 const LANES: usize = 16;
+
+/// Black pixels of a thin ring across its rim, at most.
+const MOST_ACROSS: usize = 8;
 
 /// Pixels of the black.
 #[derive(Clone, Copy, Debug, Default)]
@@ -37,6 +40,11 @@ pub(crate) struct Depths {
 }
 
 impl Depths {
+    /// Room for the largest thin ring of a frame.
+    pub fn make_room(&mut self, width: usize, height: usize) {
+        make_room(&mut self.depths, 2 * (width + height) * MOST_ACROSS / LANES);
+    }
+
     /// Those of the whole roundel that are not the white disc, in rows of the frame, the first of them
     /// `first.1`, its columns from `first.0` on.
     #[simd]

@@ -16,7 +16,7 @@ use crate::{
         Ring, TrackedRing,
         claim::Claim,
         code::Vote,
-        detector::{Detector, Scratch},
+        detector::{Detector, MOST_ROOM, Scratch},
         edge::ROW_STEP,
         examine::Probe,
         follow::Expected,
@@ -41,8 +41,6 @@ const NEAR_SHARE: f64 = 1.3;
 const NEAR_PX: f64 = 5.0;
 /// Share of a frame's measured motion in the velocity; the rest is the velocity known.
 const VELOCITY_GAIN: f64 = 0.7;
-/// Most tracks that there is room for from the start.
-const MOST_ROOM: usize = 1024;
 
 /// Follows all roundels of one camera.
 #[derive(Debug)]
