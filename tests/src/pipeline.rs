@@ -11,12 +11,12 @@ use roundel_core::{
     pose::{Detection, Located, Locator, PoseError},
     rigid::{self, Covariance6},
     time::Timestamp,
-    world::{self, CameraPlacement, FrameObservations, Fusion, FusionParams},
+    world::{self, CameraPlacement, ClockPrior, FrameObservations, Fusion, FusionParams},
 };
 use roundel_proto::v1;
 
 use crate::{
-    arena::{self, Arena},
+    arena::{self, Arena, SiteClock},
     optics::{Distortion, Pinhole},
     render::Image,
 };
@@ -98,13 +98,19 @@ impl Observer {
     }
 }
 
-/// Fusion of an arena's cameras, whose places are exactly known.
+/// What a server believes of clocks that it was told nothing of.
+const UNSET_CLOCK: ClockPrior = ClockPrior { offset_s: 0.05, skew: 1e-4 };
+
+/// Fusion of an arena's cameras, whose places are exactly known; of clocks that are not right it is told so.
 pub fn fusion(arena: &Arena, params: FusionParams) -> Fusion {
     let mut fusion = Fusion::new(params);
     for (index, site) in arena.sites.iter().enumerate() {
         let world_from_camera = site.world_from_camera;
         let placement = CameraPlacement { world_from_camera, covariance: Covariance6::zeros() };
         fusion.set_camera(CameraId(index as u32), Some(placement));
+        if site.clock != SiteClock::default() {
+            fusion.set_clock(CameraId(index as u32), UNSET_CLOCK);
+        }
     }
     fusion
 }

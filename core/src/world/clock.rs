@@ -58,8 +58,9 @@ const ROBUST_DISTANCE_SQUARED: f64 = 9.0;
 const OFFSET_WALK: f64 = 1e-12;
 const SKEW_WALK: f64 = 2.5e-15;
 const LATENCY_WALK: f64 = 4e-10;
-/// Latency before anything was seen, seconds, and its deviation.
-const LATENCY: (f64, f64) = (0.03, 0.1);
+/// Latency before anything was seen, seconds, and its deviation: so wide that receiving times tell skews,
+/// not offsets.
+const LATENCY: (f64, f64) = (0.03, 1.0);
 /// The receiving times' jitter is this at least, seconds.
 const LEAST_JITTER_S: f64 = 1e-3;
 /// Stamp less receiving time has stepped if it is so many deviations away from what was expected.

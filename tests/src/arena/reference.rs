@@ -119,6 +119,10 @@ impl Arena {
             let ahead_s = random.uniform(-AHEAD_S, AHEAD_S);
             site.clock = SiteClock { ahead_s, skew: random.uniform(-SKEW, SKEW) };
         }
+        // What is seen tells differences only: the mean of all clocks is the time.
+        let count = self.sites.len() as f64;
+        let mean_s = self.sites.iter().map(|site| site.clock.ahead_s).sum::<f64>() / count;
+        self.sites.iter_mut().for_each(|site| site.clock.ahead_s -= mean_s);
         self
     }
 
