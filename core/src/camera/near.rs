@@ -20,8 +20,8 @@ use crate::lanes::{Lane, Mask, Mat2, Vec2, Vec3};
 const MAX_TURNS: usize = 12;
 /// What a point may be off, as a share of the points' distance from the middle.
 const TOLERANCE: f64 = 1e-9;
-/// Angles from the middle, radians, up to which the series of sine and cosine are exact to 1e-11.
-const SERIES_RAD: f64 = 0.5;
+/// Angles from the middle, radians, beyond which each pixel is solved for itself.
+const MOST_RAD: f64 = 0.5;
 
 /// Rays near one, structure of arrays: (x, y, 1) for planar models, unit vectors for `equidistant`.
 #[derive(Clone, Copy, Debug)]
@@ -143,7 +143,7 @@ impl Camera {
         }
     }
 
-    /// As [`Self::planar_near`]; also where the series do not reach it has not settled.
+    /// As [`Self::planar_near`]; what lies too far from the middle has not settled.
     #[inline(always)]
     fn equidistant_near<T: Lane, const N: usize>(
         &self,
@@ -173,7 +173,7 @@ impl Camera {
         }
         let mut settled = settles(
             size,
-            size.at_most(zero.splat(SERIES_RAD)),
+            size.at_most(zero.splat(MOST_RAD)),
             #[inline(always)]
             |open| {
                 let mut most = zero;
@@ -192,7 +192,7 @@ impl Camera {
         // At the very axis the image is the ray's own scale.
         let axis = zero.splat(1e-12);
         for i in 0..N {
-            let (sin_of, cos_of) = small_sin_cos(turned[i]);
+            let (sin_of, cos_of) = turned[i].sine_and_cosine();
             let across = sin * cos_of + cos * sin_of;
             let scale = T::choose(axis.below(radius[i]), across / radius[i], one);
             x[i] = x[i] * scale;
@@ -289,22 +289,6 @@ fn settles<T: Lane>(size: T, open: T::Mask, mut turn: impl FnMut(T::Mask) -> T) 
         before = step;
     }
     settled
-}
-
-/// Sine and cosine of an angle of up to [`SERIES_RAD`].
-#[inline(always)]
-fn small_sin_cos<T: Lane>(angle: T) -> (T, T) {
-    let s = angle * angle;
-    let mut sin = s * (-1.0 / 72.0) + 1.0;
-    sin = sin * s * (-1.0 / 42.0) + 1.0;
-    sin = sin * s * (-1.0 / 20.0) + 1.0;
-    sin = sin * s * (-1.0 / 6.0) + 1.0;
-    let mut cos = s * (-1.0 / 90.0) + 1.0;
-    cos = cos * s * (-1.0 / 56.0) + 1.0;
-    cos = cos * s * (-1.0 / 30.0) + 1.0;
-    cos = cos * s * (-1.0 / 12.0) + 1.0;
-    cos = cos * s * (-1.0 / 2.0) + 1.0;
-    (angle * sin, cos)
 }
 
 #[cfg(test)]

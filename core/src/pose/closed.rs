@@ -7,7 +7,7 @@
 //! faces the camera (`upright`), if a second step is needed or if one circle is none (`refine`). Its result is
 //! that of [`locate`] to the last bit (`locator::tests::rings_side_by_side_are_each_as_alone`).
 //!
-//! PERF: a ring of 30 px alone 0.57 µs, one of eight 0.12 µs with AVX-512 (`--bench pose`).
+//! PERF: with AVX-512, one of 64 rings of 30 px takes a fifth of one alone (`--bench pose` prints both).
 
 use fearless_simd::{Level, Simd, SimdFrom, dispatch, f64x8};
 use fearless_simd_macros::simd;
@@ -17,7 +17,7 @@ use super::{
     PoseError, RoundelPose,
     cone::Circle,
     refine::{self, Estimate, Estimates},
-    rim::{self, Carried, Rim, RingSeen},
+    rim::{self, Carried, Rim, RingFound, RingSeen},
     upright,
 };
 use crate::{
@@ -45,34 +45,34 @@ pub struct Numbers<T> {
 }
 
 /// Of one ring.
-pub fn locate(camera: &Camera, seen: &RingSeen<f64>) -> Result<RoundelPose, PoseError> {
-    dispatch!(Level::new(), simd => locate_with(simd, camera, seen))
+pub fn locate(camera: &Camera, found: &RingFound) -> Result<RoundelPose, PoseError> {
+    dispatch!(Level::new(), simd => locate_with(simd, camera, found))
 }
 
 #[simd]
 fn locate_with<S: Simd>(
     simd: S,
     camera: &Camera,
-    seen: &RingSeen<f64>,
+    found: &RingFound,
 ) -> Result<RoundelPose, PoseError> {
     let _ = simd;
-    fit(&rim::carry(camera, seen)?)
+    fit(&rim::carry(camera, &found.seen())?)
 }
 
 /// Of each ring there is, as [`locate`] gives it; other places keep what they have.
 pub fn locate_each(
     camera: &Camera,
-    seen: &[Option<RingSeen<f64>>; LANES],
+    found: &[Option<RingFound>; LANES],
     poses: &mut [Result<RoundelPose, PoseError>; LANES],
 ) {
-    let mut rings = seen.iter().enumerate().filter_map(|(place, seen)| Some((place, (*seen)?)));
+    let mut rings = found.iter().enumerate().filter_map(|(place, one)| Some((place, (*one)?)));
     match (rings.next(), rings.next()) {
         (None, _) => {}
         // Eight take longer than one, and not as long as two.
         (Some((place, one)), None) => poses[place] = locate(camera, &one),
         (Some((_, one)), Some(_)) => {
-            let all = seen.map(|seen| seen.unwrap_or(one));
-            let wanted = seen.map(|seen| seen.is_some());
+            let all = found.map(|ring| ring.unwrap_or(one));
+            let wanted = found.map(|ring| ring.is_some());
             dispatch!(Level::new(), simd => {
                 locate_each_with(simd, camera, &all, &wanted, poses)
             });
@@ -84,12 +84,12 @@ pub fn locate_each(
 fn locate_each_with<S: Simd>(
     simd: S,
     camera: &Camera,
-    seen: &[RingSeen<f64>; LANES],
+    found: &[RingFound; LANES],
     wanted: &[bool; LANES],
     poses: &mut [Result<RoundelPose, PoseError>; LANES],
 ) {
-    let all = RingSeen::gather(f64x8::simd_from(simd, 0.0), seen);
-    let carried = rim::flat_closed(camera, &all.rims).carry(&all);
+    let seen = RingSeen::gather(f64x8::simd_from(simd, 0.0), found);
+    let carried = rim::flat_closed(camera, &seen.rims).carry(&seen);
     let (circles, is_circle) = Circle::both(&carried.rims[0]);
     let is_upright = upright::is_needed(&circles[0], &carried.rims);
     let (estimates, once) = refine::refine_once(&circles, &carried.rims);
@@ -101,7 +101,7 @@ fn locate_each_with<S: Simd>(
         } else if carried.known.is_set(lane) {
             fit_alone(&carried.lane(lane))
         } else {
-            locate(camera, &seen[lane])
+            locate(camera, &found[lane])
         };
     }
 }
@@ -263,13 +263,13 @@ mod tests {
         ] {
             let camera = camera(lens);
             let rings = rings();
-            let seen = rings.map(|ring| pose::seen(&kind, &ring, &noise).unwrap().unwrap());
+            let found = rings.map(|ring| pose::found(&kind, &ring, &noise).unwrap().unwrap());
             let alone = rings.map(|ring| pose::locate(&camera, &kind, &ring, &noise));
             assert!(alone.iter().all(|pose| pose.is_ok()));
             for level in [Level::new(), Level::baseline()] {
                 let mut poses = [const { Err(PoseError::NoCircle) }; LANES];
                 dispatch!(level, simd => {
-                    locate_each_with(simd, &camera, &seen, &[true; LANES], &mut poses)
+                    locate_each_with(simd, &camera, &found, &[true; LANES], &mut poses)
                 });
                 assert_eq!(poses, alone, "{level:?}");
             }

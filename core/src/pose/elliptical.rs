@@ -25,7 +25,7 @@ use nalgebra::{Matrix2, UnitQuaternion, Vector2, Vector3};
 
 use super::{
     PoseError, RimNoise, RingNoise, RoundelPose, closed,
-    rim::{self, RimSeen, RingSeen},
+    rim::{self, RimSeen, RingFound},
     yaw,
 };
 use crate::{
@@ -56,7 +56,7 @@ pub fn locate(
     // There the black is narrowest, too.
     let black_px = ring.outer.semi_minor_px * (1.0 - most);
     let noise = RingNoise { round_disc: false, ..noise.of_ring(ring, disc_px, black_px) };
-    let mut pose = closed::locate(camera, &RingSeen::of(&round, radii_m, noise))?;
+    let mut pose = closed::locate(camera, &RingFound::new(&round, radii_m, noise))?;
     let rays = DiscRays::new(camera, &ring.inner)
         .map_err(|source| PoseError::Lens { rim: "inner", source })?;
     let heading = rays.heading(&pose).ok_or(PoseError::NoCircle)?;

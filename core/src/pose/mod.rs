@@ -53,7 +53,7 @@ use crate::{
 pub use locator::{ImageQuality, Located, Locator};
 pub use noise::RimNoise;
 use noise::RingNoise;
-use rim::RingSeen;
+use rim::RingFound;
 
 /// Pose of a roundel in the camera frame.
 #[derive(Clone, Debug, PartialEq)]
@@ -160,8 +160,8 @@ pub fn locate(
     ring: &Ring,
     noise: &RimNoise,
 ) -> Result<RoundelPose, PoseError> {
-    match seen(kind, ring, noise)? {
-        Some(seen) => closed::locate(camera, &seen),
+    match found(kind, ring, noise)? {
+        Some(found) => closed::locate(camera, &found),
         None => elliptical::locate(camera, kind, ring, noise),
     }
 }
@@ -175,8 +175,8 @@ fn locate_each<'a>(
 ) {
     let mut round = [None; closed::LANES];
     for ((ring, round), pose) in rings.zip(&mut round).zip(&mut *poses) {
-        match ring.and_then(|(kind, ring)| Ok((seen(kind, ring, noise)?, kind, ring))) {
-            Ok((Some(seen), ..)) => *round = Some(seen),
+        match ring.and_then(|(kind, ring)| Ok((found(kind, ring, noise)?, kind, ring))) {
+            Ok((Some(found), ..)) => *round = Some(found),
             Ok((None, kind, ring)) => *pose = elliptical::locate(camera, kind, ring, noise),
             Err(error) => *pose = Err(error),
         }
@@ -185,7 +185,7 @@ fn locate_each<'a>(
 }
 
 /// What the closed form sees of a ring; `None` of one with an elliptical disc.
-fn seen(kind: &Kind, ring: &Ring, noise: &RimNoise) -> Result<Option<RingSeen<f64>>, PoseError> {
+fn found(kind: &Kind, ring: &Ring, noise: &RimNoise) -> Result<Option<RingFound>, PoseError> {
     check(kind, ring, noise)?;
     if let Pattern::Elliptical { .. } = kind.pattern {
         return Ok(None);
@@ -193,7 +193,7 @@ fn seen(kind: &Kind, ring: &Ring, noise: &RimNoise) -> Result<Option<RingSeen<f6
     let radii_m = [0.5 * kind.outer_diameter_m, 0.5 * kind.inner_diameter_m];
     let disc_px = ring.inner.semi_minor_px;
     let noise = noise.of_ring(ring, disc_px, ring.outer.semi_minor_px - disc_px);
-    Ok(Some(RingSeen::of(ring, radii_m, noise)))
+    Ok(Some(RingFound::new(ring, radii_m, noise)))
 }
 
 /// Rows of a right-handed frame whose z lies along `axis`, of any length.

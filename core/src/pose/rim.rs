@@ -22,6 +22,8 @@
 //! D = (c cᵀ - A Aᵀ, c; cᵀ, 1), the set of its tangents l, lᵀ D l = 0. It turns with the frame:
 //! D → R D Rᵀ.
 
+use std::f64::consts::{FRAC_PI_2, PI};
+
 use super::{PoseError, RingNoise, bend::Bend};
 use crate::{
     camera::{Camera, LensError, NearRays},
@@ -112,73 +114,79 @@ pub struct Flattened<T: Lane> {
     pub known: T::Mask,
 }
 
-impl RimSeen<f64> {
-    #[inline(always)]
-    pub fn of(ellipse: &Ellipse) -> Self {
-        let (sin, cos) = ellipse.angle_rad.sin_cos();
-        Self {
-            center: Vec2::new(ellipse.center.u, ellipse.center.v),
-            semi_major_px: ellipse.semi_major_px,
-            semi_minor_px: ellipse.semi_minor_px,
-            cos,
-            sin,
-        }
-    }
+/// A ring as found, and all else that its pose depends on.
+#[derive(Clone, Copy, Debug)]
+pub struct RingFound {
+    outer: Ellipse,
+    inner: Ellipse,
+    radii_m: [f64; 2],
+    noise: RingNoise<f64>,
 }
 
-impl RingSeen<f64> {
+impl RingFound {
+    pub fn new(ring: &Ring, radii_m: [f64; 2], noise: RingNoise<f64>) -> Self {
+        Self { outer: ring.outer, inner: ring.inner, radii_m, noise }
+    }
+
+    /// As seen, alone.
     #[inline(always)]
-    pub fn of(ring: &Ring, radii_m: [f64; 2], noise: RingNoise<f64>) -> Self {
-        Self { rims: [RimSeen::of(&ring.outer), RimSeen::of(&ring.inner)], radii_m, noise }
+    pub fn seen(&self) -> RingSeen<f64> {
+        RingSeen::gather(0.0, std::slice::from_ref(self))
     }
 }
 
 impl<T: Lane> RingSeen<T> {
-    /// Rings side by side, all with round discs or none.
+    /// Rings side by side, as many as `like` has lanes, all with round discs or none.
     #[inline(always)]
-    pub fn gather(like: T, rings: &[RingSeen<f64>]) -> Self {
-        let [u, v, a, b, cos, sin, u1, v1, a1, b1, cos1, sin1, r, r1, edge_px, floor_px, uneven_px] =
-            like.each(
-                #[inline(always)]
-                |lane| {
-                    let RingSeen { rims: [one, other], radii_m, noise } = &rings[lane];
-                    [
-                        one.center.x,
-                        one.center.y,
-                        one.semi_major_px,
-                        one.semi_minor_px,
-                        one.cos,
-                        one.sin,
-                        other.center.x,
-                        other.center.y,
-                        other.semi_major_px,
-                        other.semi_minor_px,
-                        other.cos,
-                        other.sin,
-                        radii_m[0],
-                        radii_m[1],
-                        noise.edge_px,
-                        noise.floor_px,
-                        noise.uneven_px,
-                    ]
-                },
-            );
-        let outer =
-            RimSeen { center: Vec2::new(u, v), semi_major_px: a, semi_minor_px: b, cos, sin };
-        let inner = RimSeen {
-            center: Vec2::new(u1, v1),
-            semi_major_px: a1,
-            semi_minor_px: b1,
-            cos: cos1,
-            sin: sin1,
-        };
+    pub fn gather(like: T, rings: &[RingFound]) -> Self {
+        let [outer_m, inner_m, edge_px, floor_px, uneven_px] = like.each(
+            #[inline(always)]
+            |lane| {
+                let RingFound { radii_m, noise, .. } = &rings[lane];
+                [radii_m[0], radii_m[1], noise.edge_px, noise.floor_px, noise.uneven_px]
+            },
+        );
+        let outer = RimSeen::of_numbers(like.each(
+            #[inline(always)]
+            |lane| numbers(&rings[lane].outer),
+        ));
+        let inner = RimSeen::of_numbers(like.each(
+            #[inline(always)]
+            |lane| numbers(&rings[lane].inner),
+        ));
         let round_disc = rings[0].noise.round_disc;
         let noise = RingNoise { edge_px, floor_px, uneven_px, round_disc };
-        Self { rims: [outer, inner], radii_m: [r, r1], noise }
+        Self { rims: [outer, inner], radii_m: [outer_m, inner_m], noise }
+    }
+}
+
+/// Centre, semiaxes, and angle in [-π/2, π/2].
+#[inline(always)]
+fn numbers(ellipse: &Ellipse) -> [f64; 5] {
+    let Ellipse { center, semi_major_px, semi_minor_px, angle_rad } = *ellipse;
+    // A turn by π leaves an ellipse as it is.
+    let angle_rad = if angle_rad.abs() > FRAC_PI_2 {
+        angle_rad - PI * (angle_rad / PI).round()
+    } else {
+        angle_rad
+    };
+    [center.u, center.v, semi_major_px, semi_minor_px, angle_rad]
+}
+
+impl RimSeen<f64> {
+    #[inline(always)]
+    pub fn of(ellipse: &Ellipse) -> Self {
+        Self::of_numbers(numbers(ellipse))
     }
 }
 
 impl<T: Lane> RimSeen<T> {
+    #[inline(always)]
+    fn of_numbers([u, v, semi_major_px, semi_minor_px, angle_rad]: [T; 5]) -> Self {
+        let (sin, cos) = angle_rad.sine_and_cosine();
+        Self { center: Vec2::new(u, v), semi_major_px, semi_minor_px, cos, sin }
+    }
+
     /// As vectors in the image.
     #[inline(always)]
     pub fn semiaxes(&self) -> [Vec2<T>; 2] {

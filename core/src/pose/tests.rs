@@ -231,7 +231,8 @@ fn tally(radius_px: f64, tilts_rad: std::ops::Range<f64>, runs: usize, noise: &R
             let right = off(&reported.normal) <= off(&reported.other_normal);
             tally.wrong += usize::from(!right);
             tally.expected_wrong += 1.0 - reported.normal_likelihood;
-            let carried = rim::carry(&camera, &RingSeen::of(&found, radii_m, of_ring)).unwrap();
+            let carried =
+                rim::carry(&camera, &RingFound::new(&found, radii_m, of_ring).seen()).unwrap();
             let Estimates { first, other, .. } = closed::estimate(&carried.rims).unwrap();
             let alone = Estimates::alone(if right { first } else { other });
             closed::finish(&carried.local_from_camera, &alone).pose(0)
