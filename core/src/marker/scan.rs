@@ -38,6 +38,8 @@ pub(crate) struct HitRules {
     pub evenness: Evenness,
     /// Least chord of the ring, pixels.
     pub least_px: f64,
+    /// Chords of the ring that are left to other rows, from and to, pixels.
+    pub left_out_px: (f64, f64),
     /// Least difference of white and black.
     pub contrast: u8,
     /// Least step of the edges.
@@ -166,7 +168,9 @@ fn is_even([left, right]: &[Black; 2], rules: &HitRules) -> bool {
     let width = |from: i32, to: i32| 0.5 * f64::from(to - from);
     let total_px = width(left.fall, right.rise);
     let (a, b) = (width(left.fall, left.rise), width(left.rise, right.fall));
-    (total_px >= rules.least_px) & rules.evenness.allows(a, b, width(right.fall, right.rise))
+    (total_px >= rules.least_px)
+        & ((total_px < rules.left_out_px.0) | (total_px > rules.left_out_px.1))
+        & rules.evenness.allows(a, b, width(right.fall, right.rise))
 }
 
 fn hit(
@@ -214,7 +218,13 @@ mod tests {
         let mut row = RowEdges::default();
         row.read(Level::new(), &frame, 0, &Window::of(&frame), 12);
         let evenness = Evenness::of_plain((0.2, 0.8));
-        let rules = HitRules { evenness, least_px: 6.0, contrast: 20, step: 12 };
+        let rules = HitRules {
+            evenness,
+            least_px: 6.0,
+            left_out_px: (f64::MAX, f64::MAX),
+            contrast: 20,
+            step: 12,
+        };
         let mut scratch = HitScratch::default();
         find_hits(&row, &rules, polarity, &mut scratch);
         scratch.hits

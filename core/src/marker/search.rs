@@ -3,6 +3,9 @@
 //!
 //! Each step costs more than the one before and leaves fewer: of the 2.8 million pixels of a cluttered
 //! photograph some ten thousand hits, of these some hundred candidates. `benches/search.rs` times it.
+//!
+//! A ring is crossed by the more rows the larger it is, and each of its hits costs the more. Every second
+//! pair of rows therefore leaves out what is crossed by enough others, however flat it lies.
 
 use crate::{
     camera::PixelPoint,
@@ -33,6 +36,12 @@ const SEARCH_DEPTH: u32 = 2;
 const STEP_SHARE: f64 = 0.6;
 /// Shortest chord of a ring that a row through its disc's middle half crosses, in shorter semiaxes.
 const LEAST_CHORD: f64 = 1.6;
+/// Every second pair of rows leaves out chords so long that at least so many others cross the disc of
+/// the flattest ring that has them: there are many, and each costs as much as it is long …
+const LEAST_PAIRS: f64 = 2.0;
+/// … but not those in which perspective makes the two sides differ by more than this share: of rings so
+/// large, only some rows show an even chord.
+const MOST_SIDE_SHARE: f64 = 0.25;
 /// A ring may reach this share, and so many pixels, beyond where its chords have it.
 const BEYOND: (f64, f64) = (1.25, 3.0);
 /// A coded roundel's white core, as a share of the disc between the teeth.
@@ -83,6 +92,7 @@ impl SearchRules {
             hit: HitRules {
                 evenness,
                 least_px: LEAST_CHORD * rules.min_semi_minor_px,
+                left_out_px: (f64::MAX, f64::MAX),
                 contrast,
                 step,
             },
@@ -102,6 +112,18 @@ impl SearchRules {
         self.cross.evenness = self.cross.evenness.seen_in(width);
         self
     }
+
+    /// What a hit of row `v` must look like. The disc of a ring with a chord of c pixels is at least
+    /// k·q·c high, with k the least ratio of diameters and q that of axes.
+    fn hit_in(&self, v: usize) -> HitRules {
+        if (v / ROW_STEP).is_multiple_of(2) {
+            return self.hit;
+        }
+        let Evenness { white, share_per_px, .. } = self.hit.evenness;
+        let height_share = 2.0 * white.0 * self.cross.min_axis_ratio;
+        let least_px = 2.0 * LEAST_PAIRS * ROW_STEP as f64 / height_share;
+        HitRules { left_out_px: (least_px, MOST_SIDE_SHARE / share_per_px), ..self.hit }
+    }
 }
 
 impl Detector {
@@ -120,7 +142,7 @@ impl Detector {
             }
             row.read(self.level, frame, v, &window, rules.step);
             for &polarity in &self.polarities {
-                find_hits(row, &rules.hit, polarity, hits);
+                find_hits(row, &rules.hit_in(v), polarity, hits);
                 for hit in &mut hits.hits {
                     hit.u += window.left;
                     if scratch.found.len() >= most || claimed.contains(hit.u, v) {
