@@ -10,7 +10,7 @@ use roundel_core::{
     pose::{Detection, RoundelPose},
     rigid::{Rigid, upper_triangle},
     time::Timestamp,
-    world::{self, FrameObservations, LifeStage, ObjectState},
+    world::{self, ClockEstimate, FrameObservations, LifeStage, ObjectState},
 };
 use roundel_proto::v1;
 
@@ -152,6 +152,15 @@ pub fn camera(installation: &Installation, id: CameraId, state: &CameraState) ->
         latency_ms: state.latency_ms,
         blur_px: state.blur_px,
         noise: state.noise,
+        clock: state.clock.as_ref().map(camera_clock),
+    }
+}
+
+fn camera_clock(clock: &ClockEstimate) -> v1::CameraClock {
+    v1::CameraClock {
+        offset_ms: clock.offset_s * 1e3,
+        skew_ppm: clock.skew * 1e6,
+        deviation_ms: clock.deviation_s * 1e3,
     }
 }
 
@@ -187,6 +196,9 @@ pub fn event(installation: &Installation, event: &Event) -> v1::Event {
         Happening::Object(id, kind) => (object_event_kind(kind), id.0, String::new()),
         Happening::Camera(id, status) => {
             (camera_event_kind(status), 0, installation.camera_name(id).to_owned())
+        }
+        Happening::ClockSet(id) => {
+            (v1::EventKind::CameraClockSet, 0, installation.camera_name(id).to_owned())
         }
     };
     v1::Event {

@@ -87,12 +87,30 @@ impl FusionTask {
         if let Some(placement) = sighted.placement {
             self.fusion.set_camera(camera, Some(placement));
         }
+        let steps = self.fusion.counts().clock_steps;
         self.fusion.observe(&sighted.observations);
+        if self.fusion.counts().clock_steps > steps {
+            self.tell_clock_set(camera);
+        }
         let latency_s = self.clock.now().seconds_since(sighted.observations.capture_time);
         let median = self.latency_ms.entry(camera).or_default();
         median.add(latency_s * 1e3);
         let latency_ms = median.value();
-        self.hub.update_camera(camera, |state| state.latency_ms = latency_ms);
+        let clock = self.fusion.clock(camera);
+        self.hub.update_camera(camera, |state| {
+            state.latency_ms = latency_ms;
+            state.clock = clock;
+        });
+    }
+
+    fn tell_clock_set(&self, camera: CameraId) {
+        let name = self.hub.installation().camera_name(camera);
+        let message = format!(
+            "The clock of camera {name} was set, or counts from another epoch: its times are brought to \
+             the server's, and what is left of the difference is found from what it sees."
+        );
+        tracing::warn!(camera = name, "{message}");
+        self.hub.publish_event(self.clock.now(), Happening::ClockSet(camera), message);
     }
 
     fn publish(&mut self, pose_time: Timestamp) {
@@ -225,6 +243,31 @@ mod tests {
         let messages: Vec<&str> = events.iter().map(|event| event.message.as_str()).collect();
         assert_eq!(messages, [format!("Object {} (robot one) has appeared.", object.id)]);
         assert!(hub.cameras()[0].latency_ms >= 0.0);
+    }
+
+    #[test]
+    fn a_clock_that_was_set_is_told() {
+        let clock = Clock::anchored_now();
+        let hub = hub(&clock);
+        let (sender, receiver) = sync_channel(QUEUE_FRAMES);
+        for frame in 1..=30 {
+            let received_time = clock.now().plus_seconds(frame as f64 * 0.03);
+            let set_s = if frame > 10 { 3600.0 } else { 0.0 };
+            let mut seen = sighted(frame, received_time.plus_seconds(set_s));
+            Arc::get_mut(&mut seen.observations).unwrap().received_time = received_time;
+            sender.send(seen).unwrap();
+        }
+        drop(sender);
+        let task =
+            FusionTask::new(Fusion::new(FusionParams::default()), hub.clone(), clock, receiver);
+        let stop = Stop::default();
+        stop.stop();
+        task.run(Duration::from_millis(10), &stop);
+        let (events, _) = hub.events(10);
+        let told: Vec<_> = events.iter().map(|event| event.happening).collect();
+        assert_eq!(told, [Happening::ClockSet(CameraId(0))]);
+        assert!(events[0].message.contains("camera north was set"), "{}", events[0].message);
+        assert!(hub.cameras()[0].clock.is_some());
     }
 
     #[test]

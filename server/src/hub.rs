@@ -19,7 +19,7 @@ use roundel_core::{
     marker::{Code, Reject},
     rigid::Rigid,
     time::Timestamp,
-    world::{self, FrameObservations, FusionCounts, LifeStage, Snapshot},
+    world::{self, ClockEstimate, FrameObservations, FusionCounts, LifeStage, Snapshot},
 };
 use tokio::sync::{broadcast, watch};
 
@@ -149,6 +149,8 @@ pub struct CameraState {
     pub counts: DetectionCounts,
     /// Median from capture to fused, milliseconds.
     pub latency_ms: f64,
+    /// What fusion knows of its clock.
+    pub clock: Option<ClockEstimate>,
 }
 
 /// What became of a camera's rings and candidates since the start.
@@ -184,6 +186,8 @@ pub enum Happening {
     Object(ObjectId, world::EventKind),
     /// A camera's new status.
     Camera(CameraId, CameraStatus),
+    /// A camera's clock was set, or is of another epoch.
+    ClockSet(CameraId),
 }
 
 /// Something that happened once.

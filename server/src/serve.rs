@@ -10,11 +10,11 @@ use std::{
 };
 
 use roundel_core::{
-    id::CameraId,
+    id::{CameraId, KindId},
     marker::{DetectorError, Mask, MaskError, Params},
     rigid::Covariance6,
     time::Timestamp,
-    world::{CameraPlacement, Fusion, FusionParams, reference::Reference},
+    world::{CameraPlacement, ClockPrior, Fusion, FusionParams, reference::Reference},
 };
 use thiserror::Error;
 use tokio::net::TcpListener;
@@ -38,6 +38,9 @@ use crate::{
 pub const GRACE: Duration = Duration::from_secs(5);
 /// Of it, for clients; the rest is for cameras and fusion, which need far less.
 const CLIENT_GRACE: Duration = Duration::from_secs(2);
+
+/// How much faster or slower than the others a camera's clock may run: quartz without care.
+const CLOCK_SKEW: f64 = 1e-4;
 
 /// Why a server does not start.
 #[derive(Debug, Error)]
@@ -306,7 +309,14 @@ fn fusion(config: &Config) -> Fusion {
     for object in &config.objects {
         fusion.set_offset(object.kind, object.offset_m);
     }
+    for (index, class) in config.motions.iter().enumerate() {
+        fusion.set_motion(KindId(u16::try_from(index).unwrap_or(u16::MAX)), *class);
+    }
     for (index, camera) in config.cameras.iter().enumerate() {
+        if camera.clock_uncertainty_s > 0.0 {
+            let prior = ClockPrior { offset_s: camera.clock_uncertainty_s, skew: CLOCK_SKEW };
+            fusion.set_clock(camera_id(index), prior);
+        }
         if let CameraPose::Known(world_from_camera) = camera.pose {
             let covariance = Covariance6::zeros();
             let placement = CameraPlacement { world_from_camera, covariance };

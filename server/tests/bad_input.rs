@@ -57,7 +57,7 @@ fn the_example_is_a_configuration() {
     let folder = lab();
     let config = Config::parse(EXAMPLE, folder.path()).map_err(|p| format!("{p:#?}")).unwrap();
     assert_eq!(config.name, "lab");
-    assert_eq!((config.kinds.len(), config.cameras.len(), config.references.len()), (5, 2, 4));
+    assert_eq!((config.kinds.len(), config.cameras.len(), config.references.len()), (6, 2, 4));
     // What stands in the example as a default is one: a file without it reads the same.
     let sections = ["[server]", "[detection]", "[fusion]", "[limits]"];
     let mut kept = String::new();
@@ -283,6 +283,14 @@ fn wrong_values_are_named_with_their_line() {
             "line_time_us = -1",
             "`line_time_us` must be a number from 0 to 10000, found -1",
         ),
+        (
+            "clock_uncertainty_ms = 0.0",
+            "clock_uncertainty_ms = -1",
+            "`clock_uncertainty_ms` must be a number from 0 to 10000, found -1",
+        ),
+        ("motion = \"ground\"", "motion = \"wheels\"", "`motion` must be \"free\" or \"ground\""),
+        ("motion = \"ground\"\n", "", "`height_m` is the height of what drives"),
+        ("height_m = 0.3", "height_m = inf", "`height_m` must be a number from -1000 to 1000"),
         (
             "position_m = [2.0, 0.0, 0.0]",
             "position_m = [0.0, 0.0, 0.0]",

@@ -18,11 +18,17 @@ const STATUS_WORDS = {
 const FIGURES = [
   { key: "rate", name: "Rate", unit: "Hz", title: "Frames processed a second", value: (c) => fixed(c.rateHz, 1) },
   { key: "latency", name: "Latency", unit: "ms", title: "From capture to fused, median", value: (c) => fixed(c.latencyMs, 1) },
+  { key: "clock", name: "Clock", unit: "", title: "By how much its clock is late against the others, give or take; times are corrected by it", value: (c) => clockText(c.clock) },
   { key: "detect", name: "Detect", unit: "ms", title: "Time to find the roundels in a frame, median", value: (c) => fixed(c.detectMs, 2) },
   { key: "detections", name: "Roundels", unit: "", title: "Found in the newest frame", value: (c) => whole(c.detections) },
   { key: "dropped", name: "Dropped", unit: "", title: "Frames that gave way to newer ones because the worker was busy", value: (c) => whole(c.dropped) },
   { key: "restarts", name: "Restarts", unit: "", title: "Times that the source was opened again after a failure", value: (c) => whole(c.restarts) },
 ];
+
+/** @param {import("./message.js").Clock | null} clock */
+function clockText(clock) {
+  return clock ? `${clock.offsetMs < 0 ? "" : "+"}${fixed(clock.offsetMs, 2)} ± ${fixed(clock.deviationMs, 2)} ms` : "trusted";
+}
 
 /** @param {import("./store.js").Store} store */
 export function showCameras(store) {

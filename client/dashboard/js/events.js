@@ -12,6 +12,7 @@ const SIGNS = new Map([
   ["camera_running", "running"],
   ["camera_failed", "failed"],
   ["camera_finished", "finished"],
+  ["camera_clock_set", "predicted"],
 ]);
 
 /** @param {import("./store.js").Store} store */

@@ -65,9 +65,11 @@ import { errorEllipse, headingRad, sigmasM, tiltRad } from "./geometry.js";
  * @property {number} detections
  * @property {number} detectMs
  * @property {number} latencyMs
+ * @property {Clock | null} clock null while its stamps are trusted
  * @property {number | null} blurPx null before it is known
  */
 
+/** @typedef {{offsetMs: number, skewPpm: number, deviationMs: number}} Clock how late its stamps are */
 /** @typedef {{sequence: number, timeMs: number, kind: string, objectId: number, camera: string, message: string}} Event */
 /** @typedef {{version: string, sourceId: string, name: string, startedTimeMs: number | null, snapshotRateHz: number}} ServerInfo */
 
@@ -162,9 +164,22 @@ function readCamera(raw) {
     detections: count(raw?.detections),
     detectMs: count(raw?.detect_ms),
     latencyMs: count(raw?.latency_ms),
+    clock: readClock(raw?.clock),
     // 0 is "not fitted".
     blurPx: number(raw?.blur_px) || null,
   };
+}
+
+/**
+ * Only of a camera whose clock is not simply trusted.
+ *
+ * @param {any} raw
+ * @returns {Clock | null}
+ */
+function readClock(raw) {
+  const deviationMs = number(raw?.deviation_ms) ?? 0;
+  if (deviationMs <= 0) return null;
+  return { offsetMs: number(raw?.offset_ms) ?? 0, skewPpm: number(raw?.skew_ppm) ?? 0, deviationMs };
 }
 
 /**

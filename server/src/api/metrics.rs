@@ -156,7 +156,7 @@ fn write_server(page: &mut Page, api: &Api) {
 /// A number of each camera: name, type, help, and where it stands.
 type CameraFamily = (&'static str, &'static str, &'static str, fn(&CameraState) -> f64);
 
-const CAMERA_FAMILIES: [CameraFamily; 10] = [
+const CAMERA_FAMILIES: [CameraFamily; 13] = [
     ("roundel_camera_up", "gauge", "1 while frames arrive.", |camera| {
         f64::from(u8::from(camera.status == CameraStatus::Running))
     }),
@@ -202,6 +202,21 @@ const CAMERA_FAMILIES: [CameraFamily; 10] = [
         "gauge",
         "Standard deviation of the noise, grey levels of 255, likewise.",
         |camera| camera.noise,
+    ),
+    (
+        "roundel_camera_clock_offset_seconds",
+        "gauge",
+        "By how much its stamps are late, as found from what it sees; taken off all times.",
+        |camera| camera.clock.map_or(0.0, |clock| clock.offset_s),
+    ),
+    ("roundel_camera_clock_skew_ratio", "gauge", "By how much more each second.", |camera| {
+        camera.clock.map_or(0.0, |clock| clock.skew)
+    }),
+    (
+        "roundel_camera_clock_deviation_seconds",
+        "gauge",
+        "Standard deviation of the offset against the other cameras' clocks; 0 where it is trusted.",
+        |camera| camera.clock.map_or(0.0, |clock| clock.deviation_s),
     ),
 ];
 
@@ -315,6 +330,21 @@ fn write_fusion_counts(page: &mut Page, counts: &FusionCounts) {
         ),
         ("roundel_fusion_tracks_begun_total", "Detections that began a track.", counts.begun),
         ("roundel_fusion_tracks_merged_total", "Tracks joined with another one.", counts.merged),
+        (
+            "roundel_fusion_clock_steps_total",
+            "Times that a camera's clock was found to have been set, or to be of another epoch.",
+            counts.clock_steps,
+        ),
+        (
+            "roundel_fusion_objects_returned_total",
+            "Objects that were known again by their code.",
+            counts.returned,
+        ),
+        (
+            "roundel_fusion_ambiguous_codes_total",
+            "Objects with the code of another one that is seen as well.",
+            counts.ambiguous_codes,
+        ),
         ("roundel_fusion_restarts_total", "Times that all tracks were ended.", counts.restarts),
     ] {
         page.single(name, "counter", help, count as f64);

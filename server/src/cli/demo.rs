@@ -114,6 +114,7 @@ fn config(scenario: &Scenario, address: &SimAddress, listen: SocketAddr) -> Conf
             calibration: camera.camera.clone(),
             pose: CameraPose::Known(camera.world_from_camera),
             line_time_s: camera.line_time_s,
+            clock_uncertainty_s: 0.0,
             mode: Mode::default(),
             mask: Vec::new(),
         }
@@ -122,6 +123,7 @@ fn config(scenario: &Scenario, address: &SimAddress, listen: SocketAddr) -> Conf
         name: "demo".to_owned(),
         server: ServerConfig { listen, snapshot_rate_hz: 60.0 },
         kinds: scenario.params().kinds.clone(),
+        motions: Vec::new(),
         cameras: cameras.collect(),
         references: Vec::new(),
         objects: Vec::new(),

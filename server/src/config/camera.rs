@@ -14,9 +14,18 @@ use crate::{
     source::{SourceAddress, simulated_camera},
 };
 
-const CAMERA_KEYS: [&str; 7] =
-    ["name", "source", "calibration", "pose", "line_time_us", "mode", "mask"];
+const CAMERA_KEYS: [&str; 8] = [
+    "name",
+    "source",
+    "calibration",
+    "pose",
+    "line_time_us",
+    "clock_uncertainty_ms",
+    "mode",
+    "mask",
+];
 const MAX_LINE_TIME_US: f64 = 10_000.0;
+const MAX_CLOCK_UNCERTAINTY_MS: f64 = 10_000.0;
 
 /// The words for modes.
 pub(super) const MODES: [(&str, Mode); 2] = [("precise", Mode::Precise), ("fast", Mode::Fast)];
@@ -97,6 +106,8 @@ fn camera(
         (None, Some(simulated)) => simulated.line_time_s,
         _ => table.number("line_time_us", Allowed::ZeroUpTo(MAX_LINE_TIME_US), 0.0) * 1e-6,
     };
+    let uncertainty = Allowed::ZeroUpTo(MAX_CLOCK_UNCERTAINTY_MS);
+    let clock_uncertainty_s = table.number("clock_uncertainty_ms", uncertainty, 0.0) * 1e-3;
     let mode = table.choice("mode", &MODES).unwrap_or(mode);
     let mask = calibration.as_ref().map(|camera| mask(table, camera));
     if table.is_broken() {
@@ -109,6 +120,7 @@ fn camera(
         calibration: calibration?,
         pose: pose?,
         line_time_s,
+        clock_uncertainty_s,
         mode,
         mask: mask?,
     })

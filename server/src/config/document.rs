@@ -63,6 +63,7 @@ fn root(document: &Spanned<DeTable<'_>>, folder: &Path, problems: &Problems<'_>)
         name,
         server: server?,
         kinds: kinds.kinds,
+        motions: kinds.motions,
         cameras,
         references,
         objects,

@@ -21,6 +21,7 @@ use roundel_core::{
     id::KindId,
     marker::{Kind, Mode},
     rigid::Rigid,
+    world::MotionClass,
 };
 
 pub use error::{ConfigError, Place, Problem};
@@ -40,6 +41,8 @@ pub struct Config {
     /// `[[roundel]]`, by [`KindId`]; at least one. Plain ones have ratios of diameters a tenth apart,
     /// coded ones codes of different bits.
     pub kinds: Vec<Kind>,
+    /// How objects of each kind move; of those beyond its end, freely.
+    pub motions: Vec<MotionClass>,
     /// `[[camera]]`, by [`roundel_core::id::CameraId`]; at least one, names unique.
     pub cameras: Vec<CameraConfig>,
     /// `[[reference]]`; none, or at least three that are not in one line.
@@ -76,6 +79,8 @@ pub struct CameraConfig {
     pub pose: CameraPose,
     /// Time from one image row's exposure to the next, seconds.
     pub line_time_s: f64,
+    /// How far its stamps may be off; 0: they are right, and nothing is estimated.
+    pub clock_uncertainty_s: f64,
     /// Its own, or that of `[detection]`.
     pub mode: Mode,
     /// Corners of polygons, raw pixels, in which nothing is looked for. Each has at least three and

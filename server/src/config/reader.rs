@@ -62,6 +62,8 @@ pub(super) enum Allowed {
     PositiveUpTo(f64),
     /// From 0 up to this.
     ZeroUpTo(f64),
+    /// At most this, of either sign.
+    Within(f64),
 }
 
 impl Allowed {
@@ -70,6 +72,7 @@ impl Allowed {
             && match self {
                 Self::PositiveUpTo(most) => value > 0.0 && value <= most,
                 Self::ZeroUpTo(most) => (0.0..=most).contains(&value),
+                Self::Within(most) => value.abs() <= most,
             }
     }
 
@@ -77,6 +80,7 @@ impl Allowed {
         match self {
             Self::PositiveUpTo(most) => format!("a number above 0, at most {most}"),
             Self::ZeroUpTo(most) => format!("a number from 0 to {most}"),
+            Self::Within(most) => format!("a number from -{most} to {most}"),
         }
     }
 }

@@ -3,17 +3,22 @@
 use roundel_core::{
     id::KindId,
     marker::{AXIS_RATIO_LIMIT, CodeLayout, Kind, Pattern, Polarity, RATIO_LIMITS},
+    world::MotionClass,
 };
 
 use super::reader::{Allowed, Table};
 use crate::suggestion::{list, nearest};
 
-const ROUNDEL_KEYS: [&str; 6] =
-    ["name", "outer_mm", "inner_mm", "inner_minor_mm", "code", "polarity"];
+const ROUNDEL_KEYS: [&str; 8] =
+    ["name", "outer_mm", "inner_mm", "inner_minor_mm", "code", "polarity", "motion", "height_m"];
 const CODE_KEYS: [&str; 2] = ["bits", "min_distance"];
 /// The words for polarities.
 const POLARITIES: [(&str, Polarity); 2] =
     [("black_ring", Polarity::BlackRing), ("white_ring", Polarity::WhiteRing)];
+
+/// The words for how objects move: whether on the ground.
+const MOTIONS: [(&str, bool); 2] = [("free", false), ("ground", true)];
+const MAX_HEIGHT_M: f64 = 1000.0;
 
 /// Kinds whose ratios of diameters (of elliptical discs, both of them) differ by less than this, relatively, are mixed up.
 const LEAST_RATIO_DIFFERENCE: f64 = 0.1;
@@ -22,6 +27,8 @@ const MAX_DIAMETER_MM: f64 = 100_000.0;
 /// The kinds that could be read, and whether these are all.
 pub(super) struct NamedKinds {
     pub(super) kinds: Vec<Kind>,
+    /// How the objects that carry them move.
+    pub(super) motions: Vec<MotionClass>,
     pub(super) complete: bool,
 }
 
@@ -35,14 +42,44 @@ pub(super) fn kinds(root: &Table<'_, '_>) -> NamedKinds {
         );
     }
     let mut kinds: Vec<Kind> = Vec::new();
+    let mut motions = Vec::new();
     let mut complete = true;
     for table in &tables {
-        match kind(table).filter(|kind| is_distinct(table, kind, &kinds)) {
-            Some(kind) => kinds.push(kind),
-            None => complete = false,
+        let kind = kind(table).filter(|kind| is_distinct(table, kind, &kinds));
+        match (kind, motion(table)) {
+            (Some(kind), Some(motion)) => {
+                kinds.push(kind);
+                motions.push(motion);
+            }
+            _ => complete = false,
         }
     }
-    NamedKinds { kinds, complete }
+    NamedKinds { kinds, motions, complete }
+}
+
+/// How what carries it moves; `None` if it is wrong (then it is reported).
+fn motion(table: &Table<'_, '_>) -> Option<MotionClass> {
+    let is_ground = match table.value("motion") {
+        Some(_) => table.choice("motion", &MOTIONS)?,
+        None => false,
+    };
+    if table.value("height_m").is_none() {
+        return Some(if is_ground {
+            MotionClass::Ground { height_m: None }
+        } else {
+            MotionClass::Free
+        });
+    }
+    if !is_ground {
+        table.fail_with_help(
+            &table.span_of("height_m"),
+            "`height_m` is the height of what drives, and this kind may fly",
+            "write motion = \"ground\", or leave out `height_m`",
+        );
+        return None;
+    }
+    let height_m = table.required_number("height_m", Allowed::Within(MAX_HEIGHT_M), "0.3")?;
+    Some(MotionClass::Ground { height_m: Some(height_m) })
 }
 
 /// One kind by itself.

@@ -9,7 +9,7 @@ use roundel_core::{
     id::{CameraId, ObjectId, TrackNumber},
     marker::{self, CodeReading, Ring},
     pose::Detection,
-    world::{EventKind, FrameObservations},
+    world::{ClockEstimate, EventKind, FrameObservations},
 };
 use roundel_proto::v1::{self, roundel_client::RoundelClient};
 use roundel_server::hub::{CameraStatus, Happening};
@@ -393,6 +393,12 @@ async fn lists_name_cameras_objects_and_the_server() {
         camera.status = CameraStatus::Failed;
         camera.error = "no such file".into();
         camera.restarts = 4;
+        camera.clock = Some(ClockEstimate {
+            offset_s: -0.0125,
+            skew: 2e-5,
+            deviation_s: 5e-5,
+            skew_deviation: 1e-6,
+        });
     });
     let mut client = connect(&rig).await;
     let cameras =
@@ -404,6 +410,9 @@ async fn lists_name_cameras_objects_and_the_server() {
     );
     assert_eq!(cameras[1].status(), v1::CameraStatus::Failed);
     assert_eq!((cameras[1].error.as_str(), cameras[1].restarts), ("no such file", 4));
+    assert_eq!(cameras[0].clock, None);
+    let clock = v1::CameraClock { offset_ms: -12.5, skew_ppm: 20.0, deviation_ms: 0.05 };
+    assert_eq!(cameras[1].clock, Some(clock));
     let objects =
         client.list_objects(v1::ListObjectsRequest {}).await.unwrap().into_inner().objects;
     let stages: Vec<_> = objects.iter().map(|o| (o.object_id, o.stage(), o.observations)).collect();

@@ -6,7 +6,11 @@ use axum::{
     body::Body,
     http::{Request, StatusCode},
 };
-use roundel_core::{id::CameraId, marker::Reject, world::FusionCounts};
+use roundel_core::{
+    id::CameraId,
+    marker::Reject,
+    world::{ClockEstimate, FusionCounts},
+};
 use roundel_proto::v1;
 use roundel_server::hub::{CameraStatus, Happening};
 use serde_json::Value;
@@ -260,6 +264,12 @@ async fn metrics_tell_of_cameras_objects_and_clients() {
         camera.detect_ms = 2.5;
         (camera.find_ms, camera.locate_ms) = (2.0, 0.5);
         (camera.blur_px, camera.noise) = (0.75, 2.25);
+        camera.clock = Some(ClockEstimate {
+            offset_s: -0.0125,
+            skew: 2e-5,
+            deviation_s: 5e-5,
+            skew_deviation: 1e-6,
+        });
         (camera.counts.precise, camera.counts.fast, camera.counts.unlocated) = (900, 30, 1);
         camera.counts.rejects[Reject::FrameEdge as usize] = 44;
     });
@@ -269,6 +279,7 @@ async fn metrics_tell_of_cameras_objects_and_clients() {
         used: 70,
         gated: 2,
         contradicted: 1,
+        clock_steps: 5,
         ..Default::default()
     });
     let mut client = crate::grpc::connect(&rig).await;
@@ -288,6 +299,10 @@ async fn metrics_tell_of_cameras_objects_and_clients() {
         "roundel_camera_detect_seconds{camera=\"north\"} 0.0025",
         "roundel_camera_blur_pixels{camera=\"north\"} 0.75",
         "roundel_camera_noise_levels{camera=\"north\"} 2.25",
+        "roundel_camera_clock_offset_seconds{camera=\"north\"} -0.0125",
+        "roundel_camera_clock_skew_ratio{camera=\"north\"} 0.00002",
+        "roundel_camera_clock_deviation_seconds{camera=\"north\"} 0.00005",
+        "roundel_camera_clock_deviation_seconds{camera=\"south side\"} 0",
         "roundel_camera_stage_seconds{camera=\"north\",stage=\"find\"} 0.002",
         "roundel_camera_stage_seconds{camera=\"north\",stage=\"locate\"} 0.0005",
         "roundel_camera_located_total{camera=\"north\",by=\"precise\"} 900",
@@ -296,6 +311,7 @@ async fn metrics_tell_of_cameras_objects_and_clients() {
         "roundel_camera_located_total{camera=\"south side\",by=\"precise\"} 0",
         "roundel_camera_rejects_total{camera=\"north\",reason=\"frame_edge\"} 44",
         "roundel_camera_rejects_total{camera=\"north\",reason=\"tilt\"} 0",
+        "roundel_fusion_clock_steps_total 5",
         "roundel_objects{stage=\"tracked\"} 2",
         "roundel_objects{stage=\"predicted\"} 1",
         "roundel_objects{stage=\"lost\"} 0",

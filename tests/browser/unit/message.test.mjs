@@ -100,6 +100,12 @@ test("cameras without place or lens are cameras all the same", () => {
   assert.equal(camera.rateHz, 0);
 });
 
+test("a clock that is trusted says nothing", () => {
+  const clocks = [{ offset_ms: -1.5, skew_ppm: 20, deviation_ms: 0.05 }, { offset_ms: 0, deviation_ms: 0 }, null];
+  const read = readCameras(clocks.map((clock) => ({ clock }))).map((camera) => camera.clock);
+  assert.deepEqual(read, [{ offsetMs: -1.5, skewPpm: 20, deviationMs: 0.05 }, null, null]);
+});
+
 test("a blur that was not fitted is not known", () => {
   const blurs = readCameras([{ blur_px: 0.72 }, { blur_px: 0 }, {}]).map((camera) => camera.blurPx);
   assert.deepEqual(blurs, [0.72, null, null]);
