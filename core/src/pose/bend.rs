@@ -21,7 +21,10 @@
 
 use std::ops::{Add, Mul, Sub};
 
-use super::rim::{Flat, POINTS, RimSeen};
+use super::{
+    rim::{Flat, POINTS},
+    seen::RimSeen,
+};
 use crate::lanes::{Lane, Mat2, Vec2};
 
 /// |a| + |b| + |c| at most …

@@ -24,8 +24,8 @@
 use nalgebra::{Matrix2, UnitQuaternion, Vector2, Vector3};
 
 use super::{
-    PoseError, RimNoise, RingNoise, RoundelPose, closed,
-    rim::{self, RimSeen, RingFound},
+    PoseError, RimNoise, RingNoise, RoundelPose, closed, rim,
+    seen::{RimSeen, RingFound},
     yaw,
 };
 use crate::{

@@ -33,6 +33,7 @@ mod noise;
 pub mod photometry;
 mod refine;
 mod rim;
+mod seen;
 #[cfg(test)]
 mod tests;
 mod upright;
@@ -53,7 +54,7 @@ use crate::{
 pub use locator::{ImageQuality, Located, Locator};
 pub use noise::RimNoise;
 use noise::RingNoise;
-use rim::RingFound;
+use seen::RingFound;
 
 /// Pose of a roundel in the camera frame.
 #[derive(Clone, Debug, PartialEq)]

@@ -22,14 +22,14 @@
 //! D = (c cᵀ - A Aᵀ, c; cᵀ, 1), the set of its tangents l, lᵀ D l = 0. It turns with the frame:
 //! D → R D Rᵀ.
 
-use std::f64::consts::{FRAC_PI_2, PI};
-
-use super::{PoseError, RingNoise, bend::Bend};
+use super::{
+    PoseError, RingNoise,
+    bend::Bend,
+    seen::{RimSeen, RingSeen},
+};
 use crate::{
     camera::{Camera, LensError, NearRays},
-    ellipse::Ellipse,
     lanes::{Lane, Mask, Mat2, Mat3, Vec2, Vec3},
-    marker::Ring,
 };
 
 /// Points on a rim. Five harmonics need at least five; eight keep those that a lens adds, up to the
@@ -42,26 +42,6 @@ const SETTLED: f64 = 1e-6;
 
 /// The floor's share of centre, elongation and turn: blur and bloom are nearly even around a rim.
 const REST_OF_FLOOR: f64 = 0.25;
-
-/// A rim as imaged, pixels.
-#[derive(Clone, Copy, Debug)]
-pub struct RimSeen<T> {
-    pub center: Vec2<T>,
-    pub semi_major_px: T,
-    pub semi_minor_px: T,
-    /// Of the major axis' angle.
-    pub cos: T,
-    pub sin: T,
-}
-
-/// Both rims, outer and inner, and all else that a pose depends on.
-#[derive(Clone, Copy, Debug)]
-pub struct RingSeen<T> {
-    pub rims: [RimSeen<T>; 2],
-    /// Of the print.
-    pub radii_m: [T; 2],
-    pub noise: RingNoise<T>,
-}
 
 /// Five numbers of a rim.
 pub type Harmonics<T> = [T; 5];
@@ -114,100 +94,6 @@ pub struct Flattened<T: Lane> {
     pub known: T::Mask,
 }
 
-/// A ring as found, and all else that its pose depends on.
-#[derive(Clone, Copy, Debug)]
-pub struct RingFound {
-    outer: Ellipse,
-    inner: Ellipse,
-    radii_m: [f64; 2],
-    noise: RingNoise<f64>,
-}
-
-impl RingFound {
-    pub fn new(ring: &Ring, radii_m: [f64; 2], noise: RingNoise<f64>) -> Self {
-        Self { outer: ring.outer, inner: ring.inner, radii_m, noise }
-    }
-
-    /// As seen, alone.
-    #[inline(always)]
-    pub fn seen(&self) -> RingSeen<f64> {
-        RingSeen::gather(0.0, std::slice::from_ref(self))
-    }
-}
-
-impl<T: Lane> RingSeen<T> {
-    /// Rings side by side, as many as `like` has lanes, all with round discs or none.
-    #[inline(always)]
-    pub fn gather(like: T, rings: &[RingFound]) -> Self {
-        let [outer_m, inner_m, edge_px, floor_px, uneven_px] = like.each(
-            #[inline(always)]
-            |lane| {
-                let RingFound { radii_m, noise, .. } = &rings[lane];
-                [radii_m[0], radii_m[1], noise.edge_px, noise.floor_px, noise.uneven_px]
-            },
-        );
-        let outer = RimSeen::of_numbers(like.each(
-            #[inline(always)]
-            |lane| numbers(&rings[lane].outer),
-        ));
-        let inner = RimSeen::of_numbers(like.each(
-            #[inline(always)]
-            |lane| numbers(&rings[lane].inner),
-        ));
-        let round_disc = rings[0].noise.round_disc;
-        let noise = RingNoise { edge_px, floor_px, uneven_px, round_disc };
-        Self { rims: [outer, inner], radii_m: [outer_m, inner_m], noise }
-    }
-}
-
-/// Centre, semiaxes, and angle in [-π/2, π/2].
-#[inline(always)]
-fn numbers(ellipse: &Ellipse) -> [f64; 5] {
-    let Ellipse { center, semi_major_px, semi_minor_px, angle_rad } = *ellipse;
-    // A turn by π leaves an ellipse as it is.
-    let angle_rad = if angle_rad.abs() > FRAC_PI_2 {
-        angle_rad - PI * (angle_rad / PI).round()
-    } else {
-        angle_rad
-    };
-    [center.u, center.v, semi_major_px, semi_minor_px, angle_rad]
-}
-
-impl RimSeen<f64> {
-    #[inline(always)]
-    pub fn of(ellipse: &Ellipse) -> Self {
-        Self::of_numbers(numbers(ellipse))
-    }
-}
-
-impl<T: Lane> RimSeen<T> {
-    #[inline(always)]
-    fn of_numbers([u, v, semi_major_px, semi_minor_px, angle_rad]: [T; 5]) -> Self {
-        let (sin, cos) = angle_rad.sine_and_cosine();
-        Self { center: Vec2::new(u, v), semi_major_px, semi_minor_px, cos, sin }
-    }
-
-    /// As vectors in the image.
-    #[inline(always)]
-    pub fn semiaxes(&self) -> [Vec2<T>; 2] {
-        let (a, b) = (self.semi_major_px, self.semi_minor_px);
-        [Vec2::new(self.cos * a, self.sin * a), Vec2::new(-(self.sin * b), self.cos * b)]
-    }
-
-    /// Its points from a pixel.
-    #[inline(always)]
-    fn points(&self, from: Vec2<T>) -> [[T; POINTS]; 2] {
-        let [major, minor] = self.semiaxes();
-        let at = self.center - from;
-        let mut points = [[at.x; POINTS], [at.y; POINTS]];
-        for i in 0..POINTS {
-            points[0][i] = at.x + major.x * COS[i] + minor.x * SIN[i];
-            points[1][i] = at.y + major.y * COS[i] + minor.y * SIN[i];
-        }
-        points
-    }
-}
-
 /// The rims through any lens.
 #[inline(always)]
 pub fn carry(camera: &Camera, seen: &RingSeen<f64>) -> Result<Carried<f64>, PoseError> {
@@ -223,7 +109,7 @@ pub fn carry(camera: &Camera, seen: &RingSeen<f64>) -> Result<Carried<f64>, Pose
 #[inline(always)]
 pub fn flat_closed<T: Lane>(camera: &Camera, rims: &[RimSeen<T>; 2]) -> Flattened<T> {
     let [outer, inner] = rims;
-    let near = camera.rays_near_each(outer.center, &outer.points(outer.center));
+    let near = camera.rays_near_each(outer.center, &points(outer, outer.center));
     let base_from_camera = base(camera, near.middle);
     let (middle, semiaxes) = line(&near, outer.center, outer, &base_from_camera);
     let (points, ahead) = plane_points(&near.rays, &base_from_camera);
@@ -271,12 +157,25 @@ pub fn frame_along<T: Lane>(axis: Vec3<T>) -> Mat3<T> {
     Mat3([x, z.cross(x), z])
 }
 
+/// A rim's points from a pixel.
+#[inline(always)]
+fn points<T: Lane>(rim: &RimSeen<T>, from: Vec2<T>) -> [[T; POINTS]; 2] {
+    let [major, minor] = rim.semiaxes();
+    let at = rim.center - from;
+    let mut points = [[at.x; POINTS], [at.y; POINTS]];
+    for i in 0..POINTS {
+        points[0][i] = at.x + major.x * COS[i] + minor.x * SIN[i];
+        points[1][i] = at.y + major.y * COS[i] + minor.y * SIN[i];
+    }
+    points
+}
+
 /// The rims' points from the outer rim's centre, pixels: the outer rim's, then the inner one's.
 #[inline(always)]
 fn offsets(rims: &[RimSeen<f64>; 2]) -> [[f64; 2 * POINTS]; 2] {
     let mut offsets = [[0.0; 2 * POINTS]; 2];
     for (rim, seen) in rims.iter().enumerate() {
-        let points = seen.points(rims[0].center);
+        let points = points(seen, rims[0].center);
         for axis in 0..2 {
             offsets[axis][rim * POINTS..(rim + 1) * POINTS].copy_from_slice(&points[axis]);
         }
@@ -330,7 +229,7 @@ fn line<T: Lane, const N: usize>(
 
 /// The first rim of which a point has no ray.
 fn refused(camera: &Camera, outer: &RimSeen<f64>) -> &'static str {
-    let outer = camera.rays_near(outer.center, &outer.points(outer.center));
+    let outer = camera.rays_near(outer.center, &points(outer, outer.center));
     if outer.is_err() { "outer" } else { "inner" }
 }
 

@@ -1,0 +1,111 @@
+//! Rings as the closed form sees them: numbers of one, or of several side by side.
+
+use std::f64::consts::{FRAC_PI_2, PI};
+
+use super::RingNoise;
+use crate::{
+    ellipse::Ellipse,
+    lanes::{Lane, Vec2},
+    marker::Ring,
+};
+
+/// A rim as imaged, pixels.
+#[derive(Clone, Copy, Debug)]
+pub struct RimSeen<T> {
+    pub center: Vec2<T>,
+    pub semi_major_px: T,
+    pub semi_minor_px: T,
+    /// Of the major axis' angle.
+    pub cos: T,
+    pub sin: T,
+}
+
+/// Both rims, outer and inner, and all else that a pose depends on.
+#[derive(Clone, Copy, Debug)]
+pub struct RingSeen<T> {
+    pub rims: [RimSeen<T>; 2],
+    /// Of the print.
+    pub radii_m: [T; 2],
+    pub noise: RingNoise<T>,
+}
+
+/// A ring as found, and all else that its pose depends on.
+#[derive(Clone, Copy, Debug)]
+pub struct RingFound {
+    outer: Ellipse,
+    inner: Ellipse,
+    radii_m: [f64; 2],
+    noise: RingNoise<f64>,
+}
+
+impl RingFound {
+    pub fn new(ring: &Ring, radii_m: [f64; 2], noise: RingNoise<f64>) -> Self {
+        Self { outer: ring.outer, inner: ring.inner, radii_m, noise }
+    }
+
+    /// As seen, alone.
+    #[inline(always)]
+    pub fn seen(&self) -> RingSeen<f64> {
+        RingSeen::gather(0.0, std::slice::from_ref(self))
+    }
+}
+
+impl<T: Lane> RingSeen<T> {
+    /// Rings side by side, as many as `like` has lanes, all with round discs or none.
+    #[inline(always)]
+    pub fn gather(like: T, rings: &[RingFound]) -> Self {
+        let [outer_m, inner_m, edge_px, floor_px, uneven_px] = like.each(
+            #[inline(always)]
+            |lane| {
+                let RingFound { radii_m, noise, .. } = &rings[lane];
+                [radii_m[0], radii_m[1], noise.edge_px, noise.floor_px, noise.uneven_px]
+            },
+        );
+        let outer = RimSeen::of_numbers(like.each(
+            #[inline(always)]
+            |lane| numbers(&rings[lane].outer),
+        ));
+        let inner = RimSeen::of_numbers(like.each(
+            #[inline(always)]
+            |lane| numbers(&rings[lane].inner),
+        ));
+        let round_disc = rings[0].noise.round_disc;
+        let noise = RingNoise { edge_px, floor_px, uneven_px, round_disc };
+        Self { rims: [outer, inner], radii_m: [outer_m, inner_m], noise }
+    }
+}
+
+/// Centre, semiaxes, and angle in [-π/2, π/2].
+#[inline(always)]
+fn numbers(ellipse: &Ellipse) -> [f64; 5] {
+    let Ellipse { center, semi_major_px, semi_minor_px, angle_rad } = *ellipse;
+    // A turn by π leaves an ellipse as it is.
+    let angle_rad = if angle_rad.abs() > FRAC_PI_2 {
+        angle_rad - PI * (angle_rad / PI).round()
+    } else {
+        angle_rad
+    };
+    [center.u, center.v, semi_major_px, semi_minor_px, angle_rad]
+}
+
+impl RimSeen<f64> {
+    #[inline(always)]
+    pub fn of(ellipse: &Ellipse) -> Self {
+        Self::of_numbers(numbers(ellipse))
+    }
+}
+
+impl<T: Lane> RimSeen<T> {
+    #[inline(always)]
+    fn of_numbers([u, v, semi_major_px, semi_minor_px, angle_rad]: [T; 5]) -> Self {
+        let (sin, cos) = angle_rad.sine_and_cosine();
+        Self { center: Vec2::new(u, v), semi_major_px, semi_minor_px, cos, sin }
+    }
+
+    /// As vectors in the image.
+    #[inline(always)]
+    pub fn semiaxes(&self) -> [Vec2<T>; 2] {
+        let (a, b) = (self.semi_major_px, self.semi_minor_px);
+        [Vec2::new(self.cos * a, self.sin * a), Vec2::new(-(self.sin * b), self.cos * b)]
+    }
+}
