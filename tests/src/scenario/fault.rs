@@ -138,10 +138,13 @@ impl<'a> Case<'a> {
             }
         };
         let (count, _) = self.each(|case, frame| case.is_suspect(frame, &when_s), change);
-        self.faults.push(if hours > 0.0 {
-            Fault::exactly("frames an hour ahead", count, |counts| counts.jumped_frames)
-        } else {
-            Fault::exactly("frames an hour behind", count, |counts| counts.late_frames)
+        let steps = if when_s.end < self.seconds { 2 } else { 1 };
+        self.faults.push(Fault::exactly("steps of a clock", steps, |counts| counts.clock_steps));
+        self.faults.push(Fault {
+            what: "frames refused until it is believed",
+            counted: |counts| counts.jumped_frames + counts.late_frames,
+            // Half a second must be enough.
+            expected: 0..=count.min(30 * steps) as u64,
         });
         self
     }
@@ -225,19 +228,10 @@ pub fn hour_behind(length: Length) -> Vec<Row> {
     Case::new(&arena(), length).jumped(-1.0, SUSPECT_S).judge("a clock an hour behind for 1.5 s")
 }
 
-/// A clock that is set forward for good: refused is not enough, its frames must come to be of use.
+/// A clock that is set forward for good.
 pub fn hour_for_good(length: Length) -> Vec<Row> {
-    let arena = arena();
-    let mut case = Case::new(&arena, length).jumped(1.0, SUSPECT_S.start..f64::INFINITY);
-    let jumped: usize = case.frames.iter().filter(|frame| frame.camera == SUSPECT).count();
-    // How soon is fusion's matter; a second of frames is enough to tell.
-    case.faults.clear();
-    case.faults.push(Fault {
-        what: "frames refused until it is believed",
-        counted: |counts| counts.jumped_frames,
-        expected: 1..=60.min(jumped as u64),
-    });
-    case.judge("a clock an hour ahead for good")
+    let when_s = SUSPECT_S.start..f64::INFINITY;
+    Case::new(&arena(), length).jumped(1.0, when_s).judge("a clock an hour ahead for good")
 }
 
 /// A clock that jumps while frames come late and in disorder.

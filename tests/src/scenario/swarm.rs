@@ -32,7 +32,7 @@ pub const PRECISE: Sensing = Sensing {
 const ROWS: usize = 8;
 
 /// 64 plain roundels that change their accelerations at random, to 2 m/s², each about a place of its
-/// own, a third of them 0.9 m higher; eight cameras that expose at the same time.
+/// own, a third of them 0.9 m higher; eight cameras round them that expose at the same time and all see all.
 pub fn swarm(seed: u64, seconds: f64) -> Arena {
     let mut random = Random::new(seed, 64);
     let mut paths = Vec::new();
@@ -49,16 +49,16 @@ pub fn swarm(seed: u64, seconds: f64) -> Arena {
         paths.push(Path { course: Course::Stray(Arc::new(stray)), ..Path::still(center_m) });
     }
     let mut arena = Arena::under_r4(seed, Kind::robot(), paths);
-    for index in 0..4 {
-        let mut beside = arena.sites[index].clone();
-        let side = beside.world_from_camera.translation.vector;
-        let eye = Vector3::new(0.76 * side.x, 0.7 * side.y, side.z);
-        beside.world_from_camera = look_at(eye, Vector3::new(0.5 * side.x, 0.5 * side.y, 0.0));
-        beside.name += " inner";
-        arena.sites.push(beside);
-    }
-    for site in &mut arena.sites {
+    let model = arena.sites[0].clone();
+    arena.sites.clear();
+    for index in 0..8 {
+        let (y, x) = (f64::from(index) * std::f64::consts::FRAC_PI_4 + 0.3).sin_cos();
+        let eye = Vector3::new(3.5 * x, 3.5 * y, 6.5);
+        let mut site = model.clone();
+        site.name = format!("camera {}", index + 1);
+        site.world_from_camera = look_at(eye, Vector3::new(0.0, 0.0, 0.5));
         (site.rate_hz, site.offset_s) = (100.0, 0.0);
+        arena.sites.push(site);
     }
     arena
 }
