@@ -5,8 +5,10 @@ mod drawing;
 use drawing::{Drawing, Roundel, ellipse, frame};
 use roundel_core::{
     camera::{Camera, Intrinsics, Lens},
-    marker::{Code, CodeLayout, Detector, Kind, Mode, Params, Pattern, Scratch, Tracker},
-    pose::Locator,
+    marker::{
+        Code, CodeLayout, Detector, Kind, Mode, Params, Pattern, Scratch, TrackedRing, Tracker,
+    },
+    pose::{Located, Locator},
 };
 
 const SIDE: usize = 300;
@@ -144,19 +146,22 @@ fn camera() -> Camera {
 #[test]
 fn all_rings_of_a_frame_are_located_without_allocation() {
     let kinds = vec![Kind::plain("robot", 0.16, 0.08)];
-    let params = Params { mode: Mode::Fast, ..Params::default() };
     let pictures: Vec<Vec<u8>> = (0..12).map(|i| picture(i as f64, i)).collect();
-    let mut locator = Locator::new(camera(), kinds.clone(), Mode::Fast);
-    let mut tracker = Tracker::new(Detector::new(kinds, params).unwrap());
-    let mut located = Vec::new();
-    let mut locate = |picture: &[u8]| {
-        let frame = frame(picture, SIDE);
-        locator.locate_all(&frame, tracker.process(&frame), &mut located);
-        assert!(located.len() > 6 && located.iter().all(Result::is_ok), "{located:?}");
-    };
-    (0..2).for_each(|_| pictures.iter().for_each(|picture| locate(picture)));
-    let spent = allocation_counter::measure(|| pictures.iter().for_each(|picture| locate(picture)));
-    assert_eq!(spent.count_total, 0);
+    for mode in [Mode::Fast, Mode::Precise] {
+        let params = Params { mode, ..Params::default() };
+        let mut locator = Locator::new(camera(), kinds.clone(), mode);
+        let mut tracker = Tracker::new(Detector::new(kinds.clone(), params).unwrap());
+        let mut located = Vec::new();
+        let mut locate = |picture: &[u8]| {
+            let frame = frame(picture, SIDE);
+            locator.locate_all(&frame, tracker.process(&frame), &mut located);
+            assert!(located.len() > 6 && located.iter().all(Result::is_ok), "{located:?}");
+        };
+        pictures.iter().for_each(|picture| locate(picture));
+        let spent =
+            allocation_counter::measure(|| pictures.iter().for_each(|picture| locate(picture)));
+        assert_eq!(spent.count_total, 0, "{mode:?}");
+    }
 }
 
 #[test]
@@ -180,8 +185,94 @@ fn elliptical_discs_are_located_without_allocation() {
         assert_eq!(located.by, Mode::Precise);
         assert!(located.pose.yaw_rad.is_some());
     };
-    // Contours are made when they are first needed.
-    (0..3).for_each(|_| pictures.iter().for_each(|picture| locate(picture)));
+    pictures.iter().for_each(|picture| locate(picture));
     let spent = allocation_counter::measure(|| pictures.iter().for_each(|picture| locate(picture)));
     assert_eq!(spent.count_total, 0);
+}
+
+/// The rings that a tracker of these kinds, new to the picture, follows there.
+fn followed(kinds: &[Kind], picture: &[u8]) -> Vec<TrackedRing> {
+    let mut tracker = Tracker::new(Detector::new(kinds.to_vec(), Params::default()).unwrap());
+    tracker.process(&frame(picture, SIDE)).to_vec()
+}
+
+/// One ring, here and so large; what else there is in the light is added.
+fn lit(
+    radius_px: f64,
+    blur_px: f64,
+    kind: &Kind,
+    disturb: impl Fn(&mut Drawing, (f64, f64)),
+) -> Vec<u8> {
+    let at = (148.0, 152.0);
+    let mut drawing = Drawing::new(SIDE, SIDE, 200.0, blur_px);
+    let axes = (radius_px, 0.86 * radius_px);
+    match kind.pattern {
+        Pattern::Elliptical { .. } => {
+            drawing.add_disc(&ellipse(at, (radius_px, radius_px), 0.0), -160.0);
+            drawing.add_disc(&ellipse(at, (0.6 * radius_px, 0.4 * radius_px), 0.5), 160.0);
+        }
+        _ => {
+            let outer = ellipse(at, axes, 0.4);
+            let plain = Roundel { outer, ratio: 0.6, margin: 1.28, black: 40.0, white: 200.0 };
+            match kind.pattern {
+                Pattern::Coded(layout) => {
+                    let teeth = layout.codes().unwrap().teeth(9).unwrap();
+                    drawing.add_coded(&plain, 200.0, &teeth);
+                }
+                _ => drawing.add(&plain, 200.0),
+            }
+        }
+    }
+    disturb(&mut drawing, at);
+    drawing.picture(2.0, 7)
+}
+
+/// Whatever its size, its blur, its pattern and what lies over it: once a first ring has been located, no
+/// other needs memory.
+#[test]
+fn what_is_located_late_allocates_nothing() {
+    let plain = vec![Kind::plain("robot", 0.16, 0.096)];
+    let with = |pattern| vec![Kind { pattern, ..plain[0].clone() }];
+    let elliptical = with(Pattern::Elliptical { minor_diameter_m: 0.064 });
+    let coded = with(Pattern::Coded(CodeLayout { bits: 8, min_distance: 2 }));
+    // Half of the ring in the shadow, and a dark thing over a part of its rims.
+    let shadow = |drawing: &mut Drawing, at: (f64, f64)| {
+        drawing.stripe(|u, _| if (u as f64) < at.0 { -30.0 } else { 0.0 });
+    };
+    let cover = |radius_px: f64| {
+        move |drawing: &mut Drawing, (u, v): (f64, f64)| {
+            let axes = (0.3 * radius_px, 0.3 * radius_px);
+            drawing.add_disc(&ellipse((u + radius_px, v), axes, 0.0), -150.0);
+        }
+    };
+    // How many of the twelve pictures are to be fitted, at least.
+    for (kinds, least) in [(plain, 8), (elliptical, 4), (coded, 0)] {
+        let kind = &kinds[0];
+        let first = lit(14.0, 0.7, kind, |_, _| {});
+        let mut late = Vec::new();
+        for (radius_px, blur_px) in [(12.0, 0.6), (30.0, 0.9), (52.0, 1.3), (104.0, 0.5)] {
+            let clean = lit(radius_px, blur_px, kind, |_, _| {});
+            let rings = followed(&kinds, &clean);
+            assert_eq!(rings.len(), 1);
+            let disturbed = [
+                lit(radius_px, blur_px, kind, shadow),
+                lit(radius_px, blur_px, kind, cover(radius_px)),
+            ];
+            late.push((clean, rings.clone()));
+            late.extend(disturbed.map(|picture| (picture, rings.clone())));
+        }
+        let mut locator = Locator::new(camera(), kinds.clone(), Mode::Precise);
+        let mut located = Vec::with_capacity(8);
+        locator.locate_all(&frame(&first, SIDE), &followed(&kinds, &first), &mut located);
+        let mut precise = 0;
+        let spent = allocation_counter::measure(|| {
+            for (picture, rings) in &late {
+                locator.locate_all(&frame(picture, SIDE), rings, &mut located);
+                let by = |one: &&Result<_, _>| matches!(one, Ok(Located { by: Mode::Precise, .. }));
+                precise += located.iter().filter(by).count();
+            }
+        });
+        assert!(precise >= least, "{kinds:?}: {precise}");
+        assert_eq!(spent.count_total, 0);
+    }
 }

@@ -33,28 +33,35 @@ pub struct Kernel {
     pub blur_px: f64,
     /// Pixels a side that a node touches, 8 or 16.
     pub width: usize,
-    /// Phase by phase, and each of the two followed by its rise.
+    /// Phase by phase, and each of the two followed by its rise; empty until it is first needed.
     pub table: Vec<f32>,
 }
 
+/// Offsets at which the widest table needs Φ and F.
+const MOST_OFFSETS: usize = (16 + 6) * PHASES + 1;
+
 impl Kernel {
+    /// With room for the table.
     fn new(blur_px: f64) -> Self {
         let width = if blur_px <= NARROW_PX { 8 } else { 16 };
-        // All offsets are multiples of a phase, so two lists hold every Φ and F there is.
+        Self { blur_px, width, table: Vec::with_capacity(PHASES * FUNCTIONS * 2 * width) }
+    }
+
+    fn make(&mut self) {
+        let Self { blur_px, width, ref mut table } = *self;
+        // All offsets are multiples of a phase, so one list holds every Φ and F there is.
         let half = (width as i64 / 2 + 3) * PHASES as i64;
-        let list: Vec<[f64; 2]> = (-half..=half)
-            .map(|i| {
-                let z = i as f64 / (PHASES as f64 * blur_px);
-                let (below, density) = normal(z);
-                [below, blur_px * (z * below + density)]
-            })
-            .collect();
+        let mut list = [[0.0; 2]; MOST_OFFSETS];
+        for (i, both) in (-half..=half).zip(&mut list) {
+            let z = i as f64 / (PHASES as f64 * blur_px);
+            let (below, density) = normal(z);
+            *both = [below, blur_px * (z * below + density)];
+        }
         let box_of = |i: i64, which: usize| {
             let at = |i: i64| list[(i + half) as usize][which];
             at(i + PHASES as i64 / 2) - at(i - PHASES as i64 / 2)
         };
         let step = |i: i64| box_of(i + PHASES as i64, 1) - box_of(i, 1);
-        let mut table = Vec::with_capacity(PHASES * FUNCTIONS * 2 * width);
         for phase in 0..PHASES {
             let mut put = |shift: usize, value: &dyn Fn(i64) -> f64| {
                 let central = width as i64 / 2 - 1 - shift as i64;
@@ -65,7 +72,6 @@ impl Kernel {
             put(0, &|i| box_of(i, 0));
             put(fall_shift(phase), &step);
         }
-        Self { blur_px, width, table }
     }
 }
 
@@ -74,13 +80,14 @@ pub fn fall_shift(phase: usize) -> usize {
     usize::from(phase >= PHASES / 2)
 }
 
-/// Tables by blur, each made when it is first needed.
+/// Tables by blur, each made when it is first needed, in memory that it has from the beginning.
 #[derive(Clone, Debug)]
-pub struct Kernels(Vec<Option<Kernel>>);
+pub struct Kernels(Vec<Kernel>);
 
 impl Default for Kernels {
     fn default() -> Self {
-        Self(vec![None; TABLES])
+        let blur_px = |index: usize| BLUR_LIMITS_PX.0 + STEP_PX * index as f64;
+        Self((0..TABLES).map(|index| Kernel::new(blur_px(index))).collect())
     }
 }
 
@@ -90,7 +97,11 @@ impl Kernels {
         let place = ((blur_px - BLUR_LIMITS_PX.0) / STEP_PX).round();
         // A blur that is no number gives the first table.
         let index = (place.max(0.0) as usize).min(TABLES - 1);
-        self.0[index].get_or_insert_with(|| Kernel::new(BLUR_LIMITS_PX.0 + STEP_PX * index as f64))
+        let kernel = &mut self.0[index];
+        if kernel.table.is_empty() {
+            kernel.make();
+        }
+        kernel
     }
 }
 

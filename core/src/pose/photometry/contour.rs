@@ -7,24 +7,30 @@
 //! Round a smooth closed curve equal steps of the angle converge exponentially (a spacing of h against
 //! a blur of σ errs by about 2 exp(-2π²σ²/h²)).
 
+use std::ops::Range;
+
 use crate::marker::Kind;
 
 /// Nodes come in whole packs, so that vectors of any width divide them.
 pub const PACK: usize = 16;
-/// Contours that are kept; beyond them all are made anew.
-const MAX_KEPT: usize = 512;
+/// Contours that are kept …
+const MOST_KEPT: usize = 512;
+/// … and nodes of a rim; beyond either all contours are made anew.
+const MOST_OF_RIM: usize = 65_536;
+/// Nodes of a contour, and of all that are kept.
+pub const MOST_NODES: usize = 2 * MOST_OF_RIM;
 
-/// Nodes of all contours of one print.
-#[derive(Clone, Debug, Default)]
-pub struct Contour {
+/// Nodes of both rims of one print.
+#[derive(Clone, Copy, Debug)]
+pub struct Contour<'a> {
     /// Places.
-    pub x: Vec<f32>,
+    pub x: &'a [f32],
     /// Places.
-    pub y: Vec<f32>,
+    pub y: &'a [f32],
     /// Shares of the way.
-    pub dx: Vec<f32>,
+    pub dx: &'a [f32],
     /// Shares of the way.
-    pub dy: Vec<f32>,
+    pub dy: &'a [f32],
     /// How many nodes are the outer rim's: the first ones.
     pub outer: usize,
 }
@@ -38,36 +44,66 @@ struct Key {
     inner_packs: usize,
 }
 
-/// Contours by print and number of nodes, each made when it is first needed.
-#[derive(Clone, Debug, Default)]
-pub struct Contours(Vec<(Key, Contour)>);
+/// Contours by print and number of nodes, each made when it is first needed, in memory that is there from
+/// the beginning.
+#[derive(Clone, Debug)]
+pub struct Contours {
+    /// With where the contour's nodes are.
+    known: Vec<(Key, Range<usize>)>,
+    /// Of all contours, as in [`Contour`].
+    x: Vec<f32>,
+    y: Vec<f32>,
+    dx: Vec<f32>,
+    dy: Vec<f32>,
+}
+
+impl Default for Contours {
+    fn default() -> Self {
+        let [x, y, dx, dy] = [(); 4].map(|()| Vec::with_capacity(MOST_NODES));
+        Self { known: Vec::with_capacity(MOST_KEPT), x, y, dx, dy }
+    }
+}
 
 impl Contours {
     /// Contours of a print whose outer rim is at most `around_px` long, with nodes at most
     /// `spacing_px` apart.
-    pub fn of(&mut self, kind: &Kind, around_px: f64, spacing_px: f64) -> &Contour {
+    pub fn of(&mut self, kind: &Kind, around_px: f64, spacing_px: f64) -> Contour<'_> {
         let (least, most) = kind.ratios();
         let packs = |share: f64| {
-            let nodes = (share * around_px / spacing_px).min(65_536.0);
+            let nodes = (share * around_px / spacing_px).min(MOST_OF_RIM as f64);
             ((nodes / PACK as f64).ceil() as usize).max(1)
         };
         let key = Key { inner: (most, least), outer_packs: packs(1.0), inner_packs: packs(most) };
-        if let Some(index) = self.0.iter().position(|(known, _)| *known == key) {
-            return &self.0[index].1;
+        let known = self.known.iter().find(|(known, _)| *known == key);
+        let range = match known {
+            Some((_, range)) => range.clone(),
+            None => self.add(key),
+        };
+        Contour {
+            x: &self.x[range.clone()],
+            y: &self.y[range.clone()],
+            dx: &self.dx[range.clone()],
+            dy: &self.dy[range],
+            outer: key.outer_packs * PACK,
         }
-        if self.0.len() == MAX_KEPT {
-            self.0.clear();
-        }
-        let mut contour = Contour::default();
-        contour.ellipse((1.0, 1.0), key.outer_packs * PACK, 1.0);
-        contour.outer = contour.x.len();
-        contour.ellipse(key.inner, key.inner_packs * PACK, -1.0);
-        self.0.push((key, contour));
-        &self.0[self.0.len() - 1].1
     }
-}
 
-impl Contour {
+    fn add(&mut self, key: Key) -> Range<usize> {
+        let count = (key.outer_packs + key.inner_packs) * PACK;
+        if self.known.len() == MOST_KEPT || self.x.len() + count > MOST_NODES {
+            self.known.clear();
+            for list in [&mut self.x, &mut self.y, &mut self.dx, &mut self.dy] {
+                list.clear();
+            }
+        }
+        let first = self.x.len();
+        self.ellipse((1.0, 1.0), key.outer_packs * PACK, 1.0);
+        self.ellipse(key.inner, key.inner_packs * PACK, -1.0);
+        let range = first..first + count;
+        self.known.push((key, range.clone()));
+        range
+    }
+
     fn ellipse(&mut self, (a, b): (f64, f64), count: usize, sign: f64) {
         let step = std::f64::consts::TAU / count as f64;
         for i in 0..count {
@@ -90,7 +126,7 @@ mod tests {
         let mut contours = Contours::default();
         let kind = Kind::plain("", 0.2, 0.08);
         let contour = contours.of(&kind, 90.0, 0.8);
-        let terms = contour.x.iter().zip(&contour.dy);
+        let terms = contour.x.iter().zip(contour.dy);
         let area: f64 = terms.map(|(x, dy)| f64::from(x * dy)).sum();
         assert!((area - std::f64::consts::PI * (1.0 - 0.16)).abs() < 1e-5, "{area}");
         let pattern = Pattern::Elliptical { minor_diameter_m: 0.06 };
@@ -100,6 +136,26 @@ mod tests {
         };
         // Of an ellipse ∬ x² is π a³ b/4; its longer axis lies along x.
         let expected = std::f64::consts::FRAC_PI_4 * (1.0 - 0.4f64.powi(3) * 0.3);
-        assert!((moment(&contour.x, &contour.dy) - expected).abs() < 1e-5);
+        assert!((moment(contour.x, contour.dy) - expected).abs() < 1e-5);
+    }
+
+    #[test]
+    fn contours_are_the_same_once_there_was_no_room_for_them() {
+        let mut contours = Contours::default();
+        let kind = Kind::plain("", 0.2, 0.08);
+        let first = |contours: &mut Contours| {
+            let Contour { x, y, dx, dy, outer } = contours.of(&kind, 90.0, 0.8);
+            ([x, y, dx, dy].map(<[f32]>::to_vec), outer)
+        };
+        let before = first(&mut contours);
+        // Two of them have room.
+        for around_px in [41_000.0, 40_000.0, 42_000.0] {
+            contours.of(&kind, around_px, 1.0);
+            assert!(contours.x.len() <= MOST_NODES);
+        }
+        assert!(contours.known.len() < 4);
+        assert_eq!(first(&mut contours), before);
+        let of_rim = contours.of(&kind, f64::INFINITY, 1.0);
+        assert!(of_rim.outer == MOST_OF_RIM && of_rim.x.len() <= MOST_NODES);
     }
 }

@@ -23,7 +23,7 @@ use super::{
     patches::Patches,
     view::Nodes,
 };
-use crate::{ellipse::Chords, frame::Frame};
+use crate::{ellipse::Chords, frame::Frame, marker::make_room};
 
 /// Pixels each way that differences take in.
 const DIFFERENCE: usize = 2;
@@ -84,6 +84,16 @@ pub struct Model {
 }
 
 impl Window {
+    /// Room for windows of so many columns and rows.
+    pub fn make_room(&mut self, (columns, rows): (usize, usize)) {
+        let width = columns.next_multiple_of(LANES);
+        make_room(&mut self.image, width * rows + LANES);
+        make_room(&mut self.pixels, width * rows + LANES);
+        make_room(&mut self.grey, width + LANES);
+        make_room(&mut self.spans, rows);
+        self.patches.make_room(width);
+    }
+
     /// Lays the window over columns and rows of the frame; all are included. Pixels within the chords
     /// count.
     pub fn lay(

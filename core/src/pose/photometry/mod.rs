@@ -138,10 +138,13 @@ pub enum FitError {
     Disturbed,
 }
 
-/// Memory of the fit, to be used again and again.
+/// Memory of the fit, to be used again and again: from the first fit on there is room for rings as large as
+/// the frame, so that none is taken later (`tests/allocation.rs`).
 #[derive(Clone, Debug)]
 pub struct FitScratch {
     level: Level,
+    /// Of the frames that there is room for.
+    size: (usize, usize),
     plan: Plan,
     kernels: Kernels,
     contours: Contours,
@@ -155,6 +158,7 @@ impl Default for FitScratch {
     fn default() -> Self {
         Self {
             level: Level::new(),
+            size: (0, 0),
             plan: Plan::default(),
             kernels: Kernels::default(),
             contours: Contours::default(),
@@ -163,6 +167,23 @@ impl Default for FitScratch {
             sums: Sums::default(),
             careful: Careful::default(),
         }
+    }
+}
+
+/// By so many pixels the window of a ring as large as the frame may be wider than the frame.
+const BEYOND_PX: usize = 64;
+
+impl FitScratch {
+    /// Room for what a frame can show. Memory that no ring comes to use is asked for, but not touched.
+    fn make_room(&mut self, frame: &Frame) {
+        let size = (frame.width(), frame.height());
+        if self.size == size {
+            return;
+        }
+        self.size = size;
+        let (columns, rows) = (size.0 + BEYOND_PX, size.1 + BEYOND_PX);
+        self.window.make_room((columns, rows));
+        self.careful.make_room(columns * rows);
     }
 }
 
@@ -199,6 +220,7 @@ pub fn fit(
             return Err(FitError::Pattern);
         }
     };
+    scratch.make_room(frame);
     let radius_m = 0.5 * kind.outer_diameter_m;
     let local_from_camera = frame_along(&(start.pose.position_m / range_m));
     let spread = 1.05 * radius_m / range_m;

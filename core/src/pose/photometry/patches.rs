@@ -10,6 +10,8 @@
 
 use fearless_simd::prelude::*;
 
+use crate::marker::make_room;
+
 /// Rows and columns of a patch.
 const SIDE: usize = 4;
 /// Lanes of the widest vector.
@@ -28,7 +30,12 @@ pub struct Patches {
 }
 
 impl Patches {
-    /// Makes room for rows of so many columns.
+    /// Room for rows of so many columns.
+    pub fn make_room(&mut self, width: usize) {
+        make_room(&mut self.columns, width + 2 * LANES);
+    }
+
+    /// Gets ready for rows of so many columns.
     pub fn lay(&mut self, width: usize) {
         self.columns.resize((width + 2 * LANES).max(self.columns.len()), 0.0);
     }

@@ -10,7 +10,7 @@ use nalgebra::{Matrix3, Vector3};
 
 use super::{
     blur::PHASES,
-    contour::{Contour, PACK},
+    contour::{Contour, MOST_NODES, PACK},
     lens::{LocalLens, TERMS},
 };
 use crate::pose::yaw;
@@ -32,7 +32,7 @@ impl Place {
 }
 
 /// Contour nodes in the window, with their shares of the way in pixels.
-#[derive(Clone, Debug, Default)]
+#[derive(Clone, Debug)]
 pub struct Nodes {
     /// Column, from the window's left.
     pub x: Vec<f32>,
@@ -50,8 +50,18 @@ pub struct Nodes {
     pub outer: usize,
 }
 
+impl Default for Nodes {
+    /// None, with room for those of any contour.
+    fn default() -> Self {
+        let list = || Vec::with_capacity(MOST_NODES);
+        let steps = [(); 2].map(|()| Vec::with_capacity(MOST_NODES));
+        let rest = [(); 2].map(|()| list());
+        Self { x: list(), y: list(), dx: list(), dy: list(), steps, rest, outer: 0 }
+    }
+}
+
 impl Nodes {
-    /// Makes room for as many nodes.
+    /// To as many nodes.
     fn resize(&mut self, count: usize) {
         for list in [&mut self.x, &mut self.y, &mut self.dx, &mut self.dy] {
             list.resize(count, 0.0);
@@ -82,7 +92,7 @@ struct View {
 pub fn project(
     level: Level,
     (lens, place, radius_m): (&LocalLens, &Place, f64),
-    contour: &Contour,
+    contour: Contour,
     window: (i64, i64),
     nodes: &mut Nodes,
 ) {
@@ -105,7 +115,7 @@ pub fn project(
 }
 
 #[simd]
-fn project_all<S: Simd>(simd: S, view: &View, contour: &Contour, nodes: &mut Nodes) {
+fn project_all<S: Simd>(simd: S, view: &View, contour: Contour, nodes: &mut Nodes) {
     let width = S::f32s::LEN;
     debug_assert!(PACK.is_multiple_of(width));
     let one = S::f32s::splat(simd, 1.0);

@@ -24,6 +24,8 @@ pub const SPREAD: usize = COLUMNS - 1;
 const LENGTH_PX: f64 = 6.0;
 /// … as long as these are not too few or too many.
 const COUNT: (f64, f64) = (6.0, 32.0);
+/// Cells of both rims, at most.
+pub const MOST: usize = 2 * COUNT.1 as usize;
 /// A cell of fewer pixels says nothing.
 const MIN_PIXELS: f64 = 8.0;
 /// Deviation of a cell's levels from the reference, grey levels: no more than keeps them finite.

@@ -7,7 +7,8 @@
 use fearless_simd::{Level, Simd, dispatch};
 use fearless_simd_macros::simd;
 
-use super::super::view::Nodes;
+use super::super::{contour::MOST_NODES, view::Nodes};
+use crate::marker::make_room;
 
 /// Images: fall (later d), two gradients, curvature, and the spread of either rim.
 pub const IMAGES: usize = 6;
@@ -91,6 +92,12 @@ struct Axis {
 }
 
 impl Images {
+    /// Room for windows of so many pixels.
+    pub fn make_room(&mut self, pixels: usize) {
+        make_room(&mut self.planes, pixels * IMAGES);
+        make_room(&mut self.normals, MOST_NODES);
+    }
+
     /// Lays the window over columns and rows of the frame; all are included.
     pub fn lay(&mut self, columns: (i64, i64), rows: (i64, i64)) {
         self.origin = (columns.0, rows.0);

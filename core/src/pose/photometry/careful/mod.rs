@@ -37,7 +37,7 @@ use super::{
     state::{self, Linear, Parts, Problem, State},
     window_of,
 };
-use crate::ellipse::Ellipse;
+use crate::{ellipse::Ellipse, marker::make_room};
 use cells::{Cell, Known, SPREAD};
 use image::{Images, Normal};
 use pixels::Pixel;
@@ -80,6 +80,15 @@ pub struct Careful {
 }
 
 impl Careful {
+    /// Room for windows of so many pixels.
+    pub fn make_room(&mut self, pixels: usize) {
+        self.images.make_room(pixels);
+        make_room(&mut self.pixels, pixels);
+        make_room(&mut self.cells, cells::MOST);
+        make_room(&mut self.before, cells::MOST);
+        make_room(&mut self.list, cells::MOST);
+    }
+
     /// Whether all of the inner rim's cells agreed in the newest fit.
     pub fn keeps_disc(&self) -> bool {
         self.cells.iter().all(|cell| cell.rim == 0 || cell.kept)
