@@ -108,7 +108,7 @@ fn circuit(speed_m_s: f64, radius_m: f64, length: Length) -> Vec<Row> {
         if speed_m_s < 2.0 { (3.0, "rms at most 3 mm") } else { (8.0, "rms at most 8 mm") };
     let row = |(name, kind): (&str, Kind)| {
         let arena = Arena::under_r4(12, kind, paths.clone());
-        let frames = watch(&arena, length.seconds(150.0, 90.0) as usize);
+        let frames = watch(&arena, length.seconds(126.0, 90.0) as usize);
         let score = fused(&arena, delayed(&arena, frames));
         let rms_mm = score.position.rms() * 1e3;
         let push_m_s2 = speed_m_s * speed_m_s / radius_m;
