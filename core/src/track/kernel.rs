@@ -59,6 +59,8 @@ pub struct Kernel {
     pub spread: Spread,
     sources: [Source; MAX_SOURCES],
     len: usize,
+    /// Whether a clock is considered; until then nothing is computed for it.
+    is_timed: bool,
 }
 
 impl Kernel {
@@ -75,6 +77,7 @@ impl Kernel {
             },
             sources: [NO_SOURCE; MAX_SOURCES],
             len: 1,
+            is_timed: noise.timing_s > 0.0,
         };
         kernel.sources[0] = Source { camera, value: noise.systematic_root, ..NO_SOURCE };
         kernel
@@ -86,11 +89,17 @@ impl Kernel {
         let kept = (-dt.abs() / systematic_time_s).exp();
         let mut live = 0;
         for index in 0..self.len {
-            let source = self.sources[index].predicted(dt, kept);
-            if source.age_s > FORGOTTEN_TIMES * systematic_time_s {
+            if self.sources[index].age_s + dt.abs() > FORGOTTEN_TIMES * systematic_time_s {
                 continue;
             }
-            self.sources[live] = source;
+            if live < index {
+                self.sources[live] = self.sources[index];
+            }
+            let source = &mut self.sources[live];
+            source.predict(dt, kept);
+            if self.is_timed {
+                source.predict_clock(dt);
+            }
             live += 1;
         }
         self.len = live;
@@ -109,10 +118,16 @@ impl Kernel {
         spread.predict(dt, &model.acceleration_density_m2_s3);
         let kept = (-dt.abs() / model.systematic_time_s).exp();
         let own = self.source(camera);
-        let source = own.map(|index| self.sources[index].predicted(dt, kept));
+        let predicted = |source: &Source, kept: f64| {
+            let mut source = *source;
+            source.predict(dt, kept);
+            source.predict_clock(dt);
+            source
+        };
+        let source = own.map(|index| predicted(&self.sources[index], kept));
         let mut joint = Joint::of(&spread, source.as_ref(), noise);
         if noise.timing_s > 0.0 {
-            let sources = self.sources[..self.len].iter().map(|source| source.predicted(dt, 1.0));
+            let sources = self.sources[..self.len].iter().map(|source| predicted(source, 1.0));
             joint.add_clocks(sources, &self.rate, (camera, noise.timing_s));
         }
         joint.innovation(residual)
@@ -166,6 +181,7 @@ impl Kernel {
     ) -> (Vector3<f64>, Innovation) {
         let own = self.source_or_new(camera);
         self.sources[own].timing_s = noise.timing_s;
+        self.is_timed |= noise.timing_s > 0.0;
         let (given, whole) = self.joint(camera, noise);
         let Joint { value: value_cov, rate: rate_cov, innovation: covariance } = whole;
         let Some((inverse, determinant)) = invert_positive(&covariance) else {
@@ -197,20 +213,20 @@ impl Kernel {
             spread.rate = symmetric(spread.rate - rate_gain * rate_cov.transpose() * share);
         }
         let rate = self.rate;
+        let (value_gain, rate_gain) = (value_gain * weight, rate_gain * weight);
         for (index, source) in self.sources[..self.len].iter_mut().enumerate() {
             let mut with_innovation = source.value;
-            let mut by_clock = source.value_by_clock;
             if index == own {
                 with_innovation += noise.systematic_root;
-                by_clock -= rate;
                 source.age_s = 0.0;
             }
-            with_innovation *= weight;
-            by_clock *= weight;
             source.value -= value_gain * with_innovation;
             source.rate -= rate_gain * with_innovation;
-            source.value_by_clock -= value_gain * by_clock;
-            source.rate_by_clock -= rate_gain * by_clock;
+            if self.is_timed {
+                let by_clock = source.by_clock((index == own).then_some(&rate));
+                source.value_by_clock -= value_gain * by_clock;
+                source.rate_by_clock -= rate_gain * by_clock;
+            }
         }
         self.rate += rate_cov * weighted * weight;
         (value_cov * weighted * weight, innovation)

@@ -124,9 +124,13 @@ fn possible(
             continue;
         }
         let residual_m = seen.position_m - coarse.position_m - coarse.velocity_m_s * offset_s;
-        let timing_s = track.timing_s(seen, clocks);
-        let speed_m_s = coarse.velocity_m_s.norm() + coarse.speed_deviation_m_s;
-        let reach_m = reach * (coarse.deviation_m + deviation_m + speed_m_s * timing_s);
+        let mut reach_m = reach * (coarse.deviation_m + deviation_m);
+        let mut timing_s = 0.0;
+        if clocks.is_estimating() {
+            timing_s = track.timing_s(seen, clocks);
+            let speed_m_s = coarse.velocity_m_s.norm() + coarse.speed_deviation_m_s;
+            reach_m += reach * speed_m_s * timing_s;
+        }
         if residual_m.norm_squared() > reach_m * reach_m {
             continue;
         }

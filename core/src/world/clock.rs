@@ -95,6 +95,8 @@ pub struct Clocks {
     information: DMatrix<f64>,
     score: DVector<f64>,
     batch_since: Option<Timestamp>,
+    /// Whether any clock is not exact.
+    is_estimating: bool,
 }
 
 impl Clocks {
@@ -102,6 +104,7 @@ impl Clocks {
     pub fn set_prior(&mut self, camera: CameraId, prior: ClockPrior) {
         let index = self.know(camera);
         self.members[index].prior = prior;
+        self.is_estimating = self.members.iter().any(|member| member.prior != ClockPrior::EXACT);
         let base = index * NUMBERS;
         for number in base..base + NUMBERS {
             self.covariance.row_mut(number).fill(0.0);
@@ -131,7 +134,7 @@ impl Clocks {
 
     /// Whether there is anything to be estimated.
     pub fn is_estimating(&self) -> bool {
-        self.members.iter().any(|member| member.prior != ClockPrior::EXACT)
+        self.is_estimating
     }
 
     /// By how much a camera's stamps are late at `time`, seconds.
