@@ -186,6 +186,14 @@ impl Attitude {
         estimate
     }
 
+    /// Of the estimate's covariance of the rotation, what the cameras' systematic errors have made.
+    pub fn systematic(&self) -> Matrix3<f64> {
+        let best = self.best.kernel.systematic();
+        let Some(rival) = &self.rival else { return best };
+        let weight = 1.0 / (1.0 + self.log_odds.exp());
+        best + (rival.kernel.systematic() - best) * weight
+    }
+
     /// Holds it upright.
     pub fn hold(&mut self, ground: &Ground) {
         for hypothesis in std::iter::once(&mut self.best).chain(self.rival.as_mut()) {

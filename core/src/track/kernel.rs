@@ -157,6 +157,12 @@ impl Kernel {
         spread
     }
 
+    /// Of the value's covariance, what systematic errors have made: Σ Cp Cpᵀ.
+    pub fn systematic(&self) -> Matrix3<f64> {
+        let sources = self.sources[..self.len].iter();
+        sources.map(|source| source.value * source.value.transpose()).sum()
+    }
+
     /// As if the clocks were known, and with what they may add.
     fn joint(&self, camera: CameraId, noise: &Noise) -> (Joint, Joint) {
         let source = self.source(camera).map(|index| &self.sources[index]);

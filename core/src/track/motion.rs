@@ -195,6 +195,14 @@ impl Motion {
         }
     }
 
+    /// Of the estimate's covariance of position, what the cameras' systematic errors have made.
+    pub fn systematic(&self) -> Matrix3<f64> {
+        if self.unseen_s > UNSEEN_S {
+            return self.agile.kernel.systematic();
+        }
+        blended(&self.calm.kernel.systematic(), &self.lively.kernel.systematic())
+    }
+
     /// Along each axis, e to `log_factor` above the present means.
     fn density(&self, log_factor: f64) -> Vector3<f64> {
         let level = (self.level.mean + log_factor).exp();

@@ -17,6 +17,8 @@
 //! Accuracy: R4 with offsets to 40 ms and skews to 50 ppm, 24 robots, to 0.1 ms within 20 s
 //! (`core/tests/fusion/clock.rs`).
 
+use std::collections::BTreeSet;
+
 use nalgebra::{DMatrix, DVector};
 
 use super::comparison::Comparison;
@@ -84,6 +86,8 @@ struct Member {
 #[derive(Clone, Debug, Default)]
 pub struct Clocks {
     members: Vec<Member>,
+    /// Cameras that move: what they see says nothing of clocks.
+    aside: BTreeSet<CameraId>,
     /// Offset, skew, latency of each.
     mean: DVector<f64>,
     covariance: DMatrix<f64>,
@@ -118,6 +122,20 @@ impl Clocks {
         self.mean[base + 1] = 0.0;
         self.mean[base + 2] = LATENCY.0;
         self.compare();
+    }
+
+    /// Says whether a camera moves: what it sees is late by its own motion as well, and not compared.
+    pub(super) fn set_aside(&mut self, camera: CameraId, aside: bool) {
+        if aside {
+            self.aside.insert(camera);
+        } else {
+            self.aside.remove(&camera);
+        }
+    }
+
+    /// Whether what a camera sees may be compared.
+    pub(super) fn is_compared(&self, camera: CameraId) -> bool {
+        !self.aside.contains(&camera)
     }
 
     /// Says that a camera's clock was set: what is known of its offset holds to a step's error only.

@@ -1,4 +1,7 @@
-//! The fusion machine: frames in, snapshots and events out.
+//! The fusion machine: frames in, snapshots and events out. How detections become sightings, by cameras
+//! that stand or ride, is in `place`.
+
+mod place;
 
 use std::collections::{BTreeMap, VecDeque};
 
@@ -10,9 +13,12 @@ use super::{
     association::{Scratch, Sighting, associate},
     clock::{ClockEstimate, ClockPrior, Clocks},
     identity::{Claim, Identities},
+    landmark::Landmark,
     life::Track,
+    localize::OWN_NUMBER,
     merge,
-    observation::{Lateness, Refused, measure},
+    observation::Lateness,
+    rider::Riders,
     snapshot::state_of,
     timeline::{Timeline, Verdict},
 };
@@ -26,8 +32,6 @@ use crate::{
 
 /// Events kept for a caller that does not fetch them; the oldest give way.
 const MAX_EVENTS: usize = 10_000;
-/// A detection's capture time may differ from its frame's by so much (half a slow rolling shutter).
-const MAX_ROW_TIME_NS: i64 = 500_000_000;
 /// Pairs of tracks are compared this often.
 const MERGE_EVERY_NS: i64 = 50_000_000;
 
@@ -72,6 +76,16 @@ pub struct FusionCounts {
     pub jumped: u64,
     /// Detections of cameras whose place is not known.
     pub no_camera_pose: u64,
+    /// Of these, of cameras whose carrier is not followed.
+    pub carrier_unseen: u64,
+    /// Of these, of cameras of which nobody knows how their carrier is turned.
+    pub carrier_unturned: u64,
+    /// Detections of carriers by cameras that ride: not used.
+    pub of_carriers: u64,
+    /// Detections of landmarks by cameras that localize.
+    pub of_landmarks: u64,
+    /// Frames in which such a camera found its place.
+    pub localized: u64,
     /// Detections without a pose.
     pub no_pose: u64,
     /// Detections with numbers that are not finite or no covariance.
@@ -96,6 +110,8 @@ pub struct Fusion {
     params: FusionParams,
     classes: BTreeMap<KindId, MotionClass>,
     cameras: BTreeMap<CameraId, CameraPlacement>,
+    riders: Riders,
+    landmarks: Vec<Landmark>,
     anchors: Anchors,
     clocks: Clocks,
     offsets_m: BTreeMap<KindId, Vector3<f64>>,
@@ -121,6 +137,8 @@ impl Fusion {
             params,
             classes: BTreeMap::new(),
             cameras: BTreeMap::new(),
+            riders: Riders::default(),
+            landmarks: Vec::new(),
             anchors: Anchors::default(),
             clocks: Clocks::default(),
             offsets_m: BTreeMap::new(),
@@ -212,10 +230,12 @@ impl Fusion {
         let Some(now) = self.timeline.newest() else { return };
         self.clocks.receive(frame.camera, late.based(frame.capture_time), frame.received_time);
         self.advance(now);
-        if !self.collect(frame, late, now) {
+        self.riders.expose(frame.camera, capture_time);
+        let landmarks = self.localize(frame, late, now);
+        if !self.collect(frame, late, now, &landmarks) {
             return;
         }
-        self.apply(frame, capture_time, now);
+        self.apply(frame.camera, Some(capture_time), now);
         if self.next_merge.is_none_or(|time| now >= time) {
             self.next_merge = Some(now.plus_ns(MERGE_EVERY_NS));
             self.merge(now);
@@ -258,44 +278,10 @@ impl Fusion {
         Some(Lateness { base_ns, offset_s: self.clocks.offset_s(frame.camera, received) })
     }
 
-    /// Turns the frame's detections into sightings; false if the camera's place is not known.
-    fn collect(&mut self, frame: &FrameObservations, late: Lateness, now: Timestamp) -> bool {
-        let Some(placement) = self.cameras.get(&frame.camera) else {
-            self.counts.no_camera_pose += frame.detections.len() as u64;
-            return false;
-        };
-        self.sightings.clear();
-        for detection in &frame.detections {
-            let row_ns = detection.capture_time.ns_since(frame.capture_time);
-            if row_ns.saturating_abs() > MAX_ROW_TIME_NS {
-                self.counts.invalid += 1;
-                continue;
-            }
-            if now.ns_since(late.corrected(detection.capture_time)) > self.params.late_window_ns {
-                self.counts.late += 1;
-                continue;
-            }
-            let is_known = |sighting: &Sighting| sighting.measurement.number == detection.track;
-            if self.sightings.iter().any(is_known) {
-                self.counts.duplicate += 1;
-                continue;
-            }
-            let source = (frame.camera, frame.frame);
-            match measure(detection, source, placement, late, &self.params) {
-                Ok(measurement) => {
-                    let ring = &detection.ring;
-                    let code = ring.code.map(|reading| reading.code);
-                    self.sightings.push(Sighting { kind: ring.kind, code, measurement });
-                }
-                Err(Refused::NoPose) => self.counts.no_pose += 1,
-                Err(Refused::Invalid) => self.counts.invalid += 1,
-            }
-        }
-        true
-    }
-
-    /// Gives each sighting to its track, or to a new one.
-    fn apply(&mut self, frame: &FrameObservations, capture_time: Timestamp, now: Timestamp) {
+    /// Gives each sighting to its track, or to a new one. With the frame's time, they are all that its
+    /// camera has seen in it.
+    fn apply(&mut self, camera: CameraId, whole: Option<Timestamp>, now: Timestamp) {
+        let rides = self.riders.has(camera);
         let decisions = associate(
             &self.tracks,
             &self.sightings,
@@ -316,6 +302,11 @@ impl Fusion {
             };
             seen[track] = true;
             let track = &mut self.tracks[track];
+            let is_own = sighting.measurement.number == OWN_NUMBER;
+            if rides && !is_own && self.riders.is_carrier(track.kind, track.codes.leader()) {
+                self.counts.of_carriers += 1;
+                continue;
+            }
             let seen = &mut sighting.measurement;
             *seen = seen.timed(track.timing_s(seen, &self.clocks));
             let (inserted, event) = track.observe(&sighting.measurement, &innovation, &self.params);
@@ -345,8 +336,8 @@ impl Fusion {
             }
         }
         for (track, seen) in self.tracks[..known].iter_mut().zip(seen) {
-            if !seen {
-                track.miss(frame.camera, capture_time);
+            if let Some(time) = whole.filter(|_| !seen) {
+                track.miss(camera, time);
             }
         }
         for (id, code, event) in claims {

@@ -6,7 +6,8 @@
 //! `observation` carries detections into the world, `association` says which object each one is
 //! of, [`crate::track`] estimates, `life` tells new from trusted from lost, `merge` joins two
 //! tracks of one object, `vote` counts the codes that it was seen with, `identity` gives an object that returns its id again, `snapshot` shows the result at
-//! an instant.
+//! an instant. Cameras that move are placed by what carries them (`rider`), and place it by landmarks
+//! that they see (`landmark`, `localize`).
 
 mod anchor;
 mod assignment;
@@ -15,17 +16,22 @@ mod clock;
 mod comparison;
 mod fusion;
 mod identity;
+mod landmark;
 mod life;
+mod localize;
 mod merge;
 mod observation;
 mod param;
+mod rider;
 mod snapshot;
 mod timeline;
 mod vote;
 
 pub use clock::{ClockEstimate, ClockPrior};
 pub use fusion::{CameraPlacement, Fusion, FusionCounts};
+pub use landmark::{Landmark, TURN_SIGMA_RAD};
 pub use param::{FusionParams, MotionClass};
+pub use rider::{CameraMount, Carrier, Unplaced};
 
 pub mod reference;
 

@@ -3,12 +3,15 @@
 //! With camera pose (R, t), detection p and covariance Σ: p_w = R p + t, and its error is
 //! diag(R, R) Σ diag(R, R)ᵀ plus that of the camera's place, J Σ_camera Jᵀ with
 //! J = [I -[R p]×; 0 I], since a small turn δθ of the camera moves the point by δθ × R p. The
-//! camera's place errs in every frame alike, so its part is wholly systematic; of Σ a configured
-//! share is.
+//! camera that stands errs in its place in every frame alike, so that part is wholly systematic; of one
+//! that rides a part is ([`super::rider`]); of Σ a configured share is.
 
-use nalgebra::{Matrix3, Matrix6, UnitQuaternion, Vector3};
+use nalgebra::{Matrix3, UnitQuaternion, Vector3};
 
-use super::{CameraPlacement, FusionParams};
+use super::{
+    FusionParams,
+    rider::{Stand, with_arm},
+};
 use crate::{
     id::CameraId,
     pose::{Detection, RoundelPose},
@@ -19,7 +22,7 @@ use crate::{
 
 /// No measurement is believed to be better than 10 µm and 10 µrad: keeps the filter's arithmetic
 /// well within the digits of `f64`.
-const FLOOR_VARIANCE: f64 = 1e-10;
+pub(super) const FLOOR_VARIANCE: f64 = 1e-10;
 /// Beyond 100 m and 100 rad a measurement tells nothing and only costs digits.
 const CEILING_POSITION_M2: f64 = 1e4;
 const CEILING_ROTATION_RAD2: f64 = 1e4;
@@ -61,7 +64,7 @@ pub(super) enum Refused {
 pub(super) fn measure(
     detection: &Detection,
     (camera, frame): (CameraId, u64),
-    placement: &CameraPlacement,
+    stand: &Stand,
     late: Lateness,
     params: &FusionParams,
 ) -> Result<Measurement, Refused> {
@@ -69,19 +72,22 @@ pub(super) fn measure(
     if !is_sound(pose) {
         return Err(Refused::Invalid);
     }
-    let place = &placement.world_from_camera;
+    let place = &stand.world_from_camera;
     let arm_m = place.rotation * pose.position_m;
     let seen = rotate_covariance(&place.rotation, &pose.covariance);
-    let placed = placement_error(&placement.covariance, &arm_m);
+    let [stays, fresh] = [&stand.systematic, &stand.fresh].map(|part| placed(part, &arm_m));
     let share = params.systematic_share.clamp(0.0, 1.0);
     let noise = |corner: usize| {
         let block = |whole: &Covariance6| {
             let block = whole.fixed_view::<3, 3>(corner, corner);
             (block + block.transpose()) * 0.5
         };
-        let systematic = block(&seen) * share + block(&placed);
+        let systematic = block(&seen) * share + block(&stays);
         Noise {
-            total: block(&seen) + block(&placed) + Matrix3::from_diagonal_element(FLOOR_VARIANCE),
+            total: block(&seen)
+                + block(&stays)
+                + block(&fresh)
+                + Matrix3::from_diagonal_element(FLOOR_VARIANCE),
             // Nothing systematic: no root, and none is needed.
             systematic_root: positive_root(&systematic).unwrap_or_else(Matrix3::zeros),
             timing_s: 0.0,
@@ -112,21 +118,18 @@ pub(super) fn measure(
 }
 
 /// The roundel's orientation in the camera frame: the normal's, turned by the yaw about it.
-fn orientation(normal: &Vector3<f64>, yaw_rad: Option<f64>) -> UnitQuaternion<f64> {
+pub(super) fn orientation(normal: &Vector3<f64>, yaw_rad: Option<f64>) -> UnitQuaternion<f64> {
     let yaw = UnitQuaternion::from_axis_angle(&Vector3::z_axis(), yaw_rad.unwrap_or(0.0));
     orientation_of_normal(&normal.normalize()) * yaw
 }
 
-fn placement_error(covariance: &Covariance6, arm_m: &Vector3<f64>) -> Covariance6 {
-    if *covariance == Covariance6::zeros() {
-        return Covariance6::zeros();
-    }
-    let mut jacobian = Matrix6::identity();
-    jacobian.fixed_view_mut::<3, 3>(0, 3).copy_from(&-arm_m.cross_matrix());
-    jacobian * covariance * jacobian.transpose()
+/// What the camera's place adds.
+fn placed(covariance: &Covariance6, arm_m: &Vector3<f64>) -> Covariance6 {
+    let is_exact = *covariance == Covariance6::zeros();
+    if is_exact { Covariance6::zeros() } else { with_arm(covariance, arm_m) }
 }
 
-fn is_sound(pose: &RoundelPose) -> bool {
+pub(super) fn is_sound(pose: &RoundelPose) -> bool {
     let is_unit = |vector: &Vector3<f64>| (vector.norm() - 1.0).abs() < UNIT_TOLERANCE;
     let variances = pose.covariance.diagonal();
     pose.position_m.iter().chain(pose.covariance.iter()).all(|number| number.is_finite())

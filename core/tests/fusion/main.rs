@@ -9,4 +9,5 @@ mod heading;
 mod life;
 mod normal;
 mod order;
+mod rider;
 mod score;
