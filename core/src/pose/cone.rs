@@ -22,7 +22,7 @@
 //! (paper, eqs. 9 and 10 and section 4.3 as corrected in [`crate::errata`], which have the same conic by
 //! its points where this has it by its tangents.)
 
-use super::rim::{Harmonics, Information, Rim};
+use super::{information::Harmonics, rim::Rim};
 use crate::lanes::{Lane, Vec2, Vec3};
 
 /// A circle's place in a local frame, by the numbers that its image depends on.
@@ -160,18 +160,4 @@ fn harmonics<T: Lane>(rim: &Rim<T>, center: Vec2<T>, [m11, m12, m22]: [T; 3]) ->
         (n11 - n22) * (0.25 * PER_ROOT),
         n12 * (0.5 * PER_ROOT),
     ]
-}
-
-impl<T: Lane> Information<T> {
-    /// These five numbers weighted.
-    #[inline(always)]
-    pub fn times(&self, h: &Harmonics<T>) -> Harmonics<T> {
-        [
-            self.size * h[0] + self.size_and_elongation * h[3],
-            self.along * h[1],
-            self.across * h[2],
-            self.size_and_elongation * h[0] + self.elongation * h[3],
-            self.turn * h[4],
-        ]
-    }
 }

@@ -13,7 +13,7 @@
 //! whose first harmonics A = (a b) are the rim's semiaxes there: the longer axis is the first eigenvector
 //! of A Aᵀ. An opposite heading looks the same, so it is told modulo π, in (-π/2, π/2].
 //!
-//! **Covariance.** The rim's elongation and turn (`rim`), their phase moved by that of A, turn the axes by
+//! **Covariance.** The rim's elongation and turn (`information`), their phase moved by that of A, turn the axes by
 //! 2pq/(p² - q²) times a rotation's share; to that comes what an error of the normal turns them by, g of
 //! [`super::yaw`], here by central differences.
 //!
@@ -24,7 +24,8 @@
 use nalgebra::{Matrix2, UnitQuaternion, Vector2, Vector3};
 
 use super::{
-    PoseError, RimNoise, RingNoise, RoundelPose, closed, rim,
+    PoseError, RimNoise, RingNoise, RoundelPose, closed,
+    information::Information,
     seen::{RimSeen, RingFound},
     yaw,
 };
@@ -172,7 +173,7 @@ impl DiscRays {
 impl Heading {
     /// Variance from the errors of the disc's rim alone.
     fn variance_rad2(&self, kind: &Kind, inner: &Ellipse, noise: &RingNoise<f64>) -> Option<f64> {
-        let (known, true) = rim::information(&RimSeen::of(inner), noise) else { return None };
+        let (known, true) = Information::of(&RimSeen::of(inner), noise) else { return None };
         let turn = 1.0 / known.turn;
         let elongation =
             known.size / (known.size * known.elongation - known.size_and_elongation.powi(2));

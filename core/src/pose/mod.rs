@@ -28,6 +28,7 @@ mod closed;
 mod cone;
 mod elliptical;
 mod facing;
+mod information;
 mod locator;
 mod noise;
 pub mod photometry;

@@ -1,4 +1,4 @@
-//! Rims carried through the lens, and what is known of their errors.
+//! Rims carried through the lens.
 //!
 //! A rim is taken at points c + a cos t + b sin t, t evenly spaced, with the semiaxes a and b as
 //! vectors. Another, slightly different ellipse crosses the line from the centre through such a point
@@ -23,8 +23,9 @@
 //! D → R D Rᵀ.
 
 use super::{
-    PoseError, RingNoise,
+    PoseError,
     bend::Bend,
+    information::Information,
     seen::{RimSeen, RingSeen},
 };
 use crate::{
@@ -40,12 +41,6 @@ const TURNS: usize = 8;
 /// … and what a turn that moves it by no more than this leaves is nothing: it gains two digits.
 const SETTLED: f64 = 1e-6;
 
-/// The floor's share of centre, elongation and turn: blur and bloom are nearly even around a rim.
-const REST_OF_FLOOR: f64 = 0.25;
-
-/// Five numbers of a rim.
-pub type Harmonics<T> = [T; 5];
-
 /// A rim in the plane z = 1 of a local frame.
 #[derive(Clone, Copy, Debug)]
 pub struct Rim<T> {
@@ -59,17 +54,6 @@ pub struct Rim<T> {
     pub inverse: Mat2<T>,
     /// Of its five numbers.
     pub information: Information<T>,
-}
-
-/// Inverse covariance of a rim's five numbers; what is not here is zero.
-#[derive(Clone, Copy, Debug)]
-pub struct Information<T> {
-    pub size: T,
-    pub size_and_elongation: T,
-    pub elongation: T,
-    pub along: T,
-    pub across: T,
-    pub turn: T,
 }
 
 /// Both rims in a frame whose z is the axis of the outer rim's cone, so that a circle of which the rim is an
@@ -341,7 +325,7 @@ impl<T: Lane> Flat<T> {
         number: usize,
     ) -> (Rim<T>, T::Mask) {
         let (center, shape, semiaxes, is_ellipse) = self.seen_from(local_from_base);
-        let (mut information, is_informed) = information(&seen.rims[number], &seen.noise);
+        let (mut information, is_informed) = Information::of(&seen.rims[number], &seen.noise);
         if number == 1 && !seen.noise.round_disc {
             information = information.without_shape();
         }
@@ -403,20 +387,12 @@ impl<T: Lane> Carried<T> {
 impl<T: Lane> Rim<T> {
     #[inline(always)]
     fn lane(&self, lane: usize) -> Rim<f64> {
-        let information = &self.information;
         Rim {
             radius_m: self.radius_m.lane(lane),
             center: self.center.lane(lane),
             shape: self.shape.lane(lane),
             inverse: self.inverse.lane(lane),
-            information: Information {
-                size: information.size.lane(lane),
-                size_and_elongation: information.size_and_elongation.lane(lane),
-                elongation: information.elongation.lane(lane),
-                along: information.along.lane(lane),
-                across: information.across.lane(lane),
-                turn: information.turn.lane(lane),
-            },
+            information: self.information.lane(lane),
         }
     }
 }
@@ -440,57 +416,3 @@ const SIN: [f64; POINTS] = [0.0, H, 1.0, H, 0.0, -H, -1.0, -H];
 const COS_2: [f64; POINTS] = [1.0, 0.0, -1.0, 0.0, 1.0, 0.0, -1.0, 0.0];
 /// … and sin 2t.
 const SIN_2: [f64; POINTS] = [0.0, 1.0, 0.0, -1.0, 0.0, 1.0, 0.0, -1.0];
-
-/// Inverse covariance of a rim's five numbers, and where there is one.
-///
-/// The rim's samples stray by n(s) across it, independently from one pixel of arc s to the next, so
-/// that q = g n / (ab) with g = ds/dt = √(a² sin² t + b² cos² t) and cov h = σ²/(2π a²b²) mean(g ψψᵀ);
-/// to that come the floor and, alike in all five, the unevenness. By symmetry only size and elongation
-/// are coupled. The means of g, g cos 2t and g cos 4t are those over the eight points.
-#[inline(always)]
-pub fn information<T: Lane>(rim: &RimSeen<T>, noise: &RingNoise<T>) -> (Information<T>, T::Mask) {
-    let (a, b) = (rim.semi_major_px, rim.semi_minor_px);
-    let between = ((a * a + b * b) * 0.5).root();
-    let (g0, g2, g4) =
-        ((a + b + between * 2.0) * 0.25, (b - a) * 0.25, (a + b - between * 2.0) * 0.25);
-    let per_area = (a * b).under(1.0);
-    let edge = (noise.edge_px * per_area).squared() * (1.0 / std::f64::consts::TAU);
-    // A shift η of the whole rim across itself: q = g η/(ab), whose numbers are size and elongation.
-    let per_shift = noise.floor_px * per_area;
-    let (shift_size, shift_elongation) =
-        (g0 * per_shift, g2 * per_shift * std::f64::consts::SQRT_2);
-    let rest = (noise.floor_px * REST_OF_FLOOR).squared();
-    let uneven = noise.uneven_px.squared() * per_area;
-    let size = edge * g0 + shift_size * shift_size + uneven;
-    let quarter = rest * per_area * 0.25 + uneven;
-    let elongation = edge * (g0 + g4) + shift_elongation * shift_elongation + quarter;
-    let coupling = edge * g2 * std::f64::consts::SQRT_2 + shift_size * shift_elongation;
-    // 1/a² is b²/(ab)².
-    let half = rest * per_area.squared() * 0.5;
-    let along = edge * (g0 + g2) + half * b.squared() + uneven;
-    let across = edge * (g0 - g2) + half * a.squared() + uneven;
-    let turn = edge * (g0 - g4) + quarter;
-    let determinant = size * elongation - coupling * coupling;
-    let per_determinant = determinant.under(1.0);
-    let information = Information {
-        size: elongation * per_determinant,
-        size_and_elongation: -coupling * per_determinant,
-        elongation: size * per_determinant,
-        along: along.under(1.0),
-        across: across.under(1.0),
-        turn: turn.under(1.0),
-    };
-    let known =
-        determinant.is_positive() & along.is_positive() & across.is_positive() & turn.is_positive();
-    (information, known)
-}
-
-impl<T: Lane> Information<T> {
-    /// With elongation and turn unknown.
-    #[inline(always)]
-    fn without_shape(&self) -> Self {
-        let zero = self.size.splat(0.0);
-        let size = self.size - self.size_and_elongation.squared() / self.elongation;
-        Self { size, size_and_elongation: zero, elongation: zero, turn: zero, ..*self }
-    }
-}
