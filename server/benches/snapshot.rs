@@ -49,6 +49,7 @@ fn object(id: u64) -> ObjectState {
     ObjectState {
         id: ObjectId(id),
         kind: Some(KindId(0)),
+        body: None,
         code: None,
         stage: LifeStage::Tracked,
         position_m: Vector3::new(5.0 * phase.sin(), 4.0 * phase.cos(), 0.3),

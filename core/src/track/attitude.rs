@@ -353,7 +353,7 @@ fn nearest(
 }
 
 /// Rotation vector of the smallest rotation from one unit vector to another.
-fn smallest_turn(from: &Vector3<f64>, to: &Vector3<f64>) -> Vector3<f64> {
+pub(crate) fn smallest_turn(from: &Vector3<f64>, to: &Vector3<f64>) -> Vector3<f64> {
     let cross = from.cross(to);
     let (sine, cosine) = (cross.norm(), from.dot(to));
     if sine > 1e-12 {

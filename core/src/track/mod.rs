@@ -16,8 +16,8 @@ mod kernel;
 mod motion;
 mod spread;
 
-pub(crate) use attitude::without_yaw;
 pub use attitude::{Attitude, AttitudeEstimate, AttitudeMeasurement};
+pub(crate) use attitude::{smallest_turn, without_yaw};
 pub use history::{History, Inserted};
 pub(crate) use kernel::positive_root;
 pub use kernel::{Innovation, Kernel, MAX_SOURCES, Noise};

@@ -1,6 +1,6 @@
 //! Which track each detection of one frame belongs to.
 //!
-//! A pair is possible if kinds are equal and the innovation lies inside the gate (squared
+//! A pair is possible if kinds are equal (or both are of one body) and the innovation lies inside the gate (squared
 //! Mahalanobis length of the position with its whole covariance, so along the line of sight far
 //! more is allowed than across it). Its cost is -2 ln likelihood up to a constant,
 //! d² + ln det S - ln det R, less a bonus if the camera's own tracker says that it is the same
@@ -13,10 +13,10 @@ use super::{
     FusionParams,
     assignment::{FORBIDDEN, assign},
     clock::Clocks,
+    identity::Subject,
     life::Track,
 };
 use crate::{
-    id::KindId,
     marker::Code,
     track::{Innovation, Measurement, Noise},
 };
@@ -34,10 +34,10 @@ const CODE_BONUS: f64 = 20.0;
 /// A track that is not trusted yet takes nothing from one that is.
 const TENTATIVE_COST: f64 = 6.0;
 
-/// A detection in the world, with the kind of its roundel and what its teeth say.
+/// A detection in the world, or all of one body, with what it is of and what its teeth say.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Sighting {
-    pub(super) kind: Option<KindId>,
+    pub(super) subject: Subject,
     pub(super) code: Option<Code>,
     pub(super) measurement: Measurement,
 }
@@ -120,7 +120,7 @@ fn possible(
     let reach = (gate * CONTINUITY_GATE).sqrt() * 1.5;
     let noise_det = seen.position_noise.total.determinant().max(f64::MIN_POSITIVE).ln();
     for (number, (coarse, track)) in scratch.coarse.iter().zip(tracks).enumerate() {
-        if track.kind != sighting.kind {
+        if track.subject != sighting.subject {
             continue;
         }
         let residual_m = seen.position_m - coarse.position_m - coarse.velocity_m_s * offset_s;
@@ -145,7 +145,9 @@ fn possible(
             continue;
         };
         let continued = track.is_continued_by(seen);
-        let agrees = sighting.code.and_then(|read| track.codes.agrees(read));
+        // There is one of each body.
+        let is_body = sighting.subject.body.map(|_| true);
+        let agrees = is_body.or(sighting.code.and_then(|read| track.codes.agrees(read)));
         let is_known = agrees.unwrap_or(continued);
         let limit = if is_known { gate * CONTINUITY_GATE } else { gate };
         if innovation.distance_squared > limit {

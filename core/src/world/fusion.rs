@@ -1,6 +1,7 @@
 //! The fusion machine: frames in, snapshots and events out. How detections become sightings, by cameras
-//! that stand or ride, is in `place`.
+//! that stand or ride, is in `place`, and those of several roundels of one object one sighting in `parts`.
 
+mod parts;
 mod place;
 
 use std::collections::{BTreeMap, VecDeque};
@@ -8,11 +9,13 @@ use std::collections::{BTreeMap, VecDeque};
 use nalgebra::Vector3;
 
 use super::{
-    Event, EventKind, FrameObservations, FusionParams, LifeStage, MotionClass, Snapshot,
+    Event, EventKind, FrameObservations, FusionParams, LifeStage, MotionClass, ObjectState,
+    Snapshot,
     anchor::{Anchors, Stamp},
     association::{Scratch, Sighting, associate},
+    body::Bodies,
     clock::{ClockEstimate, ClockPrior, Clocks},
-    identity::{Claim, Identities},
+    identity::{Claim, Identities, Mark, Subject},
     landmark::Landmark,
     life::Track,
     localize::OWN_NUMBER,
@@ -24,7 +27,6 @@ use super::{
 };
 use crate::{
     id::{CameraId, KindId, ObjectId},
-    marker::Code,
     rigid::{Covariance6, Rigid},
     time::Timestamp,
     track::{Inserted, Measurement},
@@ -96,6 +98,11 @@ pub struct FusionCounts {
     pub contradicted: u64,
     /// Detections that would have begun a track beyond the greatest number of objects.
     pub over_max_objects: u64,
+    /// Detections taken together with another one of the same object in their frame; the two count once
+    /// in what is above.
+    pub joined: u64,
+    /// Detections left out since they contradict the others of their object in their frame.
+    pub left_out: u64,
     /// Tracks joined with another of the same object.
     pub merged: u64,
     /// Objects that were lost, or not seen, and known again by their code.
@@ -116,6 +123,7 @@ pub struct Fusion {
     clocks: Clocks,
     offsets_m: BTreeMap<KindId, Vector3<f64>>,
     identities: Identities,
+    bodies: Bodies,
     timeline: Timeline,
     /// In the order in which they began.
     tracks: Vec<Track>,
@@ -143,6 +151,7 @@ impl Fusion {
             clocks: Clocks::default(),
             offsets_m: BTreeMap::new(),
             identities: Identities::default(),
+            bodies: Bodies::default(),
             timeline: Timeline::default(),
             tracks: Vec::new(),
             lost: Vec::new(),
@@ -239,6 +248,7 @@ impl Fusion {
         if self.next_merge.is_none_or(|time| now >= time) {
             self.next_merge = Some(now.plus_ns(MERGE_EVERY_NS));
             self.merge(now);
+            self.bodies.forget(now.plus_ns(-self.params.lost_after_ns));
         }
     }
 
@@ -251,7 +261,13 @@ impl Fusion {
             .iter_mut()
             .chain(&mut self.lost)
             .map(|track| {
-                let offset = track.kind.and_then(|kind| self.offsets_m.get(&kind));
+                let Subject { kind, body } = track.subject;
+                if let Some(body) = body {
+                    let code = self.bodies.code(body);
+                    let state = state_of(track, pose_time, &self.bodies.origin_m(body));
+                    return ObjectState { code, ..state };
+                }
+                let offset = kind.and_then(|kind| self.offsets_m.get(&kind));
                 let offset_m = offset.copied().unwrap_or_else(Vector3::zeros);
                 state_of(track, pose_time, &offset_m)
             })
@@ -303,7 +319,8 @@ impl Fusion {
             seen[track] = true;
             let track = &mut self.tracks[track];
             let is_own = sighting.measurement.number == OWN_NUMBER;
-            if rides && !is_own && self.riders.is_carrier(track.kind, track.codes.leader()) {
+            if rides && !is_own && self.riders.is_carrier(track.subject.kind, track.codes.leader())
+            {
                 self.counts.of_carriers += 1;
                 continue;
             }
@@ -329,8 +346,8 @@ impl Fusion {
                 Inserted::TooLate => self.counts.late += 1,
                 Inserted::Duplicate => self.counts.duplicate += 1,
             }
-            if let Some(code) = track.unheeded_code() {
-                claims.push((track.id, code, event));
+            if let Some(mark) = track.unheeded_mark() {
+                claims.push((track.id, mark, event));
             } else if let Some(event) = event {
                 self.tell(event);
             }
@@ -340,19 +357,19 @@ impl Fusion {
                 track.miss(camera, time);
             }
         }
-        for (id, code, event) in claims {
-            self.identify(id, code, event, now);
+        for (id, mark, event) in claims {
+            self.identify(id, mark, event, now);
         }
     }
 
-    /// Gives a track whose code is settled the id of that code's object; `event` is what has just happened
+    /// Gives a track whose code is settled, or a body's, the id of that object; `event` is what has just happened
     /// to it.
-    fn identify(&mut self, id: ObjectId, code: Code, event: Option<Event>, now: Timestamp) {
+    fn identify(&mut self, id: ObjectId, mark: Mark, event: Option<Event>, now: Timestamp) {
         let Some(index) = self.tracks.iter().position(|track| track.id == id) else { return };
-        self.tracks[index].identified = Some(code);
+        self.tracks[index].identified = Some(mark);
         let fresh = (now, self.params.predicted_after_ns);
         let (object, kind, elsewhere) =
-            match self.identities.claim(&self.tracks, index, code, fresh) {
+            match self.identities.claim(&self.tracks, index, mark, fresh) {
                 Claim::Own => return event.into_iter().for_each(|event| self.tell(event)),
                 Claim::Twice => {
                     self.counts.ambiguous_codes += 1;
@@ -402,9 +419,13 @@ impl Fusion {
         self.counts.used += 1;
         self.counts.begun += 1;
         self.newest_used = self.newest_used.max(Some(sighting.measurement.time));
-        let class = sighting.kind.and_then(|kind| self.classes.get(&kind)).copied();
-        let model = self.params.motion_model(&class.unwrap_or_default());
-        let mut track = Track::begin(id, sighting.kind, sighting.measurement, model);
+        let subject = sighting.subject;
+        let class = subject.kind.and_then(|kind| self.classes.get(&kind)).copied();
+        let model = match subject.body {
+            Some(body) => self.bodies.model(body, &self.params),
+            None => self.params.motion_model(&class.unwrap_or_default()),
+        };
+        let mut track = Track::begin(id, subject, sighting.measurement, model);
         sighting.code.into_iter().for_each(|code| track.codes.add(code));
         self.tracks.push(track);
     }
@@ -455,6 +476,11 @@ impl Fusion {
 
     /// A track's end; one that was known is told and named once more.
     fn end(&mut self, track: Track, event: Option<Event>) {
+        if track.subject.body.is_some() {
+            // Another track of that body, if there is one, may claim the id now.
+            let twins = self.tracks.iter_mut().filter(|other| other.subject == track.subject);
+            twins.for_each(|twin| twin.identified = None);
+        }
         let Some(event) = event else { return };
         self.tell(event);
         if self.lost.len() >= self.params.max_objects {

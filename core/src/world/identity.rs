@@ -1,7 +1,7 @@
 //! Whose code is whose: an object that was lost and comes back is the same object.
 //!
-//! The first track that is trusted and whose code is settled gives the code its object id, for good. A
-//! later track with that code takes the id over, unless another track carries it that is seen right now:
+//! The first track that is trusted and whose code is settled gives the code its object id, for good; the
+//! first of a body gives it to the body. A later track with that code or body takes the id over, unless another track carries it that is seen right now:
 //! then one code is there twice (two prints of it, or a track that drifted onto another robot), which no
 //! rule can mend, and which is counted.
 
@@ -9,18 +9,36 @@ use std::collections::BTreeMap;
 
 use super::life::Track;
 use crate::{
-    id::{KindId, ObjectId},
+    id::{BodyId, KindId, ObjectId},
     marker::Code,
     time::Timestamp,
 };
 
-/// The ids of all codes that were ever settled.
-#[derive(Clone, Debug, Default)]
-pub(super) struct Identities {
-    by_code: BTreeMap<(Option<KindId>, Code), ObjectId>,
+/// What a track or a sighting is of; what differs in it is never the same object.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, PartialOrd, Ord)]
+pub(super) struct Subject {
+    /// Its kind of roundel; of a body that of its first one.
+    pub(super) kind: Option<KindId>,
+    /// Which body its roundels are of, if they are of one.
+    pub(super) body: Option<BodyId>,
 }
 
-/// What a track's settled code says of its id.
+/// What says which object a track is.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
+pub(super) enum Mark {
+    /// A settled code.
+    Code(Code),
+    /// The body.
+    Body(BodyId),
+}
+
+/// The ids of all codes that were ever settled, and of all bodies that were ever seen.
+#[derive(Clone, Debug, Default)]
+pub(super) struct Identities {
+    by_mark: BTreeMap<(Option<KindId>, Mark), ObjectId>,
+}
+
+/// What a track's mark says of its id.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum Claim {
     /// It is its own.
@@ -34,25 +52,31 @@ pub(super) enum Claim {
 }
 
 impl Identities {
-    /// Settles whose id the track with this index has, of all tracks; `fresh_ns` ago a track is seen now.
+    /// Settles whose id the track with this index has, of all tracks; `fresh_ns` ago a track is seen now,
+    /// unless it is one of the same body that was not seen since this one began.
     pub(super) fn claim(
         &mut self,
         tracks: &[Track],
         index: usize,
-        code: Code,
+        mark: Mark,
         (now, fresh_ns): (Timestamp, i64),
     ) -> Claim {
         let track = &tracks[index];
-        let id = *self.by_code.entry((track.kind, code)).or_insert(track.id);
+        let id = *self.by_mark.entry((track.subject.kind, mark)).or_insert(track.id);
         if id == track.id {
             return Claim::Own;
         }
         match tracks.iter().position(|other| other.id == id) {
             None => Claim::Returned(id),
-            Some(other) if now.ns_since(tracks[other].newest) > fresh_ns => {
-                Claim::Elsewhere(other, id)
+            Some(other) => {
+                let newest = tracks[other].newest;
+                let is_moved = track.subject.body.is_some() && newest < track.first;
+                if is_moved || now.ns_since(newest) > fresh_ns {
+                    Claim::Elsewhere(other, id)
+                } else {
+                    Claim::Twice
+                }
             }
-            Some(_) => Claim::Twice,
         }
     }
 }

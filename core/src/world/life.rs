@@ -12,11 +12,11 @@ use super::{
     Event, EventKind, FusionParams, LifeStage,
     clock::Clocks,
     comparison::{self, Comparison},
+    identity::{Mark, Subject},
     vote::CodeVote,
 };
 use crate::{
-    id::{CameraId, KindId, ObjectId, TrackNumber},
-    marker::Code,
+    id::{CameraId, ObjectId, TrackNumber},
     time::Timestamp,
     track::{History, Innovation, Inserted, Measurement, MotionModel},
 };
@@ -48,7 +48,7 @@ pub(super) struct View {
 #[derive(Clone, Debug)]
 pub(super) struct Track {
     pub(super) id: ObjectId,
-    pub(super) kind: Option<KindId>,
+    pub(super) subject: Subject,
     pub(super) codes: CodeVote,
     pub(super) stage: LifeStage,
     pub(super) history: History,
@@ -60,8 +60,8 @@ pub(super) struct Track {
     pub(super) views: Vec<View>,
     /// Tracks that a camera saw beside this one.
     pub(super) apart: Vec<ObjectId>,
-    /// The settled code that has said whose id it has.
-    pub(super) identified: Option<Code>,
+    /// What has said whose id it has.
+    pub(super) identified: Option<Mark>,
     /// When its cameras' views were compared last.
     compared: Option<Timestamp>,
     score: f64,
@@ -71,13 +71,13 @@ impl Track {
     /// From a detection that was no other track's.
     pub(super) fn begin(
         id: ObjectId,
-        kind: Option<KindId>,
+        subject: Subject,
         measurement: Measurement,
         model: MotionModel,
     ) -> Self {
         Self {
             id,
-            kind,
+            subject,
             codes: CodeVote::default(),
             stage: LifeStage::Tentative,
             history: History::begin(measurement, &model),
@@ -97,15 +97,23 @@ impl Track {
         self.stage == LifeStage::Tentative
     }
 
-    /// A settled code of a trusted track that nothing has followed from yet.
-    pub(super) fn unheeded_code(&self) -> Option<Code> {
-        let settled = self.codes.settled().filter(|_| !self.is_tentative());
-        settled.filter(|_| self.identified != settled)
+    /// A settled code of a trusted track, or its body, that nothing has followed from yet.
+    pub(super) fn unheeded_mark(&self) -> Option<Mark> {
+        let settled = match self.subject.body {
+            Some(body) => Some(Mark::Body(body)),
+            None => self.codes.settled().map(Mark::Code),
+        };
+        settled.filter(|_| !self.is_tentative() && self.identified != settled)
     }
 
     /// Whether the camera's tracker says that this is the roundel it saw as this track before.
     pub(super) fn is_continued_by(&self, seen: &Measurement) -> bool {
-        self.view(seen.camera).is_ok_and(|index| self.views[index].number == seen.number)
+        self.is_known_as(seen.camera, seen.number)
+    }
+
+    /// Whether the camera saw it under this number last.
+    pub(super) fn is_known_as(&self, camera: CameraId, number: TrackNumber) -> bool {
+        self.view(camera).is_ok_and(|index| self.views[index].number == number)
     }
 
     /// Whether a measurement that its camera takes for this object, but that does not fit, is the

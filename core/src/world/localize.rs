@@ -19,6 +19,7 @@ use nalgebra::{Matrix3, Matrix6, UnitQuaternion, Vector3};
 use super::{
     FusionParams,
     association::Sighting,
+    identity::Subject,
     landmark::{Landmark, Pair, Solution, apart, solve},
     observation::{FLOOR_VARIANCE, Lateness, is_sound},
     reference::{Reference, Sighting as Seen, identify},
@@ -303,7 +304,7 @@ impl View<'_> {
         }
         let turn: UnitQuaternion<f64> = place.rotation;
         Some(Sighting {
-            kind: Some(mount.carrier.kind),
+            subject: Subject { kind: Some(mount.carrier.kind), body: None },
             code: Some(mount.carrier.code),
             measurement: Measurement {
                 time: self.time(),

@@ -31,7 +31,7 @@ pub(super) fn find(tracks: &mut [Track], now: Timestamp) -> Option<(usize, usize
         for younger in older + 1..tracks.len() {
             let apart_m = places[older] - places[younger];
             if apart_m.norm_squared() > NEAR_M * NEAR_M
-                || tracks[older].kind != tracks[younger].kind
+                || tracks[older].subject != tracks[younger].subject
                 || tracks[older].apart.contains(&tracks[younger].id)
             {
                 continue;

@@ -5,13 +5,16 @@
 //! same calls give the same bits. What is where: `timeline` judges frames by their times,
 //! `observation` carries detections into the world, `association` says which object each one is
 //! of, [`crate::track`] estimates, `life` tells new from trusted from lost, `merge` joins two
-//! tracks of one object, `vote` counts the codes that it was seen with, `identity` gives an object that returns its id again, `snapshot` shows the result at
-//! an instant. Cameras that move are placed by what carries them (`rider`), and place it by landmarks
+//! tracks of one object, `vote` counts the codes that it was seen with, `identity` gives an object that returns its
+//! id again, `snapshot` shows the result at an instant. `body` knows the objects that carry several
+//! roundels, and `assembly` makes one measurement of these. Cameras that move are placed by what carries them (`rider`), and place it by landmarks
 //! that they see (`landmark`, `localize`).
 
 mod anchor;
+mod assembly;
 mod assignment;
 mod association;
+mod body;
 mod clock;
 mod comparison;
 mod fusion;
@@ -27,6 +30,7 @@ mod snapshot;
 mod timeline;
 mod vote;
 
+pub use body::{Body, BodyError, Mount};
 pub use clock::{ClockEstimate, ClockPrior};
 pub use fusion::{CameraPlacement, Fusion, FusionCounts};
 pub use landmark::{Landmark, TURN_SIGMA_RAD};
@@ -38,7 +42,7 @@ pub mod reference;
 use nalgebra::{UnitQuaternion, Vector3};
 
 use crate::{
-    id::{CameraId, KindId, ObjectId},
+    id::{BodyId, CameraId, KindId, ObjectId},
     marker::Code,
     pose::Detection,
     rigid::Covariance6,
@@ -80,8 +84,10 @@ pub enum LifeStage {
 pub struct ObjectState {
     /// Given at first sight.
     pub id: ObjectId,
-    /// Its kind of roundel.
+    /// Its kind of roundel; of a body that of its first one.
     pub kind: Option<KindId>,
+    /// Which body, if its roundels are those of one: then position and orientation are its origin's and axes'.
+    pub body: Option<BodyId>,
     /// The code that it was seen with most of late; `None` before one was read.
     pub code: Option<Code>,
     /// Where in its life.

@@ -117,6 +117,24 @@ pub(super) fn measure(
     })
 }
 
+/// A measurement that took its camera's place as exact, with the errors of that.
+pub(super) fn with_stand(mut seen: Measurement, stand: &Stand) -> Measurement {
+    let arm_m = seen.position_m - stand.world_from_camera.translation.vector;
+    let [stays, fresh] = [&stand.systematic, &stand.fresh].map(|part| placed(part, &arm_m));
+    let widen = |noise: &mut Noise, corner: usize| {
+        let [stays, fresh] = [&stays, &fresh].map(|part| {
+            let part = part.fixed_view::<3, 3>(corner, corner);
+            (part + part.transpose()) * 0.5
+        });
+        let systematic = noise.systematic_root * noise.systematic_root.transpose() + stays;
+        noise.total += stays + fresh;
+        noise.systematic_root = positive_root(&systematic).unwrap_or_else(Matrix3::zeros);
+    };
+    widen(&mut seen.position_noise, 0);
+    seen.attitude.noises.iter_mut().for_each(|noise| widen(noise, 3));
+    seen
+}
+
 /// The roundel's orientation in the camera frame: the normal's, turned by the yaw about it.
 pub(super) fn orientation(normal: &Vector3<f64>, yaw_rad: Option<f64>) -> UnitQuaternion<f64> {
     let yaw = UnitQuaternion::from_axis_angle(&Vector3::z_axis(), yaw_rad.unwrap_or(0.0));

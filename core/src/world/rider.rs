@@ -183,7 +183,7 @@ pub(super) fn carried_by(carrier: &Carrier, tracks: &[Track]) -> Option<usize> {
     let is_carrier = |track: &Track| {
         let is_followed = matches!(track.stage, LifeStage::Tracked | LifeStage::Predicted);
         is_followed
-            && track.kind == Some(carrier.kind)
+            && track.subject.kind == Some(carrier.kind)
             && track.codes.settled() == Some(carrier.code)
     };
     let mut found = (0..tracks.len()).filter(|&index| is_carrier(&tracks[index]));

@@ -65,7 +65,8 @@ pub(super) fn state_of(track: &mut Track, time: Timestamp, offset_m: &Vector3<f6
     let attitude = estimate.attitude.estimate();
     let mut state = ObjectState {
         id: track.id,
-        kind: track.kind,
+        kind: track.subject.kind,
+        body: track.subject.body,
         code: track.codes.leader(),
         stage: track.stage,
         position_m: motion.position_m,

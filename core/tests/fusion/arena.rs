@@ -171,7 +171,7 @@ fn uniform(rng: &mut ChaCha8Rng, low: f64, high: f64) -> f64 {
     low + (high - low) * unit
 }
 
-fn gaussian3(rng: &mut ChaCha8Rng) -> Vector3<f64> {
+pub fn gaussian3(rng: &mut ChaCha8Rng) -> Vector3<f64> {
     Vector3::from_fn(|_, _| StandardNormal.sample(rng))
 }
 
@@ -316,7 +316,7 @@ impl Arena {
     }
 
     /// A pose with an error drawn from the covariance that it states; `None` outside the image.
-    fn see(
+    pub fn see(
         &self,
         camera: usize,
         truth: &Truth,

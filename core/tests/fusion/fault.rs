@@ -262,7 +262,9 @@ fn detections_without_what_is_needed() {
         + counts.no_pose
         + counts.invalid
         + counts.contradicted
-        + counts.over_max_objects;
+        + counts.over_max_objects
+        + counts.joined
+        + counts.left_out;
     assert_eq!(sum, counts.detections, "{counts:?}");
 }
 

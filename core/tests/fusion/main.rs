@@ -1,6 +1,7 @@
 //! Fusion in virtual time: whole scenarios against their truth, and every fault of a stream.
 
 mod arena;
+mod body;
 mod clock;
 mod consistency;
 mod fault;

@@ -319,6 +319,8 @@ fn write_fusion_counts(page: &mut Page, counts: &FusionCounts) {
         ("gated", counts.gated),
         ("contradicted", counts.contradicted),
         ("over_max_objects", counts.over_max_objects),
+        ("joined", counts.joined),
+        ("left_out", counts.left_out),
     ] {
         page.sample(name, &[("outcome", outcome)], count as f64);
     }

@@ -120,6 +120,7 @@ mod tests {
         ObjectState {
             id: ObjectId(1),
             kind: None,
+            body: None,
             code: None,
             stage: LifeStage::Tracked,
             position_m,

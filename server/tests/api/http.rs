@@ -279,6 +279,8 @@ async fn metrics_tell_of_cameras_objects_and_clients() {
         used: 70,
         gated: 2,
         contradicted: 1,
+        joined: 40,
+        left_out: 4,
         clock_steps: 5,
         ..Default::default()
     });
@@ -320,6 +322,8 @@ async fn metrics_tell_of_cameras_objects_and_clients() {
         "roundel_fusion_detections_total{outcome=\"used\"} 70",
         "roundel_fusion_detections_total{outcome=\"gated\"} 2",
         "roundel_fusion_detections_total{outcome=\"contradicted\"} 1",
+        "roundel_fusion_detections_total{outcome=\"joined\"} 40",
+        "roundel_fusion_detections_total{outcome=\"left_out\"} 4",
         "roundel_snapshots_total 1",
         "roundel_subscribers 1",
         "roundel_snapshots_sent_total 1",

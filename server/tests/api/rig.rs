@@ -142,6 +142,7 @@ pub fn object(id: u64) -> ObjectState {
     ObjectState {
         id: ObjectId(id),
         kind: Some(KindId(if id.is_multiple_of(2) { 1 } else { 0 })),
+        body: None,
         code: id.is_multiple_of(2).then_some(Code { bits: 8, number: id as u16 }),
         stage: if id.is_multiple_of(2) { LifeStage::Predicted } else { LifeStage::Tracked },
         position_m: Vector3::new(place, -place, 0.5 * place),

@@ -172,7 +172,9 @@ impl<'a> Case<'a> {
             + counts.no_pose
             + counts.invalid
             + counts.contradicted
-            + counts.over_max_objects;
+            + counts.over_max_objects
+            + counts.joined
+            + counts.left_out;
         let lost = counts.detections.abs_diff(known);
         if lost > 0 {
             row = row.check(format!("{lost} detections without account"), false);

@@ -8,9 +8,10 @@ use crate::{
     world::{
         FrameObservations,
         association::Sighting,
+        identity::Subject,
         landmark::Landmark,
         localize::View,
-        observation::{Lateness, Refused, measure},
+        observation::{Lateness, measure},
         rider::{CameraMount, Ride, Stand, Unplaced},
     },
 };
@@ -138,7 +139,7 @@ impl Fusion {
                 continue;
             }
             let is_known = |sighting: &Sighting| sighting.measurement.number == detection.track;
-            if self.sightings.iter().any(is_known) {
+            if self.sightings.iter().any(is_known) || self.bodies.has_seen(detection.track) {
                 self.counts.duplicate += 1;
                 continue;
             }
@@ -152,14 +153,18 @@ impl Fusion {
                 }
                 stand = ride.at(late.corrected(detection.capture_time));
             }
+            if self.take_part(detection, source, &stand, (late, now)) {
+                continue;
+            }
             match measure(detection, source, &stand, late, &self.params) {
                 Ok(measurement) => {
-                    self.sightings.push(Sighting { kind: ring.kind, code, measurement });
+                    let subject = Subject { kind: ring.kind, body: None };
+                    self.sightings.push(Sighting { subject, code, measurement });
                 }
-                Err(Refused::NoPose) => self.counts.no_pose += 1,
-                Err(Refused::Invalid) => self.counts.invalid += 1,
+                Err(refused) => self.counts.count_refused(refused),
             }
         }
+        self.join_parts(&stand);
         true
     }
 }

@@ -1,0 +1,217 @@
+//! Objects that carry several roundels at known places, or one of known code.
+//!
+//! What a detection is part of follows from its kind, if a plain kind belongs to an object, or from its
+//! code. A camera's tracker keeps its number while it follows a roundel, so a vote over what it has read
+//! says which one it is where the teeth cannot be read, or are misread once. `assembly` makes one
+//! measurement of all parts that a frame shows.
+//!
+//! A body is filtered by the middle of its roundels, where errors of place and of orientation have least
+//! to do with one another, and shown by its origin.
+
+use std::collections::BTreeMap;
+
+use nalgebra::Vector3;
+use thiserror::Error;
+
+use super::{FusionParams, MotionClass, vote::CodeVote};
+use crate::{
+    id::{BodyId, CameraId, KindId, TrackNumber},
+    marker::Code,
+    pose::Detection,
+    rigid::Rigid,
+    time::Timestamp,
+    track::{Measurement, MotionModel},
+};
+
+/// Numbers of cameras' tracks count up from 1; those of bodies, of which a camera has one each, down from
+/// here, below that of a camera's carrier.
+const BODY_NUMBERS: u64 = super::localize::OWN_NUMBER.0 - 1;
+
+/// A roundel on an object.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Mount {
+    /// Its kind.
+    pub kind: KindId,
+    /// Its code; `None`: all roundels of the kind are this one.
+    pub code: Option<Code>,
+    /// Where its centre is on the object, and how it is turned.
+    pub object_from_roundel: Rigid,
+}
+
+/// An object by its roundels. Its frame is the caller's choice; z should look up where that means anything.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Body {
+    /// How it moves; heights are those of its origin.
+    pub motion: MotionClass,
+    /// What it carries, at least one.
+    pub mounts: Vec<Mount>,
+}
+
+/// Why an object cannot be followed.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Error)]
+pub enum BodyError {
+    /// Nothing to see it by.
+    #[error("expected at least one roundel on the object, found none")]
+    NoMounts,
+    /// A number that is none.
+    #[error("expected finite places of roundels on the object, found others at roundel {mount}")]
+    NotFinite {
+        /// Its place in the list, from 0.
+        mount: usize,
+    },
+    /// A roundel can be on one object only, and there once.
+    #[error("roundel {mount} of the object is taken already, or its whole kind is")]
+    Taken {
+        /// Its place in the list, from 0.
+        mount: usize,
+    },
+}
+
+/// Which roundel of which body.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
+pub(super) struct Part {
+    pub(super) body: BodyId,
+    mount: usize,
+}
+
+/// What one of a camera's tracks was read as.
+#[derive(Clone, Copy, Debug)]
+struct Reading {
+    vote: CodeVote,
+    newest: Timestamp,
+}
+
+/// A part as a frame shows it, its camera's place taken as exact.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct SeenPart {
+    part: Part,
+    /// From the middle of the roundels.
+    pub(super) body_from_roundel: Rigid,
+    pub(super) measurement: Measurement,
+}
+
+/// All bodies, what cameras know of their roundels, and the parts that the present frame shows.
+#[derive(Clone, Debug, Default)]
+pub(super) struct Bodies {
+    bodies: Vec<Body>,
+    /// Middles of their roundels, object frame.
+    middles_m: Vec<Vector3<f64>>,
+    by_roundel: BTreeMap<(KindId, Option<Code>), Part>,
+    readings: BTreeMap<(CameraId, TrackNumber), Reading>,
+    seen: Vec<SeenPart>,
+}
+
+impl Bodies {
+    pub(super) fn add(&mut self, body: Body) -> Result<BodyId, BodyError> {
+        let id = BodyId(self.bodies.len() as u32);
+        let mut claims = Vec::new();
+        for (mount, it) in body.mounts.iter().enumerate() {
+            if !it.object_from_roundel.to_homogeneous().iter().all(|number| number.is_finite()) {
+                return Err(BodyError::NotFinite { mount });
+            }
+            let known = self.by_roundel.keys().copied();
+            let overlaps = |(kind, code): (KindId, Option<Code>)| {
+                kind == it.kind && (code == it.code || code.is_none() || it.code.is_none())
+            };
+            if known.chain(claims.iter().map(|(claim, _)| *claim)).any(overlaps) {
+                return Err(BodyError::Taken { mount });
+            }
+            claims.push(((it.kind, it.code), Part { body: id, mount }));
+        }
+        if claims.is_empty() {
+            return Err(BodyError::NoMounts);
+        }
+        let places = body.mounts.iter().map(|it| it.object_from_roundel.translation.vector);
+        self.middles_m.push(places.sum::<Vector3<f64>>() / claims.len() as f64);
+        self.by_roundel.extend(claims);
+        self.bodies.push(body);
+        Ok(id)
+    }
+
+    /// Its origin from the middle of its roundels.
+    pub(super) fn origin_m(&self, body: BodyId) -> Vector3<f64> {
+        -self.middles_m[body.0 as usize]
+    }
+
+    /// The kind that it is shown as: that of its first roundel.
+    pub(super) fn kind(&self, body: BodyId) -> KindId {
+        self.bodies[body.0 as usize].mounts[0].kind
+    }
+
+    /// The code of a body that carries one roundel.
+    pub(super) fn code(&self, body: BodyId) -> Option<Code> {
+        let [only] = &self.bodies[body.0 as usize].mounts[..] else { return None };
+        only.code
+    }
+
+    /// How the middle of its roundels moves.
+    pub(super) fn model(&self, body: BodyId, params: &FusionParams) -> MotionModel {
+        let mut class = self.bodies[body.0 as usize].motion;
+        if let MotionClass::Ground { height_m: Some(height_m) } = &mut class {
+            *height_m += self.middles_m[body.0 as usize].z;
+        }
+        params.motion_model(&class)
+    }
+
+    /// What a camera's detection is part of, and whether this camera's track was not known as that before.
+    pub(super) fn part_of(
+        &mut self,
+        seen: &Detection,
+        camera: CameraId,
+        now: Timestamp,
+    ) -> Option<(Part, bool)> {
+        let kind = seen.ring.kind.filter(|_| !self.bodies.is_empty())?;
+        let (&(first, code), &part) = self.by_roundel.range((kind, None)..).next()?;
+        if first != kind || code.is_none() {
+            return (first == kind).then_some((part, false));
+        }
+        let fresh = Reading { vote: CodeVote::default(), newest: now };
+        let reading = self.readings.entry((camera, seen.track)).or_insert(fresh);
+        reading.newest = now;
+        let part = |reading: &Reading| {
+            let code = reading.vote.leader();
+            code.and_then(|code| self.by_roundel.get(&(kind, Some(code))).copied())
+        };
+        let known = part(reading);
+        if let Some(read) = seen.ring.code {
+            reading.vote.add(read.code);
+        }
+        part(reading).map(|part| (part, known != Some(part)))
+    }
+
+    /// Lets go of what cameras have not seen since then.
+    pub(super) fn forget(&mut self, since: Timestamp) {
+        self.readings.retain(|_, reading| reading.newest >= since);
+    }
+
+    /// Takes a part that the present frame shows.
+    pub(super) fn see(&mut self, part: Part, measurement: Measurement) {
+        let body = part.body.0 as usize;
+        let mut body_from_roundel = self.bodies[body].mounts[part.mount].object_from_roundel;
+        body_from_roundel.translation.vector -= self.middles_m[body];
+        self.seen.push(SeenPart { part, body_from_roundel, measurement });
+    }
+
+    /// Whether the present frame shows it under this number already.
+    pub(super) fn has_seen(&self, number: TrackNumber) -> bool {
+        self.seen.iter().any(|seen| seen.measurement.number == number)
+    }
+
+    /// Gives the parts that the frame shows, body by body, and forgets them.
+    pub(super) fn take_seen(&mut self) -> Vec<SeenPart> {
+        let mut seen = std::mem::take(&mut self.seen);
+        seen.sort_by_key(|seen| (seen.part, seen.measurement.number));
+        seen
+    }
+}
+
+impl SeenPart {
+    pub(super) fn body(&self) -> BodyId {
+        self.part.body
+    }
+}
+
+/// The number by which all cameras' measurements of a body go.
+pub(super) fn number_of(body: BodyId) -> TrackNumber {
+    TrackNumber(BODY_NUMBERS - u64::from(body.0))
+}
