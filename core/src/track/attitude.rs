@@ -136,8 +136,7 @@ impl Attitude {
             hypothesis.orientation = turn * hypothesis.orientation;
             hypothesis.kernel.predict(dt, &model.angular_density_rad2_s3, model.systematic_time_s);
         }
-        let prior = if self.rival.is_some() { self.prior(model) } else { 0.0 };
-        self.log_odds = prior + (self.log_odds - prior) * (-dt.abs() / VERDICT_TIME_S).exp();
+        self.log_odds = faded(self.log_odds, dt, self.prior(model));
     }
 
     /// Takes in a measurement at the present time.
@@ -158,25 +157,29 @@ impl Attitude {
         self.settle();
     }
 
-    /// The present estimate; both normals show in the covariance while both are possible.
-    pub fn estimate(&self) -> AttitudeEstimate {
-        let mut spread = self.best.kernel.told();
+    /// The estimate `dt` seconds from now, either way; both normals show in the covariance while both are
+    /// possible.
+    pub fn estimate(&self, dt: f64, model: &MotionModel) -> AttitudeEstimate {
+        let density = model.angular_density_rad2_s3;
+        let (orientation, mut spread) = self.best.told(dt, &density);
         if let Some(rival) = &self.rival {
-            let weight = 1.0 / (1.0 + self.log_odds.exp());
-            let told = rival.kernel.told();
-            let apart = smallest_turn(&self.best.normal(), &rival.normal());
+            let (other, told) = rival.told(dt, &density);
+            let [normal, other] = [orientation, other].map(|turned| turned * Vector3::z());
+            let weight =
+                1.0 / (1.0 + faded(self.log_odds, dt, prior(&normal, &other, model)).exp());
+            let apart = smallest_turn(&normal, &other);
             spread.value += (told.value - spread.value + apart * apart.transpose()) * weight;
             spread.rate += (told.rate - spread.rate) * weight;
             spread.cross += (told.cross - spread.cross) * weight;
         }
         let mut estimate = AttitudeEstimate {
-            orientation: self.best.orientation,
+            orientation,
             yaw_symmetry: self.yaw_symmetry,
             angular_velocity_rad_s: self.best.kernel.rate,
             covariance: spread.matrix(),
         };
         if self.yaw_symmetry.is_none() {
-            let normal = self.best.normal();
+            let normal = orientation * Vector3::z();
             estimate.orientation = orientation_of_normal(&normal);
             estimate.angular_velocity_rad_s -=
                 normal * normal.dot(&estimate.angular_velocity_rad_s);
@@ -206,11 +209,8 @@ impl Attitude {
 
     /// Log-odds of the best normal against the rival's before any evidence.
     fn prior(&self, model: &MotionModel) -> f64 {
-        let other = match &self.rival {
-            Some(rival) => rival.normal(),
-            None => return 0.0,
-        };
-        model.upright_log_odds * (self.best.normal().z - other.z)
+        let of_rival = |rival: &Hypothesis| prior(&self.best.normal(), &rival.normal(), model);
+        self.rival.as_ref().map_or(0.0, of_rival)
     }
 
     fn raise_rival(
@@ -261,6 +261,14 @@ impl Fit {
 }
 
 impl Hypothesis {
+    /// Orientation and covariance `dt` seconds from now.
+    fn told(&self, dt: f64, density: &Vector3<f64>) -> (UnitQuaternion<f64>, Spread) {
+        let mut spread = self.kernel.told();
+        spread.predict(dt, density);
+        let turn = UnitQuaternion::from_scaled_axis(self.kernel.rate * dt);
+        (turn * self.orientation, spread)
+    }
+
     fn normal(&self) -> Vector3<f64> {
         self.orientation * Vector3::z()
     }
@@ -314,6 +322,16 @@ pub(crate) fn without_yaw(spread: &Spread, normal: &Vector3<f64>) -> Spread {
         cross: across * spread.cross * across,
         rate: across * spread.rate * across + along * rate_variance,
     }
+}
+
+/// Log-odds of one normal against another before any evidence.
+fn prior(best: &Vector3<f64>, other: &Vector3<f64>, model: &MotionModel) -> f64 {
+    model.upright_log_odds * (best.z - other.z)
+}
+
+/// Log-odds `dt` seconds later, on their way to the prior.
+fn faded(log_odds: f64, dt: f64, prior: f64) -> f64 {
+    prior + (log_odds - prior) * (-dt.abs() / VERDICT_TIME_S).exp()
 }
 
 /// Variance of an unseen angular velocity about each axis.

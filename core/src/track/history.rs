@@ -9,7 +9,7 @@
 
 use std::collections::VecDeque;
 
-use super::{Estimate, Measurement, MotionModel};
+use super::{Estimate, Look, Measurement, MotionModel};
 use crate::time::Timestamp;
 
 /// Measurements from one kept estimate to the next. PERF: each kept estimate costs about 4 kB of
@@ -75,6 +75,17 @@ impl History {
     /// The measurements of the window, oldest first.
     pub fn measurements(&self) -> impl Iterator<Item = &Measurement> {
         self.entries.iter()
+    }
+
+    /// What is told of `time`, as [`History::at`] has it; nothing of what only the filter needs is computed.
+    pub fn look(&mut self, time: Timestamp, model: &MotionModel) -> Look {
+        self.settle(model);
+        if time >= self.newest.time {
+            self.newest.look(time, model)
+        } else {
+            let until = self.entries.partition_point(|entry| entry.time <= time);
+            self.replayed(until.max(1), model).look(time, model)
+        }
     }
 
     /// The estimate at `time` from what was measured until then; before the window, the oldest

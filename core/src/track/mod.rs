@@ -111,7 +111,28 @@ pub struct Estimate {
     pub residual: f64,
 }
 
+/// What is told of one object at one instant.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Look {
+    /// Position and velocity of the roundel's centre.
+    pub motion: MotionEstimate,
+    /// Orientation and angular velocity.
+    pub attitude: AttitudeEstimate,
+    /// As in [`Estimate`].
+    pub residual: f64,
+}
+
 impl Estimate {
+    /// What is told of another instant, as after [`Estimate::predict`].
+    pub fn look(&self, time: Timestamp, model: &MotionModel) -> Look {
+        let dt = time.seconds_since(self.time);
+        Look {
+            motion: self.motion.estimate(dt, model),
+            attitude: self.attitude.estimate(dt, model),
+            residual: self.residual,
+        }
+    }
+
     /// What one measurement tells; the velocity is the model's prior.
     pub fn begin(measurement: &Measurement, model: &MotionModel) -> Self {
         let mut estimate = Self {

@@ -92,6 +92,13 @@ impl Filter {
         self.kernel.predict(dt, density, model.systematic_time_s);
     }
 
+    /// Position and covariance `dt` seconds from now.
+    fn told(&self, dt: f64, density: &Vector3<f64>) -> (Vector3<f64>, Spread) {
+        let mut spread = self.kernel.told();
+        spread.predict(dt, density);
+        (self.position_m + self.kernel.rate * dt, spread)
+    }
+
     fn update(&mut self, seen: &Measurement, model: &MotionModel) -> Innovation {
         let (correction_m, innovation) = self.kernel.update(
             &(seen.position_m - self.position_m),
@@ -167,24 +174,28 @@ impl Motion {
         }
     }
 
-    /// The present estimate.
-    pub fn estimate(&self, model: &MotionModel) -> MotionEstimate {
-        if self.unseen_s > UNSEEN_S {
+    /// The estimate `dt` seconds from now, either way.
+    pub fn estimate(&self, dt: f64, model: &MotionModel) -> MotionEstimate {
+        let spread_density = self.density(0.5 * LOG_RATIO);
+        if self.unseen_s + dt > UNSEEN_S {
+            let most = model.acceleration_density_m2_s3;
+            let (position_m, spread) = self.agile.told(dt, &spread_density.sup(&most));
             return MotionEstimate {
-                position_m: self.agile.position_m,
+                position_m,
                 velocity_m_s: self.agile.kernel.rate,
-                spread: self.agile.kernel.told(),
-                density_m2_s3: self.density(0.0).sup(&model.acceleration_density_m2_s3),
+                spread,
+                density_m2_s3: self.density(0.0).sup(&most),
             };
         }
         let (calm, lively) = (&self.calm, &self.lively);
         let mixed = |calm: Vector3<f64>, lively: Vector3<f64>| calm.lerp(&lively, LIVELY_SHARE);
-        let apart_m = lively.position_m - calm.position_m;
+        let (calm_m, a) = calm.told(dt, &(spread_density * (-LOG_RATIO).exp()));
+        let (lively_m, b) = lively.told(dt, &spread_density);
+        let apart_m = lively_m - calm_m;
         let rate_apart = lively.kernel.rate - calm.kernel.rate;
-        let (a, b) = (&calm.kernel.told(), &lively.kernel.told());
         let between = LIVELY_SHARE * (1.0 - LIVELY_SHARE);
         MotionEstimate {
-            position_m: mixed(calm.position_m, lively.position_m),
+            position_m: mixed(calm_m, lively_m),
             velocity_m_s: mixed(calm.kernel.rate, lively.kernel.rate),
             spread: Spread {
                 value: blended(&a.value, &b.value) + apart_m * apart_m.transpose() * between,

@@ -75,7 +75,7 @@ impl Expected {
         };
         let others = track.views.iter().filter(is_other).count();
         let filter = estimate.motion.agile();
-        let attitude = estimate.attitude.estimate();
+        let attitude = estimate.attitude.estimate(0.0, &track.model);
         Self {
             position_m: filter.position_m,
             velocity_m_s: filter.kernel.rate,

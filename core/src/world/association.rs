@@ -7,12 +7,11 @@
 //! roundel as before, and a larger one if the teeth say so; teeth that say otherwise count against it. Independent groups of pairs are solved one by one, each optimally; leaving a
 //! detection out costs [`UNASSIGNED_COST`].
 
-use nalgebra::Vector3;
-
 use super::{
     FusionParams,
     assignment::{FORBIDDEN, assign},
     clock::Clocks,
+    coarse::Coarse,
     identity::Subject,
     life::Track,
 };
@@ -62,15 +61,6 @@ pub(super) struct Scratch {
     group_of_track: Vec<usize>,
 }
 
-/// Enough of a track to tell most sightings that they are not of it.
-#[derive(Clone, Copy, Debug)]
-struct Coarse {
-    position_m: Vector3<f64>,
-    velocity_m_s: Vector3<f64>,
-    deviation_m: f64,
-    speed_deviation_m_s: f64,
-}
-
 /// Decides for every sighting of one frame; no track gets two.
 pub(super) fn associate(
     tracks: &[Track],
@@ -82,19 +72,7 @@ pub(super) fn associate(
     let Some(first) = sightings.first() else { return decisions };
     let time = first.measurement.time;
     scratch.coarse.clear();
-    scratch.coarse.extend(tracks.iter().map(|track| {
-        let newest = track.history.newest();
-        let filter = newest.motion.agile();
-        let dt = time.seconds_since(newest.time);
-        let mut spread = filter.kernel.spread;
-        spread.predict(dt, &track.model.acceleration_density_m2_s3);
-        Coarse {
-            position_m: filter.position_m + filter.kernel.rate * dt,
-            velocity_m_s: filter.kernel.rate,
-            deviation_m: spread.value.trace().max(0.0).sqrt(),
-            speed_deviation_m_s: spread.rate.trace().max(0.0).sqrt(),
-        }
-    }));
+    scratch.coarse.extend(tracks.iter().map(|track| track.coarse.predicted(time)));
     scratch.pairs.clear();
     for (index, sighting) in sightings.iter().enumerate() {
         let gate = params.gate_distance_squared;
@@ -124,11 +102,11 @@ fn possible(
             continue;
         }
         let residual_m = seen.position_m - coarse.position_m - coarse.velocity_m_s * offset_s;
-        let mut reach_m = reach * (coarse.deviation_m + deviation_m);
+        let mut reach_m = reach * (coarse.deviation_m() + deviation_m);
         let mut timing_s = 0.0;
         if clocks.is_estimating() {
             timing_s = track.timing_s(seen, clocks);
-            let speed_m_s = coarse.velocity_m_s.norm() + coarse.speed_deviation_m_s;
+            let speed_m_s = coarse.velocity_m_s.norm() + coarse.spread.2.max(0.0).sqrt();
             reach_m += reach * speed_m_s * timing_s;
         }
         if residual_m.norm_squared() > reach_m * reach_m {

@@ -11,6 +11,7 @@
 use super::{
     Event, EventKind, FusionParams, LifeStage,
     clock::Clocks,
+    coarse::Coarse,
     comparison::{self, Comparison},
     identity::{Mark, Subject},
     vote::CodeVote,
@@ -18,7 +19,7 @@ use super::{
 use crate::{
     id::{CameraId, ObjectId, TrackNumber},
     time::Timestamp,
-    track::{History, Innovation, Inserted, Measurement, MotionModel},
+    track::{Estimate, History, Innovation, Inserted, Measurement, MotionModel},
 };
 
 /// e¹⁰: twenty thousand to one that it is an object.
@@ -52,6 +53,8 @@ pub(super) struct Track {
     pub(super) codes: CodeVote,
     pub(super) stage: LifeStage,
     pub(super) history: History,
+    /// Of the history's newest estimate.
+    pub(super) coarse: Coarse,
     pub(super) model: MotionModel,
     pub(super) first: Timestamp,
     pub(super) newest: Timestamp,
@@ -80,6 +83,10 @@ impl Track {
             subject,
             codes: CodeVote::default(),
             stage: LifeStage::Tentative,
+            coarse: Coarse::of(
+                &Estimate::begin(&measurement, &model),
+                &model.acceleration_density_m2_s3,
+            ),
             history: History::begin(measurement, &model),
             model,
             first: measurement.time,
@@ -159,6 +166,7 @@ impl Track {
         params: &FusionParams,
     ) -> (Inserted, Option<Event>) {
         let inserted = self.history.insert(*seen, &self.model);
+        self.refresh();
         if matches!(inserted, Inserted::TooLate | Inserted::Duplicate) {
             return (inserted, None);
         }
@@ -188,6 +196,11 @@ impl Track {
         }
         let event = happened.map(|kind| Event { time: seen.time, object: self.id, kind });
         (inserted, event)
+    }
+
+    /// To be called after the history has changed.
+    pub(super) fn refresh(&mut self) {
+        self.coarse = Coarse::of(self.history.newest(), &self.model.acceleration_density_m2_s3);
     }
 
     /// A frame of this camera did not show the track.

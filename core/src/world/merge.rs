@@ -19,14 +19,8 @@ const NEAR_M: f64 = 1.0;
 
 /// Finds a pair that is one object: indexes of the one that stays and the one that goes.
 pub(super) fn find(tracks: &mut [Track], now: Timestamp) -> Option<(usize, usize)> {
-    let places: Vec<Vector3<f64>> = tracks
-        .iter()
-        .map(|track| {
-            let newest = track.history.newest();
-            let filter = newest.motion.agile();
-            filter.position_m + filter.kernel.rate * now.seconds_since(newest.time)
-        })
-        .collect();
+    let places: Vec<Vector3<f64>> =
+        tracks.iter().map(|track| track.coarse.predicted(now).position_m).collect();
     for older in 0..tracks.len() {
         for younger in older + 1..tracks.len() {
             let apart_m = places[older] - places[younger];

@@ -16,6 +16,7 @@ mod assignment;
 mod association;
 mod body;
 mod clock;
+mod coarse;
 mod comparison;
 mod fusion;
 mod identity;

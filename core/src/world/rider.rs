@@ -37,7 +37,7 @@ use crate::{
     marker::Code,
     rigid::{Covariance6, Rigid, rotate_covariance},
     time::Timestamp,
-    track::{Estimate, MotionModel},
+    track::{Estimate, Look, MotionModel},
 };
 
 /// A carrier turned by more than this, rms, nobody knows where to, gives no place, radians.
@@ -166,7 +166,7 @@ impl Riders {
         let track = &mut tracks[index];
         let model = track.model;
         let estimate = track.history.at(time, &model);
-        let attitude = estimate.attitude.estimate();
+        let attitude = estimate.attitude.estimate(0.0, &model);
         if attitude.yaw_symmetry != Some(1) {
             return Err(Unplaced::CarrierWithoutYaw);
         }
@@ -196,8 +196,7 @@ impl Ride {
     pub(super) fn at(&self, time: Timestamp) -> Stand {
         let mut estimate = self.estimate;
         estimate.predict(time, &self.model);
-        let motion = estimate.motion.estimate(&self.model);
-        let attitude = estimate.attitude.estimate();
+        let Look { motion, attitude, .. } = estimate.look(time, &self.model);
         let mount = &self.mount;
         let arm_m = attitude.orientation * mount.object_from_camera.translation.vector;
         let world_from_camera = Rigid::from_parts(
@@ -233,8 +232,8 @@ impl Ride {
 
     /// Deviations of the carrier's velocity, m/s, and angular velocity, rad/s, along each axis.
     pub(super) fn rate_deviations(&self) -> (f64, f64) {
-        let motion = self.estimate.motion.estimate(&self.model).spread.rate;
-        let turning = self.estimate.attitude.estimate().covariance;
+        let motion = self.estimate.motion.estimate(0.0, &self.model).spread.rate;
+        let turning = self.estimate.attitude.estimate(0.0, &self.model).covariance;
         let turning = turning.fixed_view::<3, 3>(3, 3).trace();
         ((motion.trace() / 3.0).max(0.0).sqrt(), (turning / 3.0).max(0.0).sqrt())
     }

@@ -14,7 +14,7 @@ use crate::{
     id::CameraId,
     rigid::orientation_of_normal,
     time::Timestamp,
-    track::{AttitudeEstimate, Spread},
+    track::{AttitudeEstimate, Look, Spread},
 };
 
 /// Cameras that contributed within this time are named.
@@ -60,9 +60,8 @@ impl ObjectState {
 /// A track's state at `time`; `offset_m` is the tracked point in the roundel's frame.
 pub(super) fn state_of(track: &mut Track, time: Timestamp, offset_m: &Vector3<f64>) -> ObjectState {
     let model = track.model;
-    let estimate = track.history.at(time, &model);
-    let motion = estimate.motion.estimate(&model);
-    let attitude = estimate.attitude.estimate();
+    let Look { motion, attitude, residual } = track.history.look(time, &model);
+    track.refresh();
     let mut state = ObjectState {
         id: track.id,
         kind: track.subject.kind,
@@ -84,7 +83,7 @@ pub(super) fn state_of(track: &mut Track, time: Timestamp, offset_m: &Vector3<f6
         },
         cameras: contributing(track, time),
         newest_observation: track.newest,
-        residual: estimate.residual,
+        residual,
         first_observation: track.first,
         observations: track.observations,
     };

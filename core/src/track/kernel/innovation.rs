@@ -175,24 +175,24 @@ pub(crate) fn positive_root(matrix: &Matrix3<f64>) -> Option<Matrix3<f64>> {
     Some(Matrix3::new(l00, 0., 0., l10, l11, 0., l20, l21, l22))
 }
 
-/// Inverse and determinant of a symmetric positive definite matrix, by its Cholesky factor.
+/// Inverse and determinant of a symmetric positive definite matrix, by its factors L D Lᵀ: as stable as
+/// Cholesky's, without roots.
 pub(super) fn invert_positive(matrix: &Matrix3<f64>) -> Option<(Matrix3<f64>, f64)> {
-    let l = positive_root(matrix)?;
-    let (i00, i11, i22) = (1.0 / l[(0, 0)], 1.0 / l[(1, 1)], 1.0 / l[(2, 2)]);
-    let i10 = -l[(1, 0)] * i00 * i11;
-    let i21 = -l[(2, 1)] * i11 * i22;
-    let i20 = -(l[(2, 0)] * i00 + l[(2, 1)] * i10) * i22;
-    let (m01, m02, m12) = (i10 * i11 + i20 * i21, i20 * i22, i21 * i22);
-    let inverse = Matrix3::new(
-        i00 * i00 + i10 * i10 + i20 * i20,
-        m01,
-        m02,
-        m01,
-        i11 * i11 + i21 * i21,
-        m12,
-        m02,
-        m12,
-        i22 * i22,
-    );
-    Some((inverse, (l[(0, 0)] * l[(1, 1)] * l[(2, 2)]).powi(2)))
+    let per = |pivot: f64| (pivot.is_finite() && pivot > 0.0).then(|| 1.0 / pivot);
+    let d0 = matrix.m11;
+    let p0 = per(d0)?;
+    let (l10, l20) = (matrix.m21 * p0, matrix.m31 * p0);
+    let d1 = matrix.m22 - l10 * matrix.m21;
+    let p1 = per(d1)?;
+    let rest = matrix.m32 - l20 * matrix.m21;
+    let l21 = rest * p1;
+    let d2 = matrix.m33 - l20 * matrix.m31 - l21 * rest;
+    let p2 = per(d2)?;
+    // The inverse of L, and from it that of the whole.
+    let i20 = l21 * l10 - l20;
+    let (m02, m12) = (i20 * p2, -l21 * p2);
+    let m01 = -l10 * p1 - l21 * m02;
+    let (m00, m11) = (p0 + l10 * l10 * p1 + i20 * m02, p1 - l21 * m12);
+    let inverse = Matrix3::new(m00, m01, m02, m01, m11, m12, m02, m12, p2);
+    Some((inverse, d0 * d1 * d2))
 }
