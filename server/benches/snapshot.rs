@@ -36,6 +36,7 @@ fn installation() -> Installation {
         cameras: (0..4).map(camera).collect(),
         kinds: vec!["robot".into()],
         object_names: BTreeMap::new(),
+        body_names: vec![],
     }
 }
 

@@ -50,7 +50,7 @@ fn object_state(
     let velocity_covariance = state.motion_covariance.fixed_view::<3, 3>(3, 3).into_owned();
     v1::ObjectState {
         object_id: state.id.0,
-        name: installation.object_name(state.kind).to_owned(),
+        name: installation.object_name(state.kind, state.body).to_owned(),
         stage: life_stage(state.stage) as i32,
         position: Some(vector(&state.position_m)),
         orientation: Some(quaternion(&state.orientation)),
@@ -180,7 +180,7 @@ fn intrinsics(camera: &Camera) -> v1::Intrinsics {
 pub fn object(installation: &Installation, record: &ObjectRecord) -> v1::Object {
     v1::Object {
         object_id: record.id.0,
-        name: installation.object_name(record.kind).to_owned(),
+        name: installation.object_name(record.kind, record.body).to_owned(),
         roundel: installation.kind_name(record.kind).to_owned(),
         stage: life_stage(record.stage) as i32,
         first_seen_time_ns: record.first_seen.as_ns(),

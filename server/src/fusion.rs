@@ -11,7 +11,7 @@ use std::{
 };
 
 use roundel_core::{
-    id::{CameraId, KindId, ObjectId},
+    id::{BodyId, CameraId, KindId, ObjectId},
     marker::Code,
     time::Timestamp,
     world::{Event, EventKind, Fusion, Snapshot},
@@ -35,8 +35,11 @@ pub struct FusionTask {
     received: Receiver<Sighted>,
     latency_ms: BTreeMap<CameraId, Median>,
     /// What the newest snapshot says of each object, for messages about it.
-    known: BTreeMap<ObjectId, (Option<KindId>, Option<Code>)>,
+    known: BTreeMap<ObjectId, Known>,
 }
+
+/// Kind, body and code of an object.
+type Known = (Option<KindId>, Option<BodyId>, Option<Code>);
 
 impl FusionTask {
     /// A task for a fusion machine whose cameras of known pose are set already.
@@ -129,12 +132,12 @@ impl FusionTask {
     fn remember(&mut self, snapshot: &Snapshot) {
         self.known.clear();
         let each = snapshot.objects.iter();
-        self.known.extend(each.map(|object| (object.id, (object.kind, object.code))));
+        self.known.extend(each.map(|object| (object.id, (object.kind, object.body, object.code))));
     }
 
     fn sentence(&self, event: &Event) -> String {
-        let (kind, code) = self.known.get(&event.object).copied().unwrap_or_default();
-        let name = match (self.hub.installation().object_name(kind), code) {
+        let (kind, body, code) = self.known.get(&event.object).copied().unwrap_or_default();
+        let name = match (self.hub.installation().object_name(kind, body), code) {
             ("", None) => format!("Object {}", event.object),
             ("", Some(code)) => format!("Object {} (code {})", event.object, code.number),
             (name, _) => format!("Object {} ({name})", event.object),
@@ -177,6 +180,7 @@ mod tests {
             cameras: vec![CameraInfo { name: "north".into(), source: "test".into(), mask: vec![] }],
             kinds: vec!["robot".into()],
             object_names: BTreeMap::from([(KindId(0), "robot one".into())]),
+            body_names: vec!["carrier".into()],
         }))
     }
 
@@ -284,8 +288,10 @@ mod tests {
         let event = Event { time, object, kind: EventKind::Lost };
         assert_eq!(task.sentence(&event), "Object 3 is lost.");
         let code = Code { bits: 8, number: 12 };
-        task.known.insert(object, (Some(KindId(0)), Some(code)));
+        task.known.insert(object, (Some(KindId(0)), None, Some(code)));
         assert_eq!(task.sentence(&event), "Object 3 (code 12) is lost.");
+        task.known.insert(object, (Some(KindId(0)), Some(BodyId(0)), Some(code)));
+        assert_eq!(task.sentence(&event), "Object 3 (carrier) is lost.");
     }
 
     #[test]

@@ -15,7 +15,7 @@ use std::{
 
 use roundel_core::{
     camera::{Camera, PixelPoint},
-    id::{CameraId, KindId, ObjectId},
+    id::{BodyId, CameraId, KindId, ObjectId},
     marker::{Code, Reject},
     rigid::Rigid,
     time::Timestamp,
@@ -45,8 +45,10 @@ pub struct Installation {
     pub cameras: Vec<CameraInfo>,
     /// Names of the kinds of roundel, by [`KindId`].
     pub kinds: Vec<String>,
-    /// Configured object names by kind.
+    /// Configured names of objects that are known by a whole kind, by that.
     pub object_names: BTreeMap<KindId, String>,
+    /// Configured names of all others, by [`BodyId`].
+    pub body_names: Vec<String>,
 }
 
 /// What is fixed about a camera.
@@ -77,9 +79,13 @@ impl Installation {
         kind.and_then(|kind| self.kinds.get(usize::from(kind.0))).map_or("", String::as_str)
     }
 
-    /// The configured name of the object that carries this kind of roundel, or empty.
-    pub fn object_name(&self, kind: Option<KindId>) -> &str {
-        kind.and_then(|kind| self.object_names.get(&kind)).map_or("", String::as_str)
+    /// The configured name of an object, or empty.
+    pub fn object_name(&self, kind: Option<KindId>, body: Option<BodyId>) -> &str {
+        let name = match body {
+            Some(body) => self.body_names.get(body.0 as usize),
+            None => kind.and_then(|kind| self.object_names.get(&kind)),
+        };
+        name.map_or("", String::as_str)
     }
 }
 
@@ -210,6 +216,8 @@ pub struct ObjectRecord {
     pub id: ObjectId,
     /// Its kind of roundel.
     pub kind: Option<KindId>,
+    /// Which body, if it is one.
+    pub body: Option<BodyId>,
     /// The code that it was seen with most of late.
     pub code: Option<Code>,
     /// In the newest snapshot, or Lost.
@@ -378,6 +386,7 @@ impl Hub {
                 ObjectRecord {
                     id: state.id,
                     kind: state.kind,
+                    body: state.body,
                     code: state.code,
                     stage: state.stage,
                     first_seen: state.first_observation,
@@ -411,6 +420,7 @@ mod tests {
             cameras: vec![CameraInfo { name: "north".into(), source: "sim:".into(), mask: vec![] }],
             kinds: vec!["robot".into()],
             object_names: BTreeMap::new(),
+            body_names: vec![],
         })
     }
 

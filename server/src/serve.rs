@@ -14,7 +14,7 @@ use roundel_core::{
     marker::{DetectorError, Mask, MaskError, Params},
     rigid::Covariance6,
     time::Timestamp,
-    world::{CameraPlacement, ClockPrior, Fusion, FusionParams, reference::Reference},
+    world::{BodyError, CameraPlacement, ClockPrior, Fusion, FusionParams, reference::Reference},
 };
 use thiserror::Error;
 use tokio::net::TcpListener;
@@ -23,7 +23,7 @@ use tokio_util::sync::CancellationToken;
 use crate::{
     api,
     clock::Clock,
-    config::{CameraConfig, CameraPose, Config},
+    config::{CameraConfig, CameraPose, Carried, Config, ObjectConfig},
     fusion::{FusionTask, QUEUE_FRAMES},
     hub::{CameraInfo, Hub, Installation},
     source::{OpenSource, Playback, SourceOpener, TimesError},
@@ -62,6 +62,14 @@ pub enum ServeError {
     /// A camera's mask is none.
     #[error(transparent)]
     Mask(#[from] MaskError),
+    /// An object cannot be followed.
+    #[error("object \"{name}\": {source}")]
+    Object {
+        /// Its name.
+        name: String,
+        /// Why not.
+        source: BodyError,
+    },
     /// The system gives no thread.
     #[error("cannot start the thread `{name}`: {source}")]
     Thread {
@@ -189,7 +197,7 @@ impl Server {
     ) -> Result<(), ServeError> {
         // Full: observations are dropped and counted, see `worker`.
         let (to_fusion, from_workers) = sync_channel::<Sighted>(QUEUE_FRAMES);
-        let task = FusionTask::new(fusion(config), self.hub.clone(), self.clock, from_workers);
+        let task = FusionTask::new(fusion(config)?, self.hub.clone(), self.clock, from_workers);
         let period = Duration::from_secs_f64(1.0 / config.server.snapshot_rate_hz);
         let stop = self.stop_fusion.clone();
         self.fusion = Some(spawn("fusion".to_owned(), move || task.run(period, &stop))?);
@@ -291,12 +299,22 @@ fn installation(config: &Config, started: Timestamp) -> Installation {
         object_names: config
             .objects
             .iter()
-            .map(|object| (object.kind, object.name.clone()))
+            .filter_map(|object| match object.carries {
+                Carried::Kind { kind, .. } => Some((kind, object.name.clone())),
+                Carried::Body(_) => None,
+            })
             .collect::<BTreeMap<_, _>>(),
+        // In the order in which fusion is told of them, which numbers them.
+        body_names: config
+            .objects
+            .iter()
+            .filter(|object| matches!(object.carries, Carried::Body(_)))
+            .map(|object| object.name.clone())
+            .collect(),
     }
 }
 
-fn fusion(config: &Config) -> Fusion {
+fn fusion(config: &Config) -> Result<Fusion, ServeError> {
     let ns = |seconds: f64| (seconds * 1e9).round() as i64;
     let mut fusion = Fusion::new(FusionParams {
         acceleration_m_s2: config.fusion.acceleration_m_s2,
@@ -306,11 +324,20 @@ fn fusion(config: &Config) -> Fusion {
         max_objects: config.limits.max_objects,
         ..FusionParams::default()
     });
-    for object in &config.objects {
-        fusion.set_offset(object.kind, object.offset_m);
-    }
     for (index, class) in config.motions.iter().enumerate() {
         fusion.set_motion(KindId(u16::try_from(index).unwrap_or(u16::MAX)), *class);
+    }
+    for ObjectConfig { name, carries } in &config.objects {
+        match carries {
+            Carried::Kind { kind, offset_m, motion } => {
+                fusion.set_offset(*kind, *offset_m);
+                motion.iter().for_each(|class| fusion.set_motion(*kind, *class));
+            }
+            Carried::Body(body) => {
+                let named = |source| ServeError::Object { name: name.clone(), source };
+                fusion.add_body(body.clone()).map_err(named)?;
+            }
+        }
     }
     for (index, camera) in config.cameras.iter().enumerate() {
         if camera.clock_uncertainty_s > 0.0 {
@@ -323,7 +350,7 @@ fn fusion(config: &Config) -> Fusion {
             fusion.set_camera(camera_id(index), Some(placement));
         }
     }
-    fusion
+    Ok(fusion)
 }
 
 fn pipeline(camera: &CameraConfig, config: &Config) -> Result<PipelineParts, MaskError> {

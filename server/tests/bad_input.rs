@@ -7,11 +7,16 @@ use std::{
     process::{Command, Output},
 };
 
+use nalgebra::Vector3;
 use roundel_core::{
     camera::{Camera, Intrinsics, Lens},
     marker::Mode,
+    world::{Body, MotionClass},
 };
-use roundel_server::{camera_file, config::Config};
+use roundel_server::{
+    camera_file,
+    config::{Carried, Config, ObjectConfig},
+};
 
 const EXAMPLE: &str = include_str!("../../deploy/roundel.example.toml");
 
@@ -83,6 +88,52 @@ fn the_example_is_a_configuration() {
     let [written, unwritten] = [&config, &unwritten].map(|config| config.kinds[2].clone());
     assert!((written.inner_diameter_m - unwritten.inner_diameter_m).abs() < 1e-12);
     assert_eq!(written.pattern, unwritten.pattern);
+}
+
+#[test]
+fn objects_are_known_by_a_kind_a_code_or_several_roundels() {
+    let folder = lab();
+    let read = |text: &str| -> Vec<ObjectConfig> {
+        Config::parse(text, folder.path()).map_err(|p| format!("{p:#?}")).unwrap().objects
+    };
+    let objects = read(EXAMPLE);
+    let bodies: Vec<&Body> = objects
+        .iter()
+        .filter_map(|object| match &object.carries {
+            Carried::Body(body) => Some(body),
+            Carried::Kind { .. } => None,
+        })
+        .collect();
+    let [two, carrier] = bodies[..] else { panic!("{objects:?}") };
+    assert_eq!((objects.len(), objects[2].name.as_str()), (3, "carrier"));
+    assert_eq!(two.motion, MotionClass::Ground { height_m: Some(0.25) });
+    let codes = |body: &Body| -> Vec<u16> {
+        body.mounts.iter().map(|mount| mount.code.map_or(0, |code| code.number)).collect()
+    };
+    assert_eq!((codes(two), codes(carrier)), (vec![12], vec![3, 4, 0]));
+    // Where the prints' right, top and face look to.
+    let looks = |index: usize| {
+        let turn = carrier.mounts[index].object_from_roundel.rotation;
+        [Vector3::x(), Vector3::y(), Vector3::z()].map(|axis| (turn * axis).map(f64::round))
+    };
+    assert_eq!(looks(1), [Vector3::y(), -Vector3::x(), Vector3::z()]);
+    assert_eq!(looks(2), [Vector3::y(), Vector3::z(), Vector3::x()]);
+    // A list of tables reads the same.
+    let begin = EXAMPLE.find("roundel = [").unwrap();
+    let end = begin + EXAMPLE[begin..].find("\n]\n").unwrap() + 3;
+    let tables = "[[object.roundel]]\nkind = \"shuttle\"\ncode = 3\nposition_m = [0.2, 0.0, 0.3]\n";
+    let listed = read(&format!("{}{tables}{}", &EXAMPLE[..begin], &EXAMPLE[end..]));
+    let Carried::Body(listed) = &listed[2].carries else { panic!("{listed:?}") };
+    assert_eq!(listed.mounts, carrier.mounts[..1]);
+    // Without a motion of its own it moves as its first roundel's kind, whose height is the roundel's.
+    let shuttle = EXAMPLE.replacen(
+        "inner_mm = 73.2",
+        "inner_mm = 73.2\nmotion = \"ground\"\nheight_m = 0.4",
+        1,
+    );
+    let Carried::Body(driving) = &read(&shuttle)[2].carries else { panic!("no body") };
+    let MotionClass::Ground { height_m: Some(height_m) } = driving.motion else { panic!("flies") };
+    assert!((height_m - 0.1).abs() < 1e-12);
 }
 
 #[test]
@@ -310,6 +361,53 @@ fn wrong_values_are_named_with_their_line() {
             "[fusion]",
             "[[object]]\nname = \"two\"\nroundel = \"robot\"\n[fusion]",
             "carry the same kind of roundel",
+        ),
+        ("code = 12", "code = 3", "objects \"robot two\" and \"carrier\" carry code 3"),
+        ("code = 4,", "code = 3,", "object \"carrier\" carries code 3 twice"),
+        ("code = 12", "code = 17", "`code` must be 1 to 16, found 17"),
+        ("code = 4,", "code = 0,", "`code` must be 1 to 16, found 0"),
+        ("code = 4,", "code = 4.5,", "`code` must be a whole number from 0 to 65535, found 4.5"),
+        ("code = 4, ", "", "missing key `code` in [[object.roundel]]"),
+        ("kind = \"dark\"", "kind = \"dark\", code = 1", "roundels \"dark\" have no codes"),
+        (
+            "kind = \"dark\"",
+            "kind = \"robot\"",
+            "objects \"robot one\" and \"carrier\" carry the same kind of roundel",
+        ),
+        (
+            "kind = \"dark\"",
+            "kind = \"drak\"",
+            "no [[roundel]] is named \"drak\"; did you mean \"dark\"?",
+        ),
+        (
+            "position_m = [0.2, 0.0, 0.3]",
+            "yaw_deg = 3",
+            "missing key `position_m` in [[object.roundel]]",
+        ),
+        (
+            "yaw_deg = 90.0",
+            "yaw_deg = 900",
+            "`yaw_deg` must be a number from -360 to 360, found 900",
+        ),
+        ("top = [0.0, 0.0, 1.0]", "yaw_deg = 1", "`right` and `top` any print: found both"),
+        ("top = [0.0, 0.0, 1.0]", "top = [0.0, 1.0, 1.0]", "at right angles, found 45.0 degrees"),
+        ("top = [0.0, 0.0, 1.0]", "top = [0.0, 0.0, 0.0]", "must point somewhere, found zeros"),
+        (", top = [0.0, 0.0, 1.0]", "", "missing key `top` in [[object.roundel]]"),
+        ("name = \"carrier\"", "name = \"robot two\"", "two objects are named \"robot two\""),
+        (
+            "name = \"carrier\"",
+            "name = \"carrier\"\ncode = 5",
+            "`code` is for an object with one roundel, and `roundel` lists several",
+        ),
+        (
+            "[fusion]",
+            "[[object]]\nname = \"none\"\nroundel = []\n[fusion]",
+            "`roundel` lists no roundel",
+        ),
+        (
+            "motion = \"ground\"\nheight_m = 0.25",
+            "height_m = 0.25",
+            "`height_m` is the height of what drives",
         ),
         (
             "listen = \"127.0.0.1:7670\"",

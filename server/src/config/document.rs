@@ -7,10 +7,11 @@ use roundel_core::marker::Mode;
 use toml::{Spanned, de::DeTable};
 
 use super::{
-    Config, FusionConfig, LimitsConfig, ObjectConfig, ReferenceConfig, ServerConfig,
+    Config, FusionConfig, LimitsConfig, ReferenceConfig, ServerConfig,
     camera::{MODES, cameras},
     error::Problem,
     geometry,
+    object::objects,
     reader::{Allowed, Problems, Table},
     roundel::{NamedKinds, kind_named, kinds},
 };
@@ -20,7 +21,6 @@ const ROOT_KEYS: [&str; 9] =
 const DETECTION_KEYS: [&str; 1] = ["mode"];
 const SERVER_KEYS: [&str; 2] = ["listen", "snapshot_rate_hz"];
 const REFERENCE_KEYS: [&str; 2] = ["roundel", "position_m"];
-const OBJECT_KEYS: [&str; 3] = ["name", "roundel", "offset_m"];
 const FUSION_KEYS: [&str; 4] =
     ["acceleration_m_s2", "late_window_ms", "predicted_after_ms", "lost_after_ms"];
 const LIMITS_KEYS: [&str; 3] = ["max_objects", "max_roundels_per_camera", "max_clients"];
@@ -103,7 +103,7 @@ fn references(root: &Table<'_, '_>, kinds: &NamedKinds) -> Vec<ReferenceConfig> 
     let references: Vec<ReferenceConfig> = tables
         .iter()
         .filter_map(|table| {
-            let kind = kind_named(table, kinds);
+            let kind = kind_named(table, "roundel", kinds);
             let position = table.required_numbers::<3>("position_m", "[0.0, 0.0, 0.0]");
             Some(ReferenceConfig { kind: kind?, position_m: Vector3::from(position?) })
         })
@@ -133,35 +133,6 @@ fn references(root: &Table<'_, '_>, kinds: &NamedKinds) -> Vec<ReferenceConfig> 
         );
     }
     references
-}
-
-fn objects(root: &Table<'_, '_>, kinds: &NamedKinds) -> Vec<ObjectConfig> {
-    let tables = root.tables("object", "[[object]]", &OBJECT_KEYS);
-    let mut objects: Vec<ObjectConfig> = Vec::new();
-    for table in &tables {
-        let name = table.required_text("name", "\"robot one\"");
-        let kind = kind_named(table, kinds);
-        let offset = match table.value("offset_m") {
-            Some(_) => table.numbers::<3>("offset_m"),
-            None => Some([0.0; 3]),
-        };
-        let (Some(name), Some(kind), Some(offset)) = (name, kind, offset) else { continue };
-        if let Some(other) = objects.iter().find(|object| object.kind == kind) {
-            table.fail_with_help(
-                &table.span_of("roundel"),
-                format!(
-                    "objects \"{}\" and \"{name}\" carry the same kind of roundel",
-                    other.name
-                ),
-                "plain roundels of one kind cannot be told apart: print another ratio for one of them",
-            );
-        } else if objects.iter().any(|object| object.name == name) {
-            let message = format!("two objects are named \"{name}\"");
-            table.fail_with_help(&table.span_of("name"), message, "give each its own name");
-        }
-        objects.push(ObjectConfig { name: name.to_owned(), kind, offset_m: Vector3::from(offset) });
-    }
-    objects
 }
 
 fn fusion(root: &Table<'_, '_>) -> FusionConfig {

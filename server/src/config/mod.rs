@@ -10,6 +10,7 @@ mod document;
 mod error;
 mod geometry;
 mod mask;
+mod object;
 mod reader;
 mod roundel;
 
@@ -21,7 +22,7 @@ use roundel_core::{
     id::KindId,
     marker::{Kind, Mode},
     rigid::Rigid,
-    world::MotionClass,
+    world::{Body, MotionClass},
 };
 
 pub use error::{ConfigError, Place, Problem};
@@ -47,7 +48,7 @@ pub struct Config {
     pub cameras: Vec<CameraConfig>,
     /// `[[reference]]`; none, or at least three that are not in one line.
     pub references: Vec<ReferenceConfig>,
-    /// `[[object]]`; at most one a kind.
+    /// `[[object]]`; no roundel is on two of them, names unique.
     pub objects: Vec<ObjectConfig>,
     /// `[fusion]`.
     pub fusion: FusionConfig,
@@ -111,10 +112,24 @@ pub struct ReferenceConfig {
 pub struct ObjectConfig {
     /// Shown to clients.
     pub name: String,
-    /// The kind of roundel that it carries.
-    pub kind: KindId,
-    /// The tracked point in the roundel's frame, metres.
-    pub offset_m: Vector3<f64>,
+    /// What it is known by.
+    pub carries: Carried,
+}
+
+/// The roundels that an object is known by.
+#[derive(Clone, Debug, PartialEq)]
+pub enum Carried {
+    /// All of a kind.
+    Kind {
+        /// Which.
+        kind: KindId,
+        /// The tracked point in the roundel's frame, metres.
+        offset_m: Vector3<f64>,
+        /// How it moves, if not as its kind says.
+        motion: Option<MotionClass>,
+    },
+    /// Several at known places, or one of known code.
+    Body(Body),
 }
 
 /// `[fusion]`.

@@ -58,7 +58,7 @@ pub(super) fn kinds(root: &Table<'_, '_>) -> NamedKinds {
 }
 
 /// How what carries it moves; `None` if it is wrong (then it is reported).
-fn motion(table: &Table<'_, '_>) -> Option<MotionClass> {
+pub(super) fn motion(table: &Table<'_, '_>) -> Option<MotionClass> {
     let is_ground = match table.value("motion") {
         Some(_) => table.choice("motion", &MOTIONS)?,
         None => false,
@@ -73,7 +73,7 @@ fn motion(table: &Table<'_, '_>) -> Option<MotionClass> {
     if !is_ground {
         table.fail_with_help(
             &table.span_of("height_m"),
-            "`height_m` is the height of what drives, and this kind may fly",
+            "`height_m` is the height of what drives, and this may fly",
             "write motion = \"ground\", or leave out `height_m`",
         );
         return None;
@@ -264,9 +264,13 @@ fn alike(one: f64, other: f64) -> bool {
     (one - other).abs() < LEAST_RATIO_DIFFERENCE * one.max(other)
 }
 
-/// The kind that `roundel = …` names.
-pub(super) fn kind_named(table: &Table<'_, '_>, kinds: &NamedKinds) -> Option<KindId> {
-    let name = table.required_text("roundel", "\"robot\"")?;
+/// The kind that `roundel = …`, or another key, names.
+pub(super) fn kind_named(
+    table: &Table<'_, '_>,
+    key: &'static str,
+    kinds: &NamedKinds,
+) -> Option<KindId> {
+    let name = table.required_text(key, "\"robot\"")?;
     let place = kinds.kinds.iter().position(|kind| kind.name == name);
     // A kind that is itself wrong is reported where it stands, not at each of its uses.
     if place.is_none() && kinds.complete {
@@ -275,7 +279,7 @@ pub(super) fn kind_named(table: &Table<'_, '_>, kinds: &NamedKinds) -> Option<Ki
             .map(|meant| format!("; did you mean \"{meant}\"?"))
             .unwrap_or_default();
         table.fail_with_help(
-            &table.span_of("roundel"),
+            &table.span_of(key),
             format!("no [[roundel]] is named \"{name}\"{meant}"),
             format!("configured: {}", list(names())),
         );

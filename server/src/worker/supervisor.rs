@@ -210,6 +210,7 @@ mod tests {
             cameras: vec![CameraInfo { name: "north".into(), source: "test".into(), mask: vec![] }],
             kinds: Vec::new(),
             object_names: BTreeMap::new(),
+            body_names: vec![],
         }));
         let actor = |acts| Actor { acts: VecDeque::from(acts), clock };
         let stage = Stage(VecDeque::from([

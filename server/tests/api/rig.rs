@@ -52,6 +52,7 @@ pub fn hub(source_id: &str) -> Arc<Hub> {
         cameras: vec![camera("north"), camera("south side")],
         kinds: vec!["robot".into(), "cart".into()],
         object_names: BTreeMap::from([(KindId(1), "cart \"one\"".into())]),
+        body_names: vec!["carrier".into()],
     }))
 }
 
