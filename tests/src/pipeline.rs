@@ -6,12 +6,15 @@ use nalgebra::Vector3;
 use roundel_core::{
     camera::{Camera, Intrinsics, Lens},
     frame::Frame,
-    id::CameraId,
-    marker::{CodeLayout, Detector, Kind, Params, Pattern, Tracker},
+    id::{CameraId, KindId},
+    marker::{Code, CodeLayout, Detector, Kind, Params, Pattern, Tracker},
     pose::{Detection, Located, Locator, PoseError},
     rigid::{self, Covariance6},
     time::Timestamp,
-    world::{self, CameraPlacement, ClockPrior, FrameObservations, Fusion, FusionParams},
+    world::{
+        self, CameraMount, CameraPlacement, Carrier, ClockPrior, FrameObservations, Fusion,
+        FusionParams, Landmark,
+    },
 };
 use roundel_proto::v1;
 
@@ -105,14 +108,51 @@ const UNSET_CLOCK: ClockPrior = ClockPrior { offset_s: 0.05, skew: 1e-4 };
 pub fn fusion(arena: &Arena, params: FusionParams) -> Fusion {
     let mut fusion = Fusion::new(params);
     for (index, site) in arena.sites.iter().enumerate() {
-        let world_from_camera = site.world_from_camera;
-        let placement = CameraPlacement { world_from_camera, covariance: Covariance6::zeros() };
-        fusion.set_camera(CameraId(index as u32), Some(placement));
+        let camera = CameraId(index as u32);
+        if let Some(mount) = site.mount {
+            fusion.set_mount(camera, Some(core_mount(arena, &mount)));
+        } else {
+            let world_from_camera = site.world_from_camera;
+            let placement = CameraPlacement { world_from_camera, covariance: Covariance6::zeros() };
+            fusion.set_camera(camera, Some(placement));
+        }
         if site.clock != SiteClock::default() {
-            fusion.set_clock(CameraId(index as u32), UNSET_CLOCK);
+            fusion.set_clock(camera, UNSET_CLOCK);
         }
     }
+    let landmark = |landmark: &arena::Landmark| Landmark {
+        position_deviation_m: EXACT,
+        orientation: Some(landmark.pose.rotation),
+        orientation_deviation_rad: EXACT,
+        ..Landmark::new(
+            KindId(landmark.kind as u16),
+            core_code(&arena.kinds[landmark.kind], Some(landmark.code)),
+            landmark.pose.translation.vector,
+        )
+    };
+    fusion.set_landmarks(arena.landmarks.iter().map(landmark).collect());
     fusion
+}
+
+/// Deviation of what is exactly known, m and rad.
+const EXACT: f64 = 1e-5;
+
+/// A camera on a robot with a coded roundel.
+fn core_mount(arena: &Arena, mount: &arena::Mount) -> CameraMount {
+    let robot = &arena.robots[mount.robot];
+    let kind = arena.kinds.iter().position(|kind| kind.name == robot.kind).unwrap_or_default();
+    let code = core_code(&arena.kinds[kind], robot.code).expect("a carrier has a code");
+    CameraMount {
+        carrier: Carrier { kind: KindId(kind as u16), code },
+        object_from_camera: mount.robot_from_camera,
+        covariance: Covariance6::zeros(),
+        localizes: !arena.landmarks.is_empty(),
+    }
+}
+
+fn core_code(kind: &arena::Kind, number: Option<u16>) -> Option<Code> {
+    let (bits, number) = kind.code_bits.zip(number)?;
+    Some(Code { bits, number })
 }
 
 /// A frame's detections as fusion takes them, received when they were captured.

@@ -2,7 +2,7 @@
 //! speeds, which `--bin scenarios` tells.
 
 use roundel_tests::{
-    scenario::{BAND, Length, Row, Run, crossing, fault, swarm},
+    scenario::{BAND, Length, Row, Run, crossing, fault, moving, swarm},
     score::Score,
 };
 
@@ -60,4 +60,15 @@ fn streams_that_misbehave_do_no_harm_and_are_counted() {
         assert!(row.holds(), "{:?}", row.parts);
     }
     sound(fault::missing, 24);
+}
+
+#[test]
+fn cameras_that_move_know_where_they_are() {
+    for row in moving::drone(Length::Short).into_iter().chain(moving::docking(Length::Short)) {
+        println!("{}: {:?}, inside {:.3?}", row.scenario, row.parts, row.shares());
+        assert!(row.holds(), "{}: {:?}", row.scenario, row.parts);
+        // Systematic errors leave few independent samples in so short a time.
+        let shares = row.shares().unwrap();
+        assert!(shares[0] >= 0.85 && shares[2] >= 0.92, "{}: {shares:?}", row.scenario);
+    }
 }

@@ -3,8 +3,8 @@
 //!
 //! Detections are brought to the frame's time by the carrier's motion, as far as it is known, since a
 //! rolling shutter exposes its rows one after another; what the motion may be beside that counts as
-//! error. Coded landmarks are known by their codes; plain ones by where they must be, once the carrier
-//! is followed, and before by their mutual distances ([`super::reference::identify`]). [`solve`] gives the camera's
+//! error. Coded landmarks are known by their codes; plain ones, and codes that were not read, by where they
+//! must be, once the carrier is followed, and plain ones before by their mutual distances ([`super::reference::identify`]). [`solve`] gives the camera's
 //! place; with the mount (R_m, t_m) the carrier is at (R, t) (R_m, t_m)⁻¹. The measurement has a camera, a
 //! frame and a covariance as any other, of which what landmarks and mount err by is systematic, and a
 //! share of the rest, as in `observation`.
@@ -26,8 +26,8 @@ use super::{
     rider::{CameraMount, Ride, with_arm},
 };
 use crate::{
-    id::TrackNumber,
-    pose::Detection,
+    id::{KindId, TrackNumber},
+    pose::{Detection, RoundelPose},
     rigid::{Covariance6, Rigid, mahalanobis_squared, rotate_covariance},
     time::Timestamp,
     track::{AttitudeMeasurement, Measurement, Noise, positive_root},
@@ -80,6 +80,13 @@ pub(super) struct View<'a> {
     pub(super) ride: Option<Ride>,
     pub(super) landmarks: &'a [Landmark],
     pub(super) params: &'a FusionParams,
+}
+
+/// A detection of which only its place can say which landmark it is of.
+struct Nameless {
+    kind: KindId,
+    number: TrackNumber,
+    pose: RoundelPose,
 }
 
 impl Localizer {
@@ -163,88 +170,83 @@ impl View<'_> {
     /// Every landmark that is seen, once, in the camera's frame at the frame's time.
     fn pairs(&self) -> Vec<Pair> {
         let mut pairs: Vec<Pair> = Vec::new();
-        let mut plain: Vec<(usize, Pair)> = Vec::new();
+        let mut nameless: Vec<Nameless> = Vec::new();
         for detection in &self.frame.detections {
-            let Some(pose) = &detection.pose else { continue };
-            if !is_sound(pose) || detection.track == OWN_NUMBER {
+            let is_kind = |landmark: &Landmark| Some(landmark.kind) == detection.ring.kind;
+            let (Some(pose), Some(kind)) = (&detection.pose, detection.ring.kind) else { continue };
+            if !is_sound(pose) || !self.landmarks.iter().any(is_kind) {
                 continue;
             }
-            let code = detection.ring.code.map(|reading| reading.code);
-            let is_it = |landmark: &&Landmark| {
-                Some(landmark.kind) == detection.ring.kind && landmark.code == code
-            };
-            let Some(first) = self.landmarks.iter().position(|landmark| is_it(&landmark)) else {
+            let (number, pose) = (detection.track, self.at_frame(detection, pose));
+            let Some(code) = detection.ring.code.map(|reading| reading.code) else {
+                nameless.push(Nameless { kind, number, pose });
                 continue;
             };
-            let landmark = self.landmarks[first];
-            let pose = self.at_frame(detection, pose);
-            let pair = Pair { landmark, number: detection.track, pose };
-            if code.is_none() {
-                plain.push((first, pair));
-            } else if !pairs.iter().any(|other| other.landmark == landmark) {
-                pairs.push(pair);
+            let is_it = |landmark: &&Landmark| is_kind(landmark) && landmark.code == Some(code);
+            let Some(&landmark) = self.landmarks.iter().find(is_it) else { continue };
+            if !pairs.iter().any(|other| other.landmark == landmark) {
+                pairs.push(Pair { landmark, number, pose });
             }
         }
-        self.match_plain(&plain, &mut pairs);
+        match (&self.ride, nameless.is_empty()) {
+            (_, true) => {}
+            (Some(ride), _) => self.match_places(ride, nameless, &mut pairs),
+            (None, _) => self.match_distances(nameless, &mut pairs),
+        }
         pairs
     }
 
-    /// Plain landmarks by where they must be.
-    fn match_plain(&self, plain: &[(usize, Pair)], pairs: &mut Vec<Pair>) {
-        if plain.is_empty() {
-            return;
-        }
-        let bare: Vec<&Landmark> =
-            self.landmarks.iter().filter(|landmark| landmark.code.is_none()).collect();
-        if let Some(ride) = &self.ride {
-            let (place, covariance) = ride.now();
-            for (_, pair) in plain {
-                let arm_m = place.rotation * pair.pose.position_m;
-                let seen = rotate_covariance(&place.rotation, &pair.pose.covariance)
-                    + with_arm(&covariance, &arm_m);
-                let block: Matrix3<f64> = seen.fixed_view::<3, 3>(0, 0).into_owned();
-                let square = |landmark: &&&Landmark| {
-                    let error = landmark.position_m - arm_m - place.translation.vector;
-                    let variance = landmark.position_deviation_m.powi(2);
-                    let block = block + Matrix3::from_diagonal_element(variance);
-                    mahalanobis_squared(&error, &block).unwrap_or(f64::INFINITY)
-                };
-                let own = bare.iter().filter(|landmark| landmark.kind == pair.landmark.kind);
-                let nearest = own
-                    .map(|landmark| (square(&landmark), landmark))
-                    .min_by(|one, other| one.0.total_cmp(&other.0));
-                let Some((square, landmark)) = nearest else { continue };
-                let is_taken = pairs.iter().any(|pair| pair.landmark == **landmark);
-                if square < NEAR_SQUARED && !is_taken {
-                    pairs.push(Pair { landmark: **landmark, ..pair.clone() });
-                }
+    /// Plain landmarks, and those whose code was not read, by where they must be.
+    fn match_places(&self, ride: &Ride, nameless: Vec<Nameless>, pairs: &mut Vec<Pair>) {
+        let (place, covariance) = ride.now();
+        for Nameless { kind, number, pose } in nameless {
+            let arm_m = place.rotation * pose.position_m;
+            let seen = rotate_covariance(&place.rotation, &pose.covariance)
+                + with_arm(&covariance, &arm_m);
+            let block: Matrix3<f64> = seen.fixed_view::<3, 3>(0, 0).into_owned();
+            let square = |landmark: &Landmark| {
+                let error = landmark.position_m - arm_m - place.translation.vector;
+                let variance = landmark.position_deviation_m.powi(2);
+                let block = block + Matrix3::from_diagonal_element(variance);
+                mahalanobis_squared(&error, &block).unwrap_or(f64::INFINITY)
+            };
+            let own = self.landmarks.iter().filter(|landmark| landmark.kind == kind);
+            let nearest = own
+                .map(|landmark| (square(landmark), landmark))
+                .min_by(|one, other| one.0.total_cmp(&other.0));
+            let Some((square, &landmark)) = nearest else { continue };
+            let is_taken = pairs.iter().any(|pair| pair.landmark == landmark);
+            if square < NEAR_SQUARED && !is_taken {
+                pairs.push(Pair { landmark, number, pose });
             }
-            return;
         }
-        let references: Vec<Reference> = bare
+    }
+
+    /// Plain landmarks by their mutual distances.
+    fn match_distances(&self, nameless: Vec<Nameless>, pairs: &mut Vec<Pair>) {
+        let plain: Vec<&Landmark> =
+            self.landmarks.iter().filter(|landmark| landmark.code.is_none()).collect();
+        let references: Vec<Reference> = plain
             .iter()
             .map(|landmark| Reference {
                 position_m: landmark.position_m,
                 normal: landmark.orientation.map(|turn| turn * Vector3::z()),
             })
             .collect();
-        let seen: Vec<Seen> = plain.iter().map(|(_, pair)| Seen::from(&pair.pose)).collect();
+        let seen: Vec<Seen> = nameless.iter().map(|it| Seen::from(&it.pose)).collect();
         // What cannot be told apart yet is told by a frame that shows more.
         let Ok(found) = identify(&references, &seen) else { return };
-        for (landmark, index) in bare.iter().zip(found) {
-            let Some((_, pair)) = index.map(|index| &plain[index]) else { continue };
-            if pair.landmark.kind == landmark.kind {
-                pairs.push(Pair { landmark: **landmark, ..pair.clone() });
+        for (&landmark, index) in plain.into_iter().zip(found) {
+            let Some(index) = index else { continue };
+            let Nameless { kind, number, pose } = &nameless[index];
+            if *kind == landmark.kind {
+                pairs.push(Pair { landmark, number: *number, pose: pose.clone() });
             }
         }
     }
 
     /// A detection as it would have been at the frame's time.
-    fn at_frame(
-        &self,
-        detection: &Detection,
-        pose: &crate::pose::RoundelPose,
-    ) -> crate::pose::RoundelPose {
+    fn at_frame(&self, detection: &Detection, pose: &RoundelPose) -> RoundelPose {
         let row_s = detection.capture_time.seconds_since(self.frame.capture_time);
         let mut moved = pose.clone();
         let distance_m = pose.position_m.norm();

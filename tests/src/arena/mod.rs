@@ -2,9 +2,10 @@
 //!
 //! World frame right-handed with z up, metres; a roundel's z is out of its face. Paths ([`path`]) give
 //! position, velocity and acceleration exactly at any time; [`mod@reference`] builds DESIGN's
-//! installations.
+//! installations, [`moving`] those with cameras that ride on robots.
 
 pub mod errand;
+pub mod moving;
 pub mod path;
 pub mod reference;
 
@@ -36,14 +37,25 @@ pub struct Site {
     pub optics: Pinhole,
     /// Grey values and shutter.
     pub imaging: Imaging,
-    /// Place: world_from_camera.
+    /// Place of one that stands: world_from_camera.
     pub world_from_camera: Isometry3<f64>,
+    /// Of one that rides: on what.
+    pub mount: Option<Mount>,
     /// Frames a second.
     pub rate_hz: f64,
     /// Its first frame's capture time after the arena's start, seconds.
     pub offset_s: f64,
     /// What it believes of the time.
     pub clock: SiteClock,
+}
+
+/// What a camera is fixed to that rides.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Mount {
+    /// Index of the robot.
+    pub robot: usize,
+    /// In the frame of the robot's roundel.
+    pub robot_from_camera: Isometry3<f64>,
 }
 
 /// A camera's clock: at t seconds after the arena's start it shows `ahead_s + (1 + skew) · t`.
@@ -70,6 +82,8 @@ pub struct Robot {
     pub path: Path,
     /// From when to when no camera sees it, seconds; in order.
     pub hidden_s: Vec<(f64, f64)>,
+    /// Cameras that stand do not see it at all: it is between shelves, say.
+    pub is_among_shelves: bool,
 }
 
 impl Robot {
@@ -137,6 +151,19 @@ pub struct Arena {
     pub sites: Vec<Site>,
     /// Robots.
     pub robots: Vec<Robot>,
+    /// Roundels that hang on walls.
+    pub landmarks: Vec<Landmark>,
+}
+
+/// A roundel that stays where it is.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Landmark {
+    /// Index of its kind.
+    pub kind: usize,
+    /// Number of its code.
+    pub code: u16,
+    /// world_from_roundel.
+    pub pose: Isometry3<f64>,
 }
 
 impl Arena {
@@ -149,6 +176,14 @@ impl Arena {
             code: robot.code,
         };
         self.robots.iter().map(truth).collect()
+    }
+
+    /// Where a camera is at `t` seconds: world_from_camera.
+    pub fn camera_pose(&self, site: &Site, t: f64) -> Isometry3<f64> {
+        match &site.mount {
+            Some(mount) => self.robots[mount.robot].path.pose(t) * mount.robot_from_camera,
+            None => site.world_from_camera,
+        }
     }
 
     /// Mid-exposure of the middle row of a camera's frame, Unix time.

@@ -20,11 +20,11 @@ const AHEAD_S: f64 = 0.040;
 const SKEW: f64 = 50e-6;
 
 /// A camera's sensor and rate.
-struct Model {
-    width: usize,
-    height: usize,
-    focal_px: f64,
-    rate_hz: f64,
+pub(super) struct Model {
+    pub(super) width: usize,
+    pub(super) height: usize,
+    pub(super) focal_px: f64,
+    pub(super) rate_hz: f64,
 }
 
 const R4_MODEL: Model = Model { width: 1920, height: 1080, focal_px: 1100.0, rate_hz: 60.0 };
@@ -42,8 +42,15 @@ struct Fleet {
 
 impl Arena {
     /// Cameras and nobody there yet.
-    fn empty(seed: u64, kind: Kind, sites: Vec<Site>) -> Self {
-        Self { start_ns: START_NS, seed, kinds: vec![kind], sites, robots: Vec::new() }
+    pub(super) fn empty(seed: u64, kind: Kind, sites: Vec<Site>) -> Self {
+        Self {
+            start_ns: START_NS,
+            seed,
+            kinds: vec![kind],
+            sites,
+            robots: Vec::new(),
+            landmarks: Vec::new(),
+        }
     }
 
     /// DESIGN's R4-lite: four cameras 1280x720 at 30 Hz over 10 × 8 m, unsynchronized, with
@@ -136,7 +143,15 @@ impl Arena {
             None => Print::plain(kind.outer_diameter_m, kind.inner_diameter_m, 0.25),
         };
         let (name, kind) = (format!("robot {}", index + 1), kind.name.clone());
-        self.robots.push(Robot { name, kind, print, code, path, hidden_s: Vec::new() });
+        self.robots.push(Robot {
+            name,
+            kind,
+            print,
+            code,
+            path,
+            hidden_s: Vec::new(),
+            is_among_shelves: false,
+        });
     }
 
     fn place(&mut self, fleet: &Fleet, random: &mut Random) {
@@ -175,7 +190,7 @@ fn corner_sites(model: &Model, random: &mut Random) -> Vec<Site> {
 }
 
 /// A camera with a mild lens, exposure 4 ms, rolling shutter 12 µs a line.
-fn site(
+pub(super) fn site(
     name: String,
     model: &Model,
     (eye, target): (Vector3<f64>, Vector3<f64>),
@@ -197,6 +212,7 @@ fn site(
             ..Imaging::default()
         },
         world_from_camera: look_at(eye, target),
+        mount: None,
         rate_hz: model.rate_hz,
         offset_s: random.uniform(0.0, 1.0 / model.rate_hz),
         clock: SiteClock::default(),

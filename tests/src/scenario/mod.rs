@@ -13,6 +13,7 @@
 //! | `static`, `walking`, `driving` | R4 from rendered frames | [`pixels`] |
 //! | `clocks` | offsets and skews that nobody has set | [`clocks`] |
 //! | `crossing` | plain roundels that pass each other, occluded, for ten minutes | [`crossing`] |
+//! | `drone`, `docking` | cameras that ride, and that find their place from landmarks | [`moving`] |
 //! | `twice`, `overdue`, … | streams that misbehave | [`fault`] |
 //!
 //! All run in virtual time on the calling thread, but for the rendering. Poses are judged where a server
@@ -22,6 +23,7 @@
 pub mod clocks;
 pub mod crossing;
 pub mod fault;
+pub mod moving;
 pub mod pixels;
 pub mod run;
 pub mod swarm;
@@ -145,7 +147,7 @@ pub fn shares(score: &Score) -> [f64; 3] {
 pub type Run = fn(Length) -> Vec<Row>;
 
 /// Every scenario by its name, in the order of the table.
-pub const ALL: [(&str, Run); 18] = [
+pub const ALL: [(&str, Run); 20] = [
     ("alone", swarm::alone),
     ("late", swarm::late),
     ("r16", swarm::r16),
@@ -155,6 +157,8 @@ pub const ALL: [(&str, Run); 18] = [
     ("driving", pixels::driving),
     ("clocks", clocks::unset),
     ("crossing", crossing::crossing),
+    ("drone", moving::drone),
+    ("docking", moving::docking),
     ("twice", fault::twice),
     ("overdue", fault::overdue),
     ("reordered", fault::reordered),

@@ -13,6 +13,8 @@
 //! `systematic_time_s`. The normal told first is the right one as often as the likelihood beside it
 //! says; the other is its mirror image about the line of sight. Tests below hold all of this.
 //!
+//! Cameras that ride are where their robot carries them when the row is exposed.
+//!
 //! Times: the frame's capture time is what the camera's clock shows ([`super::arena::SiteClock`]), the
 //! receiving time is the server's.
 
@@ -121,7 +123,7 @@ impl<'a> Sensor<'a> {
             index,
             sensing,
             random: Random::new(arena.seed, (index as u64 + 1) << 20),
-            sights: vec![Sight::default(); arena.robots.len()],
+            sights: vec![Sight::default(); arena.robots.len() + arena.landmarks.len()],
             numbers: 0,
         }
     }
@@ -136,9 +138,9 @@ impl<'a> Sensor<'a> {
         let capture_ns = self.arena.capture_time_ns(site, frame);
         let stated = Timestamp::from_ns(self.arena.stated_time_ns(site, capture_ns));
         let t = (capture_ns - self.arena.start_ns) as f64 * 1e-9;
-        let robots = 0..self.arena.robots.len();
+        let roundels = 0..self.sights.len();
         let mut detections: Vec<_> =
-            robots.filter_map(|robot| self.look(robot, t, stated)).collect();
+            roundels.filter_map(|roundel| self.look(roundel, t, stated)).collect();
         if self.chance(self.sensing.clutter) {
             detections.extend(self.imagine(stated));
         }
@@ -156,14 +158,23 @@ impl<'a> Sensor<'a> {
 
     fn look(&mut self, robot: usize, t: f64, stated: Timestamp) -> Option<Detection> {
         let bias = self.drift(robot, t);
-        let carrier = &self.arena.robots[robot];
-        if carrier.is_hidden(t) || self.chance(self.sensing.dropout) {
-            return None;
-        }
-        let exposed = expose(self.site(), &carrier.path, t)?;
-        let kinds = &self.arena.kinds;
-        let kind = kinds.iter().position(|kind| kind.name == carrier.kind)?;
-        let reading = self.read(kinds[kind].code_bits.zip(carrier.code));
+        let (arena, site) = (self.arena, self.site());
+        let (kind, code, exposed) = if let Some(carrier) = arena.robots.get(robot) {
+            let is_aside = carrier.is_among_shelves && site.mount.is_none();
+            if carrier.is_hidden(t) || is_aside || self.chance(self.sensing.dropout) {
+                return None;
+            }
+            let kind = arena.kinds.iter().position(|kind| kind.name == carrier.kind)?;
+            (kind, carrier.code, expose((arena, site), |t| carrier.path.pose(t), t)?)
+        } else {
+            let landmark = &arena.landmarks[robot - arena.robots.len()];
+            if self.chance(self.sensing.dropout) {
+                return None;
+            }
+            (landmark.kind, Some(landmark.code), expose((arena, site), |_| landmark.pose, t)?)
+        };
+        let kinds = &arena.kinds;
+        let reading = self.read(kinds[kind].code_bits.zip(code));
         let number = self.number(robot, t);
         let pose = self.err(&kinds[kind], &exposed, &bias, reading.is_some());
         Some(detection(number, kind, &exposed, stated, (pose, reading)))
@@ -177,7 +188,8 @@ impl<'a> Sensor<'a> {
         let ray = site.world_from_camera.rotation * site.optics.ray(&pixel)?;
         let eye = site.world_from_camera.translation.vector;
         let along = (self.random.uniform(0.0, 2.0) - eye.z) / ray.z;
-        let exposed = expose(site, &Path::still(eye + ray * along), 0.0)?;
+        let still = Path::still(eye + ray * along);
+        let exposed = expose((self.arena, site), |t| still.pose(t), 0.0)?;
         let fresh = [self.gaussian(), self.gaussian()];
         let pose = self.err(kind, &exposed, &fresh, false);
         self.numbers += 1;
@@ -279,17 +291,21 @@ impl<'a> Sensor<'a> {
     }
 }
 
-/// Where a path leads when its row is exposed; `None` outside the image, or seen from aside or behind.
-fn expose(site: &Site, path: &Path, t: f64) -> Option<Exposed> {
-    let camera_from_world = site.world_from_camera.inverse();
+/// Where a roundel is when its row is exposed; `None` outside the image, or seen from aside or behind.
+fn expose(
+    (arena, site): (&Arena, &Site),
+    pose: impl Fn(f64) -> Isometry3<f64>,
+    t: f64,
+) -> Option<Exposed> {
+    let seen = |t: f64| arena.camera_pose(site, t).inverse() * pose(t);
     let middle = (site.optics.height as f64 - 1.0) / 2.0;
     let mut row_s = 0.0;
     // Each round brings the row's time closer by image speed × line time, below 1/50.
     for _ in 0..3 {
-        let place = camera_from_world * Point3::from(path.pose(t + row_s).translation.vector);
+        let place = Point3::from(seen(t + row_s).translation.vector);
         row_s = (site.optics.project(&place)?.y - middle) * site.imaging.line_time_s;
     }
-    let camera_from_roundel = camera_from_world * path.pose(t + row_s);
+    let camera_from_roundel = seen(t + row_s);
     let place = camera_from_roundel.translation.vector;
     let pixel = site.optics.project(&Point3::from(place))?;
     let inside = (0.0..site.optics.width as f64).contains(&pixel.x)
