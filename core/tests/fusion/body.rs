@@ -276,6 +276,23 @@ fn a_plain_roundel_beside_a_coded_one() {
     score.assert_honest();
 }
 
+/// Too many for all choices of normals to be tried.
+#[test]
+fn six_roundels_know_it_better_than_two() {
+    let round = |index: u16| {
+        let angle = f64::from(index);
+        coded(3 + index, flat(0.2 * angle.cos(), 0.2 * angle.sin(), angle))
+    };
+    let mounts: Vec<Mount> = (0..6).map(round).collect();
+    let world = World::new(mounts.clone());
+    let score = scored("six", &mut world.fusion(&mounts), &world.frames(10.0));
+    let two = World::new(two());
+    let of_two = scored("two", &mut two.fusion(&two.mounts), &two.frames(10.0));
+    assert_eq!(score.others, 0);
+    assert!(score.shares().iter().all(|share| *share > 0.92), "{}", score.summary());
+    assert!(score.rms_mm() < 0.8 * of_two.rms_mm());
+}
+
 /// A stranger with the code of another roundel of the robot, and one of its own read as another's.
 #[test]
 fn a_misread_code_is_left_out() {
