@@ -143,7 +143,7 @@ fn core_mount(arena: &Arena, mount: &arena::Mount) -> CameraMount {
     let kind = arena.kinds.iter().position(|kind| kind.name == robot.kind).unwrap_or_default();
     let code = core_code(&arena.kinds[kind], robot.code).expect("a carrier has a code");
     CameraMount {
-        carrier: Carrier { kind: KindId(kind as u16), code },
+        carrier: Carrier::Roundel { kind: KindId(kind as u16), code },
         object_from_camera: mount.robot_from_camera,
         covariance: Covariance6::zeros(),
         localizes: !arena.landmarks.is_empty(),

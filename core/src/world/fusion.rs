@@ -310,6 +310,12 @@ impl Fusion {
         let mut seen = vec![false; known];
         for (index, decision) in decisions.iter().enumerate() {
             let mut sighting = self.sightings[index];
+            let rides = rides && sighting.measurement.number != OWN_NUMBER;
+            if rides && self.riders.is_carrier(&sighting.subject, sighting.code) {
+                self.counts.of_carriers += 1;
+                decision.iter().for_each(|&(track, _)| seen[track] = true);
+                continue;
+            }
             let Some((track, innovation)) = *decision else {
                 if !self.is_contradiction(&sighting.measurement, known) {
                     self.begin(&sighting);
@@ -318,9 +324,7 @@ impl Fusion {
             };
             seen[track] = true;
             let track = &mut self.tracks[track];
-            let is_own = sighting.measurement.number == OWN_NUMBER;
-            if rides && !is_own && self.riders.is_carrier(track.subject.kind, track.codes.leader())
-            {
+            if rides && self.riders.is_carrier(&track.subject, track.codes.leader()) {
                 self.counts.of_carriers += 1;
                 continue;
             }

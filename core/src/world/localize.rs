@@ -27,6 +27,7 @@ use super::{
 };
 use crate::{
     id::{KindId, TrackNumber},
+    marker::Code,
     pose::{Detection, RoundelPose},
     rigid::{Covariance6, Rigid, mahalanobis_squared, rotate_covariance},
     time::Timestamp,
@@ -76,6 +77,10 @@ pub(super) struct View<'a> {
     pub(super) frame: &'a FrameObservations,
     pub(super) late: Lateness,
     pub(super) mount: CameraMount,
+    /// What its carrier is followed as …
+    pub(super) subject: Subject,
+    /// … and its code.
+    pub(super) code: Option<Code>,
     /// Where its carrier is expected, if it is followed.
     pub(super) ride: Option<Ride>,
     pub(super) landmarks: &'a [Landmark],
@@ -306,8 +311,8 @@ impl View<'_> {
         }
         let turn: UnitQuaternion<f64> = place.rotation;
         Some(Sighting {
-            subject: Subject { kind: Some(mount.carrier.kind), body: None },
-            code: Some(mount.carrier.code),
+            subject: self.subject,
+            code: self.code,
             measurement: Measurement {
                 time: self.time(),
                 late_s: self.late.offset_s,

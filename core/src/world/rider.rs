@@ -31,9 +31,9 @@ use std::collections::BTreeMap;
 
 use nalgebra::{Matrix3, Matrix6, Vector3};
 
-use super::{LifeStage, life::Track, localize::Localizer};
+use super::{LifeStage, identity::Subject, life::Track, localize::Localizer};
 use crate::{
-    id::{CameraId, KindId},
+    id::{BodyId, CameraId, KindId},
     marker::Code,
     rigid::{Covariance6, Rigid, rotate_covariance},
     time::Timestamp,
@@ -45,13 +45,18 @@ const MOST_TURN_RAD: f64 = 0.2;
 /// No camera takes frames more often, seconds.
 const LEAST_PERIOD_S: f64 = 1e-3;
 
-/// The object that carries a camera, by the roundel on it.
+/// The object that carries a camera.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub struct Carrier {
-    /// The roundel's kind.
-    pub kind: KindId,
-    /// Its code; without one it has no yaw that a camera could be placed by.
-    pub code: Code,
+pub enum Carrier {
+    /// By the roundel on it. Without a code it has no yaw that a camera could be placed by.
+    Roundel {
+        /// Its kind.
+        kind: KindId,
+        /// Its code.
+        code: Code,
+    },
+    /// By the roundels that [`super::Fusion::add_body`] was told of.
+    Body(BodyId),
 }
 
 /// A camera fixed to an object.
@@ -59,7 +64,7 @@ pub struct Carrier {
 pub struct CameraMount {
     /// What it is fixed to.
     pub carrier: Carrier,
-    /// The camera in the frame of the carrier's roundel.
+    /// The camera in the frame of the carrier: of its roundel, or of the body.
     pub object_from_camera: Rigid,
     /// Over (position, rotation), that frame, left perturbation; zero when exact.
     pub covariance: Covariance6,
@@ -115,6 +120,18 @@ pub(super) struct Riders {
     cameras: BTreeMap<CameraId, Rider>,
 }
 
+impl Carrier {
+    /// Whether what is seen as this is it.
+    fn is(&self, subject: &Subject, code: Option<Code>) -> bool {
+        match *self {
+            Self::Roundel { kind, code: own } => {
+                subject.body.is_none() && subject.kind == Some(kind) && code == Some(own)
+            }
+            Self::Body(body) => subject.body == Some(body),
+        }
+    }
+}
+
 impl Riders {
     pub(super) fn set(&mut self, camera: CameraId, mount: Option<CameraMount>) {
         match mount {
@@ -137,12 +154,9 @@ impl Riders {
         self.cameras.contains_key(&camera)
     }
 
-    /// Whether a roundel is that of something which carries a camera.
-    pub(super) fn is_carrier(&self, kind: Option<KindId>, code: Option<Code>) -> bool {
-        let is_named = |rider: &Rider| {
-            kind == Some(rider.mount.carrier.kind) && code == Some(rider.mount.carrier.code)
-        };
-        self.cameras.values().any(is_named)
+    /// Whether what is seen as this is something that carries a camera.
+    pub(super) fn is_carrier(&self, subject: &Subject, code: Option<Code>) -> bool {
+        self.cameras.values().any(|rider| rider.mount.carrier.is(subject, code))
     }
 
     /// Notes that a frame was exposed.
@@ -182,9 +196,7 @@ impl Riders {
 pub(super) fn carried_by(carrier: &Carrier, tracks: &[Track]) -> Option<usize> {
     let is_carrier = |track: &Track| {
         let is_followed = matches!(track.stage, LifeStage::Tracked | LifeStage::Predicted);
-        is_followed
-            && track.subject.kind == Some(carrier.kind)
-            && track.codes.settled() == Some(carrier.code)
+        is_followed && carrier.is(&track.subject, track.codes.settled())
     };
     let mut found = (0..tracks.len()).filter(|&index| is_carrier(&tracks[index]));
     let first = found.next();

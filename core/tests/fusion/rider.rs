@@ -17,8 +17,8 @@ use roundel_core::{
     },
     time::Timestamp,
     world::{
-        CameraMount, CameraPlacement, Carrier, FrameObservations, Fusion, FusionParams, Landmark,
-        LifeStage, ObjectState, Unplaced,
+        Body, CameraMount, CameraPlacement, Carrier, FrameObservations, Fusion, FusionParams,
+        Landmark, LifeStage, MotionClass, Mount, ObjectState, Unplaced,
     },
 };
 
@@ -37,7 +37,7 @@ fn code(number: u16) -> Code {
 }
 
 fn carrier(number: u16) -> Carrier {
-    Carrier { kind: KIND, code: code(number) }
+    Carrier::Roundel { kind: KIND, code: code(number) }
 }
 
 /// Looking down, the image's right along the x of what carries it, so much below its roundel.
@@ -269,6 +269,33 @@ fn what_a_drone_sees_is_where_it_is() {
     assert!(shares.iter().all(|share| (0.92..=0.995).contains(share)), "{shares:?}");
     assert!(robots.rms_mm() < 25.0, "{}", robots.rms_mm());
     assert_eq!(fusion.counts().begun, 5, "{:?}", fusion.counts());
+}
+
+/// A drone that is configured by its roundel's place on it, and the camera's, both from its middle.
+#[test]
+fn what_carries_a_camera_may_be_a_body() {
+    let mut fusion = fusion();
+    let object_from_roundel = Rigid::translation(0.3, 0.1, 0.05);
+    let mounts = vec![Mount { kind: KIND, code: Some(code(DRONE)), object_from_roundel }];
+    let body = fusion.add_body(Body { motion: MotionClass::Free, mounts }).unwrap();
+    let object_from_camera = object_from_roundel * downwards(0.1);
+    let carrier = Carrier::Body(body);
+    fusion.set_mount(ABOARD, Some(CameraMount { carrier, object_from_camera, ..mount() }));
+    let mut robots = Tally::default();
+    fly(&mut fusion, 4.0, true, |fusion, time| {
+        let t = time.seconds_since(START);
+        if t > 1.0 {
+            let snapshot = fusion.snapshot(time);
+            for number in ROBOTS {
+                robots.add(own(&snapshot.objects, number).unwrap(), |t| robot(number, t), t);
+            }
+            let camera = fusion.camera_place(ABOARD, time).unwrap();
+            let off = camera.world_from_camera.inverse() * drone(t) * downwards(0.1);
+            assert!(off.translation.vector.norm() < 0.05 && off.rotation.angle() < 0.1, "{off}");
+        }
+    });
+    assert!(robots.rms_mm() < 25.0 && robots.shares()[0] > 0.9, "{} mm", robots.rms_mm());
+    assert_eq!(fusion.counts().begun, 5);
 }
 
 /// Of the carrier's normal alone nothing follows about what its camera sees.

@@ -1,5 +1,7 @@
 //! Where cameras are while they take a frame, and what that makes of their detections.
 
+use nalgebra::Vector3;
+
 use super::{CameraPlacement, Fusion, FusionCounts};
 use crate::{
     id::{CameraId, TrackNumber},
@@ -12,7 +14,7 @@ use crate::{
         landmark::Landmark,
         localize::View,
         observation::{Lateness, measure},
-        rider::{CameraMount, Ride, Stand, Unplaced},
+        rider::{CameraMount, Carrier, Ride, Stand, Unplaced},
     },
 };
 
@@ -34,9 +36,18 @@ impl FusionCounts {
 }
 
 impl Fusion {
-    /// Says what a camera rides on from now on; `None`: on nothing, it stands where [`Self::set_camera`] says.
+    /// Says what a camera rides on from now on, of bodies one that was added before; `None`: on nothing, it stands where [`Self::set_camera`] says.
     pub fn set_mount(&mut self, camera: CameraId, mount: Option<CameraMount>) {
         self.clocks.set_aside(camera, mount.is_some());
+        let middle_m = |mount: &CameraMount| match mount.carrier {
+            Carrier::Body(body) => -self.bodies.origin_m(body),
+            Carrier::Roundel { .. } => Vector3::zeros(),
+        };
+        // From the point that is followed.
+        let mount = mount.map(|mut mount| {
+            mount.object_from_camera.translation.vector -= middle_m(&mount);
+            mount
+        });
         self.riders.set(camera, mount);
     }
 
@@ -72,7 +83,15 @@ impl Fusion {
             return Vec::new();
         };
         let (mount, landmarks, params) = (rider.mount, &self.landmarks[..], &self.params);
-        let view = View { frame, late, mount, ride, landmarks, params };
+        let (subject, code) = match mount.carrier {
+            Carrier::Roundel { kind, code } => {
+                (Subject { kind: Some(kind), body: None }, Some(code))
+            }
+            Carrier::Body(body) => {
+                (Subject { kind: Some(self.bodies.kind(body)), body: Some(body) }, None)
+            }
+        };
+        let view = View { frame, late, mount, subject, code, ride, landmarks, params };
         let found = rider.localizer.localize(&view);
         self.counts.of_landmarks += found.landmarks.len() as u64;
         self.sightings.clear();
@@ -147,10 +166,6 @@ impl Fusion {
             let ring = &detection.ring;
             let code = ring.code.map(|reading| reading.code);
             if let Some(ride) = &ride {
-                if self.riders.is_carrier(ring.kind, code) {
-                    self.counts.of_carriers += 1;
-                    continue;
-                }
                 stand = ride.at(late.corrected(detection.capture_time));
             }
             if self.take_part(detection, source, &stand, (late, now)) {
