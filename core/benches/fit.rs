@@ -1,4 +1,4 @@
-//! Time of the photometric fit by size of the roundel, round or elliptical, from a start as a tracker has it:
+//! Time of the photometric fit by size of the roundel, round, elliptical or coded, from a start as a tracker has it:
 //! `cargo bench -p roundel-core --bench fit`.
 
 #[path = "../tests/drawing/mod.rs"]
@@ -12,7 +12,7 @@ use nalgebra::Vector3;
 use roundel_core::{
     camera::{Camera, Intrinsics, Lens, PixelPoint},
     ellipse::{Ellipse, Shape, Symmetric2},
-    marker::{Kind, Pattern, Ring},
+    marker::{CodeLayout, CodeReader, Kind, Pattern, Ring, Tooth},
     pose::{
         RimNoise, locate,
         photometry::{FitScratch, Start, fit},
@@ -57,20 +57,95 @@ fn image_of(
     Shape { area_px2: area.abs(), center, covariance }.ellipse()
 }
 
-fn fits(criterion: &mut Criterion) {
-    let plain = Kind::plain("robot", 0.16, 0.064);
-    let pattern = Pattern::Elliptical { minor_diameter_m: 0.064 };
-    let elliptical = Kind { pattern, ..Kind::plain("robot", 0.16, 0.096) };
-    let camera = Camera::new(Intrinsics {
+fn camera(focal_px: f64) -> Camera {
+    Camera::new(Intrinsics {
         width: SIDE,
         height: SIDE,
-        fx_px: 1100.0,
-        fy_px: 1100.0,
+        fx_px: focal_px,
+        fy_px: focal_px,
         cx_px: 119.5,
         cy_px: 119.5,
         lens: Lens::PlumbBob([-0.08, 0.02, 0.0003, -0.0004, 0.0]),
     })
-    .expect("the intrinsics above are valid");
+    .expect("the intrinsics above are valid")
+}
+
+/// How much black a pixel sees of a coded print at the yaw 0, for a blur of 0.7 px.
+fn black_share(
+    camera: &Camera,
+    (position_m, normal): (&Vector3<f64>, &Vector3<f64>),
+    teeth: &[Tooth],
+    (u, v): (usize, usize),
+) -> f64 {
+    const FINE: usize = 24;
+    let turn = orientation_of_normal(normal);
+    let is_black = |u: f64, v: f64| {
+        let ray = camera.bearing(PixelPoint { u, v }).expect("a pixel of the picture");
+        let on_plane = ray * (normal.dot(position_m) / normal.dot(&ray)) - position_m;
+        let place = turn.inverse() * on_plane / 0.08;
+        let angle_rad = place.y.atan2(place.x).rem_euclid(std::f64::consts::TAU);
+        let in_tooth = teeth.iter().any(|t| t.from_rad <= angle_rad && angle_rad < t.to_rad);
+        let white = 0.6 * if in_tooth { CodeLayout::CORE_SHARE } else { 1.0 };
+        (white..1.0).contains(&place.norm())
+    };
+    let away = |k: usize| 5.0 * ((k as f64 + 0.5) / FINE as f64 - 0.5);
+    // Blur and the pixel's own width.
+    let weight = |x: f64| (-0.5 * x * x / (0.49 + 1.0 / 12.0)).exp();
+    let (mut black, mut all) = (0.0, 0.0);
+    for k in 0..FINE * FINE {
+        let (x, y) = (away(k % FINE), away(k / FINE));
+        let weight = weight(x) * weight(y);
+        all += weight;
+        if is_black(u as f64 + x, v as f64 + y) {
+            black += weight;
+        }
+    }
+    black / all
+}
+
+fn coded_fits(criterion: &mut Criterion) {
+    let camera = camera(1100.0);
+    for (bits, diameter_px) in [(8, 36.0), (8, 60.0), (12, 60.0)] {
+        let layout = CodeLayout { bits, min_distance: 2 };
+        let kind = Kind { pattern: Pattern::Coded(layout), ..Kind::plain("robot", 0.16, 0.096) };
+        let position_m = Vector3::new(-0.001, 0.002, 1.0) * (0.16 * 1100.0 / diameter_px);
+        let normal = Vector3::new(0.5, -0.33, -0.8).normalize();
+        let [outer, inner] = [0.08, 0.048].map(|m| image_of(&camera, &position_m, &normal, [m; 2]));
+        let reader = CodeReader::new(layout, CodeLayout::RATIO).expect("a layout");
+        let teeth = reader.dictionary().teeth(7).expect("an identity");
+        let mut drawing = Drawing::new(SIDE, SIDE, 200.0, 0.7);
+        drawing.stripe(|u, v| {
+            let near_px = (u as f64 - outer.center.u).hypot(v as f64 - outer.center.v);
+            let is_near = near_px < 0.5 * diameter_px + 4.0;
+            if is_near {
+                -160.0 * black_share(&camera, (&position_m, &normal), &teeth, (u, v))
+            } else {
+                0.0
+            }
+        });
+        let pixels = drawing.picture(2.0, 7);
+        let frame = frame(&pixels, SIDE);
+        let ring = Ring { black: 40.0, white: 200.0, ..Ring::of_rims(outer, inner) };
+        let ring = Ring { code: reader.read(&frame, &ring), ..ring };
+        let mut pose = locate(&camera, &kind, &ring, &RimNoise::default()).expect("its rims");
+        if pose.other_normal.dot(&normal) > pose.normal.dot(&normal) {
+            pose.normal = pose.other_normal;
+        }
+        let mut scratch = FitScratch::default();
+        let mut start = Start { pose, blur_px: 0.7 };
+        let first = fit(&frame, &camera, &kind, &ring, &start, &mut scratch).expect("it is drawn");
+        start.blur_px = first.blur_px;
+        criterion.bench_function(&format!("fit/coded {bits} bits {diameter_px} px"), |bencher| {
+            bencher.iter(|| fit(&frame, &camera, &kind, &ring, black_box(&start), &mut scratch));
+        });
+    }
+}
+
+fn fits(criterion: &mut Criterion) {
+    let plain = Kind::plain("robot", 0.16, 0.064);
+    let pattern = Pattern::Elliptical { minor_diameter_m: 0.064 };
+    let elliptical = Kind { pattern, ..Kind::plain("robot", 0.16, 0.096) };
+    let camera = camera(1100.0);
     let sizes = [15.0, 30.0, 60.0, 110.0].map(|diameter_px| ("", &plain, diameter_px));
     let others = [30.0, 60.0].map(|diameter_px| ("elliptical ", &elliptical, diameter_px));
     for (name, kind, diameter_px) in sizes.into_iter().chain(others) {
@@ -104,5 +179,5 @@ fn fits(criterion: &mut Criterion) {
     }
 }
 
-criterion_group!(benches, fits);
+criterion_group!(benches, fits, coded_fits);
 criterion_main!(benches);

@@ -18,11 +18,13 @@ use rayon::prelude::*;
 use roundel_core::{
     marker::{Mode, Params},
     pose::RoundelPose,
+    rigid::orientation_of_normal,
 };
 
 use crate::{
     arena::Kind,
     bound::{Bound, Scene, Unknowns, bound},
+    coded::{coded_print, words},
     normal::Random,
     optics::{Distortion, Pinhole},
     pipeline::Observer,
@@ -103,6 +105,17 @@ pub struct Errors {
     pub closer_rad: f64,
     /// How likely the normal given was said to be.
     pub likelihood: f64,
+    /// The turn about the normal, of a coded one that was read and whose normal is the right one.
+    pub yaw: Option<YawError>,
+}
+
+/// Error of a turn about the normal.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct YawError {
+    /// Radians.
+    pub error_rad: f64,
+    /// As stated.
+    pub deviation_rad: f64,
 }
 
 impl Errors {
@@ -119,8 +132,21 @@ impl Errors {
             normal_rad: given,
             closer_rad: given.min(other),
             likelihood: pose.normal_likelihood,
+            yaw: pose
+                .yaw_rad
+                .filter(|_| given <= other)
+                .map(|yaw_rad| yaw_error(pose, yaw_rad, truth)),
         }
     }
+}
+
+fn yaw_error(pose: &RoundelPose, yaw_rad: f64, truth: &Isometry3<f64>) -> YawError {
+    let given = orientation_of_normal(&pose.normal)
+        * UnitQuaternion::from_axis_angle(&Vector3::z_axis(), yaw_rad);
+    let turn = (given * truth.rotation.inverse()).scaled_axis();
+    let rotation = pose.covariance.fixed_view::<3, 3>(3, 3);
+    let variance = pose.normal.dot(&(rotation * pose.normal));
+    YawError { error_rad: turn.dot(&pose.normal), deviation_rad: variance.sqrt() }
 }
 
 fn angle(one: &Vector3<f64>, other: &Vector3<f64>) -> f64 {
@@ -148,22 +174,31 @@ fn pose_square(pose: &RoundelPose, shift: &Vector3<f64>, normal: &Vector3<f64>) 
 
 /// `count` trials of a range, the same for the same `seed`, in parallel.
 pub fn trials(range: &Range, count: usize, seed: u64) -> Vec<Trial> {
-    (0..count).into_par_iter().map(|index| trial(range, seed, index as u64)).collect()
+    (0..count).into_par_iter().map(|index| trial(range, None, seed, index as u64)).collect()
 }
 
-fn trial(range: &Range, seed: u64, index: u64) -> Trial {
+/// The same of roundels with codes of `bits` bits, any of them, turned anywhere; their ratio is the codes'.
+pub fn coded_trials(range: &Range, bits: u8, count: usize, seed: u64) -> Vec<Trial> {
+    let words = words(bits);
+    let of = |index| trial(range, Some((bits, &words)), seed, index);
+    (0..count as u64).into_par_iter().map(of).collect()
+}
+
+fn trial(range: &Range, codes: Option<(u8, &[u16])>, seed: u64, index: u64) -> Trial {
     let mut random = Random::new(index, seed);
     let mut draw = |(low, high): (f64, f64)| random.uniform(low, high);
     let (diameter_px, tilt_deg) = (draw(range.diameter_px), draw(range.tilt_deg));
     let (blur_px, noise) = (draw(range.blur_px), draw(range.noise));
     let imaging = Imaging { blur_px, noise, ..Imaging::default() };
-    let robot = Kind::robot();
-    let kind = Kind { inner_diameter_m: range.ratio * robot.outer_diameter_m, ..robot };
-    let print = Print::plain(kind.outer_diameter_m, kind.inner_diameter_m, range.margin);
+    let (kind, print) = printed(range, codes, &mut random);
 
     let distortion = Distortion::PlumbBob([-0.12, 0.03, 4e-4, -3e-4, 0.0]);
     let whole = Pinhole::centered(1920, 1080, 1100.0, distortion);
-    let first = pose(&whole, diameter_px, tilt_deg.to_radians(), &mut random);
+    let mut first = pose(&whole, diameter_px, tilt_deg.to_radians(), &mut random);
+    if codes.is_some() {
+        let yaw_rad = random.uniform(0.0, std::f64::consts::TAU);
+        first.rotation *= UnitQuaternion::from_axis_angle(&Vector3::z_axis(), yaw_rad);
+    }
     let second = moved(&first, 1.0 / diameter_px, &mut random);
     let camera = window(&whole, &first);
     let renderer = Renderer::new(camera, imaging);
@@ -183,10 +218,25 @@ fn trial(range: &Range, seed: u64, index: u64) -> Trial {
             Some(Errors::of(&pose, &truth))
         });
         let scene = Scene { camera, imaging, print: &print, pose: truth };
-        let bound = bound(&scene, Unknowns::default()).expect("a roundel in plain view");
+        let bound = bound(&scene, Unknowns { yaw: codes.is_some(), ..Unknowns::default() })
+            .expect("a roundel in plain view");
         Shot { bound, seen }
     });
     Trial { diameter_px, tilt_deg, blur_px, noise, frames }
+}
+
+/// What is shown.
+fn printed(range: &Range, codes: Option<(u8, &[u16])>, random: &mut Random) -> (Kind, Print) {
+    if let Some((bits, words)) = codes {
+        let kind = Kind::coded(bits);
+        let word = words[(random.next_u64() % words.len() as u64) as usize];
+        let print = coded_print(kind.outer_diameter_m, bits, word, range.margin);
+        return (kind, print);
+    }
+    let robot = Kind::robot();
+    let kind = Kind { inner_diameter_m: range.ratio * robot.outer_diameter_m, ..robot };
+    let print = Print::plain(kind.outer_diameter_m, kind.inner_diameter_m, range.margin);
+    (kind, print)
 }
 
 /// A roundel of this size and tilt, turned to a random side, at a random place of the image.
@@ -238,6 +288,8 @@ pub struct Summary {
     closer_rad: Vec<f64>,
     normal_bounds_rad: Vec<f64>,
     likelihood: f64,
+    /// Errors of the yaw, with their bounds.
+    yaws: Vec<(YawError, f64)>,
 }
 
 impl Summary {
@@ -260,6 +312,7 @@ impl Summary {
             summary.closer_rad.push(errors.closer_rad);
             summary.normal_bounds_rad.push(shot.bound.normal_rad());
             summary.likelihood += errors.likelihood;
+            summary.yaws.extend(errors.yaw.zip(shot.bound.yaw_rad));
         }
         summary.normals_rad.sort_by(f64::total_cmp);
         summary.closer_rad.sort_by(f64::total_cmp);
@@ -314,6 +367,30 @@ impl Summary {
     /// How often the normal given was said to be wrong, on average.
     pub fn mistaken_as_stated(&self) -> f64 {
         1.0 - self.likelihood / self.found() as f64
+    }
+
+    /// Roundels whose yaw was told.
+    pub fn turned(&self) -> usize {
+        self.yaws.len()
+    }
+
+    /// Rms of the yaw's error over its bound.
+    pub fn yaw_over_bound(&self) -> f64 {
+        self.yaw_mean(|(yaw, bound)| (yaw.error_rad / bound).powi(2)).sqrt()
+    }
+
+    /// Rms of the yaw's error over what was stated.
+    pub fn yaw_over_stated(&self) -> f64 {
+        self.yaw_mean(|(yaw, _)| (yaw.error_rad / yaw.deviation_rad).powi(2)).sqrt()
+    }
+
+    /// Rms error of the yaw, degrees.
+    pub fn yaw_deg(&self) -> f64 {
+        self.yaw_mean(|(yaw, _)| yaw.error_rad.powi(2)).sqrt().to_degrees()
+    }
+
+    fn yaw_mean(&self, value: impl Fn(&(YawError, f64)) -> f64) -> f64 {
+        self.yaws.iter().map(value).sum::<f64>() / self.turned() as f64
     }
 
     /// The normal's error that this share of shots does not exceed, degrees.

@@ -218,7 +218,10 @@ impl Located {
                 };
             }
         }
-        if let Some(reading) = &code {
+        // A fit of the teeth has the yaw already.
+        if let Some(reading) = &code
+            && self.pose.yaw_rad.is_none()
+        {
             yaw::add(&mut self.pose, camera, reading);
         }
     }

@@ -63,11 +63,16 @@ pub fn axes(normal: &Vector3<f64>, yaw_rad: f64) -> Matrix3<f64> {
     turn.to_rotation_matrix().into_inner()
 }
 
-/// The yaw of these axes where the opposite x looks the same, in (-π/2, π/2].
-pub fn heading_rad(axes: &Matrix3<f64>) -> f64 {
+/// The yaw of these axes.
+pub fn of_axes_rad(axes: &Matrix3<f64>) -> f64 {
     let [x, normal] = [0, 2].map(|axis| axes.column(axis).into_owned());
     let x = orientation_of_normal(&normal).inverse() * x;
-    let yaw_rad = x.y.atan2(x.x);
+    x.y.atan2(x.x)
+}
+
+/// The yaw of these axes where the opposite x looks the same, in (-π/2, π/2].
+pub fn heading_rad(axes: &Matrix3<f64>) -> f64 {
+    let yaw_rad = of_axes_rad(axes);
     if yaw_rad > FRAC_PI_2 {
         yaw_rad - PI
     } else if yaw_rad <= -FRAC_PI_2 {

@@ -44,6 +44,8 @@ pub struct Code {
 pub struct CodeReading {
     /// The identity.
     pub code: Code,
+    /// Its word as printed, the first bit the most significant; `None` where the teeth were not seen.
+    pub word: Option<u16>,
     /// Where the print's x axis leaves the white disc, raw pixels: the code's zero.
     pub zero: PixelPoint,
     /// Where its opposite does: an error of the centre turns the two by opposite angles.
@@ -59,6 +61,14 @@ pub struct CodeReading {
 impl CodeReading {
     /// A reading beyond doubt, its opposite unknown.
     pub fn certain(code: Code, zero: PixelPoint) -> Self {
-        Self { code, zero, opposite: zero, yaw_deviation_rad: 0.0, confidence: 1.0, corrected: 0 }
+        Self {
+            code,
+            word: None,
+            zero,
+            opposite: zero,
+            yaw_deviation_rad: 0.0,
+            confidence: 1.0,
+            corrected: 0,
+        }
     }
 }

@@ -206,6 +206,7 @@ impl Read {
         let (sin, cos) = (-self.zero_rad).sin_cos();
         CodeReading {
             code: self.code,
+            word: Some(self.word),
             zero: chart.image((ratio * cos, ratio * sin)),
             opposite: chart.image((-ratio * cos, -ratio * sin)),
             yaw_deviation_rad: self.deviation_rad,

@@ -4,11 +4,14 @@
 //! share (dx, dy) of the way round; ∮ f dx is then the sum of f(x, y) dx. The black area is positive:
 //! the outer rim runs counter-clockwise, what is white in it clockwise.
 //!
+//! Teeth make the white disc's rim one of arcs and radial edges (`teeth`).
+//!
 //! Round a smooth closed curve equal steps of the angle converge exponentially (a spacing of h against
 //! a blur of σ errs by about 2 exp(-2π²σ²/h²)).
 
 use std::ops::Range;
 
+use super::teeth::{self, Teeth};
 use crate::marker::Kind;
 
 /// Nodes come in whole packs, so that vectors of any width divide them.
@@ -40,6 +43,7 @@ pub struct Contour<'a> {
 struct Key {
     /// The disc's semiaxes.
     inner: (f64, f64),
+    teeth: Option<Teeth>,
     outer_packs: usize,
     inner_packs: usize,
 }
@@ -65,15 +69,25 @@ impl Default for Contours {
 }
 
 impl Contours {
-    /// Contours of a print whose outer rim is at most `around_px` long, with nodes at most
-    /// `spacing_px` apart.
-    pub fn of(&mut self, kind: &Kind, around_px: f64, spacing_px: f64) -> Contour<'_> {
+    /// Contours of a print, with the teeth that it has, whose outer rim is at most `around_px` long, with
+    /// nodes at most `spacing_px` apart.
+    pub fn of(
+        &mut self,
+        kind: &Kind,
+        teeth: Option<Teeth>,
+        around_px: f64,
+        spacing_px: f64,
+    ) -> Contour<'_> {
         let (least, most) = kind.ratios();
+        let most_nodes = if teeth.is_some() { teeth::MOST_OF_OUTER } else { MOST_OF_RIM };
         let packs = |share: f64| {
-            let nodes = (share * around_px / spacing_px).min(MOST_OF_RIM as f64);
+            let nodes = (share * around_px / spacing_px).min(most_nodes as f64);
             ((nodes / PACK as f64).ceil() as usize).max(1)
         };
-        let key = Key { inner: (most, least), outer_packs: packs(1.0), inner_packs: packs(most) };
+        let outer_packs = packs(1.0);
+        // Those of teeth follow from the outer rim's.
+        let inner_packs = if teeth.is_some() { 0 } else { packs(most) };
+        let key = Key { inner: (most, least), teeth, outer_packs, inner_packs };
         let known = self.known.iter().find(|(known, _)| *known == key);
         let range = match known {
             Some((_, range)) => range.clone(),
@@ -89,7 +103,10 @@ impl Contours {
     }
 
     fn add(&mut self, key: Key) -> Range<usize> {
-        let count = (key.outer_packs + key.inner_packs) * PACK;
+        let inner_packs = key.teeth.map_or(key.inner_packs, |teeth| {
+            teeth.nodes(key.inner.0, spacing(key.outer_packs * PACK)).count().div_ceil(PACK)
+        });
+        let count = (key.outer_packs + inner_packs) * PACK;
         if self.known.len() == MOST_KEPT || self.x.len() + count > MOST_NODES {
             self.known.clear();
             for list in [&mut self.x, &mut self.y, &mut self.dx, &mut self.dy] {
@@ -98,10 +115,28 @@ impl Contours {
         }
         let first = self.x.len();
         self.ellipse((1.0, 1.0), key.outer_packs * PACK, 1.0);
-        self.ellipse(key.inner, key.inner_packs * PACK, -1.0);
+        match key.teeth {
+            None => self.ellipse(key.inner, key.inner_packs * PACK, -1.0),
+            Some(teeth) => {
+                self.toothed(teeth, key.inner.0, spacing(key.outer_packs * PACK), first + count)
+            }
+        }
         let range = first..first + count;
         self.known.push((key, range.clone()));
         range
+    }
+
+    /// The white disc's rim with its teeth, filled up with nodes of no share.
+    fn toothed(&mut self, teeth: Teeth, ratio: f64, spacing: f64, end: usize) {
+        for [x, y, dx, dy] in teeth.nodes(ratio, spacing) {
+            self.x.push(x as f32);
+            self.y.push(y as f32);
+            self.dx.push(-dx as f32);
+            self.dy.push(-dy as f32);
+        }
+        for list in [&mut self.x, &mut self.y, &mut self.dx, &mut self.dy] {
+            list.resize(end, 0.0);
+        }
     }
 
     fn ellipse(&mut self, (a, b): (f64, f64), count: usize, sign: f64) {
@@ -116,6 +151,11 @@ impl Contours {
     }
 }
 
+/// How far so many nodes of the outer rim are apart.
+fn spacing(outer: usize) -> f64 {
+    std::f64::consts::TAU / outer as f64
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -125,12 +165,12 @@ mod tests {
     fn contours_enclose_the_black_area() {
         let mut contours = Contours::default();
         let kind = Kind::plain("", 0.2, 0.08);
-        let contour = contours.of(&kind, 90.0, 0.8);
+        let contour = contours.of(&kind, None, 90.0, 0.8);
         let terms = contour.x.iter().zip(contour.dy);
         let area: f64 = terms.map(|(x, dy)| f64::from(x * dy)).sum();
         assert!((area - std::f64::consts::PI * (1.0 - 0.16)).abs() < 1e-5, "{area}");
         let pattern = Pattern::Elliptical { minor_diameter_m: 0.06 };
-        let contour = contours.of(&Kind { pattern, ..kind }, 90.0, 0.8);
+        let contour = contours.of(&Kind { pattern, ..kind }, None, 90.0, 0.8);
         let moment = |x: &[f32], dy: &[f32]| -> f64 {
             x.iter().zip(dy).map(|(x, dy)| f64::from(x * x * x * dy)).sum::<f64>() / 3.0
         };
@@ -144,18 +184,18 @@ mod tests {
         let mut contours = Contours::default();
         let kind = Kind::plain("", 0.2, 0.08);
         let first = |contours: &mut Contours| {
-            let Contour { x, y, dx, dy, outer } = contours.of(&kind, 90.0, 0.8);
+            let Contour { x, y, dx, dy, outer } = contours.of(&kind, None, 90.0, 0.8);
             ([x, y, dx, dy].map(<[f32]>::to_vec), outer)
         };
         let before = first(&mut contours);
         // Two of them have room.
         for around_px in [41_000.0, 40_000.0, 42_000.0] {
-            contours.of(&kind, around_px, 1.0);
+            contours.of(&kind, None, around_px, 1.0);
             assert!(contours.x.len() <= MOST_NODES);
         }
         assert!(contours.known.len() < 4);
         assert_eq!(first(&mut contours), before);
-        let of_rim = contours.of(&kind, f64::INFINITY, 1.0);
+        let of_rim = contours.of(&kind, None, f64::INFINITY, 1.0);
         assert!(of_rim.outer == MOST_OF_RIM && of_rim.x.len() <= MOST_NODES);
     }
 }

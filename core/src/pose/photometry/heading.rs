@@ -76,7 +76,7 @@ pub fn solve(
 
 impl State {
     /// The same, turned about the normal.
-    fn headed(&self, by_rad: f64) -> Self {
+    pub fn headed(&self, by_rad: f64) -> Self {
         let mut next = self.clone();
         let axes = &self.place.axes;
         let (sin, cos) = by_rad.sin_cos();
@@ -88,14 +88,16 @@ impl State {
 }
 
 impl Heading {
+    /// Of a variance, with what follows a change of the heading.
+    pub fn new(variance_rad2: f64, position_m: Vector3<f64>, rotation: Vector3<f64>) -> Self {
+        Self { variance_rad2, position_m, rotation }
+    }
+
     fn between(ahead: &State, behind: &State, apart_rad: f64, variance_rad2: f64) -> Self {
         let per = 0.5 / apart_rad;
         let normal = |state: &State| state.place.axes.column(2).into_owned();
-        Self {
-            variance_rad2,
-            position_m: (ahead.place.position_m - behind.place.position_m) * per,
-            rotation: normal(behind).cross(&normal(ahead)) * per,
-        }
+        let position_m = (ahead.place.position_m - behind.place.position_m) * per;
+        Self::new(variance_rad2, position_m, normal(behind).cross(&normal(ahead)) * per)
     }
 
     /// With the variance that residuals come to which hang together over patches of pixels.

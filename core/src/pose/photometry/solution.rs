@@ -93,7 +93,8 @@ pub fn rims(
         nodes: &mut scratch.nodes,
         window: scratch.window.origin,
     };
-    project(problem, state, FEW_NODES_PX, &mut parts);
+    // The disc's rim is that between the teeth.
+    project(&Problem { teeth: None, ..*problem }, state, FEW_NODES_PX, &mut parts);
     let nodes = &scratch.nodes;
     let outer = nodes.outer;
     let rim = |from: usize, to: usize| {

@@ -12,6 +12,7 @@ use super::{
     patches,
     solution::Solution,
     solve::{Factor, MOST},
+    teeth::Teeth,
     view::{self, Nodes, Place},
 };
 use crate::{
@@ -24,6 +25,8 @@ use crate::{
 pub struct Problem<'a> {
     pub frame: &'a Frame<'a>,
     pub kind: &'a Kind,
+    /// Of a coded print, as read.
+    pub teeth: Option<Teeth>,
     pub radius_m: f64,
     pub lens: &'a LocalLens,
     /// Pixels that count.
@@ -321,7 +324,7 @@ pub fn radius_px(problem: &Problem, state: &State) -> f64 {
 pub fn project(problem: &Problem, state: &State, blur_px: f64, parts: &mut Parts) -> f64 {
     let radius_px = radius_px(problem, state);
     let around_px = std::f64::consts::TAU * radius_px * 1.1;
-    let contour = parts.contours.of(problem.kind, around_px, SPACING * blur_px);
+    let contour = parts.contours.of(problem.kind, problem.teeth, around_px, SPACING * blur_px);
     let at = (problem.lens, &state.place, problem.radius_m);
     view::project(parts.level, at, contour, parts.window, parts.nodes);
     radius_px
@@ -458,6 +461,11 @@ impl Linear {
         self.information[unknown][unknown] = 1.0;
         self.gradient[unknown] = 0.0;
         self.mirror.0[unknown] = 0.0;
+    }
+
+    /// Whether an unknown is held: the level of black hangs together with all others.
+    pub fn holds(&self, unknown: usize) -> bool {
+        self.information[unknown][STEP] == 0.0
     }
 
     pub fn noise2(&self) -> f64 {

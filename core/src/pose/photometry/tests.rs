@@ -1,6 +1,7 @@
 use super::*;
 use crate::{
     camera::{Intrinsics, Lens},
+    marker::{Code, CodeLayout, CodeReading},
     pose::{RimNoise, locate},
 };
 
@@ -32,10 +33,19 @@ fn picture(
     normal: &Vector3<f64>,
 ) -> Vec<u8> {
     let (outer, inner) = (0.5 * kind.outer_diameter_m, 0.5 * kind.inner_diameter_m);
+    picture_of(camera, position_m, normal, |place| !(inner..outer).contains(&place.norm()))
+}
+
+/// The same of whatever is white in the plane, by the place from the middle.
+fn picture_of(
+    camera: &Camera,
+    position_m: &Vector3<f64>,
+    normal: &Vector3<f64>,
+    is_white: impl Fn(Vector3<f64>) -> bool,
+) -> Vec<u8> {
     let white = |u: f64, v: f64| {
         let ray = camera.bearing(crate::camera::PixelPoint { u, v }).unwrap();
-        let place = ray * (normal.dot(position_m) / normal.dot(&ray)) - position_m;
-        !(inner..outer).contains(&place.norm())
+        is_white(ray * (normal.dot(position_m) / normal.dot(&ray)) - position_m)
     };
     let pixel = |index: usize| {
         let (column, row) = ((index % SIDE) as f64, (index / SIDE) as f64);
@@ -131,7 +141,8 @@ fn the_mirrored_place_is_as_bad_as_it_promises() {
     let counted = ring.outer.grown(3.0);
     let chords = Chords::new(&counted);
     scratch.window.lay(window_of(&counted), &frame, &chords);
-    let problem = Problem { frame: &frame, kind: &kind, radius_m, lens: &lens, chords };
+    let problem =
+        Problem { frame: &frame, kind: &kind, teeth: None, radius_m, lens: &lens, chords };
     let axes = axes_of(&(local_from_camera * first.pose.normal));
     let place = Place { position_m: Vector3::z() * range_m, axes };
     let state = State::new(place, &first.ring, first.blur_px);
@@ -144,4 +155,43 @@ fn the_mirrored_place_is_as_bad_as_it_promises() {
     assert!((promised / found - 1.0).abs() < 0.2, "{promised} {found}");
     let apart_m = found_m - solution.state.place.position_m;
     assert!((promised_m - found_m).norm() < 0.2 * apart_m.norm(), "{promised_m} {found_m}");
+}
+
+/// Teeth, yaw and all, from a reading that is off by a third of a pixel.
+#[test]
+fn a_coded_roundel_is_fitted_with_its_yaw() {
+    const YAW_RAD: f64 = 1.9;
+    let layout = CodeLayout { bits: 8, min_distance: 1 };
+    let kind = Kind { pattern: Pattern::Coded(layout), ..Kind::plain("", 0.16, 0.096) };
+    let (camera, mut ring) = (camera(), ring());
+    ring.inner.semi_major_px *= 1.5;
+    ring.inner.semi_minor_px *= 1.5;
+    let start = start(&camera, &kind, &ring);
+    let (position_m, normal) = (start.pose.position_m * 1.003, start.pose.normal);
+    let word = 0b0010_1101;
+    let teeth = layout.teeth(word);
+    let axes = yaw::axes(&normal, YAW_RAD);
+    let pixels = picture_of(&camera, &position_m, &normal, |place| {
+        let (x, y) = (axes.column(0).dot(&place), axes.column(1).dot(&place));
+        let (radius, angle_rad) = (x.hypot(y) / 0.08, y.atan2(x).rem_euclid(std::f64::consts::TAU));
+        let in_tooth = teeth.iter().any(|t| t.from_rad <= angle_rad && angle_rad < t.to_rad);
+        radius > 1.0 || radius < if in_tooth { 0.6 * CodeLayout::CORE_SHARE } else { 0.6 }
+    });
+    let frame = Frame::new(&pixels, SIDE, SIDE, SIDE).unwrap();
+    let mut scratch = FitScratch::default();
+    let unread = fit(&frame, &camera, &kind, &ring, &start, &mut scratch);
+    assert_eq!(unread, Err(FitError::Pattern));
+    for off_rad in [-0.03, 0.03] {
+        let axis = yaw::axes(&normal, YAW_RAD + off_rad).column(0) * 0.048;
+        let end = |along: f64| camera.project(&(start.pose.position_m + axis * along)).unwrap();
+        let reading = CodeReading::certain(Code { bits: 8, number: 1 }, end(1.0));
+        ring.code = Some(CodeReading { word: Some(word), opposite: end(-1.0), ..reading });
+        let pose = fit(&frame, &camera, &kind, &ring, &start, &mut scratch).unwrap().pose;
+        let error_m = (pose.position_m - position_m).norm();
+        assert!(error_m < 1e-3 * position_m.norm(), "{error_m}");
+        let error_rad = (pose.yaw_rad.unwrap() - YAW_RAD).abs();
+        assert!(error_rad < 4e-3 && pose.normal.angle(&normal) < 0.02, "{error_rad}");
+        let variance = yaw::deviation_rad(&pose).powi(2);
+        assert!((1e-8..1e-5).contains(&variance), "{variance}");
+    }
 }

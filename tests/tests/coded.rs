@@ -1,0 +1,71 @@
+//! Coded roundels whose teeth are read, located by their grey levels: teeth, yaw and all.
+//! `-- --nocapture` prints the table.
+
+use roundel_core::marker::Mode;
+use roundel_tests::precision::{MODES, RATIO, Range, Shot, Summary, WIDE_MARGIN, coded_trials};
+
+/// Bits and diameters, pixels.
+const CASES: [(u8, (f64, f64)); 4] =
+    [(8, (36.0, 50.0)), (8, (50.0, 110.0)), (12, (60.0, 110.0)), (16, (90.0, 110.0))];
+/// Of each, two frames each.
+const TRIALS: usize = 120;
+
+#[test]
+fn coded_roundels_are_located_as_well_as_their_pixels_allow() {
+    for (index, (bits, diameter_px)) in CASES.into_iter().enumerate() {
+        let range = Range {
+            diameter_px,
+            tilt_deg: (0.0, 50.0),
+            blur_px: (0.5, 1.1),
+            noise: (1.0, 4.0),
+            margin: WIDE_MARGIN,
+            ratio: RATIO,
+        };
+        let trials = coded_trials(&range, bits, TRIALS, 500 + index as u64);
+        let shots: Vec<&Shot> = trials.iter().flat_map(|trial| &trial.frames).collect();
+        for (mode, name) in MODES.iter().enumerate() {
+            let summary = Summary::of(shots.iter().copied(), mode);
+            let name = format!("{bits} bits, {diameter_px:?} px, {name:?}");
+            print(&name, &summary);
+            if MODES[mode] == Mode::Precise {
+                assert_near_the_bound(&name, &summary);
+            }
+        }
+    }
+}
+
+/// Bars hold for what chance leaves of them: a share or mean of so few is allowed two deviations more.
+fn assert_near_the_bound(name: &str, summary: &Summary) {
+    let count = summary.found() as f64;
+    assert_eq!(summary.missed, 0, "{name}");
+    assert!(summary.turned() as f64 >= 0.98 * count, "{name}: {} have a yaw", summary.turned());
+    let (depth, yaw) = (summary.depth_over_bound(), summary.yaw_over_bound());
+    assert!(depth <= 1.5 && yaw <= 1.5, "{name}: depth {depth}, yaw {yaw} of the bound");
+    let stated = summary.yaw_over_stated();
+    assert!((0.85..1.15).contains(&stated), "{name}: yaw {stated} of what is stated");
+    let bias = summary.bias_over_rms().abs();
+    assert!(bias < 1.0 / 3.0 + 2.0 / count.sqrt(), "{name}: {bias}");
+    let room = 2.0 * (0.95 * 0.05 / count).sqrt();
+    for share in [summary.position_share(), summary.pose_share()] {
+        assert!((share - 0.95).abs() <= 0.03 + room, "{name}: {share}");
+    }
+}
+
+fn print(name: &str, summary: &Summary) {
+    println!(
+        "{name}: depth {:.4} %, {:.2} of the bound, bias {:+.2} of it; yaw {:.3}°, {:.2} of the bound, {:.2} of \
+         what is stated; inside 95 %: position {:.1} %, pose {:.1} %; {} missed, {} without yaw, {:.1} % mirrored of {}",
+        100.0 * summary.depth_rms(),
+        summary.depth_over_bound(),
+        summary.bias_over_rms(),
+        summary.yaw_deg(),
+        summary.yaw_over_bound(),
+        summary.yaw_over_stated(),
+        100.0 * summary.position_share(),
+        100.0 * summary.pose_share(),
+        summary.missed,
+        summary.found() - summary.turned(),
+        100.0 * summary.mistaken(),
+        summary.shots,
+    );
+}
