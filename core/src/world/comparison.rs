@@ -11,7 +11,7 @@
 //!
 //! Nothing is extrapolated, so that what the object may do next does not matter, and late frames are
 //! there already. b_c lasts longer than a window, so that windows that follow one another say less than
-//! they seem to: it counts as often as there are windows in the time in which it forgets itself. What the
+//! they seem to: it counts as often as there are windows in twice the time in which it forgets itself. What the
 //! parabola leaves, ½ a ε², counts as error.
 
 use nalgebra::{DMatrix, DVector, Matrix3, Vector3};
@@ -35,8 +35,6 @@ const LEAST_REACH: f64 = 0.5;
 const LEAST_SPEED_M_S: f64 = 0.05;
 /// … nor one whose speed's square is not so many times its variance.
 const SURE_SQUARED: f64 = 16.0;
-/// Windows in which a systematic error repeats itself: those of twice a second.
-const REPEATS: f64 = 11.0;
 
 /// One camera's view in the middle of the window.
 #[derive(Clone, Copy, Debug)]
@@ -86,8 +84,15 @@ struct Parabola {
 
 impl Comparison {
     /// Of the measurements of the window before `now`; `None` if they say nothing.
-    pub(super) fn of(history: &History, now: Timestamp, clocks: &Clocks) -> Option<Self> {
+    pub(super) fn of(
+        history: &History,
+        now: Timestamp,
+        clocks: &Clocks,
+        systematic_time_s: f64,
+    ) -> Option<Self> {
         let half_s = 0.5e-9 * WINDOW_NS as f64;
+        // As long as an exponentially correlated error counts in a mean.
+        let repeats = (systematic_time_s / half_s).max(1.0);
         let middle = now.plus_ns(-DELAY_NS - WINDOW_NS / 2);
         let mut sums: Vec<Sums> = Vec::with_capacity(MAX_SOURCES);
         for seen in history.measurements() {
@@ -131,7 +136,7 @@ impl Comparison {
             let bent_m = 0.5 * acceleration_m_s2 * apart.fold(0.0, f64::max).powi(2);
             let per_count = 1.0 / sums.count as f64;
             let covariance = sums.white * (fit.variances[0] * per_count)
-                + sums.systematic * (REPEATS * per_count)
+                + sums.systematic * (repeats * per_count)
                 + Matrix3::from_diagonal_element(bent_m * bent_m);
             View { camera: sums.camera, position_m: fit.terms[0], covariance }
         });

@@ -155,7 +155,9 @@ impl Track {
             return None;
         }
         self.compared = Some(now);
-        (!self.is_tentative()).then(|| Comparison::of(&self.history, now, clocks)).flatten()
+        (!self.is_tentative())
+            .then(|| Comparison::of(&self.history, now, clocks, self.model.systematic_time_s))
+            .flatten()
     }
 
     /// Takes in a measurement; gives what became of it and what happened to the track.

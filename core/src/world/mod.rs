@@ -18,6 +18,7 @@ mod body;
 mod clock;
 mod coarse;
 mod comparison;
+mod count;
 mod fusion;
 mod identity;
 mod landmark;
@@ -33,7 +34,8 @@ mod vote;
 
 pub use body::{Body, BodyError, Mount};
 pub use clock::{ClockEstimate, ClockPrior};
-pub use fusion::{CameraPlacement, Fusion, FusionCounts};
+pub use count::FusionCounts;
+pub use fusion::{CameraPlacement, Fusion};
 pub use landmark::{Landmark, TURN_SIGMA_RAD};
 pub use param::{FusionParams, MotionClass};
 pub use rider::{CameraMount, Carrier, Unplaced};

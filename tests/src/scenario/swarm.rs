@@ -15,18 +15,8 @@ use crate::{
 };
 
 /// Pixels as good as a precise detector's at 30 px.
-pub const PRECISE: Sensing = Sensing {
-    noise_px: 0.05,
-    tilt_rad: 0.02,
-    yaw_rad: 0.005,
-    systematic_share: 0.5,
-    systematic_time_s: 1.0,
-    dropout: 0.02,
-    clutter: 0.0,
-    unread: 0.02,
-    misread: 1e-4,
-    latency_s: (0.015, 0.025),
-};
+pub const PRECISE: Sensing =
+    Sensing { noise_px: 0.05, tilt_rad: 0.02, yaw_rad: 0.005, ..Sensing::USUAL };
 
 /// A side of the swarm's rows of objects.
 const ROWS: usize = 8;

@@ -70,20 +70,25 @@ pub struct Sensing {
     pub latency_s: (f64, f64),
 }
 
+impl Sensing {
+    /// What the default is.
+    pub const USUAL: Self = Self {
+        noise_px: 0.1,
+        tilt_rad: 0.03,
+        yaw_rad: 0.01,
+        systematic_share: 0.5,
+        systematic_time_s: 1.0,
+        dropout: 0.02,
+        clutter: 0.0,
+        unread: 0.02,
+        misread: 1e-4,
+        latency_s: (0.015, 0.025),
+    };
+}
+
 impl Default for Sensing {
     fn default() -> Self {
-        Self {
-            noise_px: 0.1,
-            tilt_rad: 0.03,
-            yaw_rad: 0.01,
-            systematic_share: 0.5,
-            systematic_time_s: 1.0,
-            dropout: 0.02,
-            clutter: 0.0,
-            unread: 0.02,
-            misread: 1e-4,
-            latency_s: (0.015, 0.025),
-        }
+        Self::USUAL
     }
 }
 
