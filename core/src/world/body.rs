@@ -3,7 +3,8 @@
 //! What a detection is part of follows from its kind, if a plain kind belongs to an object, or from its
 //! code. A camera's tracker keeps its number while it follows a roundel, so a vote over what it has read
 //! says which one it is where the teeth cannot be read, or are misread once. `assembly` makes one
-//! measurement of all parts that a frame shows.
+//! measurement of all parts that a frame shows. A body without any roundel is seen by its own camera alone
+//! (`localize`).
 //!
 //! A body is filtered by the middle of its roundels, where errors of place and of orientation have least
 //! to do with one another, and shown by its origin.
@@ -43,16 +44,13 @@ pub struct Mount {
 pub struct Body {
     /// How it moves; heights are those of its origin.
     pub motion: MotionClass,
-    /// What it carries, at least one.
+    /// What it carries; none, and only a camera on it that localizes says where it is.
     pub mounts: Vec<Mount>,
 }
 
 /// Why an object cannot be followed.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Error)]
 pub enum BodyError {
-    /// Nothing to see it by.
-    #[error("expected at least one roundel on the object, found none")]
-    NoMounts,
     /// A number that is none.
     #[error("expected finite places of roundels on the object, found others at roundel {mount}")]
     NotFinite {
@@ -118,11 +116,8 @@ impl Bodies {
             }
             claims.push(((it.kind, it.code), Part { body: id, mount }));
         }
-        if claims.is_empty() {
-            return Err(BodyError::NoMounts);
-        }
         let places = body.mounts.iter().map(|it| it.object_from_roundel.translation.vector);
-        self.middles_m.push(places.sum::<Vector3<f64>>() / claims.len() as f64);
+        self.middles_m.push(places.sum::<Vector3<f64>>() / claims.len().max(1) as f64);
         self.by_roundel.extend(claims);
         self.bodies.push(body);
         Ok(id)
@@ -134,8 +129,15 @@ impl Bodies {
     }
 
     /// The kind that it is shown as: that of its first roundel.
-    pub(super) fn kind(&self, body: BodyId) -> KindId {
-        self.bodies[body.0 as usize].mounts[0].kind
+    pub(super) fn kind(&self, body: BodyId) -> Option<KindId> {
+        self.bodies[body.0 as usize].mounts.first().map(|mount| mount.kind)
+    }
+
+    /// The body with this roundel, and how it is mounted there.
+    pub(super) fn with(&self, kind: KindId, code: Code) -> Option<(BodyId, Rigid)> {
+        let part = self.by_roundel.get(&(kind, Some(code)))?;
+        let mount = &self.bodies[part.body.0 as usize].mounts[part.mount];
+        Some((part.body, mount.object_from_roundel))
     }
 
     /// The code of a body that carries one roundel.

@@ -271,31 +271,36 @@ fn what_a_drone_sees_is_where_it_is() {
     assert_eq!(fusion.counts().begun, 5, "{:?}", fusion.counts());
 }
 
-/// A drone that is configured by its roundel's place on it, and the camera's, both from its middle.
+/// A drone that is configured by its roundel's place on it, and the camera's, from its middle or from the
+/// roundel, which is the drone's and no object by itself.
 #[test]
 fn what_carries_a_camera_may_be_a_body() {
-    let mut fusion = fusion();
-    let object_from_roundel = Rigid::translation(0.3, 0.1, 0.05);
-    let mounts = vec![Mount { kind: KIND, code: Some(code(DRONE)), object_from_roundel }];
-    let body = fusion.add_body(Body { motion: MotionClass::Free, mounts }).unwrap();
-    let object_from_camera = object_from_roundel * downwards(0.1);
-    let carrier = Carrier::Body(body);
-    fusion.set_mount(ABOARD, Some(CameraMount { carrier, object_from_camera, ..mount() }));
-    let mut robots = Tally::default();
-    fly(&mut fusion, 4.0, true, |fusion, time| {
-        let t = time.seconds_since(START);
-        if t > 1.0 {
-            let snapshot = fusion.snapshot(time);
-            for number in ROBOTS {
-                robots.add(own(&snapshot.objects, number).unwrap(), |t| robot(number, t), t);
+    for by_roundel in [false, true] {
+        let mut fusion = fusion();
+        let turn = UnitQuaternion::from_euler_angles(0.1, 0.0, 0.7);
+        let object_from_roundel = Rigid::from_parts(Vector3::new(0.3, 0.1, 0.05).into(), turn);
+        let mounts = vec![Mount { kind: KIND, code: Some(code(DRONE)), object_from_roundel }];
+        let body = fusion.add_body(Body { motion: MotionClass::Free, mounts }).unwrap();
+        let object_from_camera = object_from_roundel * downwards(0.1);
+        let on_body = CameraMount { carrier: Carrier::Body(body), object_from_camera, ..mount() };
+        fusion.set_mount(ABOARD, Some(if by_roundel { mount() } else { on_body }));
+        let mut robots = Tally::default();
+        fly(&mut fusion, 4.0, true, |fusion, time| {
+            let t = time.seconds_since(START);
+            if t > 1.0 {
+                let snapshot = fusion.snapshot(time);
+                for number in ROBOTS {
+                    robots.add(own(&snapshot.objects, number).unwrap(), |t| robot(number, t), t);
+                }
+                let camera = fusion.camera_place(ABOARD, time).unwrap();
+                let off = camera.world_from_camera.inverse() * drone(t) * downwards(0.1);
+                let (off_m, off_rad) = (off.translation.vector.norm(), off.rotation.angle());
+                assert!(off_m < 0.05 && off_rad < 0.1, "{off}");
             }
-            let camera = fusion.camera_place(ABOARD, time).unwrap();
-            let off = camera.world_from_camera.inverse() * drone(t) * downwards(0.1);
-            assert!(off.translation.vector.norm() < 0.05 && off.rotation.angle() < 0.1, "{off}");
-        }
-    });
-    assert!(robots.rms_mm() < 25.0 && robots.shares()[0] > 0.9, "{} mm", robots.rms_mm());
-    assert_eq!(fusion.counts().begun, 5);
+        });
+        assert!(robots.rms_mm() < 25.0 && robots.shares()[0] > 0.9, "{} mm", robots.rms_mm());
+        assert_eq!(fusion.counts().begun, 5);
+    }
 }
 
 /// Of the carrier's normal alone nothing follows about what its camera sees.
@@ -397,11 +402,12 @@ fn docking(t: f64) -> Rigid {
 
 fn dock(
     fusion: &mut Fusion,
+    carrier: Carrier,
     landmarks: &[Landmark],
     seconds: f64,
     mut look: impl FnMut(&mut Fusion, Timestamp),
 ) {
-    fusion.set_mount(ABOARD, Some(forwards()));
+    fusion.set_mount(ABOARD, Some(CameraMount { carrier, ..forwards() }));
     fusion.set_landmarks(landmarks.to_vec());
     let mut eye = Eye::new(8);
     for step in 0..(seconds * 30.0) as u64 {
@@ -423,7 +429,7 @@ fn a_robot_finds_itself_by_landmarks_coded_or_plain() {
     for coded in [true, false] {
         let mut fusion = fusion();
         let mut tally = Tally::default();
-        dock(&mut fusion, &station(coded), 8.0, |fusion, time| {
+        dock(&mut fusion, carrier(DRONE), &station(coded), 8.0, |fusion, time| {
             let t = time.seconds_since(START);
             if t > 0.5 {
                 let snapshot = fusion.snapshot(time);
@@ -440,12 +446,33 @@ fn a_robot_finds_itself_by_landmarks_coded_or_plain() {
     }
 }
 
+/// A robot that nothing is printed on is an object all the same.
+#[test]
+fn a_robot_without_a_roundel_finds_itself() {
+    let mut fusion = fusion();
+    let motion = MotionClass::Ground { height_m: Some(0.5) };
+    let body = fusion.add_body(Body { motion, mounts: vec![] }).unwrap();
+    let mut tally = Tally::default();
+    dock(&mut fusion, Carrier::Body(body), &station(true), 8.0, |fusion, time| {
+        let t = time.seconds_since(START);
+        if t > 0.5 {
+            let snapshot = fusion.snapshot(time);
+            let [object] = &snapshot.objects[..] else { panic!("{snapshot:?}") };
+            assert_eq!((object.body, object.kind, object.code), (Some(body), None, None));
+            tally.add(object, docking, t);
+        }
+    });
+    let shares = tally.shares();
+    assert!(shares.iter().all(|share| *share >= 0.92), "{shares:?}");
+    assert!(tally.rms_mm() < 15.0, "{}", tally.rms_mm());
+}
+
 /// One landmark has two normals: nothing is said until one of them is sure, and then the right one.
 #[test]
 fn one_landmark_is_enough_once_its_normal_is_known() {
     let mut fusion = fusion();
     let mut first = None;
-    dock(&mut fusion, &station(true)[..1], 8.0, |fusion, time| {
+    dock(&mut fusion, carrier(DRONE), &station(true)[..1], 8.0, |fusion, time| {
         let snapshot = fusion.snapshot(time);
         if let Some(object) = own(&snapshot.objects, DRONE) {
             let t = time.seconds_since(START);
@@ -467,7 +494,7 @@ fn own_and_others_sight_go_to_one_track() {
     let mut eye = Eye::new(4);
     let mut number = 0;
     let mut sizes = Vec::new();
-    dock(&mut fusion, &station(true), 4.0, |fusion, time| {
+    dock(&mut fusion, carrier(DRONE), &station(true), 4.0, |fusion, time| {
         let t = time.seconds_since(START);
         number += 1;
         if t > 2.0 {

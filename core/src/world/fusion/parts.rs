@@ -63,7 +63,7 @@ impl Fusion {
         let seen = self.bodies.take_seen();
         for parts in seen.chunk_by(|a, b| a.body() == b.body()) {
             let body = parts[0].body();
-            let subject = Subject { kind: Some(self.bodies.kind(body)), body: Some(body) };
+            let subject = Subject { kind: self.bodies.kind(body), body: Some(body) };
             let of_body = self.tracks.iter().filter(|track| track.subject == subject);
             let track = of_body.max_by_key(|track| (!track.is_tentative(), track.newest));
             let expected = track.map(|track| {

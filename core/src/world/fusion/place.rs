@@ -1,11 +1,9 @@
 //! Where cameras are while they take a frame, and what that makes of their detections.
 
-use nalgebra::Vector3;
-
 use super::{CameraPlacement, Fusion, FusionCounts};
 use crate::{
     id::{CameraId, TrackNumber},
-    rigid::Covariance6,
+    rigid::{Covariance6, rotate_covariance},
     time::Timestamp,
     world::{
         FrameObservations,
@@ -36,19 +34,27 @@ impl FusionCounts {
 }
 
 impl Fusion {
-    /// Says what a camera rides on from now on, of bodies one that was added before; `None`: on nothing, it stands where [`Self::set_camera`] says.
+    /// Says what a camera rides on from now on, of bodies one that was added before; `None`: on nothing, it
+    /// stands where [`Self::set_camera`] says.
     pub fn set_mount(&mut self, camera: CameraId, mount: Option<CameraMount>) {
         self.clocks.set_aside(camera, mount.is_some());
-        let middle_m = |mount: &CameraMount| match mount.carrier {
-            Carrier::Body(body) => -self.bodies.origin_m(body),
-            Carrier::Roundel { .. } => Vector3::zeros(),
-        };
-        // From the point that is followed.
-        let mount = mount.map(|mut mount| {
-            mount.object_from_camera.translation.vector -= middle_m(&mount);
-            mount
-        });
+        let mount = mount.map(|mount| self.on_what_is_followed(mount));
         self.riders.set(camera, mount);
+    }
+
+    /// A mount from the point that is followed; on a body, if that claims the roundel.
+    fn on_what_is_followed(&self, mut mount: CameraMount) -> CameraMount {
+        if let Carrier::Roundel { kind, code } = mount.carrier
+            && let Some((body, object_from_roundel)) = self.bodies.with(kind, code)
+        {
+            mount.carrier = Carrier::Body(body);
+            mount.object_from_camera = object_from_roundel * mount.object_from_camera;
+            mount.covariance = rotate_covariance(&object_from_roundel.rotation, &mount.covariance);
+        }
+        if let Carrier::Body(body) = mount.carrier {
+            mount.object_from_camera.translation.vector += self.bodies.origin_m(body);
+        }
+        mount
     }
 
     /// Says which roundels have known places; cameras that localize find theirs by them.
@@ -88,7 +94,7 @@ impl Fusion {
                 (Subject { kind: Some(kind), body: None }, Some(code))
             }
             Carrier::Body(body) => {
-                (Subject { kind: Some(self.bodies.kind(body)), body: Some(body) }, None)
+                (Subject { kind: self.bodies.kind(body), body: Some(body) }, None)
             }
         };
         let view = View { frame, late, mount, subject, code, ride, landmarks, params };
