@@ -9,12 +9,16 @@ use std::{
     time::{Duration, Instant},
 };
 
+use nalgebra::Vector3;
 use roundel_core::{
-    id::{CameraId, KindId},
+    id::{BodyId, CameraId, KindId},
     marker::{DetectorError, Mask, MaskError, Params},
     rigid::Covariance6,
     time::Timestamp,
-    world::{BodyError, CameraPlacement, ClockPrior, Fusion, FusionParams, reference::Reference},
+    world::{
+        BodyError, CameraMount, CameraPlacement, Carrier, ClockPrior, Fusion, FusionParams,
+        Landmark, reference::Reference,
+    },
 };
 use thiserror::Error;
 use tokio::net::TcpListener;
@@ -23,7 +27,9 @@ use tokio_util::sync::CancellationToken;
 use crate::{
     api,
     clock::Clock,
-    config::{CameraConfig, CameraPose, Carried, Config, ObjectConfig},
+    config::{
+        CameraConfig, CameraPose, Carried, Config, ObjectConfig, ReferenceConfig, RideConfig,
+    },
     fusion::{FusionTask, QUEUE_FRAMES},
     hub::{CameraInfo, Hub, Installation},
     source::{OpenSource, Playback, SourceOpener, TimesError},
@@ -327,30 +333,56 @@ fn fusion(config: &Config) -> Result<Fusion, ServeError> {
     for (index, class) in config.motions.iter().enumerate() {
         fusion.set_motion(KindId(u16::try_from(index).unwrap_or(u16::MAX)), *class);
     }
+    let mut bodies = Vec::new();
     for ObjectConfig { name, carries } in &config.objects {
-        match carries {
+        bodies.push(match carries {
             Carried::Kind { kind, offset_m, motion } => {
                 fusion.set_offset(*kind, *offset_m);
                 motion.iter().for_each(|class| fusion.set_motion(*kind, *class));
+                None
             }
             Carried::Body(body) => {
                 let named = |source| ServeError::Object { name: name.clone(), source };
-                fusion.add_body(body.clone()).map_err(named)?;
+                Some(fusion.add_body(body.clone()).map_err(named)?)
             }
-        }
+        });
     }
+    let landmark = |reference: &ReferenceConfig| Landmark {
+        orientation: reference.orientation,
+        ..Landmark::new(reference.kind, reference.code, reference.position_m)
+    };
+    fusion.set_landmarks(config.references.iter().map(landmark).collect());
     for (index, camera) in config.cameras.iter().enumerate() {
         if camera.clock_uncertainty_s > 0.0 {
             let prior = ClockPrior { offset_s: camera.clock_uncertainty_s, skew: CLOCK_SKEW };
             fusion.set_clock(camera_id(index), prior);
         }
-        if let CameraPose::Known(world_from_camera) = camera.pose {
-            let covariance = Covariance6::zeros();
-            let placement = CameraPlacement { world_from_camera, covariance };
-            fusion.set_camera(camera_id(index), Some(placement));
-        }
+        place_camera(&mut fusion, camera_id(index), camera, &bodies);
     }
     Ok(fusion)
+}
+
+/// Tells fusion what is known of a camera's place; `bodies` are those of the configured objects.
+fn place_camera(
+    fusion: &mut Fusion,
+    id: CameraId,
+    camera: &CameraConfig,
+    bodies: &[Option<BodyId>],
+) {
+    let covariance = Covariance6::zeros();
+    match camera.pose {
+        CameraPose::Known(world_from_camera) => {
+            fusion.set_camera(id, Some(CameraPlacement { world_from_camera, covariance }));
+        }
+        CameraPose::Unknown => {}
+        CameraPose::Rides(RideConfig { object, object_from_camera, localizes }) => {
+            let body = bodies.get(object).copied().flatten();
+            let carrier = body.map(Carrier::Body);
+            let mount =
+                |carrier| CameraMount { carrier, object_from_camera, covariance, localizes };
+            fusion.set_mount(id, carrier.map(mount));
+        }
+    }
 }
 
 fn pipeline(camera: &CameraConfig, config: &Config) -> Result<PipelineParts, MaskError> {
@@ -374,9 +406,13 @@ fn place(camera: &CameraConfig, config: &Config) -> Place {
             references: config
                 .references
                 .iter()
-                .map(|reference| Reference { position_m: reference.position_m, normal: None })
+                .map(|reference| Reference {
+                    position_m: reference.position_m,
+                    normal: reference.orientation.map(|turn| turn * Vector3::z()),
+                })
                 .collect(),
             kinds: config.references.iter().map(|reference| reference.kind).collect(),
         },
+        CameraPose::Rides(_) => Place::Rides,
     }
 }

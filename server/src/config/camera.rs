@@ -5,9 +5,13 @@ use std::{collections::HashMap, path::Path};
 use roundel_core::{camera::Camera, marker::Mode};
 
 use super::{
-    CameraConfig, CameraPose, geometry,
+    CameraConfig, CameraPose,
     mask::mask,
+    object::NamedObjects,
     reader::{Allowed, Table},
+    reference::References,
+    ride,
+    roundel::NamedKinds,
 };
 use crate::{
     camera_file,
@@ -30,12 +34,18 @@ const MAX_CLOCK_UNCERTAINTY_MS: f64 = 10_000.0;
 /// The words for modes.
 pub(super) const MODES: [(&str, Mode); 2] = [("precise", Mode::Precise), ("fast", Mode::Fast)];
 
-/// The cameras; `no_references` if there are none to find an unknown place by, `mode` for those that
-/// do not say theirs.
+/// What cameras are told of the rest of the configuration.
+pub(super) struct Known<'a, 't, 'i> {
+    pub(super) kinds: &'a NamedKinds,
+    pub(super) references: &'a References<'t, 'i>,
+    pub(super) objects: &'a NamedObjects<'t, 'i>,
+}
+
+/// The cameras; `mode` is for those that do not say theirs.
 pub(super) fn cameras(
     root: &Table<'_, '_>,
     folder: &Path,
-    no_references: bool,
+    known: &Known<'_, '_, '_>,
     mode: Mode,
 ) -> Vec<CameraConfig> {
     let tables = root.tables("camera", "[[camera]]", &CAMERA_KEYS);
@@ -62,15 +72,14 @@ pub(super) fn cameras(
                 "give each camera its own name",
             );
         }
-        cameras.extend(camera(table, name, folder, mode));
-        let unknown = cameras.last().is_some_and(|camera| camera.pose == CameraPose::Unknown);
-        if unknown && no_references && root.value("reference").is_none() {
-            table.fail_with_help(
-                &table.span_of("pose"),
-                "`pose = \"unknown\"` needs reference roundels, and none are configured",
-                "add at least three [[reference]] tables, or give the camera's pose",
-            );
-        }
+        cameras.push(camera(table, name, folder, (known, mode)));
+    }
+    ride::check_references(&tables, &cameras, known.references);
+    let is_whole = cameras.iter().all(Option::is_some);
+    let cameras: Vec<CameraConfig> = cameras.into_iter().flatten().collect();
+    // What a camera that could not be read sees, nobody knows.
+    if is_whole {
+        ride::check(&tables, &cameras, known.objects);
     }
     cameras
 }
@@ -79,7 +88,7 @@ fn camera(
     table: &Table<'_, '_>,
     name: Option<&str>,
     folder: &Path,
-    mode: Mode,
+    (known, mode): (&Known<'_, '_, '_>, Mode),
 ) -> Option<CameraConfig> {
     let source = table.required_text("source", "\"images:frames/*.png?fps=30\"");
     let report = |message: String| table.fail(&table.span_of("source"), message);
@@ -100,7 +109,7 @@ fn camera(
     };
     let pose = match (table.value("pose"), &simulated) {
         (None, Some(simulated)) => Some(CameraPose::Known(simulated.world_from_camera)),
-        _ => camera_pose(table, required),
+        _ => ride::pose(table, required, known.objects, known.kinds),
     };
     let line_time_s = match (table.value("line_time_us"), &simulated) {
         (None, Some(simulated)) => simulated.line_time_s,
@@ -139,24 +148,4 @@ fn calibration(table: &Table<'_, '_>, folder: &Path, required: bool) -> Option<C
             None
         }
     }
-}
-
-fn camera_pose(table: &Table<'_, '_>, required: bool) -> Option<CameraPose> {
-    const POSE_HELP: &str = "write { position_m = [x, y, z], orientation_xyzw = [x, y, z, w] }, or \
-                             \"unknown\" to have it found from the reference roundels";
-    let Some(value) = table.value("pose") else {
-        if required {
-            table.report_missing("pose", "\"unknown\"");
-        }
-        return None;
-    };
-    if let Some(text) = value.get_ref().as_str() {
-        if text == "unknown" {
-            return Some(CameraPose::Unknown);
-        }
-        let message = format!("`pose` must be a table or \"unknown\", found the text \"{text}\"");
-        table.fail_with_help(&value.span(), message, POSE_HELP);
-        return None;
-    }
-    geometry::pose(table, POSE_HELP).map(CameraPose::Known)
 }

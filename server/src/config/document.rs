@@ -2,25 +2,23 @@
 
 use std::{net::SocketAddr, path::Path};
 
-use nalgebra::Vector3;
 use roundel_core::marker::Mode;
 use toml::{Spanned, de::DeTable};
 
 use super::{
-    Config, FusionConfig, LimitsConfig, ReferenceConfig, ServerConfig,
-    camera::{MODES, cameras},
+    Config, FusionConfig, LimitsConfig, ServerConfig,
+    camera::{Known, MODES, cameras},
     error::Problem,
-    geometry,
     object::objects,
     reader::{Allowed, Problems, Table},
-    roundel::{NamedKinds, kind_named, kinds},
+    reference::references,
+    roundel::kinds,
 };
 
 const ROOT_KEYS: [&str; 9] =
     ["name", "server", "detection", "roundel", "camera", "reference", "object", "fusion", "limits"];
 const DETECTION_KEYS: [&str; 1] = ["mode"];
 const SERVER_KEYS: [&str; 2] = ["listen", "snapshot_rate_hz"];
-const REFERENCE_KEYS: [&str; 2] = ["roundel", "position_m"];
 const FUSION_KEYS: [&str; 4] =
     ["acceleration_m_s2", "late_window_ms", "predicted_after_ms", "lost_after_ms"];
 const LIMITS_KEYS: [&str; 3] = ["max_objects", "max_roundels_per_camera", "max_clients"];
@@ -55,8 +53,9 @@ fn root(document: &Spanned<DeTable<'_>>, folder: &Path, problems: &Problems<'_>)
     let server = server(&root);
     let kinds = kinds(&root);
     let references = references(&root, &kinds);
-    let cameras = cameras(&root, folder, references.is_empty(), mode(&root));
-    let objects = objects(&root, &kinds);
+    let objects = objects(&root, &kinds, &references.configs);
+    let known = Known { kinds: &kinds, references: &references, objects: &objects };
+    let cameras = cameras(&root, folder, &known, mode(&root));
     let fusion = fusion(&root);
     let limits = limits(&root);
     Some(Config {
@@ -65,8 +64,8 @@ fn root(document: &Spanned<DeTable<'_>>, folder: &Path, problems: &Problems<'_>)
         kinds: kinds.kinds,
         motions: kinds.motions,
         cameras,
-        references,
-        objects,
+        references: references.configs,
+        objects: objects.configs,
         fusion,
         limits,
     })
@@ -96,43 +95,6 @@ fn server(root: &Table<'_, '_>) -> Option<ServerConfig> {
 fn mode(root: &Table<'_, '_>) -> Mode {
     let table = root.table("detection", "[detection]", &DETECTION_KEYS);
     table.and_then(|table| table.choice("mode", &MODES)).unwrap_or_default()
-}
-
-fn references(root: &Table<'_, '_>, kinds: &NamedKinds) -> Vec<ReferenceConfig> {
-    let tables = root.tables("reference", "[[reference]]", &REFERENCE_KEYS);
-    let references: Vec<ReferenceConfig> = tables
-        .iter()
-        .filter_map(|table| {
-            let kind = kind_named(table, "roundel", kinds);
-            let position = table.required_numbers::<3>("position_m", "[0.0, 0.0, 0.0]");
-            Some(ReferenceConfig { kind: kind?, position_m: Vector3::from(position?) })
-        })
-        .collect();
-    // Judged only when each of them could be read.
-    let Some(last) = tables.last().filter(|_| references.len() == tables.len()) else {
-        return references;
-    };
-    let places: Vec<Vector3<f64>> = references.iter().map(|r| r.position_m).collect();
-    let span = last.span().clone();
-    if places.len() < 3 {
-        root.fail_with_help(
-            &span,
-            format!("expected at least 3 reference roundels, found {}", places.len()),
-            "add [[reference]] tables until there are three that are not in one line",
-        );
-    } else if let Some((first, second)) = geometry::same_place(&places) {
-        root.fail(
-            &tables[second].span_of("position_m"),
-            format!("references {} and {} have the same place", first + 1, second + 1),
-        );
-    } else if geometry::collinear(&places) {
-        root.fail_with_help(
-            &span,
-            "all reference roundels lie in one line",
-            "a camera's place does not follow from points in one line: move one of them aside",
-        );
-    }
-    references
 }
 
 fn fusion(root: &Table<'_, '_>) -> FusionConfig {

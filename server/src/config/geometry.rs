@@ -1,24 +1,24 @@
 //! Poses and places of the configuration.
 
-use nalgebra::{Quaternion, Translation3, UnitQuaternion, Vector3};
-use roundel_core::rigid::Rigid;
+use nalgebra::{Matrix3, Quaternion, Rotation3, Translation3, UnitQuaternion, Vector3};
+use roundel_core::{rigid::Rigid, world::Mount};
 
-use super::reader::Table;
+use super::reader::{Allowed, Table};
 
-const POSE_KEYS: [&str; 2] = ["position_m", "orientation_xyzw"];
 /// How far a quaternion's length may be from 1: what three written decimals can cost.
 const NORM_TOLERANCE: f64 = 0.01;
 /// Reference roundels nearer than this to one another, or to one line, are an error of typing.
 const LEAST_DISTANCE_M: f64 = 1e-3;
+/// Roundels of one object whose centres are this far aside, metres, or whose normals have this sine between
+/// them, show how it is turned.
+const LEAST_ASIDE_M: f64 = 0.02;
+const LEAST_APART: f64 = 0.1;
+/// `right` and `top` may be off from a right angle by this, as the sine of what is missing.
+const SQUARE_TOLERANCE: f64 = 0.02;
 
-/// The pose under the key `pose`; `None` if it is wrong (then it is reported with `help`).
-pub(super) fn pose(camera: &Table<'_, '_>, help: &str) -> Option<Rigid> {
-    if camera.value("pose")?.get_ref().as_table().is_none() {
-        let span = camera.span_of("pose");
-        camera.fail_with_help(&span, "`pose` must be a table or \"unknown\"", help);
-        return None;
-    }
-    let table = camera.table("pose", "pose", &POSE_KEYS)?;
+/// The pose that a table says by `position_m` and `orientation_xyzw`; `None` if it is wrong (then it is
+/// reported).
+pub(super) fn pose(table: &Table<'_, '_>) -> Option<Rigid> {
     let position = table.required_numbers::<3>("position_m", "[x, y, z]");
     let orientation = table.required_numbers::<4>("orientation_xyzw", "[x, y, z, w]");
     let (position, [x, y, z, w]) = (position?, orientation?);
@@ -40,6 +40,55 @@ pub(super) fn pose(camera: &Table<'_, '_>, help: &str) -> Option<Rigid> {
     }
     let rotation = UnitQuaternion::from_quaternion(quaternion);
     Some(Rigid::from_parts(Translation3::from(Vector3::from(position)), rotation))
+}
+
+/// How a print is turned in `frame`; `None` if it is wrong (then it is reported).
+pub(super) fn rotation(part: &Table<'_, '_>, frame: &str) -> Option<UnitQuaternion<f64>> {
+    let (right, top) = (part.value("right").is_some(), part.value("top").is_some());
+    if !right && !top {
+        let yaw_deg = part.number("yaw_deg", Allowed::Within(360.0), 0.0);
+        return Some(UnitQuaternion::from_axis_angle(&Vector3::z_axis(), yaw_deg.to_radians()));
+    }
+    if part.value("yaw_deg").is_some() {
+        part.fail_with_help(
+            &part.span_of("yaw_deg"),
+            "`yaw_deg` turns a print that lies flat, `right` and `top` any print: found both",
+            "leave out `yaw_deg`",
+        );
+        return None;
+    }
+    let right = part.required_numbers::<3>("right", "[0.0, 1.0, 0.0]").map(Vector3::from);
+    let top = part.required_numbers::<3>("top", "[0.0, 0.0, 1.0]").map(Vector3::from);
+    let (right, top) = (right?, top?);
+    let (Some(x), Some(y)) = (right.try_normalize(1e-9), top.try_normalize(1e-9)) else {
+        part.fail(&part.span_of("right"), "`right` and `top` must point somewhere, found zeros");
+        return None;
+    };
+    if x.dot(&y).abs() > SQUARE_TOLERANCE {
+        let between_deg = x.dot(&y).acos().to_degrees();
+        part.fail_with_help(
+            &part.span_of("top"),
+            format!("`right` and `top` must be at right angles, found {between_deg:.1} degrees"),
+            format!("they are the ways in {frame} that the print's right and its top point to"),
+        );
+        return None;
+    }
+    let z = x.cross(&y).normalize();
+    let rotation = Rotation3::from_matrix_unchecked(Matrix3::from_columns(&[x, z.cross(&x), z]));
+    Some(UnitQuaternion::from_rotation_matrix(&rotation))
+}
+
+/// Whether roundels without codes tell how their object is turned: they lie side by side, or look to
+/// different sides, so that not all of it is along one axis.
+pub(super) fn tell_turn(mounts: &[Mount]) -> bool {
+    let Some((first, rest)) = mounts.split_first() else { return false };
+    let normal = |mount: &Mount| mount.object_from_roundel.rotation * Vector3::z();
+    let place_m = |mount: &Mount| mount.object_from_roundel.translation.vector;
+    rest.iter().any(|mount| {
+        let aside_m = normal(first).cross(&(place_m(mount) - place_m(first))).norm();
+        let apart = normal(first).cross(&normal(mount)).norm();
+        aside_m > LEAST_ASIDE_M || apart > LEAST_APART
+    })
 }
 
 /// The first two places that are the same.
@@ -67,6 +116,8 @@ pub(super) fn collinear(places: &[Vector3<f64>]) -> bool {
 
 #[cfg(test)]
 mod tests {
+    use roundel_core::id::KindId;
+
     use super::*;
 
     #[test]
@@ -77,5 +128,22 @@ mod tests {
         assert!(!collinear(&triangle));
         assert_eq!(same_place(&triangle), None);
         assert_eq!(same_place(&[line[0], line[1], line[1]]), Some((1, 2)));
+    }
+
+    #[test]
+    fn roundels_along_one_axis_do_not_tell_a_turn() {
+        let mount = |z: f64, aside_m: f64, lean: f64| Mount {
+            kind: KindId(0),
+            code: None,
+            object_from_roundel: Rigid::from_parts(
+                Vector3::new(aside_m, 0.0, z).into(),
+                UnitQuaternion::from_euler_angles(lean, 0.0, 1.0),
+            ),
+        };
+        let first = mount(0.3, 0.0, 0.0);
+        assert!(!tell_turn(&[first]));
+        assert!(!tell_turn(&[first, mount(0.1, 0.0, 0.0), mount(-0.1, 0.0, std::f64::consts::PI)]));
+        assert!(tell_turn(&[first, mount(0.3, 0.2, 0.0)]));
+        assert!(tell_turn(&[first, mount(0.1, 0.0, 0.5)]));
     }
 }

@@ -12,15 +12,17 @@ mod geometry;
 mod mask;
 mod object;
 mod reader;
+mod reference;
+mod ride;
 mod roundel;
 
 use std::{fs, net::SocketAddr, path::Path};
 
-use nalgebra::Vector3;
+use nalgebra::{UnitQuaternion, Vector3};
 use roundel_core::{
     camera::{Camera, PixelPoint},
     id::KindId,
-    marker::{Kind, Mode},
+    marker::{Code, Kind, Mode},
     rigid::Rigid,
     world::{Body, MotionClass},
 };
@@ -46,7 +48,7 @@ pub struct Config {
     pub motions: Vec<MotionClass>,
     /// `[[camera]]`, by [`roundel_core::id::CameraId`]; at least one, names unique.
     pub cameras: Vec<CameraConfig>,
-    /// `[[reference]]`; none, or at least three that are not in one line.
+    /// `[[reference]]`; at least three that are not in one line if a camera's pose is unknown.
     pub references: Vec<ReferenceConfig>,
     /// `[[object]]`; no roundel is on two of them, names unique.
     pub objects: Vec<ObjectConfig>,
@@ -96,6 +98,19 @@ pub enum CameraPose {
     Known(Rigid),
     /// To be found from the reference roundels.
     Unknown,
+    /// On an object.
+    Rides(RideConfig),
+}
+
+/// A camera that rides on an object.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct RideConfig {
+    /// Index among [`Config::objects`] of a [`Carried::Body`] that shows how it is turned.
+    pub object: usize,
+    /// Where it is fixed.
+    pub object_from_camera: Rigid,
+    /// Whether the reference roundels that it sees say where the object is.
+    pub localizes: bool,
 }
 
 /// `[[reference]]`.
@@ -103,8 +118,12 @@ pub enum CameraPose {
 pub struct ReferenceConfig {
     /// Its kind of roundel.
     pub kind: KindId,
+    /// Its code, if that is known.
+    pub code: Option<Code>,
     /// Its centre, world frame, metres.
     pub position_m: Vector3<f64>,
+    /// world_from_roundel, if that is known.
+    pub orientation: Option<UnitQuaternion<f64>>,
 }
 
 /// `[[object]]`.
@@ -128,7 +147,7 @@ pub enum Carried {
         /// How it moves, if not as its kind says.
         motion: Option<MotionClass>,
     },
-    /// Several at known places, or one of known code.
+    /// Several at known places, or one of known code; or none, if a camera on it finds itself.
     Body(Body),
 }
 

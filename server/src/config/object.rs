@@ -4,7 +4,7 @@
 //! Places are what a tape measure gives: the centre of each print from the object's origin, and how the print is
 //! turned, for one that lies flat by an angle, for any other by the ways that its right and its top point to.
 
-use nalgebra::{Matrix3, Rotation3, UnitQuaternion, Vector3};
+use nalgebra::Vector3;
 use roundel_core::{
     id::KindId,
     marker::{Code, Pattern},
@@ -13,43 +13,100 @@ use roundel_core::{
 };
 
 use super::{
-    Carried, ObjectConfig,
-    reader::{Allowed, Table},
+    Carried, ObjectConfig, ReferenceConfig, geometry,
+    reader::Table,
     roundel::{NamedKinds, kind_named, motion},
 };
 
 const OBJECT_KEYS: [&str; 6] = ["name", "roundel", "code", "offset_m", "motion", "height_m"];
 const PART_KEYS: [&str; 6] = ["kind", "code", "position_m", "yaw_deg", "right", "top"];
 const MOST_CODES: usize = u16::MAX as usize;
-/// `right` and `top` may be off from a right angle by this, as the sine of what is missing.
-const SQUARE_TOLERANCE: f64 = 0.02;
 
 /// What is taken: by whom, for errors.
-struct Claims {
+struct Claims<'a> {
+    references: &'a [ReferenceConfig],
     taken: Vec<(KindId, Option<Code>, String)>,
 }
 
-pub(super) fn objects(root: &Table<'_, '_>, kinds: &NamedKinds) -> Vec<ObjectConfig> {
+/// The objects that could be read.
+pub(super) struct NamedObjects<'t, 'i> {
+    pub(super) configs: Vec<ObjectConfig>,
+    /// Of all, those that could not be read included.
+    pub(super) names: Vec<&'t str>,
+    tables: Vec<Table<'t, 'i>>,
+    /// Of each that could be read.
+    table_of: Vec<usize>,
+}
+
+/// No roundel is on two objects, or on one of them and among the references.
+pub(super) fn objects<'t, 'i>(
+    root: &Table<'t, 'i>,
+    kinds: &NamedKinds,
+    references: &[ReferenceConfig],
+) -> NamedObjects<'t, 'i> {
     let tables = root.tables("object", "[[object]]", &OBJECT_KEYS);
-    let mut claims = Claims { taken: Vec::new() };
-    let mut objects: Vec<ObjectConfig> = Vec::new();
-    for table in &tables {
+    let mut claims = Claims { references, taken: Vec::new() };
+    let (mut configs, mut table_of, mut names) = (Vec::<ObjectConfig>::new(), vec![], vec![]);
+    for (index, table) in tables.iter().enumerate() {
         let name = table.required_text("name", "\"robot one\"");
+        names.extend(name);
         let shown = name.unwrap_or("?");
-        let is_list = table.value("roundel").is_some_and(|it| it.get_ref().as_array().is_some());
-        let carries = if is_list {
-            several(table, shown, kinds, &mut claims)
-        } else {
-            single(table, shown, kinds, &mut claims)
+        let carries = match table.value("roundel") {
+            None => bare(table),
+            Some(it) if it.get_ref().as_array().is_some() => {
+                several(table, shown, kinds, &mut claims)
+            }
+            Some(_) => single(table, shown, kinds, &mut claims),
         };
         let (Some(name), Some(carries)) = (name, carries) else { continue };
-        if objects.iter().any(|object| object.name == name) {
+        if configs.iter().any(|object| object.name == name) {
             let message = format!("two objects are named \"{name}\"");
             table.fail_with_help(&table.span_of("name"), message, "give each its own name");
         }
-        objects.push(ObjectConfig { name: name.to_owned(), carries });
+        configs.push(ObjectConfig { name: name.to_owned(), carries });
+        table_of.push(index);
     }
-    objects
+    NamedObjects { configs, names, tables, table_of }
+}
+
+impl NamedObjects<'_, '_> {
+    /// Those that nothing is printed on.
+    pub(super) fn without_roundels(&self) -> impl Iterator<Item = usize> + '_ {
+        let is_bare = |object: &ObjectConfig| match &object.carries {
+            Carried::Kind { .. } => false,
+            Carried::Body(body) => body.mounts.is_empty(),
+        };
+        (0..self.configs.len()).filter(move |&index| is_bare(&self.configs[index]))
+    }
+
+    /// Reports that nobody can tell where one of them is, which a camera may ride on.
+    pub(super) fn report_bare(&self, object: usize, carries_camera: bool) {
+        let table = &self.tables[self.table_of[object]];
+        if !carries_camera {
+            return table.report_missing("roundel", "\"robot\"");
+        }
+        let name = &self.configs[object].name;
+        table.fail_with_help(
+            table.span(),
+            format!(
+                "object \"{name}\" carries no roundel, and its camera does not say where it is"
+            ),
+            "add its `roundel`, or `localizes = true` to the pose of the camera that rides on it",
+        );
+    }
+}
+
+/// An object that is known by what its own camera sees.
+fn bare(table: &Table<'_, '_>) -> Option<Carried> {
+    for key in ["code", "offset_m"].into_iter().filter(|key| table.value(key).is_some()) {
+        table.fail_with_help(
+            &table.span_of(key),
+            format!("`{key}` is for an object with one roundel, and `roundel` is missing"),
+            "add `roundel = \"NAME\"`",
+        );
+    }
+    let motion = own_motion(table)?.unwrap_or_default();
+    Some(Carried::Body(Body { motion, mounts: Vec::new() }))
 }
 
 /// An object by one roundel, of a kind that is its own or with a code.
@@ -57,7 +114,7 @@ fn single(
     table: &Table<'_, '_>,
     name: &str,
     kinds: &NamedKinds,
-    claims: &mut Claims,
+    claims: &mut Claims<'_>,
 ) -> Option<Carried> {
     let kind = kind_named(table, "roundel", kinds);
     let offset = match table.value("offset_m") {
@@ -83,7 +140,7 @@ fn several(
     table: &Table<'_, '_>,
     name: &str,
     kinds: &NamedKinds,
-    claims: &mut Claims,
+    claims: &mut Claims<'_>,
 ) -> Option<Carried> {
     for key in ["code", "offset_m"].into_iter().filter(|key| table.value(key).is_some()) {
         table.fail_with_help(
@@ -119,11 +176,11 @@ fn mount(
     part: &Table<'_, '_>,
     name: &str,
     kinds: &NamedKinds,
-    claims: &mut Claims,
+    claims: &mut Claims<'_>,
 ) -> Option<Mount> {
     let kind = kind_named(part, "kind", kinds);
     let position = part.required_numbers::<3>("position_m", "[0.2, 0.0, 0.1]");
-    let rotation = rotation(part);
+    let rotation = geometry::rotation(part, "the object's frame");
     let kind = kind?;
     let code = code(part, kind, kinds)?;
     let key = if code.is_some() { "code" } else { "kind" };
@@ -151,7 +208,11 @@ fn inherited(first: &Mount, kinds: &NamedKinds) -> MotionClass {
 
 /// The code of a coded roundel; `None` within for one of another kind, outside if it is wrong or missing
 /// (then it is reported).
-fn code(table: &Table<'_, '_>, kind: KindId, kinds: &NamedKinds) -> Option<Option<Code>> {
+pub(super) fn code(
+    table: &Table<'_, '_>,
+    kind: KindId,
+    kinds: &NamedKinds,
+) -> Option<Option<Code>> {
     let kind = kinds.kinds.get(usize::from(kind.0))?;
     let Pattern::Coded(layout) = kind.pattern else {
         if table.value("code").is_none() {
@@ -185,43 +246,7 @@ fn code(table: &Table<'_, '_>, kind: KindId, kinds: &NamedKinds) -> Option<Optio
     Some(Some(Code { bits: layout.bits, number }))
 }
 
-/// How a print is turned on its object; `None` if it is wrong (then it is reported).
-fn rotation(part: &Table<'_, '_>) -> Option<UnitQuaternion<f64>> {
-    let (right, top) = (part.value("right").is_some(), part.value("top").is_some());
-    if !right && !top {
-        let yaw_deg = part.number("yaw_deg", Allowed::Within(360.0), 0.0);
-        return Some(UnitQuaternion::from_axis_angle(&Vector3::z_axis(), yaw_deg.to_radians()));
-    }
-    if part.value("yaw_deg").is_some() {
-        part.fail_with_help(
-            &part.span_of("yaw_deg"),
-            "`yaw_deg` turns a print that lies flat, `right` and `top` any print: found both",
-            "leave out `yaw_deg`",
-        );
-        return None;
-    }
-    let right = part.required_numbers::<3>("right", "[0.0, 1.0, 0.0]").map(Vector3::from);
-    let top = part.required_numbers::<3>("top", "[0.0, 0.0, 1.0]").map(Vector3::from);
-    let (right, top) = (right?, top?);
-    let (Some(x), Some(y)) = (right.try_normalize(1e-9), top.try_normalize(1e-9)) else {
-        part.fail(&part.span_of("right"), "`right` and `top` must point somewhere, found zeros");
-        return None;
-    };
-    if x.dot(&y).abs() > SQUARE_TOLERANCE {
-        let between_deg = x.dot(&y).acos().to_degrees();
-        part.fail_with_help(
-            &part.span_of("top"),
-            format!("`right` and `top` must be at right angles, found {between_deg:.1} degrees"),
-            "they are the ways in the object's frame that the print's right and its top point to",
-        );
-        return None;
-    }
-    let z = x.cross(&y).normalize();
-    let rotation = Rotation3::from_matrix_unchecked(Matrix3::from_columns(&[x, z.cross(&x), z]));
-    Some(UnitQuaternion::from_rotation_matrix(&rotation))
-}
-
-impl Claims {
+impl Claims<'_> {
     /// Takes a roundel for an object; reports it and gives `None` if it is another's, or its own twice.
     fn take(
         &mut self,
@@ -230,11 +255,19 @@ impl Claims {
         (kind, code): (KindId, Option<Code>),
         name: &str,
     ) -> Option<()> {
+        let is_reference =
+            |it: &ReferenceConfig| it.kind == kind && (code.is_none() || it.code == code);
+        let reference = self.references.iter().position(is_reference);
         let same =
             |(other, taken, _): &&(KindId, Option<Code>, String)| (*other, *taken) == (kind, code);
-        let Some((.., owner)) = self.taken.iter().find(same) else {
-            self.taken.push((kind, code, name.to_owned()));
-            return Some(());
+        let owner = match (self.taken.iter().find(same), reference) {
+            (Some((.., owner)), _) if owner == name => None,
+            (Some((.., owner)), _) => Some(format!("objects \"{owner}\" and \"{name}\"")),
+            (None, Some(index)) => Some(format!("reference {} and object \"{name}\"", index + 1)),
+            (None, None) => {
+                self.taken.push((kind, code, name.to_owned()));
+                return Some(());
+            }
         };
         let (what, remedy) = match code {
             Some(code) => (
@@ -247,10 +280,9 @@ impl Claims {
                  of them",
             ),
         };
-        let message = if owner == name {
-            format!("object \"{name}\" carries {what} twice")
-        } else {
-            format!("objects \"{owner}\" and \"{name}\" carry {what}")
+        let message = match owner {
+            Some(both) => format!("{both} carry {what}"),
+            None => format!("object \"{name}\" carries {what} twice"),
         };
         table.fail_with_help(&table.span_of(key), message, remedy);
         None

@@ -255,6 +255,16 @@ impl<'t, 'i> Table<'t, 'i> {
         whole.map(|whole| whole as usize)
     }
 
+    /// Yes or no; `None` if absent or neither (then it is reported).
+    pub(super) fn flag(&self, key: &'static str) -> Option<bool> {
+        let value = self.value(key)?;
+        if let DeValue::Boolean(flag) = value.get_ref() {
+            return Some(*flag);
+        }
+        self.report_type(key, value, "true or false");
+        None
+    }
+
     /// What one of the known words means; `None` if absent or another word (then it is reported).
     pub(super) fn choice<T: Copy>(&self, key: &'static str, known: &[(&str, T)]) -> Option<T> {
         let value = self.value(key)?;

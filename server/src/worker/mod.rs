@@ -62,6 +62,8 @@ pub enum Place {
         /// Their kinds of roundel.
         kinds: Vec<KindId>,
     },
+    /// On an object: fusion says where.
+    Rides,
 }
 
 /// What a worker is made of.
@@ -115,14 +117,14 @@ impl Worker {
     /// A worker that has not begun.
     pub fn new(parts: WorkerParts) -> Self {
         let placing = match &parts.place {
-            Place::Known(_) => None,
+            Place::Known(_) | Place::Rides => None,
             Place::Unknown { references, kinds } => {
                 Some(Placing::new(references.clone(), kinds.clone()))
             }
         };
         let world_from_camera = match &parts.place {
             Place::Known(pose) => Some(*pose),
-            Place::Unknown { .. } => None,
+            Place::Unknown { .. } | Place::Rides => None,
         };
         let camera = parts.pipeline.camera().clone();
         parts.hub.update_camera(parts.id, |state| {

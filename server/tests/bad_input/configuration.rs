@@ -9,14 +9,14 @@ use roundel_core::{
 };
 use roundel_server::config::{Carried, Config, ObjectConfig};
 
-use super::{EXAMPLE, camera_yaml, lab, problems};
+use super::{EXAMPLE, camera_yaml, expect, lab, problems};
 
 #[test]
 fn the_example_is_a_configuration() {
     let folder = lab();
     let config = Config::parse(EXAMPLE, folder.path()).map_err(|p| format!("{p:#?}")).unwrap();
     assert_eq!(config.name, "lab");
-    assert_eq!((config.kinds.len(), config.cameras.len(), config.references.len()), (6, 2, 4));
+    assert_eq!((config.kinds.len(), config.cameras.len(), config.references.len()), (6, 4, 5));
     // What stands in the example as a default is one: a file without it reads the same.
     let sections = ["[server]", "[detection]", "[fusion]", "[limits]"];
     let mut kept = String::new();
@@ -58,8 +58,8 @@ fn objects_are_known_by_a_kind_a_code_or_several_roundels() {
             Carried::Kind { .. } => None,
         })
         .collect();
-    let [two, carrier] = bodies[..] else { panic!("{objects:?}") };
-    assert_eq!((objects.len(), objects[2].name.as_str()), (3, "carrier"));
+    let [two, carrier, ..] = bodies[..] else { panic!("{objects:?}") };
+    assert_eq!((objects.len(), objects[2].name.as_str()), (5, "carrier"));
     assert_eq!(two.motion, MotionClass::Ground { height_m: Some(0.25) });
     let codes = |body: &Body| -> Vec<u16> {
         body.mounts.iter().map(|mount| mount.code.map_or(0, |code| code.number)).collect()
@@ -97,11 +97,11 @@ fn each_camera_has_its_mode_or_that_of_all() {
         let config = Config::parse(text, folder.path()).map_err(|p| format!("{p:#?}")).unwrap();
         config.cameras.iter().map(|camera| camera.mode).collect()
     };
-    assert_eq!(modes(EXAMPLE), [Mode::Fast, Mode::Precise]);
+    assert_eq!(modes(EXAMPLE), [Mode::Fast, Mode::Precise, Mode::Precise, Mode::Precise]);
     let all = EXAMPLE.replacen("mode = \"precise\"", "mode = \"fast\"", 1);
-    assert_eq!(modes(&all), [Mode::Fast, Mode::Fast]);
+    assert_eq!(modes(&all), [Mode::Fast; 4]);
     let own = EXAMPLE.replacen("mode = \"fast\"\n", "", 1);
-    assert_eq!(modes(&own), [Mode::Precise, Mode::Precise]);
+    assert_eq!(modes(&own), [Mode::Precise; 4]);
 }
 
 /// The keys of a line of TOML, tables' names and inline tables' keys included, with their columns.
@@ -343,9 +343,13 @@ fn wrong_values_are_named_with_their_line() {
             "yaw_deg = 900",
             "`yaw_deg` must be a number from -360 to 360, found 900",
         ),
-        ("top = [0.0, 0.0, 1.0]", "yaw_deg = 1", "`right` and `top` any print: found both"),
-        ("top = [0.0, 0.0, 1.0]", "top = [0.0, 1.0, 1.0]", "at right angles, found 45.0 degrees"),
-        ("top = [0.0, 0.0, 1.0]", "top = [0.0, 0.0, 0.0]", "must point somewhere, found zeros"),
+        ("top = [0.0, 0.0, 1.0] }", "yaw_deg = 1 }", "`right` and `top` any print: found both"),
+        (
+            "top = [0.0, 0.0, 1.0] }",
+            "top = [0.0, 1.0, 1.0] }",
+            "at right angles, found 45.0 degrees",
+        ),
+        ("top = [0.0, 0.0, 1.0] }", "top = [0.0, 0.0, 0.0] }", "must point somewhere, found zeros"),
         (", top = [0.0, 0.0, 1.0]", "", "missing key `top` in [[object.roundel]]"),
         ("name = \"carrier\"", "name = \"robot two\"", "two objects are named \"robot two\""),
         (
@@ -389,22 +393,7 @@ fn wrong_values_are_named_with_their_line() {
         ("[server]", "server = 3\n[sever]", "`server` must be a table"),
         ("name = \"lab\"", "name = \"lab\"\nname = \"b\"", "not valid TOML: duplicate key"),
     ] {
-        assert!(EXAMPLE.contains(from), "the example has no {from:?} any more");
-        // The last occurrence for what the first camera has too.
-        let broken = match EXAMPLE.rfind(from) {
-            Some(at) if from.starts_with("pose") => {
-                format!("{}{to}{}", &EXAMPLE[..at], &EXAMPLE[at + from.len()..])
-            }
-            _ => EXAMPLE.replacen(from, to, 1),
-        };
-        let text = problems(&broken, folder.path());
-        assert!(text.contains(expected), "{to:?} gives no \"{expected}\" but\n{text}");
-        let file = folder.path().join("lab.toml").display().to_string();
-        for line in text.lines().filter(|line| line.starts_with('/')) {
-            let place = line.strip_prefix(&file).unwrap_or(line);
-            let number = place.split(':').nth(1).and_then(|number| number.parse::<usize>().ok());
-            assert!(number.is_some_and(|number| number > 0), "no line in {line}");
-        }
+        expect(folder.path(), (from, to), expected);
     }
 }
 
@@ -431,11 +420,20 @@ fn what_is_missing_altogether_is_said() {
     assert!(text.contains("no kind of roundel is configured"), "{text}");
     assert!(text.contains("no camera is configured"), "{text}");
 
+    // Without the cameras that ride, and so without what only those need.
+    let (from, to) =
+        (EXAMPLE.find("# A camera may ride").unwrap(), EXAMPLE.find("# Roundels with").unwrap());
+    let (one, next) =
+        (EXAMPLE.find("# One with a code").unwrap(), EXAMPLE.find("# Names for").unwrap());
+    let bare = EXAMPLE.find("[[object]]\nname = \"forklift\"").unwrap();
+    let rest = EXAMPLE.find("[fusion]").unwrap();
+    let parts = [&EXAMPLE[..from], &EXAMPLE[to..one], &EXAMPLE[next..bare], &EXAMPLE[rest..]];
+    let standing = parts.concat();
     let cut = |text: &str, begin: usize| {
         let end = text.find("# Names for objects").unwrap();
         format!("{}{}", &text[..begin], &text[end..])
     };
-    let three = cut(EXAMPLE, EXAMPLE.rfind("[[reference]]").unwrap());
+    let three = cut(&standing, standing.rfind("[[reference]]").unwrap());
     let two = cut(&three, three.rfind("[[reference]]").unwrap());
     assert!(Config::parse(&three, folder.path()).is_ok());
     let text = problems(&two, folder.path());
@@ -445,9 +443,9 @@ fn what_is_missing_altogether_is_said() {
     let text = problems(&line, folder.path());
     assert!(text.contains("all reference roundels lie in one line"), "{text}");
 
-    let none = cut(EXAMPLE, EXAMPLE.find("[[reference]]").unwrap());
+    let none = cut(&standing, standing.find("[[reference]]").unwrap());
     let text = problems(&none, folder.path());
-    assert!(text.contains("`pose = \"unknown\"` needs reference roundels"), "{text}");
+    assert!(text.contains("`pose = \"unknown\"` needs reference roundels, and none"), "{text}");
 }
 
 #[test]

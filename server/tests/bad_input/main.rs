@@ -1,5 +1,6 @@
 //! Broken, missing and mistyped input: each ends in an error that names file, line or field, and the
-//! remedy. The tables are what people get wrong: `configuration` in the file, `command` on the command line.
+//! remedy. The tables are what people get wrong: `configuration` in the file, `moving` of
+//! it what concerns cameras that ride, `command` on the command line.
 
 use std::{fs, path::Path};
 
@@ -8,6 +9,7 @@ use roundel_server::{camera_file, config::Config};
 
 mod command;
 mod configuration;
+mod moving;
 
 const EXAMPLE: &str = include_str!("../../../deploy/roundel.example.toml");
 
@@ -38,4 +40,25 @@ fn problems(text: &str, folder: &Path) -> String {
     let path = folder.join("lab.toml");
     fs::write(&path, text).unwrap();
     Config::load(&path).expect_err("a wrong configuration was taken").to_string()
+}
+
+/// The example with one text in place of another is refused, with a message that holds `expected`, each with
+/// its line.
+fn expect(folder: &Path, (from, to): (&str, &str), expected: &str) {
+    assert!(EXAMPLE.contains(from), "the example has no {from:?} any more");
+    // The last occurrence for what the first camera has too.
+    let broken = match EXAMPLE.rfind(from) {
+        Some(at) if from.starts_with("pose") => {
+            format!("{}{to}{}", &EXAMPLE[..at], &EXAMPLE[at + from.len()..])
+        }
+        _ => EXAMPLE.replacen(from, to, 1),
+    };
+    let text = problems(&broken, folder);
+    assert!(text.contains(expected), "{to:?} gives no \"{expected}\" but\n{text}");
+    let file = folder.join("lab.toml").display().to_string();
+    for line in text.lines().filter(|line| line.starts_with('/')) {
+        let place = line.strip_prefix(&file).unwrap_or(line);
+        let number = place.split(':').nth(1).and_then(|number| number.parse::<usize>().ok());
+        assert!(number.is_some_and(|number| number > 0), "no line in {line}");
+    }
 }

@@ -1,0 +1,217 @@
+//! Cameras that ride on objects, and those that find themselves: what a configuration says of them, and what
+//! may be wrong with it.
+
+use nalgebra::Vector3;
+use roundel_core::world::MotionClass;
+use roundel_server::config::{CameraPose, Carried, Config, RideConfig};
+
+use super::{EXAMPLE, expect, lab, problems};
+
+const ON_DRONE: &str = "object = \"drone\", ";
+const STATION: &str =
+    "code = 9\nposition_m = [4.0, 1.0, 0.5]\nright = [0.0, -1.0, 0.0]\ntop = [0.0, 0.0, 1.0]";
+const DRONE: &str = "roundel = \"shuttle\"\ncode = 7";
+
+fn parse(text: &str) -> Config {
+    Config::parse(text, lab().path()).map_err(|p| format!("{p:#?}")).unwrap()
+}
+
+/// The place on its object of the camera with this index, and the object's name.
+fn ride(config: &Config, camera: usize) -> (RideConfig, &str) {
+    let CameraPose::Rides(ride) = config.cameras[camera].pose else { panic!("it stands") };
+    (ride, &config.objects[ride.object].name)
+}
+
+#[test]
+fn cameras_ride_where_the_example_says() {
+    let config = parse(EXAMPLE);
+    let (drone, name) = ride(&config, 2);
+    assert_eq!((name, drone.localizes), ("drone", false));
+    // It looks down, the top of its picture ahead.
+    let turn = drone.object_from_camera.rotation;
+    assert!((turn * Vector3::z() + Vector3::z()).norm() < 1e-3);
+    assert!((turn * -Vector3::y() - Vector3::x()).norm() < 1e-3);
+    let (forklift, name) = ride(&config, 3);
+    assert_eq!((name, forklift.localizes), ("forklift", true));
+    let turn = forklift.object_from_camera.rotation;
+    assert!((turn * Vector3::z() - Vector3::x()).norm() < 1e-9);
+    assert!((turn * -Vector3::y() - Vector3::z()).norm() < 1e-9);
+    // Nothing is printed on the forklift, which drives.
+    let Carried::Body(body) = &config.objects[forklift.object].carries else { panic!("no body") };
+    assert!(body.mounts.is_empty());
+    assert_eq!(body.motion, MotionClass::Ground { height_m: Some(0.0) });
+    // The print of the station looks along -x; of the others nobody has said how they are turned.
+    let station = &config.references[4];
+    assert_eq!(station.code.map(|code| (code.bits, code.number)), Some((8, 9)));
+    assert!((station.orientation.unwrap() * Vector3::z() + Vector3::x()).norm() < 1e-9);
+    assert_eq!((config.references[0].code, config.references[0].orientation), (None, None));
+}
+
+/// Each of these says enough.
+#[test]
+fn what_suffices_is_taken() {
+    for (from, to) in [
+        // Three references of any kind.
+        (STATION, "position_m = [4.0, 1.0, 0.5]"),
+        // One is enough, once it says all: flat on the floor.
+        (STATION, "code = 9\nposition_m = [4.0, 1.0, 0.5]\nyaw_deg = 180"),
+        // Two plain roundels side by side.
+        (
+            DRONE,
+            "roundel = [{ kind = \"wagon\", position_m = [0, 0, 0] }, { kind = \"crawler\", position_m = [0.3, 0, 0] }]",
+        ),
+        // The forklift by its code as well.
+        (
+            "name = \"forklift\"\nmotion",
+            "name = \"forklift\"\nroundel = \"shuttle\"\ncode = 8\nmotion",
+        ),
+        // Said though it is so anyway.
+        (ON_DRONE, "object = \"drone\", localizes = false, "),
+    ] {
+        assert!(EXAMPLE.contains(from), "{from}");
+        parse(&EXAMPLE.replacen(from, to, 1));
+    }
+}
+
+#[test]
+fn what_is_wrong_with_a_ride_is_said() {
+    let folder = lab();
+    for (from, to, expected) in [
+        (
+            ON_DRONE,
+            "object = \"dorne\", ",
+            "no [[object]] is named \"dorne\"; did you mean \"drone\"?",
+        ),
+        (
+            ON_DRONE,
+            "object = \"blimp\", ",
+            "configured: `robot one`, `robot two`, `carrier`, `drone`, `forklift`",
+        ),
+        (ON_DRONE, "object = 7, ", "`object` must be a text in quotes that is not empty, found 7"),
+        (
+            ON_DRONE,
+            "object = \"robot one\", ",
+            "object \"robot one\" does not say which way its camera looks: its plain roundel looks the same \
+             however it is turned",
+        ),
+        (
+            DRONE,
+            "roundel = \"crawler\"",
+            "object \"drone\" does not say which way its camera looks: its elliptical disc looks the same \
+             after half a turn",
+        ),
+        (
+            DRONE,
+            "roundel = [{ kind = \"wagon\", position_m = [0, 0, 0] }]",
+            "its roundels look the same when it turns about their normal",
+        ),
+        (
+            DRONE,
+            "roundel = [{ kind = \"crawler\", position_m = [0, 0, 0] }]",
+            "its elliptical disc looks the same after half a turn",
+        ),
+        (
+            ", localizes = true",
+            ", localizes = \"yes\"",
+            "`localizes` must be true or false, found the text \"yes\"",
+        ),
+        (
+            "object = \"forklift\", ",
+            "",
+            "`localizes` is for a camera that rides on an object, and `object` is missing",
+        ),
+        (
+            ", localizes = true",
+            "",
+            "object \"forklift\" carries no roundel, and its camera does not say where it is",
+        ),
+        ("object = \"forklift\", ", "object = \"drone\", ", "missing key `roundel` in [[object]]"),
+        (
+            "name = \"forklift\"\nmotion",
+            "name = \"forklift\"\ncode = 8\nmotion",
+            "`code` is for an object with one roundel, and `roundel` is missing",
+        ),
+        ("position_m = [0.3, 0.0, 0.4], ", "", "missing key `position_m` in pose"),
+        (
+            "orientation_xyzw = [-0.5, 0.5, -0.5, 0.5]",
+            "orientation_xyzw = [0, 0, 0, 0]",
+            "length 0",
+        ),
+        ("code = 9", "code = 90", "`code` must be 1 to 16, found 90"),
+        ("code = 9", "code = 7", "reference 5 and object \"drone\" carry code 7"),
+        (
+            "roundel = \"robot\"\n",
+            "roundel = \"reference\"\n",
+            "reference 1 and object \"robot one\" carry the same kind of roundel",
+        ),
+        (
+            "[[object]]",
+            "[[reference]]\nroundel = \"shuttle\"\ncode = 9\nposition_m = [4, 0, 0.5]\n[[object]]",
+            "references 5 and 6 carry code 9",
+        ),
+        ("top = [0.0, 0.0, 1.0]\n", "", "missing key `top` in [[reference]]"),
+        (
+            "top = [0.0, 0.0, 1.0]\n",
+            "top = [0.0, 1.0, 1.0]\n",
+            "the ways in the world that the print's",
+        ),
+        (
+            "position_m = [2.0, 0.0, 0.0]\n",
+            "position_m = [2.0, 0.0, 0.0]\ncode = 3\n",
+            "roundels \"reference\" have no codes",
+        ),
+    ] {
+        expect(folder.path(), (from, to), expected);
+    }
+}
+
+/// The part of the example from one text to before another is left out.
+fn without(text: &str, from: &str, to: &str) -> String {
+    let begin = text.find(from).unwrap();
+    let end = begin + text[begin..].find(to).unwrap();
+    format!("{}{}", &text[..begin], &text[end..])
+}
+
+#[test]
+fn a_camera_that_localizes_needs_references_that_say_enough() {
+    let folder = lab();
+    let known = "pose = { position_m = [0.0, 0.0, 5.0], orientation_xyzw = [1.0, 0.0, 0.0, 0.0] }";
+    let standing = EXAMPLE.replacen("pose = \"unknown\"", known, 1);
+    let none = without(&standing, "[[reference]]", "# Names for");
+    let text = problems(&none, folder.path());
+    assert!(
+        text.contains("`localizes = true` needs reference roundels, and none are configured"),
+        "{text}"
+    );
+    // Two, of which none says both its code and how it is turned.
+    let two = without(
+        &standing,
+        "[[reference]]\nroundel = \"reference\"\nposition_m = [0.0, 1.5",
+        "# One with",
+    );
+    let unturned = without(&two, "right = [0.0, -1.0", "\n# Names for");
+    let text = problems(
+        &without(&unturned, "[[reference]]", "[[reference]]\nroundel = \"shuttle"),
+        folder.path(),
+    );
+    assert!(text.contains("none has both a `code` and its orientation"), "{text}");
+    // One that says both is enough for what rides; what stands wants three.
+    let one = without(&standing, "[[reference]]", "# One with");
+    parse(&one);
+    let text = problems(&one.replacen(known, "pose = \"unknown\"", 1), folder.path());
+    assert!(text.contains("expected at least 3 reference roundels, found 1"), "{text}");
+}
+
+#[test]
+fn somebody_must_see_what_carries_a_camera() {
+    let folder = lab();
+    let riding = without(EXAMPLE, "[[camera]]", "# A camera may ride");
+    let text = problems(&riding, folder.path());
+    let expected =
+        "no camera can say where \"drone\" is, which this one rides on: all cameras ride";
+    assert!(text.contains(expected), "{text}");
+    assert_eq!(text.matches("help:").count(), 1, "the forklift finds itself:\n{text}");
+    // Nor can it be told as long as a camera is not understood.
+    let text = problems(&riding.replacen("fps=30", "fsp=30", 1), folder.path());
+    assert!(!text.contains(expected), "{text}");
+}
