@@ -39,9 +39,9 @@ use nalgebra::{Matrix3, Vector3};
 
 use super::{MotionModel, Spread};
 use crate::id::CameraId;
-pub(crate) use innovation::positive_root;
 pub use innovation::{Innovation, Noise};
-use innovation::{Joint, NO_SOURCE, Source, invert_positive};
+use innovation::{Joint, NO_SOURCE, Source};
+pub(crate) use innovation::{invert_positive, positive_root};
 
 /// Cameras whose systematic error is carried at most; the one not heard of longest gives way.
 pub const MAX_SOURCES: usize = 8;
@@ -155,6 +155,19 @@ impl Kernel {
             spread.rate += source.rate_by_clock * source.rate_by_clock.transpose() * square;
         }
         spread
+    }
+
+    /// Traces of [`Kernel::told`]'s blocks: of value, of both, of rate.
+    pub fn told_traces(&self) -> (f64, f64, f64) {
+        let spread = &self.spread;
+        let mut traces = (spread.value.trace(), spread.cross.trace(), spread.rate.trace());
+        for source in self.sources[..self.len].iter().filter(|source| source.timing_s > 0.0) {
+            let square = source.timing_s * source.timing_s;
+            traces.0 += source.value_by_clock.norm_squared() * square;
+            traces.1 += source.value_by_clock.dot(&source.rate_by_clock) * square;
+            traces.2 += source.rate_by_clock.norm_squared() * square;
+        }
+        traces
     }
 
     /// Of the value's covariance, what systematic errors have made: Σ Cp Cpᵀ.

@@ -19,8 +19,8 @@ mod spread;
 pub use attitude::{Attitude, AttitudeEstimate, AttitudeMeasurement};
 pub(crate) use attitude::{smallest_turn, without_yaw};
 pub use history::{History, Inserted};
-pub(crate) use kernel::positive_root;
 pub use kernel::{Innovation, Kernel, MAX_SOURCES, Noise};
+pub(crate) use kernel::{invert_positive, positive_root};
 pub use motion::{Filter, Motion, MotionEstimate};
 pub use spread::Spread;
 

@@ -11,7 +11,7 @@ use super::{
     FusionParams,
     assignment::{FORBIDDEN, assign},
     clock::Clocks,
-    coarse::Coarse,
+    gate::{Field, Probe},
     identity::Subject,
     life::Track,
 };
@@ -55,7 +55,8 @@ struct Pair {
 /// Working memory, kept from frame to frame.
 #[derive(Clone, Debug, Default)]
 pub(super) struct Scratch {
-    coarse: Vec<Coarse>,
+    field: Field,
+    near: Vec<usize>,
     pairs: Vec<Pair>,
     group_of_sighting: Vec<usize>,
     group_of_track: Vec<usize>,
@@ -71,73 +72,66 @@ pub(super) fn associate(
     let mut decisions = vec![None; sightings.len()];
     let Some(first) = sightings.first() else { return decisions };
     let time = first.measurement.time;
-    scratch.coarse.clear();
-    scratch.coarse.extend(tracks.iter().map(|track| track.coarse.predicted(time)));
+    let offset_s = |sighting: &Sighting| sighting.measurement.time.seconds_since(time);
+    let span_s = sightings.iter().map(|sighting| offset_s(sighting).abs()).fold(0.0, f64::max);
+    let timing_s = if clocks.is_estimating() {
+        clocks.most_deviation_s(first.measurement.camera)
+    } else {
+        0.0
+    };
+    scratch.field.fill(tracks, time, span_s, timing_s);
     scratch.pairs.clear();
     for (index, sighting) in sightings.iter().enumerate() {
+        let seen = &sighting.measurement;
+        let place_m = seen.position_m.into();
+        let probe = Probe::new(place_m, &seen.position_noise, offset_s(sighting));
         let gate = params.gate_distance_squared;
-        possible(index, sighting, tracks, (gate, clocks), time, scratch);
+        scratch.field.near(&probe, gate * CONTINUITY_GATE, &mut scratch.near);
+        let noise_det = probe.determinant.max(f64::MIN_POSITIVE).ln();
+        for &number in &scratch.near {
+            let found = possible(sighting, &tracks[number], (gate, noise_det), clocks);
+            let Some((cost, innovation)) = found else { continue };
+            scratch.pairs.push(Pair { sighting: index, track: number, cost, innovation });
+        }
     }
     group(sightings.len(), tracks.len(), scratch);
     solve(&mut decisions, scratch);
     decisions
 }
 
-/// Collects a sighting's possible pairs.
+/// What it costs that a sighting is a track's, if it can be.
 fn possible(
-    index: usize,
     sighting: &Sighting,
-    tracks: &[Track],
-    (gate, clocks): (f64, &Clocks),
-    frame_time: crate::time::Timestamp,
-    scratch: &mut Scratch,
-) {
-    let seen = &sighting.measurement;
-    let deviation_m = seen.position_noise.total.trace().sqrt();
-    let offset_s = seen.time.seconds_since(frame_time);
-    let reach = (gate * CONTINUITY_GATE).sqrt() * 1.5;
-    let noise_det = seen.position_noise.total.determinant().max(f64::MIN_POSITIVE).ln();
-    for (number, (coarse, track)) in scratch.coarse.iter().zip(tracks).enumerate() {
-        if track.subject != sighting.subject {
-            continue;
-        }
-        let residual_m = seen.position_m - coarse.position_m - coarse.velocity_m_s * offset_s;
-        let mut reach_m = reach * (coarse.deviation_m() + deviation_m);
-        let mut timing_s = 0.0;
-        if clocks.is_estimating() {
-            timing_s = track.timing_s(seen, clocks);
-            let speed_m_s = coarse.velocity_m_s.norm() + coarse.spread.2.max(0.0).sqrt();
-            reach_m += reach * speed_m_s * timing_s;
-        }
-        if residual_m.norm_squared() > reach_m * reach_m {
-            continue;
-        }
-        let newest = track.history.newest();
-        let dt = seen.time.seconds_since(newest.time);
-        let Some(innovation) = newest.motion.agile().kernel.innovation_after(
-            dt,
-            &track.model,
-            &residual_m,
-            (&Noise { timing_s, ..seen.position_noise }, seen.camera),
-        ) else {
-            continue;
-        };
-        let continued = track.is_continued_by(seen);
-        // There is one of each body.
-        let is_body = sighting.subject.body.map(|_| true);
-        let agrees = is_body.or(sighting.code.and_then(|read| track.codes.agrees(read)));
-        let is_known = agrees.unwrap_or(continued);
-        let limit = if is_known { gate * CONTINUITY_GATE } else { gate };
-        if innovation.distance_squared > limit {
-            continue;
-        }
-        let cost = innovation.distance_squared + innovation.log_det()
-            - noise_det
-            - if continued { CONTINUITY_BONUS } else { 0.0 }
-            - agrees.map_or(0.0, |agrees| if agrees { CODE_BONUS } else { -CODE_BONUS })
-            + if track.is_tentative() { TENTATIVE_COST } else { 0.0 };
-        scratch.pairs.push(Pair { sighting: index, track: number, cost, innovation });
+    track: &Track,
+    (gate, noise_det): (f64, f64),
+    clocks: &Clocks,
+) -> Option<(f64, Innovation)> {
+    if track.subject != sighting.subject {
+        return None;
     }
+    let seen = &sighting.measurement;
+    let newest = track.history.newest();
+    let dt = seen.time.seconds_since(newest.time);
+    let agile = newest.motion.agile();
+    let residual_m = seen.position_m - agile.position_m - agile.kernel.rate * dt;
+    let noise = Noise { timing_s: track.timing_s(seen, clocks), ..seen.position_noise };
+    let innovation =
+        agile.kernel.innovation_after(dt, &track.model, &residual_m, (&noise, seen.camera))?;
+    let continued = track.is_continued_by(seen);
+    // There is one of each body.
+    let is_body = sighting.subject.body.map(|_| true);
+    let agrees = is_body.or(sighting.code.and_then(|read| track.codes.agrees(read)));
+    let is_known = agrees.unwrap_or(continued);
+    let limit = if is_known { gate * CONTINUITY_GATE } else { gate };
+    if innovation.distance_squared > limit {
+        return None;
+    }
+    let cost = innovation.distance_squared + innovation.log_det()
+        - noise_det
+        - if continued { CONTINUITY_BONUS } else { 0.0 }
+        - agrees.map_or(0.0, |agrees| if agrees { CODE_BONUS } else { -CODE_BONUS })
+        + if track.is_tentative() { TENTATIVE_COST } else { 0.0 };
+    Some((cost, innovation))
 }
 
 /// Numbers the groups of sightings and tracks that share pairs, by their lowest sighting.

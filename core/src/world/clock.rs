@@ -175,6 +175,13 @@ impl Clocks {
         }
     }
 
+    /// The largest such deviation of a camera's, seconds.
+    pub(super) fn most_deviation_s(&self, camera: CameraId) -> f64 {
+        let of =
+            |index: usize| self.apart.row(index).iter().fold(0.0, |most: f64, it| most.max(*it));
+        self.index(camera).map_or(0.0, |index| of(index).sqrt())
+    }
+
     /// What is known of a camera's clock; `None` if nothing was said of it.
     pub fn estimate(&self, camera: CameraId) -> Option<ClockEstimate> {
         let index = self.index(camera)?;

@@ -1,5 +1,5 @@
-//! Enough of a track to tell most sightings, and most other tracks, that they are not of it: a few
-//! numbers side by side, where the filters are kilobytes apart.
+//! Enough of a track to tell most sightings (`gate`), and most other tracks, that they are not of it: a
+//! few numbers, where the filters are kilobytes.
 
 use nalgebra::Vector3;
 
@@ -11,7 +11,7 @@ pub(super) struct Coarse {
     time: Timestamp,
     pub(super) position_m: Vector3<f64>,
     pub(super) velocity_m_s: Vector3<f64>,
-    /// Traces of the covariance's blocks: of position, of both, of velocity.
+    /// Traces of the covariance's blocks, with what clocks may add: of position, of both, of velocity.
     pub(super) spread: (f64, f64, f64),
     /// Sum of the densities by which they grow, m²/s³.
     density_m2_s3: f64,
@@ -21,12 +21,11 @@ impl Coarse {
     /// Of an estimate that grows by these densities.
     pub(super) fn of(estimate: &Estimate, density_m2_s3: &Vector3<f64>) -> Self {
         let filter = estimate.motion.agile();
-        let spread = &filter.kernel.spread;
         Self {
             time: estimate.time,
             position_m: filter.position_m,
             velocity_m_s: filter.kernel.rate,
-            spread: (spread.value.trace(), spread.cross.trace(), spread.rate.trace()),
+            spread: filter.kernel.told_traces(),
             density_m2_s3: density_m2_s3.sum(),
         }
     }
@@ -44,8 +43,11 @@ impl Coarse {
         Self { time, position_m: self.position_m + self.velocity_m_s * dt, spread, ..*self }
     }
 
-    /// Root of the sum of the position's variances, metres.
-    pub(super) fn deviation_m(&self) -> f64 {
-        self.spread.0.max(0.0).sqrt()
+    /// Root of the sum of the position's variances, metres, at most, up to `span_s` before or after.
+    pub(super) fn most_deviation_m(&self, span_s: f64) -> f64 {
+        let (value, cross, rate) = self.spread;
+        let span = span_s.abs();
+        let grown = self.density_m2_s3 * span * span * span / 3.0;
+        (value + 2.0 * cross.abs() * span + rate * span * span + grown).max(0.0).sqrt()
     }
 }

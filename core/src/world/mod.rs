@@ -20,6 +20,7 @@ mod coarse;
 mod comparison;
 mod count;
 mod fusion;
+mod gate;
 mod identity;
 mod landmark;
 mod life;

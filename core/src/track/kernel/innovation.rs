@@ -177,7 +177,7 @@ pub(crate) fn positive_root(matrix: &Matrix3<f64>) -> Option<Matrix3<f64>> {
 
 /// Inverse and determinant of a symmetric positive definite matrix, by its factors L D Lᵀ: as stable as
 /// Cholesky's, without roots.
-pub(super) fn invert_positive(matrix: &Matrix3<f64>) -> Option<(Matrix3<f64>, f64)> {
+pub(crate) fn invert_positive(matrix: &Matrix3<f64>) -> Option<(Matrix3<f64>, f64)> {
     let per = |pivot: f64| (pivot.is_finite() && pivot > 0.0).then(|| 1.0 / pivot);
     let d0 = matrix.m11;
     let p0 = per(d0)?;
