@@ -8,7 +8,7 @@ use std::hint::black_box;
 
 use criterion::{Criterion, criterion_group, criterion_main};
 use drawing::{Drawing, frame};
-use nalgebra::Vector3;
+use nalgebra::{Vector2, Vector3};
 use roundel_core::{
     camera::{Camera, Intrinsics, Lens, PixelPoint},
     ellipse::{Ellipse, Shape, Symmetric2},
@@ -132,7 +132,13 @@ fn coded_fits(criterion: &mut Criterion) {
             pose.normal = pose.other_normal;
         }
         let mut scratch = FitScratch::default();
-        let mut start = Start { pose, blur_px: 0.7 };
+        let mut start = Start {
+            pose,
+            blur_px: 0.7,
+            motion_px: Vector2::zeros(),
+            moved_px: 1.0,
+            is_still: true,
+        };
         let first = fit(&frame, &camera, &kind, &ring, &start, &mut scratch).expect("it is drawn");
         start.blur_px = first.blur_px;
         criterion.bench_function(&format!("fit/coded {bits} bits {diameter_px} px"), |bencher| {
@@ -170,9 +176,15 @@ fn fits(criterion: &mut Criterion) {
             pose.normal = pose.other_normal;
         }
         let mut scratch = FitScratch::default();
-        let mut start = Start { pose, blur_px: 0.7 };
+        let mut start = Start {
+            pose,
+            blur_px: 0.7,
+            motion_px: Vector2::zeros(),
+            moved_px: 1.0,
+            is_still: true,
+        };
         let first = fit(&frame, &camera, kind, &ring, &start, &mut scratch).expect("it is drawn");
-        start.blur_px = first.blur_px;
+        (start.blur_px, start.motion_px) = (first.blur_px, first.motion_px);
         criterion.bench_function(&format!("fit/{name}{diameter_px} px"), |bencher| {
             bencher.iter(|| fit(&frame, &camera, kind, &ring, black_box(&start), &mut scratch));
         });

@@ -41,7 +41,15 @@ fn drawn(count: usize, margin: f64) -> Vec<Trial> {
     for (cell, diameter_px) in SIZES_PX.into_iter().enumerate() {
         for (column, tilt_deg) in TILTS_DEG.into_iter().enumerate() {
             let (blur_px, noise) = ((0.5, 1.1), (1.0, 4.0));
-            let range = Range { diameter_px, tilt_deg, blur_px, noise, margin, ratio: RATIO };
+            let range = Range {
+                motion_px: (0.0, 0.0),
+                diameter_px,
+                tilt_deg,
+                blur_px,
+                noise,
+                margin,
+                ratio: RATIO,
+            };
             all.extend(trials(&range, count, (10 * cell + column) as u64));
         }
     }

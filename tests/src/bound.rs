@@ -11,7 +11,8 @@
 //! with ∇g by central differences, steps of about a tenth of a pixel. θ is: the shift across the
 //! ray (2), the relative range along the ray, the two tilts (and with [`Unknowns::yaw`] the turn about
 //! the normal), the grey levels of black and white, and the blur (and with [`Unknowns::bloom`] how far
-//! white spreads into black).
+//! white spreads into black, with [`Unknowns::motion`] both parts of the motion within the exposure, about
+//! a motion that is not none: there the image has no first derivative by it).
 //!
 //! All pixels within [`REACH_BLURS`] deviations of the blur around the outer rim's box count; beyond
 //! them the paper is taken to go on for ever, so the sheet's own edge says nothing.
@@ -51,6 +52,8 @@ pub struct Unknowns {
     pub yaw: bool,
     /// How far white spreads into black.
     pub bloom: bool,
+    /// The motion within the exposure.
+    pub motion: bool,
 }
 
 /// The bound of one roundel in one frame.
@@ -76,12 +79,14 @@ pub struct Bound {
 pub struct Scene<'a> {
     /// The lens.
     pub camera: Pinhole,
-    /// Blur, noise, black and white; light and shutter must be even and still.
+    /// Blur, noise, black and white; light must be even; exposure and shutter do not count.
     pub imaging: Imaging,
     /// What is printed.
     pub print: &'a Print,
-    /// camera_from_roundel.
+    /// camera_from_roundel, in the middle of the exposure.
     pub pose: Isometry3<f64>,
+    /// Motion within the exposure along the camera's x and y, pixels at the image's middle.
+    pub motion_px: [f64; 2],
 }
 
 /// The bound; `None` if the roundel faces away, is not wholly in front of the camera, or if the image
@@ -96,10 +101,7 @@ pub fn bound(scene: &Scene<'_>, unknowns: Unknowns) -> Option<Bound> {
     let print = Print { sheet, inks: scene.print.inks.clone() };
     let mut columns = Vec::new();
     for &(unknown, step) in &steps.0 {
-        let image = |step: f64| {
-            let (pose, imaging) = axes.moved(scene, unknown, step);
-            draw(&renderer, imaging, &print, pose)
-        };
+        let image = |step: f64| draw(&renderer, &print, &axes.moved(scene, unknown, step));
         let (ahead, behind) = (image(step), image(-step));
         let slope =
             |(ahead, behind): (&f32, &f32)| (f64::from(*ahead) - f64::from(*behind)) / (2.0 * step);
@@ -136,6 +138,8 @@ enum Unknown {
     White,
     Blur,
     Bloom,
+    /// Along one axis of the camera.
+    Motion(usize),
 }
 
 /// Unknowns in the order of the bound's rows, with the steps of their differences.
@@ -163,6 +167,9 @@ impl Steps {
         if unknowns.bloom {
             steps.push((Unknown::Bloom, STEP_PX));
         }
+        if unknowns.motion {
+            steps.extend([0, 1].map(|axis| (Unknown::Motion(axis), STEP_PX)));
+        }
         Self(steps)
     }
 }
@@ -188,8 +195,9 @@ impl Axes {
     }
 
     /// The scene with one unknown moved by `step`.
-    fn moved(&self, scene: &Scene<'_>, unknown: Unknown, step: f64) -> (Isometry3<f64>, Imaging) {
-        let (mut pose, mut imaging) = (scene.pose, scene.imaging);
+    fn moved<'a>(&self, scene: &Scene<'a>, unknown: Unknown, step: f64) -> Scene<'a> {
+        let mut moved = scene.clone();
+        let Scene { pose, imaging, motion_px, .. } = &mut moved;
         let range_m = pose.translation.vector.norm();
         let mut shift = |along: &Vector3<f64>| {
             pose.translation = Translation3::from(pose.translation.vector + along * range_m * step);
@@ -205,8 +213,9 @@ impl Axes {
             Unknown::White => imaging.white += step,
             Unknown::Blur => imaging.blur_px += step,
             Unknown::Bloom => imaging.bloom_px += step,
+            Unknown::Motion(axis) => motion_px[axis] += step,
         }
-        (pose, imaging)
+        moved
     }
 
     fn bound(&self, scene: &Scene<'_>, covariance: &DMatrix<f64>, unknowns: Unknowns) -> Bound {
@@ -271,7 +280,8 @@ impl Window {
             (low, high) = (low.inf(&at), high.sup(&at));
             radius_px = radius_px.max((at - center).norm());
         }
-        let reach = REACH_BLURS * scene.imaging.blur_px + 1.0;
+        let [x, y] = scene.motion_px;
+        let reach = REACH_BLURS * scene.imaging.blur_px + 1.0 + 0.5 * x.hypot(y);
         let (left, top) = ((low.x - reach).floor(), (low.y - reach).floor());
         let side = |from: f64, to: f64| ((to + reach).ceil() - from) as usize + 1;
         Some(Self { left, top, width: side(left, high.x), height: side(top, high.y), radius_px })
@@ -286,8 +296,12 @@ impl Window {
 }
 
 /// Grey values on paper without end; the kernel is made anew for another blur only.
-fn draw(renderer: &Renderer, imaging: Imaging, print: &Print, pose: Isometry3<f64>) -> Vec<f32> {
-    let motion = move |_: f64| pose;
+fn draw(renderer: &Renderer, print: &Print, scene: &Scene<'_>) -> Vec<f32> {
+    let pose = scene.pose;
+    let per_px = pose.translation.z / scene.camera.focal_px[0];
+    let [x, y] = scene.motion_px.map(|motion_px| motion_px * per_px);
+    let motion = move |time_s: f64| Translation3::new(x * time_s, y * time_s, 0.0) * pose;
+    let imaging = Imaging { exposure_s: 1.0, ..scene.imaging };
     let seen = [Seen { print, motion: &motion }];
     let paper = Canvas::flat(renderer.camera.width, renderer.camera.height, imaging.white);
     if imaging.blur_px == renderer.imaging.blur_px {
@@ -312,7 +326,7 @@ mod tests {
         let rotation = UnitQuaternion::from_scaled_axis(axis) * facing;
         let translation = Translation3::new(0.0003 * z, -0.0002 * z, z);
         let pose = Isometry3::from_parts(translation, rotation);
-        Scene { camera, imaging: Imaging::default(), print, pose }
+        Scene { camera, imaging: Imaging::default(), print, pose, motion_px: [0.0; 2] }
     }
 
     fn of(scene: &Scene<'_>) -> Bound {
@@ -366,14 +380,26 @@ mod tests {
         let ratio = of(&noisy).range_share / of(&still).range_share;
         let expected = f64::sqrt((16.0 + 1.0 / 12.0) / (4.0 + 1.0 / 12.0));
         assert!((ratio - expected).abs() < 1e-6);
-        let blooming = bound(&still, Unknowns { bloom: true, yaw: false }).unwrap();
+        let blooming = bound(&still, Unknowns { bloom: true, ..Unknowns::default() }).unwrap();
         assert!(blooming.range_share > 1.05 * of(&still).range_share);
+    }
+
+    #[test]
+    fn an_unknown_motion_costs_little_and_an_unmoved_roundel_has_none() {
+        let print = Print::plain(0.16, 0.064, 0.25);
+        let with_motion = Unknowns { motion: true, ..Unknowns::default() };
+        let mut scene = scene(&print, 30.0, 35.0);
+        assert_eq!(bound(&scene, with_motion), None);
+        scene.motion_px = [1.2, 0.9];
+        let known = of(&scene).range_share;
+        let unknown = bound(&scene, with_motion).unwrap().range_share;
+        assert!((1.0..1.2).contains(&(unknown / known)), "{unknown} {known}");
     }
 
     #[test]
     fn a_plain_print_says_nothing_of_its_yaw() {
         let plain = Print::plain(0.16, 0.064, 0.25);
-        let with_yaw = Unknowns { yaw: true, bloom: false };
+        let with_yaw = Unknowns { yaw: true, ..Unknowns::default() };
         assert_eq!(bound(&scene(&plain, 30.0, 30.0), with_yaw), None);
         let marked = marked(&plain);
         let scene = scene(&marked, 30.0, 30.0);

@@ -268,12 +268,13 @@ impl Score {
             self.mistaken += 1;
         } else {
             let scene = Scene {
+                motion_px: [0.0; 2],
                 camera: trial.camera,
                 imaging: trial.imaging,
                 print: &trial.print,
                 pose: trial.pose,
             };
-            let unknowns = Unknowns { yaw: !trial.is_plain(kind), bloom: false };
+            let unknowns = Unknowns { yaw: !trial.is_plain(kind), ..Unknowns::default() };
             let Some(bound) = bound(&scene, unknowns) else { return };
             for (errors, pose) in self.modes.iter_mut().zip(&outcome.poses) {
                 if let Some((pose, own)) = pose {

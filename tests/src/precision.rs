@@ -57,6 +57,8 @@ pub struct Range {
     pub blur_px: (f64, f64),
     /// Deviation of the noise, grey levels.
     pub noise: (f64, f64),
+    /// Motion within the exposure, across the line of sight to a random side, pixels.
+    pub motion_px: (f64, f64),
     /// The white margin, as a share of the outer diameter.
     pub margin: f64,
     /// The white disc's diameter, as a share of the outer one.
@@ -74,6 +76,8 @@ pub struct Trial {
     pub blur_px: f64,
     /// Deviation of the noise, grey levels.
     pub noise: f64,
+    /// Motion within the exposure, pixels.
+    pub motion_px: f64,
     /// Searched, followed.
     pub frames: [Shot; 2],
 }
@@ -189,7 +193,8 @@ fn trial(range: &Range, codes: Option<(u8, &[u16])>, seed: u64, index: u64) -> T
     let mut draw = |(low, high): (f64, f64)| random.uniform(low, high);
     let (diameter_px, tilt_deg) = (draw(range.diameter_px), draw(range.tilt_deg));
     let (blur_px, noise) = (draw(range.blur_px), draw(range.noise));
-    let imaging = Imaging { blur_px, noise, ..Imaging::default() };
+    let motion_px = if range.motion_px.1 > 0.0 { draw(range.motion_px) } else { 0.0 };
+    let imaging = Imaging { blur_px, noise, exposure_s: 1.0, ..Imaging::default() };
     let (kind, print) = printed(range, codes, &mut random);
 
     let distortion = Distortion::PlumbBob([-0.12, 0.03, 4e-4, -3e-4, 0.0]);
@@ -208,8 +213,12 @@ fn trial(range: &Range, codes: Option<(u8, &[u16])>, seed: u64, index: u64) -> T
         let params = Params { mode, ..Params::default() };
         Observer::with_params(&camera, kinds, 0.0, params).expect("a camera and a kind as above")
     });
+    let side = if motion_px > 0.0 { random.uniform(0.0, std::f64::consts::TAU) } else { 0.0 };
+    let motion_px_of = [motion_px * side.cos(), motion_px * side.sin()];
     let frames = [first, second].map(|truth| {
-        let motion = |_: f64| truth;
+        let per_px = truth.translation.z / whole.focal_px[0];
+        let [x_m, y_m] = motion_px_of.map(|px| px * per_px);
+        let motion = |time_s: f64| Translation3::new(x_m * time_s, y_m * time_s, 0.0) * truth;
         let seen = [Seen { print: &print, motion: &motion }];
         let image = renderer.frame(&floor, &seen, &mut random);
         let seen = observers.each_mut().map(|observer| {
@@ -217,12 +226,13 @@ fn trial(range: &Range, codes: Option<(u8, &[u16])>, seed: u64, index: u64) -> T
             let pose = found.into_iter().find_map(|detection| detection.pose)?;
             Some(Errors::of(&pose, &truth))
         });
-        let scene = Scene { camera, imaging, print: &print, pose: truth };
-        let bound = bound(&scene, Unknowns { yaw: codes.is_some(), ..Unknowns::default() })
-            .expect("a roundel in plain view");
+        let scene = Scene { camera, imaging, print: &print, pose: truth, motion_px: motion_px_of };
+        let unknowns =
+            Unknowns { yaw: codes.is_some(), motion: motion_px > 0.0, ..Unknowns::default() };
+        let bound = bound(&scene, unknowns).expect("a roundel in plain view");
         Shot { bound, seen }
     });
-    Trial { diameter_px, tilt_deg, blur_px, noise, frames }
+    Trial { diameter_px, tilt_deg, blur_px, noise, motion_px, frames }
 }
 
 /// What is shown.

@@ -14,6 +14,7 @@ const TRIALS: usize = 120;
 fn coded_roundels_are_located_as_well_as_their_pixels_allow() {
     for (index, (bits, diameter_px)) in CASES.into_iter().enumerate() {
         let range = Range {
+            motion_px: (0.0, 0.0),
             diameter_px,
             tilt_deg: (0.0, 50.0),
             blur_px: (0.5, 1.1),

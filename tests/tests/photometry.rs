@@ -1,6 +1,6 @@
 //! The photometric fit against the independent renderer, next to the Cramér-Rao bound.
 
-use nalgebra::{Isometry3, Matrix3, Point3, Translation3, UnitQuaternion, Vector3};
+use nalgebra::{Isometry3, Matrix3, Point3, Translation3, UnitQuaternion, Vector2, Vector3};
 use rayon::prelude::*;
 use roundel_core::{
     camera::{Camera, PixelPoint},
@@ -94,6 +94,9 @@ fn trial(diameter_px: f64, tilt_rad: f64, seed: u64) -> Trial {
             covariance: Default::default(),
         },
         blur_px: DEFAULT_BLUR_PX,
+        motion_px: Vector2::zeros(),
+        moved_px: 0.0,
+        is_still: true,
     };
     let rims = (rim(&core, &pose, OUTER_M / 2.0), rim(&core, &pose, INNER_M / 2.0));
     let ring = Ring { black: 46.0, white: 195.0, ..Ring::of_rims(rims.0, rims.1) };
@@ -101,7 +104,7 @@ fn trial(diameter_px: f64, tilt_rad: f64, seed: u64) -> Trial {
     let mut scratch = FitScratch::default();
     let fit = photometry::fit(&frame, &core, &kind, &ring, &start, &mut scratch).unwrap();
 
-    let scene = Scene { camera, imaging, print: &print, pose };
+    let scene = Scene { camera, imaging, print: &print, pose, motion_px: [0.0; 2] };
     let limit = bound(&scene, Unknowns::default()).unwrap();
     let error = fit.pose.position_m - position;
     let covariance: Matrix3<f64> = fit.pose.covariance.fixed_view::<3, 3>(0, 0).into();

@@ -31,7 +31,15 @@ fn drawn(count: usize, margin: f64, ratio: f64) -> Vec<Trial> {
     for (diameter_px, _) in SIZES {
         for tilt_deg in TILTS_DEG {
             let (blur_px, noise) = ((0.5, 1.1), (1.0, 4.0));
-            let range = Range { diameter_px, tilt_deg, blur_px, noise, margin, ratio };
+            let range = Range {
+                motion_px: (0.0, 0.0),
+                diameter_px,
+                tilt_deg,
+                blur_px,
+                noise,
+                margin,
+                ratio,
+            };
             all.extend(trials(&range, count, 77 + all.len() as u64));
         }
     }

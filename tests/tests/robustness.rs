@@ -7,6 +7,7 @@
 
 use nalgebra::{Isometry3, Matrix3, Translation3, UnitQuaternion, Vector2, Vector3};
 use rayon::prelude::*;
+use roundel_core::marker::Mode;
 use roundel_server::image_file;
 use roundel_tests::{
     arena::Kind,
@@ -14,6 +15,7 @@ use roundel_tests::{
     normal::Random,
     optics::{Distortion, Pinhole},
     pipeline::Observer,
+    precision::{MODES, NARROW_MARGIN, RATIO, Range, Summary, Trial, trials},
     render::{Canvas, Image, Imaging, Print, Renderer, Seen},
     score::normalized3,
 };
@@ -289,6 +291,74 @@ fn a_covered_ring_gives_no_wrong_pose() {
 fn motion_within_the_exposure_gives_no_wrong_pose() {
     Scenario { name: "motion 1 px", motion_px: 1.0, ..Scenario::default() }.check();
     Scenario { name: "motion 3 px", motion_px: 3.0, found: 0.9, ..Scenario::default() }.check();
+}
+
+/// Diameters and motion within the exposure, pixels.
+const SIZES_PX: [(f64, f64); 2] = [(20.0, 30.0), (30.0, 60.0)];
+const MOTIONS_PX: [(f64, f64); 3] = [(0.5, 1.0), (1.0, 2.0), (2.0, 3.0)];
+/// Roundels of each size and motion, in two frames each.
+const MOVING: usize = 40;
+/// Tilt up to which a moving roundel counts as upright, degrees.
+const UPRIGHT_DEG: f64 = 20.0;
+
+fn moving(diameter_px: (f64, f64), motion_px: (f64, f64)) -> Vec<Trial> {
+    let range = Range {
+        diameter_px,
+        motion_px,
+        tilt_deg: (0.0, 50.0),
+        blur_px: (0.5, 1.1),
+        noise: (1.0, 4.0),
+        margin: NARROW_MARGIN,
+        ratio: RATIO,
+    };
+    trials(&range, MOVING, 5)
+}
+
+/// Of the trials chosen, as this mode saw them.
+fn summary(name: &str, trials: &[Trial], mode: Mode, choose: impl Fn(&Trial) -> bool) -> Summary {
+    let chosen = trials.iter().filter(|trial| choose(trial)).flat_map(|trial| &trial.frames);
+    let index = MODES.iter().position(|&other| other == mode).unwrap();
+    let summary = Summary::of(chosen, index);
+    println!(
+        "{name}, {mode:?}: depth {:.4} % rms, {:.2} over the bound, bias {:+.2} of it; inside 95 %: \
+         position {:.1} %, pose {:.1} %; {} of {} missed",
+        100.0 * summary.depth_rms(),
+        summary.depth_over_bound(),
+        summary.bias_over_rms(),
+        100.0 * summary.position_share(),
+        100.0 * summary.pose_share(),
+        summary.missed,
+        summary.shots,
+    );
+    summary
+}
+
+/// Next to the bound with the motion unknown. Bars hold for what chance leaves of them.
+#[test]
+fn moving_roundels_are_as_exact_as_their_pixels_allow_and_say_so() {
+    for diameter_px in SIZES_PX {
+        let mut all = Vec::new();
+        for motion_px in MOTIONS_PX {
+            let trials = moving(diameter_px, motion_px);
+            let name = format!("{diameter_px:?} px, motion {motion_px:?} px");
+            summary(&name, &trials, Mode::Fast, |_| true);
+            let precise = summary(&name, &trials, Mode::Precise, |_| true);
+            assert!(precise.depth_over_bound() < 1.5, "{name}: {}", precise.depth_over_bound());
+            all.extend(trials);
+        }
+        let name = format!("{diameter_px:?} px");
+        let is_upright = |trial: &Trial| trial.tilt_deg < UPRIGHT_DEG;
+        summary(&format!("{name}, upright"), &all, Mode::Precise, is_upright);
+        summary(&format!("{name}, tilted"), &all, Mode::Precise, |trial| !is_upright(trial));
+        let precise = summary(&name, &all, Mode::Precise, |_| true);
+        let (count, bias) = (precise.found() as f64, precise.bias_over_rms());
+        assert_eq!(precise.missed, 0, "{name}");
+        assert!(bias.abs() < 1.0 / 3.0 + 2.0 / count.sqrt(), "{name}: {bias}");
+        let room = 2.0 * (0.95 * 0.05 / count).sqrt();
+        for share in [precise.position_share(), precise.pose_share()] {
+            assert!((share - 0.95).abs() <= 0.03 + room, "{name}: {share}");
+        }
+    }
 }
 
 #[test]

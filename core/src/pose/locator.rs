@@ -5,20 +5,18 @@
 //! stands alone.
 //!
 //! Both modes begin with the rims' pose in closed form. [`Mode::Precise`] fits the grey levels from
-//! there (`photometry`); of a followed ring it starts from the blur of the frame before, and from that
-//! of the two normals which was right there. Where the fit refuses the ring (a cover, white and black
+//! there (`photometry`); of a followed ring it starts from what is kept of the frames before (`memory`). Where the fit refuses the ring (a cover, white and black
 //! washed out), the closed form stands, with its own covariance, and [`Located::by`] says so.
 //!
 //! Memory of tracks is bounded without being told of their end: a ring that was none of the last
 //! [`REMEMBERED`] to be located is forgotten.
 
-use nalgebra::Vector3;
-
 use super::{
     PoseError, RimNoise, RoundelPose,
     closed::LANES,
     locate, locate_each,
-    photometry::{self, DEFAULT_BLUR_PX, FitScratch, Start},
+    memory::{Memory, start},
+    photometry::{self, FitScratch},
     yaw,
 };
 use crate::{
@@ -73,8 +71,7 @@ struct Warm {
     track: TrackNumber,
     /// The call that located it last.
     call: u64,
-    normal: Vector3<f64>,
-    blur_px: f64,
+    memory: Memory,
 }
 
 impl Locator {
@@ -161,16 +158,10 @@ impl Locator {
         let Ok(kind) = kind_of(&self.kinds, tracked.ring.kind) else { return };
         self.calls += 1;
         let place = self.warm.binary_search_by_key(&tracked.track, |warm| warm.track);
-        let before = place.ok().map(|index| self.warm[index]);
+        let before = place.ok().map(|index| self.warm[index].memory);
         let with = (&self.camera, kind, self.mode);
-        located.improve(with, frame, before, &mut self.scratch);
-        if let Some(image) = located.image {
-            let warm = Warm {
-                track: tracked.track,
-                call: self.calls,
-                normal: located.pose.normal,
-                blur_px: image.blur_px,
-            };
+        if let Some(memory) = located.improve(with, frame, before, &mut self.scratch) {
+            let warm = Warm { track: tracked.track, call: self.calls, memory };
             match place {
                 Ok(index) => self.warm[index] = warm,
                 Err(index) => self.remember(index, warm),
@@ -198,18 +189,20 @@ impl Located {
         Self { ring: *ring, pose, by: Mode::Fast, image: None }
     }
 
-    /// From the rims' pose to the mode's, and to the yaw that a code tells.
+    /// From the rims' pose to the mode's, and to the yaw that a code tells; what to keep of a fit.
     fn improve(
         &mut self,
         (camera, kind, mode): (&Camera, &Kind, Mode),
         frame: &Frame,
-        before: Option<Warm>,
+        before: Option<Memory>,
         scratch: &mut FitScratch,
-    ) {
+    ) -> Option<Memory> {
         let code = self.ring.code;
+        let mut memory = None;
         if mode == Mode::Precise {
-            let start = start(&self.pose, before);
+            let start = start(&self.pose, &self.ring.outer.center, before.as_ref());
             if let Ok(fit) = photometry::fit(frame, camera, kind, &self.ring, &start, scratch) {
+                memory = Some(Memory::of(&fit, &start, before.as_ref()));
                 *self = Self {
                     ring: fit.ring,
                     pose: fit.pose,
@@ -224,20 +217,8 @@ impl Located {
         {
             yaw::add(&mut self.pose, camera, reading);
         }
+        memory
     }
-}
-
-/// Where a fit starts: of the rims' normals, from the one that the frame before says.
-fn start(pose: &RoundelPose, before: Option<Warm>) -> Start {
-    let Some(before) = before else {
-        return Start { pose: pose.clone(), blur_px: DEFAULT_BLUR_PX };
-    };
-    let mut pose = pose.clone();
-    if pose.other_normal.dot(&before.normal) > pose.normal.dot(&before.normal) {
-        pose.yaw_rad = pose.other_yaw_rad();
-        std::mem::swap(&mut pose.normal, &mut pose.other_normal);
-    }
-    Start { pose, blur_px: before.blur_px }
 }
 
 #[cfg(test)]

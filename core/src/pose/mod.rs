@@ -30,6 +30,7 @@ mod elliptical;
 mod facing;
 mod information;
 mod locator;
+mod memory;
 mod noise;
 pub mod photometry;
 mod refine;

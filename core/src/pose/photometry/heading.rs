@@ -20,9 +20,9 @@
 use nalgebra::Vector3;
 
 use super::{
-    FitError, FitScratch, Placed,
+    FitError, FitScratch, Placed, descend,
     solution::Solution,
-    state::{self, Problem, State},
+    state::{Problem, State},
 };
 use crate::rigid::UNKNOWN_ANGLE_VARIANCE_RAD2;
 
@@ -54,16 +54,17 @@ pub fn solve(
     scratch: &mut FitScratch,
 ) -> Result<(Solution, Heading), FitError> {
     let apart_rad = (APART * deviation_rad).clamp(LIMITS_RAD.0, LIMITS_RAD.1);
-    let mut middle = state::solve(problem, start, scratch)?;
+    let mut middle = descend::solve(problem, start, scratch)?;
     for _ in 0..TURNS {
-        let mut beside = |by_rad: f64| state::solve(problem, middle.state.headed(by_rad), scratch);
+        let mut beside =
+            |by_rad: f64| descend::solve(problem, middle.state.headed(by_rad), scratch);
         let (ahead, behind) = (beside(apart_rad)?, beside(-apart_rad)?);
         let slope = 0.5 * (ahead.misfit - behind.misfit) / apart_rad;
         let bend = (ahead.misfit + behind.misfit - 2.0 * middle.misfit) / (apart_rad * apart_rad);
         let falls = slope.abs() / apart_rad;
         let by_rad =
             if bend > falls / MOST { -slope / bend } else { -slope.signum() * MOST * apart_rad };
-        let found = state::solve(problem, middle.state.headed(by_rad), scratch)?;
+        let found = descend::solve(problem, middle.state.headed(by_rad), scratch)?;
         if by_rad.abs() <= BEYOND * apart_rad {
             let heading =
                 Heading::between(&ahead.state, &behind.state, apart_rad, 2.0 * found.noise2 / bend);

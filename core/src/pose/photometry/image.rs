@@ -6,8 +6,9 @@
 //! Scatter: each contour node adds e(y - q) k(x - p) dx to the 8 × 8 (or 16 × 16) pixels (p, q) round it,
 //! with the kernel's functions (`super::blur`); summed from row to row this is d(p, q).
 //!
-//! Gather: the model is (W + C (d + ½ Δσ² ∇²d)) (1 + ℓ·t), and the columns of the linear problem go to
-//! `super::normal`. How d follows the contour's motion is -∇d, carried over to t. ∇d and ∇²d are central
+//! Gather: the model is (W + C (d + ½ Δσ² ∇²d + Δμ·h/48)) (1 + ℓ·t), and the columns of the linear problem
+//! go to `super::normal`. h = (∂²d/∂u² - ∂²d/∂v², 2 ∂²d/∂u∂v) is how d follows the motion's square μ
+//! (`super::motion`), of which the nodes have all, or nothing. How d follows the contour's motion is -∇d, carried over to t. ∇d and ∇²d are central
 //! differences of d over two pixels each way, weighted by `super::blur` for what the blur leaves of fine
 //! detail: they miss 6 % of a column (root mean square) at a blur of 0.7 px, 14 % at 0.5 px, and what they
 //! miss is orthogonal to what they give, so that the estimate's variance grows by the square of that.
@@ -65,6 +66,8 @@ pub struct Model {
     pub step: f32,
     /// ½ (σ² - σ²of the table), px².
     pub blur: f32,
+    /// What of μ the nodes do not have, over 48, px²; none where the motion is held.
+    pub motion: Option<[f32; 2]>,
     /// Weights of the differences.
     pub taps: Taps,
     /// Derivative of (u, v) by t, row by row, pixels.
@@ -172,13 +175,28 @@ impl Window {
     /// Sums the frame against the model over the pixels that count, and clears the image. All products
     /// of the columns, or only those with the residual.
     pub fn gather(&mut self, level: Level, model: &Model, sums: &mut Sums, products: bool) {
+        let free = model.motion.is_some();
         if products {
             sums.clear();
-            dispatch!(level, simd => gather_all::<_, true>(simd, self, model, sums));
-            sums.finish(level);
+            match free {
+                true => {
+                    dispatch!(level, simd => gather_all::<_, true, true>(simd, self, model, sums))
+                }
+                false => {
+                    dispatch!(level, simd => gather_all::<_, true, false>(simd, self, model, sums))
+                }
+            }
+            sums.finish(level, free);
         } else {
-            dispatch!(level, simd => gather_all::<_, false>(simd, self, model, sums));
-            sums.finish_gradient();
+            match free {
+                true => {
+                    dispatch!(level, simd => gather_all::<_, false, true>(simd, self, model, sums))
+                }
+                false => {
+                    dispatch!(level, simd => gather_all::<_, false, false>(simd, self, model, sums))
+                }
+            }
+            sums.finish_gradient(free);
         }
     }
 
@@ -237,7 +255,7 @@ fn copy(from: &[u8], to: &mut [u8], count: usize) {
 }
 
 #[simd]
-fn gather_all<S: Simd, const PRODUCTS: bool>(
+fn gather_all<S: Simd, const PRODUCTS: bool, const FREE: bool>(
     simd: S,
     window: &mut Window,
     model: &Model,
@@ -269,9 +287,9 @@ fn gather_all<S: Simd, const PRODUCTS: bool>(
             grey: &mut window.grey,
             image: &window.image[around],
         };
-        add_row(simd, &mut line, model, |columns, count| {
+        add_row::<S, FREE>(simd, &mut line, model, |columns, count| {
             if PRODUCTS {
-                sums.keep(simd, columns, count);
+                sums.keep::<S, FREE>(simd, columns, count);
             } else {
                 for (sum, column) in gradient.iter_mut().zip(columns) {
                     *sum = column.mul_add(columns[0], *sum);
@@ -282,7 +300,7 @@ fn gather_all<S: Simd, const PRODUCTS: bool>(
         window.patches.add_row(simd, &window.grey[from..from + whole], (from, to));
     }
     if !PRODUCTS {
-        sums.take_gradient::<S>(&gradient);
+        sums.take_gradient::<S, FREE>(&gradient);
     }
     for row in rows {
         window.image[row * width..][columns.clone()].fill(0.0);
@@ -400,14 +418,14 @@ fn moved<S: Simd>(
     g1.mul_add(S::f32s::splat(simd, along[0]), across)
 }
 
-/// d and its differences at the pixels of a vector: ∂d/∂u, ∂d/∂v, ∇²d.
+/// d and its differences at the pixels of a vector: ∂d/∂u, ∂d/∂v, ∇²d, and h where it is needed.
 #[inline(always)]
-fn differences<S: Simd>(
+fn differences<S: Simd, const FREE: bool>(
     simd: S,
     line: &Line,
     start: usize,
     taps: &Taps,
-) -> (S::f32s, [S::f32s; 2], S::f32s) {
+) -> (S::f32s, [S::f32s; 2], S::f32s, [S::f32s; 2]) {
     let lanes = S::f32s::LEN;
     let width = line.width;
     // One look at the bounds for all that is read of a row.
@@ -422,15 +440,38 @@ fn differences<S: Simd>(
     let along_u = (right - left).mul_add(g1, (right_2 - left_2) * g2);
     let along_v = (down - up).mul_add(g1, (down_2 - up_2) * g2);
     let [c1, c2] = taps.curvature.map(|tap| S::f32s::splat(simd, tap));
-    let near = (left + right) + (up + down);
-    let far = (left_2 + right_2) + (up_2 + down_2);
+    let (near_u, near_v) = (left + right, up + down);
+    let (far_u, far_v) = (left_2 + right_2, up_2 + down_2);
+    let (near, far) = (near_u + near_v, far_u + far_v);
     let rest = share * S::f32s::splat(simd, -4.0 * (taps.curvature[0] + taps.curvature[1]));
     let curvature = near.mul_add(c1, far.mul_add(c2, rest));
-    (share, [along_u, along_v], curvature)
+    if !FREE {
+        return (share, [along_u, along_v], curvature, [S::f32s::splat(simd, 0.0); 2]);
+    }
+    let stretch = (near_u - near_v).mul_add(c1, (far_u - far_v) * c2);
+    // Twice ∂²d/∂u∂v, by the squares with corners one pixel and two pixels away.
+    let [s1, s2] = taps.skew.map(|tap| S::f32s::splat(simd, tap));
+    let skew = corners(simd, line, start, 1).mul_add(s1, corners(simd, line, start, 2) * s2);
+    (share, [along_u, along_v], curvature, [stretch, skew])
+}
+
+/// d at the corners so many pixels away along both axes or against both, less the other two; no closures,
+/// which would be calls here.
+#[inline(always)]
+fn corners<S: Simd>(simd: S, line: &Line, start: usize, by: usize) -> S::f32s {
+    let lanes = S::f32s::LEN;
+    let reach = lanes + 2 * by;
+    let above = &line.image[(DIFFERENCE - by) * line.width + start - by..][..reach];
+    let below = &line.image[(DIFFERENCE + by) * line.width + start - by..][..reach];
+    let falling = S::f32s::from_slice(simd, &below[2 * by..2 * by + lanes])
+        + S::f32s::from_slice(simd, &above[..lanes]);
+    let rising = S::f32s::from_slice(simd, &below[..lanes])
+        + S::f32s::from_slice(simd, &above[2 * by..2 * by + lanes]);
+    falling - rising
 }
 
 #[inline(always)]
-fn add_row<S: Simd>(
+fn add_row<S: Simd, const FREE: bool>(
     simd: S,
     line: &mut Line,
     model: &Model,
@@ -442,6 +483,7 @@ fn add_row<S: Simd>(
     let to = line.span.1 as f32;
     let [m11, m12, m21, m22] = model.slope.map(|value| S::f32s::splat(simd, value));
     let [zero, one, two] = [0.0, 1.0, 2.0].map(|value| S::f32s::splat(simd, value));
+    let motion = model.motion.unwrap_or_default().map(|value| S::f32s::splat(simd, value));
     let row_t1 = S::f32s::splat(simd, model.t[0][0] + v * model.t[0][2]);
     let row_t2 = S::f32s::splat(simd, model.t[1][0] + v * model.t[1][2]);
     for start in (line.span.0..line.span.1).step_by(lanes) {
@@ -449,13 +491,19 @@ fn add_row<S: Simd>(
         // What lies beyond the span is finite, and weighs nothing.
         let weight = (S::f32s::splat(simd, to) - u).min(one).max(zero);
         let grey = S::f32s::from_slice(simd, &line.grey[start..start + lanes]);
-        let (share, [along_u, along_v], curvature) = differences(simd, line, start, &model.taps);
+        let (share, [along_u, along_v], curvature, [stretch, skew]) =
+            differences::<S, FREE>(simd, line, start, &model.taps);
         let (fall_u, fall_v) = (along_u * weight, along_v * weight);
         let g1 = zero - fall_u.mul_add(m11, fall_v * m21);
         let g2 = zero - fall_u.mul_add(m12, fall_v * m22);
         let t1 = u.mul_add(S::f32s::splat(simd, model.t[0][1]), row_t1);
         let t2 = u.mul_add(S::f32s::splat(simd, model.t[1][1]), row_t2);
         let blurred = curvature.mul_add(S::f32s::splat(simd, model.blur), share);
+        let blurred = if FREE {
+            stretch.mul_add(motion[0], skew.mul_add(motion[1], blurred))
+        } else {
+            blurred
+        };
         let step = S::f32s::splat(simd, model.step);
         let level = blurred.mul_add(step, S::f32s::splat(simd, model.white));
         let shade = t1.mul_add(S::f32s::splat(simd, model.light[0]), t2 * model.light[1]);
@@ -486,6 +534,8 @@ fn add_row<S: Simd>(
             y * lift,
             zero - x * lift,
             mirror,
+            stretch * weight,
+            skew * weight,
         ];
         columns[0].store_slice(&mut line.grey[start..start + lanes]);
         take(&columns, lanes.min(line.span.1 - start));

@@ -13,8 +13,10 @@ use nalgebra::Vector3;
 
 use super::{
     FitScratch,
+    linear::Linear,
+    look::linearize,
     solve::MOST,
-    state::{Linear, Problem, RANGE, SHIFT, State, TILT, linearize},
+    state::{Problem, RANGE, SHIFT, State, TILT},
     view::Place,
 };
 
@@ -58,8 +60,7 @@ pub fn glance(
 
 /// Whether the mirrored place moves the rims by so little that the image follows it linearly.
 pub fn is_linear(state: &State, known: &Linear) -> bool {
-    let edge_px = (state.blur2 + 1.0 / 12.0).sqrt();
-    known.apart_px < LINEAR_BLURS * edge_px
+    known.apart_px < LINEAR_BLURS * state.edge_px()
 }
 
 /// One step from the mirrored place, with the information of the other, whose turns the gradient's are.

@@ -19,8 +19,8 @@
 //! residual, which is exact, averages to nothing at the truth.
 //!
 //! **Unknowns.** Shift across the line of sight, logarithm of the range, two tilts; white level, step
-//! to black, σ², and the light's gradient over the ring (expected within a tenth), which otherwise
-//! would pass for tilt. Gauss and Newton's steps, damped where they fail (`state`).
+//! to black, σ², the motion within the exposure (`motion`), and the light's gradient over the ring (expected
+//! within a tenth), which otherwise would pass for tilt. Gauss and Newton's steps, damped where they fail (`descend`).
 //!
 //! **Two normals.** Mirrored along the line of sight, the roundel looks nearly the same. The mirrored
 //! place's residual is projected with the information of the first; if it promises a smaller misfit, it
@@ -33,9 +33,9 @@
 //! cut off levels, bloom, and levels of each stretch of the rims (`careful`), or refused.
 //!
 //! **Accuracy** (`roundel-tests`, `tests/photometry.rs`: tilt 15° to 60°, blur 0.5 to 1.1 px and noise 1
-//! to 4 unknown, contrast 160): rms of the depth over the Cramér-Rao bound 0.94 at 12 to 20 px, 1.04 at
+//! to 4 unknown, contrast 160): rms of the depth over the Cramér-Rao bound 1.23 at 12 to 20 px, 1.13 at
 //! 20 to 30, 0.94 at 30 to 60, 0.83 at 60 to 110 (80 roundels each, so to 8 %); no bias; normals alike;
-//! 93 to 99 % of the positions inside the stated 95 % ellipsoid. Time: `benches/fit.rs`.
+//! 96 to 98 % of the positions inside the stated 95 % ellipsoid. Time: `benches/fit.rs`.
 //!
 //! **Heading.** An elliptical disc's contour turns with the print; its heading is found by the profile of
 //! the misfit (`heading`).
@@ -45,16 +45,19 @@
 //! the yaw 1.0 times (`tests/coded.rs`).
 //!
 //! **Limits.** Refused are coded prints that have not been read, and elliptical discs of whose rim a part is
-//! covered. Of motion within the exposure only the blur all round is in the model; the rest widens the
-//! covariance. Paper is expected to go on for 3 px, or 3.5 blurs, round the outer rim.
+//! covered. Paper is expected to go on for 3 px, or 3.5 blurs, round the outer rim.
 
 mod blur;
 mod careful;
 mod contour;
+mod descend;
 mod heading;
 mod image;
 mod lens;
+mod linear;
+mod look;
 mod mirror;
+mod motion;
 mod normal;
 mod patches;
 mod solution;
@@ -68,7 +71,7 @@ mod upright;
 mod view;
 
 use fearless_simd::Level;
-use nalgebra::{Matrix3, Vector3};
+use nalgebra::{Matrix3, Vector2, Vector3};
 use thiserror::Error;
 
 use super::{RoundelPose, frame_along, yaw};
@@ -100,6 +103,14 @@ pub struct Start {
     pub pose: RoundelPose,
     /// Deviation of the blur, pixels: the track's last one, or [`DEFAULT_BLUR_PX`].
     pub blur_px: f64,
+    /// Motion within the exposure, pixels: the track's last one, or none.
+    pub motion_px: Vector2<f64>,
+    /// How far the ring has moved since the frame before, pixels, which it hardly exceeds within an
+    /// exposure; infinite where it is not known.
+    pub moved_px: f64,
+    /// Whether the motion is held at none, which takes less time; where noise does not explain what is left
+    /// then, it is free all the same.
+    pub is_still: bool,
 }
 
 /// The blur to start from where nothing is known, pixels.
@@ -114,6 +125,11 @@ pub struct Fit {
     pub ring: Ring,
     /// Deviation of the blur, pixels.
     pub blur_px: f64,
+    /// Motion within the exposure, pixels, or its opposite, which looks the same. The pose is that of the
+    /// exposure's middle.
+    pub motion_px: Vector2<f64>,
+    /// Variance that noise gives either part of the motion's square, px⁴; none where the motion was held.
+    pub motion_variance_px4: Option<f64>,
     /// Deviation of what the model leaves, grey levels: the image's noise, if the model is right.
     pub noise: f64,
     /// Iterations that were needed.
@@ -199,6 +215,8 @@ impl FitScratch {
 
 /// How far outside the outer rim pixels count: pixels, and in blurs.
 const REACH: (f64, f64) = (3.0, 3.5);
+/// Besides half of the motion, of which this is the most, pixels.
+const MOST_MOTION_PX: f64 = 8.0;
 /// They end before the white margin does, which may be as narrow as this share of the outer semiaxis,
 /// less so many pixels for the blur of its own edge: what lies beyond is not in the model …
 const MARGIN: (f64, f64) = (0.3, 0.8);
@@ -238,18 +256,23 @@ pub fn fit(
     let lens = LocalLens::new(camera, local_from_camera, spread, &scratch.plan)?;
     let blur_px = start.blur_px.clamp(BLUR_LIMITS_PX.0, BLUR_LIMITS_PX.1);
     let margin_px = (MARGIN.0 * ring.outer.semi_minor_px - MARGIN.1).max(LEAST_REACH_PX);
-    let reach_px = REACH.0.max(REACH.1 * blur_px).min(margin_px);
+    let most_px = if start.is_still { 0.0 } else { MOST_MOTION_PX };
+    let motion_px = start.motion_px.cap_magnitude(most_px);
+    let reach_px = (REACH.0.max(REACH.1 * blur_px) + 0.5 * motion_px.norm()).min(margin_px);
     let counted = ring.outer.grown(reach_px);
     let chords = Chords::new(&counted);
     scratch.window.lay(window_of(&counted), frame, &chords);
-    let problem = Problem { frame, kind, teeth, radius_m, lens: &lens, chords };
+    let motion_prior = motion::prior(start.moved_px);
+    let is_still = start.is_still;
+    let problem =
+        Problem { frame, kind, teeth, radius_m, lens: &lens, chords, motion_prior, is_still };
     let normal = &start.pose.normal;
     let axes = match heading_rad {
         None => axes_of(&(local_from_camera * normal).normalize()),
         Some(yaw_rad) => local_from_camera * yaw::axes(normal, yaw_rad),
     };
     let place = Place { position_m: Vector3::new(0.0, 0.0, range_m), axes };
-    let first = State::new(place, ring, blur_px);
+    let first = State::new(place, ring, blur_px, &motion_px);
     let deviation_rad = heading_rad.map(|_| yaw::deviation_rad(&start.pose));
     let placed = placed(&problem, first, deviation_rad, &counted, scratch)?;
     Ok(finish(&problem, ring, &placed, scratch))
@@ -277,11 +300,15 @@ fn placed(
         (None, Some(deviation_rad)) => {
             heading::solve(problem, first, deviation_rad, scratch).map(with_heading)?
         }
-        (None, None) => (state::solve(problem, first, scratch)?, None),
+        (None, None) => (descend::solve(problem, first, scratch)?, None),
     };
+    if problem.is_still && !solution.is_plain() {
+        let moving = Problem { is_still: false, ..*problem };
+        return placed(&moving, solution.state, deviation_rad, counted, scratch);
+    }
     let mut found = upright::estimate(problem, &solution, scratch);
     if let Upright::Further(state) = found {
-        solution = state::solve(problem, state, scratch)?;
+        solution = descend::solve(problem, state, scratch)?;
         found = upright::estimate(problem, &solution, scratch);
     }
     let (mut placed, heading) = match found {
@@ -317,6 +344,8 @@ struct Placed {
     /// With this normal.
     covariance: Covariance6,
     noise2: f64,
+    /// Of either part of the motion's square by noise, px⁴.
+    motion_variance: Option<f64>,
     iterations: usize,
 }
 
@@ -335,6 +364,7 @@ fn upright(
         apart_m: second.position_m - state.place.position_m,
         covariance,
         noise2: solution.noise2,
+        motion_variance: solution.motion_variance(),
         iterations: solution.iterations,
         state,
     }
@@ -352,7 +382,7 @@ fn tilted(
     let mut other = glance(problem, &solution.state, at, scratch);
     if let Some(better) = &other
         && better.misfit < solution.misfit
-        && let Ok(found) = state::solve(problem, better.state.clone(), scratch)
+        && let Ok(found) = descend::solve(problem, better.state.clone(), scratch)
     {
         let normal = |solution: &Solution| solution.state.place.axes.column(2).into_owned();
         let back = normal(&found).dot(&normal(&solution));
@@ -368,7 +398,12 @@ fn tilted(
         solution = if better { found } else { solution };
     }
     if !solution.is_plain() {
-        let placed = careful::solve(problem, &solution.state, counted, scratch)?;
+        // What disturbs the ring may have passed for motion, and taken the pose along.
+        let still = Problem { is_still: true, ..*problem };
+        let stopped = solution.state.stopped();
+        let start = descend::solve(&still, stopped.clone(), scratch);
+        let start = start.map_or(stopped, |solution| solution.state);
+        let placed = careful::solve(&still, &start, counted, scratch)?;
         // With part of it covered, the disc's rim would be turned.
         let is_elliptical = matches!(problem.kind.pattern, Pattern::Elliptical { .. });
         if is_elliptical && !scratch.careful.keeps_disc() {
@@ -386,6 +421,7 @@ fn tilted(
         apart_m: other.map_or(Vector3::zeros(), |other| other.apart_m),
         covariance: solution.covariance(problem).ok_or(FitError::Flat)?,
         noise2: solution.noise2,
+        motion_variance: solution.motion_variance(),
         iterations: solution.iterations,
         state: solution.state,
     })
@@ -438,6 +474,8 @@ fn finish(problem: &Problem, ring: &Ring, placed: &Placed, scratch: &mut FitScra
         pose,
         ring,
         blur_px: state.blur2.sqrt(),
+        motion_px: motion::of_square(&state.motion2),
+        motion_variance_px4: placed.motion_variance,
         noise: placed.noise2.sqrt(),
         iterations: placed.iterations,
     }

@@ -7,10 +7,14 @@ use fearless_simd::{Level, dispatch, prelude::*};
 use fearless_simd_macros::simd;
 use nalgebra::SMatrix;
 
-/// Columns: the residual, what the parameters move, and what the mirrored place does.
-pub const COLUMNS: usize = 12;
-/// Columns multiplied at once.
+/// Columns: the residual, what the parameters move, what the mirrored place does, and the motion's.
+pub const COLUMNS: usize = 14;
+/// Those without the motion's: the first ones.
+pub const STILL: usize = 12;
+/// Columns multiplied at once …
 const GROUP: usize = 3;
+/// … and how often that is done, but for the motion's.
+const GROUPS: usize = STILL / GROUP;
 /// Pixels kept at most.
 const PIXELS: usize = 256;
 /// Lanes of the widest vector.
@@ -36,10 +40,12 @@ pub mod column {
     pub const TILT: usize = 9;
     /// What the mirrored place moves.
     pub const MIRROR: usize = 11;
+    /// Of the motion's square, two, over a 48th of the step; where it is held they are left out.
+    pub const MOTION: usize = 12;
 }
 
 /// All products' sums.
-pub type Products = SMatrix<f64, COLUMNS, COLUMNS>;
+pub type Products<const COUNT: usize = COLUMNS> = SMatrix<f64, COUNT, COUNT>;
 
 /// Pixels not yet multiplied, and sums of those that are.
 #[derive(Clone, Debug)]
@@ -72,30 +78,36 @@ impl Sums {
         self.lanes.fill([0.0; LANES]);
     }
 
-    /// Keeps the first `count` pixels of a vector, and multiplies once enough are together.
+    /// Keeps the first `count` pixels of a vector, and multiplies once enough are together; of the motion's
+    /// columns only where they are free.
     #[inline(always)]
-    pub fn keep<S: Simd>(&mut self, simd: S, columns: &[S::f32s; COLUMNS], count: usize) {
+    pub fn keep<S: Simd, const FREE: bool>(
+        &mut self,
+        simd: S,
+        columns: &[S::f32s; COLUMNS],
+        count: usize,
+    ) {
         let lanes = S::f32s::LEN;
         let kept = &mut self.kept[self.count..self.count + (COLUMNS - 1) * ROOM + LANES];
-        for column in 0..COLUMNS {
+        for column in 0..columns_of(FREE) {
             columns[column].store_slice(&mut kept[column * ROOM..column * ROOM + lanes]);
         }
         self.count += count;
         if self.count > PIXELS - lanes {
-            multiply(simd, self);
+            multiply::<S, FREE>(simd, self);
         }
     }
 
     /// Takes sums of the residual's products; all others stay as they were.
-    pub fn take_gradient<S: Simd>(&mut self, gradient: &[S::f32s; COLUMNS]) {
-        for (column, lanes) in gradient.iter().enumerate() {
+    pub fn take_gradient<S: Simd, const FREE: bool>(&mut self, gradient: &[S::f32s; COLUMNS]) {
+        for (column, lanes) in gradient.iter().enumerate().take(columns_of(FREE)) {
             lanes.store_slice(&mut self.lanes[column][..S::f32s::LEN]);
         }
     }
 
     /// Adds up what [`Sums::take_gradient`] was given.
-    pub fn finish_gradient(&mut self) {
-        for column in 0..COLUMNS {
+    pub fn finish_gradient(&mut self, free: bool) {
+        for column in 0..columns_of(free) {
             let sum = sum_of(self.lanes[column]);
             self.products[(0, column)] = sum;
             self.products[(column, 0)] = sum;
@@ -103,16 +115,25 @@ impl Sums {
     }
 
     /// Multiplies what is left, and adds up.
-    pub fn finish(&mut self, level: Level) {
-        dispatch!(level, simd => multiply(simd, self));
-        for row in 0..COLUMNS {
-            for column in row / GROUP * GROUP..COLUMNS {
+    pub fn finish(&mut self, level: Level, free: bool) {
+        if free {
+            dispatch!(level, simd => multiply::<_, true>(simd, self));
+        } else {
+            dispatch!(level, simd => multiply::<_, false>(simd, self));
+        }
+        for row in 0..columns_of(free) {
+            for column in row..columns_of(free) {
                 let sum = sum_of(self.lanes[row * COLUMNS + column]);
                 self.products[(row, column)] = sum;
                 self.products[(column, row)] = sum;
             }
         }
     }
+}
+
+/// How many there are, with the motion's or without.
+const fn columns_of(free: bool) -> usize {
+    if free { COLUMNS } else { STILL }
 }
 
 /// By halves, which takes a fourth of the steps that one after the other takes.
@@ -127,16 +148,22 @@ fn sum_of(mut lanes: [f32; LANES]) -> f64 {
 }
 
 #[simd]
-fn multiply<S: Simd>(simd: S, sums: &mut Sums) {
+fn multiply<S: Simd, const FREE: bool>(simd: S, sums: &mut Sums) {
     let (count, lanes) = (sums.count, S::f32s::LEN);
-    for column in sums.kept.chunks_exact_mut(ROOM) {
+    for column in sums.kept.chunks_exact_mut(ROOM).take(columns_of(FREE)) {
         S::f32s::splat(simd, 0.0).store_slice(&mut column[count..count + lanes]);
     }
     sums.count = count.next_multiple_of(lanes);
-    for first in 0..COLUMNS / GROUP {
-        for second in first..COLUMNS / GROUP {
+    for first in 0..GROUPS {
+        for second in first..GROUPS {
             multiply_groups(simd, sums, GROUP * first, GROUP * second);
         }
+        if FREE {
+            multiply_motion::<S, 0>(simd, sums, GROUP * first);
+        }
+    }
+    if FREE {
+        multiply_motion::<S, 1>(simd, sums, STILL - 1);
     }
     sums.count = 0;
 }
@@ -173,6 +200,38 @@ fn multiply_groups<S: Simd>(simd: S, sums: &mut Sums, first: usize, second: usiz
         for j in 0..GROUP {
             let sum = &mut sums.lanes[(first + i) * COLUMNS + second + j][..width];
             (S::f32s::from_slice(simd, sum) + block[GROUP * i + j]).store_slice(sum);
+        }
+    }
+}
+
+/// Products of three columns, but for the first `SKIP` of those from `first` on, with the motion's two.
+#[inline(always)]
+fn multiply_motion<S: Simd, const SKIP: usize>(simd: S, sums: &mut Sums, first: usize) {
+    let width = S::f32s::LEN;
+    let count = sums.count;
+    let column = |index: usize| &sums.kept[index * ROOM..][..count];
+    let (a0, a1, a2) = (column(first), column(first + 1), column(first + 2));
+    let (b0, b1) = (column(column::MOTION), column(column::MOTION + 1));
+    let mut block = [S::f32s::splat(simd, 0.0); 2 * GROUP];
+    let lists = a0.chunks_exact(width).zip(a1.chunks_exact(width)).zip(a2.chunks_exact(width));
+    for ((((a0, a1), a2), b0), b1) in lists.zip(b0.chunks_exact(width)).zip(b1.chunks_exact(width))
+    {
+        let a0 = S::f32s::from_slice(simd, a0);
+        let a1 = S::f32s::from_slice(simd, a1);
+        let a2 = S::f32s::from_slice(simd, a2);
+        let b0 = S::f32s::from_slice(simd, b0);
+        let b1 = S::f32s::from_slice(simd, b1);
+        block[0] = a0.mul_add(b0, block[0]);
+        block[1] = a0.mul_add(b1, block[1]);
+        block[2] = a1.mul_add(b0, block[2]);
+        block[3] = a1.mul_add(b1, block[3]);
+        block[4] = a2.mul_add(b0, block[4]);
+        block[5] = a2.mul_add(b1, block[5]);
+    }
+    for i in SKIP..GROUP {
+        for j in 0..2 {
+            let sum = &mut sums.lanes[(first + i) * COLUMNS + column::MOTION + j][..width];
+            (S::f32s::from_slice(simd, sum) + block[2 * i + j]).store_slice(sum);
         }
     }
 }

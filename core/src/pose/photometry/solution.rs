@@ -4,8 +4,10 @@ use nalgebra::{SMatrix, Vector3};
 
 use super::{
     FitScratch,
-    solve::Factor,
-    state::{Linear, Parts, Problem, State, UNKNOWNS, project},
+    linear::Linear,
+    look::{Parts, project},
+    solve::{Factor, MOST},
+    state::{MOTION, Problem, State},
 };
 use crate::{
     camera::PixelPoint,
@@ -44,11 +46,27 @@ impl Solution {
     /// Of (position, rotation) in the camera's frame.
     pub fn covariance(&self, problem: &Problem) -> Option<Covariance6> {
         let (information, _) = self.linear.with_prior(&self.state, self.noise2);
-        let factor = Factor::new(&information, UNKNOWNS)?;
+        let factor = Factor::new(&information, self.linear.free())?;
         let own: Covariance5 = factor.inverse_of_last() * self.noise2;
         let axes = &self.state.place.axes;
         let turns = [0, 1].map(|axis| axes.column(axis).into_owned());
         Some(self.carried(problem, &self.state, &own, &turns))
+    }
+
+    /// Variance of either part of the motion's square by noise alone, px⁴, as far as the prior lets it;
+    /// none where it was held.
+    pub fn motion_variance(&self) -> Option<f64> {
+        let prior = self.linear.motion_prior?;
+        let (information, _) = self.linear.with_prior(&self.state, self.noise2);
+        let factor = Factor::new(&information, self.linear.free())?;
+        let variance = |unknown: usize| {
+            let mut unit = [0.0; MOST];
+            unit[unknown] = self.noise2;
+            factor.solve(&unit)[unknown]
+        };
+        let posterior = 0.5 * (variance(MOTION) + variance(MOTION + 1));
+        let prior = prior + self.state.motion2.norm_squared();
+        Some(posterior * (1.0 - posterior / prior).max(0.0))
     }
 
     /// A covariance over shift, range and turns about these axes as one of (position, rotation) in the

@@ -1,26 +1,27 @@
 //! Small symmetric positive definite systems of a size known only at run time.
 
+use std::ops::Range;
+
 use nalgebra::SMatrix;
 
-use super::normal::COLUMNS;
-
 /// Unknowns at most.
-pub const MOST: usize = COLUMNS - 1;
+pub const MOST: usize = 12;
 
 /// The Cholesky factor of a matrix, scaled to a diagonal of ones first.
 #[derive(Clone, Debug)]
 pub struct Factor {
-    size: usize,
+    /// Rows and columns that it is of.
+    range: Range<usize>,
     scale: [f64; MOST],
     /// Upper triangle; on the diagonal its inverse, below it what is left of the elimination.
     upper: [[f64; MOST]; MOST],
 }
 
 impl Factor {
-    /// Of the first `size` rows and columns; `None` unless they are positive definite.
-    pub fn new(matrix: &[[f64; MOST]; MOST], size: usize) -> Option<Self> {
+    /// Of some rows and the same columns; `None` unless they are positive definite.
+    pub fn new(matrix: &[[f64; MOST]; MOST], range: Range<usize>) -> Option<Self> {
         let mut scale = [0.0; MOST];
-        for i in 0..size {
+        for i in range.clone() {
             if !(matrix[i][i] > 0.0 && matrix[i][i].is_finite()) {
                 return None;
             }
@@ -32,14 +33,14 @@ impl Factor {
                 *value *= by * scale;
             }
         }
-        for j in 0..size {
+        for j in range.clone() {
             if upper[j][j].is_nan() || upper[j][j] <= 1e-12 {
                 return None;
             }
             let inverse = 1.0 / upper[j][j].sqrt();
             let row = upper[j].map(|value| value * inverse);
             // Whole rows, of one length, go into vectors; what comes below the diagonal is not read.
-            for (below, by) in upper.iter_mut().zip(row).take(size).skip(j + 1) {
+            for (below, by) in upper.iter_mut().zip(row).take(range.end).skip(j + 1) {
                 for (value, other) in below.iter_mut().zip(row) {
                     *value -= by * other;
                 }
@@ -47,21 +48,22 @@ impl Factor {
             upper[j] = row;
             upper[j][j] = inverse;
         }
-        Some(Self { size, scale, upper })
+        Some(Self { range, scale, upper })
     }
 
-    /// The solution of matrix · x = right.
+    /// The solution of matrix · x = right; other unknowns stay at none.
     pub fn solve(&self, right: &[f64; MOST]) -> [f64; MOST] {
         let mut x: [f64; MOST] = std::array::from_fn(|i| right[i] * self.scale[i]);
-        for j in 0..self.size {
+        for j in self.range.clone() {
             x[j] *= self.upper[j][j];
             let by = x[j];
             for (value, above) in x.iter_mut().zip(&self.upper[j]).skip(j + 1) {
                 *value -= by * above;
             }
         }
-        for i in (0..self.size).rev() {
-            let beyond = self.upper[i][i + 1..self.size].iter().zip(&x[i + 1..self.size]);
+        for i in self.range.clone().rev() {
+            let rest = i + 1..self.range.end;
+            let beyond = self.upper[i][rest.clone()].iter().zip(&x[rest]);
             let known: f64 = beyond.map(|(factor, value)| factor * value).sum();
             x[i] = (x[i] - known) * self.upper[i][i];
         }
@@ -73,7 +75,7 @@ impl Factor {
 
     /// The last `COUNT` rows and columns of the inverse: those of the factor's own last rows.
     pub fn inverse_of_last<const COUNT: usize>(&self) -> SMatrix<f64, COUNT, COUNT> {
-        let first = self.size - COUNT;
+        let first = self.range.end - COUNT;
         // Lower triangle of the inverse of the factor's corner.
         let mut inverse = SMatrix::<f64, COUNT, COUNT>::zeros();
         for column in 0..COUNT {
@@ -111,7 +113,7 @@ mod tests {
                 *value = near * 10f64.powi(i as i32 + j as i32);
             }
         }
-        let factor = Factor::new(&matrix, size).unwrap();
+        let factor = Factor::new(&matrix, 0..size).unwrap();
         let right = std::array::from_fn(|i| if i < size { (i as f64).cos() } else { 0.0 });
         let x = factor.solve(&right);
         for (row, right) in matrix.iter().zip(right).take(size) {
@@ -127,7 +129,14 @@ mod tests {
                 assert!((corner[(row, column)] - expected).abs() < 1e-9 * (1.0 + expected.abs()));
             }
         }
+        // Of a part, as if there were no more.
+        let part = Factor::new(&matrix, 2..5).unwrap().solve(&right);
+        for (row, (values, right)) in matrix.iter().zip(right).enumerate() {
+            let left: f64 = values.iter().zip(part).map(|(a, b)| a * b).sum();
+            let off = if (2..5).contains(&row) { left - right } else { part[row] };
+            assert!(off.abs() < 1e-9, "{row}: {off}");
+        }
         matrix[3][3] = -1.0;
-        assert!(Factor::new(&matrix, size).is_none());
+        assert!(Factor::new(&matrix, 0..size).is_none());
     }
 }

@@ -58,7 +58,13 @@ fn picture_of(
 
 fn start(camera: &Camera, kind: &Kind, ring: &Ring) -> Start {
     let pose = locate(camera, kind, ring, &RimNoise::default()).unwrap();
-    Start { pose, blur_px: DEFAULT_BLUR_PX }
+    Start {
+        pose,
+        blur_px: DEFAULT_BLUR_PX,
+        motion_px: Vector2::zeros(),
+        moved_px: 0.0,
+        is_still: false,
+    }
 }
 
 fn ring() -> Ring {
@@ -97,6 +103,31 @@ fn the_fit_finds_the_pose_from_a_rough_start_at_every_simd_level() {
     }
     assert!((poses[0].position_m - poses[1].position_m).norm() < 1e-6);
     assert!((poses[0].normal - poses[1].normal).norm() < 1e-4);
+}
+
+/// A picture is the mean of those that the exposure passes through.
+#[test]
+fn the_fit_finds_the_motion_and_the_pose_of_the_exposures_middle() {
+    let (camera, kind, ring) = (camera(), Kind::plain("", 0.16, 0.064), ring());
+    let start = start(&camera, &kind, &ring);
+    let (position_m, normal) = (start.pose.position_m, start.pose.normal);
+    let moved_px = Vector2::new(1.8, -1.1);
+    let moved_m = moved_px.push(0.0) * (position_m.z / 600.0);
+    let instants = (0..9).map(|i| (f64::from(i) + 0.5) / 9.0 - 0.5);
+    let pictures: Vec<Vec<u8>> =
+        instants.map(|s| picture(&camera, &kind, &(position_m + moved_m * s), &normal)).collect();
+    let mean = |i: usize| pictures.iter().map(|picture| u32::from(picture[i])).sum::<u32>() / 9;
+    let pixels: Vec<u8> = (0..SIDE * SIDE).map(|i| mean(i) as u8).collect();
+    let frame = Frame::new(&pixels, SIDE, SIDE, SIDE).unwrap();
+    for level in [Level::new(), Level::baseline()] {
+        let mut scratch = FitScratch { level, ..FitScratch::default() };
+        let start = Start { moved_px: f64::INFINITY, ..start.clone() };
+        let found = fit(&frame, &camera, &kind, &ring, &start, &mut scratch).unwrap();
+        let off_px = [moved_px, -moved_px].map(|moved_px| (found.motion_px - moved_px).norm());
+        assert!(off_px[0].min(off_px[1]) < 0.2, "{}", found.motion_px);
+        let error_m = (found.pose.position_m - position_m).norm();
+        assert!(error_m < 2e-3 * position_m.norm(), "{error_m}");
+    }
 }
 
 #[test]
@@ -141,15 +172,23 @@ fn the_mirrored_place_is_as_bad_as_it_promises() {
     let counted = ring.outer.grown(3.0);
     let chords = Chords::new(&counted);
     scratch.window.lay(window_of(&counted), &frame, &chords);
-    let problem =
-        Problem { frame: &frame, kind: &kind, teeth: None, radius_m, lens: &lens, chords };
+    let problem = Problem {
+        frame: &frame,
+        kind: &kind,
+        teeth: None,
+        radius_m,
+        lens: &lens,
+        chords,
+        motion_prior: 1.0,
+        is_still: false,
+    };
     let axes = axes_of(&(local_from_camera * first.pose.normal));
     let place = Place { position_m: Vector3::z() * range_m, axes };
-    let state = State::new(place, &first.ring, first.blur_px);
-    let solution = state::solve(&problem, state, &mut scratch).unwrap();
+    let state = State::new(place, &first.ring, first.blur_px, &first.motion_px);
+    let solution = descend::solve(&problem, state, &mut scratch).unwrap();
     let at = (&solution.linear, solution.noise2);
     let promised = glance(&problem, &solution.state, at, &mut scratch).unwrap();
-    let found = state::solve(&problem, solution.state.mirrored(), &mut scratch).unwrap();
+    let found = descend::solve(&problem, solution.state.mirrored(), &mut scratch).unwrap();
     let (promised_m, found_m) = (promised.state.place.position_m, found.state.place.position_m);
     let [promised, found] = [promised.misfit, found.misfit].map(|misfit| misfit - solution.misfit);
     assert!((promised / found - 1.0).abs() < 0.2, "{promised} {found}");

@@ -14,11 +14,13 @@
 use nalgebra::Vector3;
 
 use super::{
-    FitError, FitScratch,
+    FitError, FitScratch, descend,
     heading::Heading,
+    linear::Linear,
+    look,
     solution::Solution,
     solve::MOST,
-    state::{self, BLUR, Linear, Problem, RANGE, SHIFT, State, TILT},
+    state::{BLUR, Problem, RANGE, SHIFT, State, TILT},
 };
 
 /// How far the looks to either side turn the white disc's rim, pixels: far beyond the noise, and far
@@ -37,8 +39,8 @@ pub fn solve(
 ) -> Result<(Solution, Heading), FitError> {
     let mut start = start;
     for _ in 0..TURNS {
-        let solution = state::solve(problem, start, scratch)?;
-        let radius_px = problem.kind.ratio() * state::radius_px(problem, &solution.state);
+        let solution = descend::solve(problem, start, scratch)?;
+        let radius_px = problem.kind.ratio() * look::radius_px(problem, &solution.state);
         let apart_rad = APART_PX / radius_px;
         let turn = Turn::of(problem, &solution, apart_rad, scratch)?;
         if turn.by_rad.abs() <= BEYOND * apart_rad {
@@ -60,7 +62,7 @@ fn seen_anew(
     solution: Solution,
     scratch: &mut FitScratch,
 ) -> Result<Solution, FitError> {
-    let linear = state::linearize(problem, &solution.state, Some(&solution.linear), scratch)?;
+    let linear = look::linearize(problem, &solution.state, Some(&solution.linear), scratch)?;
     let (misfit, noise2) = (linear.misfit, linear.noise2());
     Ok(Solution { misfit, noise2, linear, ..solution })
 }
@@ -90,7 +92,7 @@ impl Turn {
     ) -> Result<Self, FitError> {
         let Solution { state, linear, noise2, .. } = solution;
         let mut look =
-            |by_rad: f64| state::linearize(problem, &state.headed(by_rad), Some(linear), scratch);
+            |by_rad: f64| look::linearize(problem, &state.headed(by_rad), Some(linear), scratch);
         let (ahead, behind) = (look(apart_rad)?, look(-apart_rad)?);
         let half = |of: &dyn Fn(&Linear) -> f64| {
             (0.5 * (of(&ahead) + of(&behind)), 0.5 * (of(&behind) - of(&ahead)) / apart_rad)
@@ -98,7 +100,7 @@ impl Turn {
         let (factor, _) = linear.factor(state, *noise2, 0.0).ok_or(FitError::Flat)?;
         let (mut gradient, mut with_turn) = ([0.0; MOST], [0.0; MOST]);
         let (_, pulled) = linear.with_prior(state, *noise2);
-        for unknown in (0..MOST).filter(|&unknown| unknown != BLUR || !linear.holds(BLUR)) {
+        for unknown in linear.free().filter(|&unknown| unknown != BLUR || !linear.holds(BLUR)) {
             (gradient[unknown], with_turn[unknown]) = half(&|look| look.gradient[unknown]);
             gradient[unknown] += pulled[unknown] - linear.gradient[unknown];
         }

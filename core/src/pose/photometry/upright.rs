@@ -20,10 +20,10 @@
 use nalgebra::{Matrix2, Matrix3, SMatrix, Vector2, Vector3};
 
 use super::{
-    FitScratch,
+    FitScratch, look,
     solution::{Covariance5, Solution},
     solve::{Factor, MOST},
-    state::{self, BLUR, Problem, RANGE, SHIFT, STEP, State, TILT, WHITE},
+    state::{BLUR, MOTION, Problem, RANGE, SHIFT, STEP, State, TILT, WHITE},
     view::Place,
 };
 use crate::pose::{
@@ -162,7 +162,7 @@ impl Marginal {
         scratch: &mut FitScratch,
     ) -> Option<Self> {
         let state = leaned(&solution.state, frame, lean);
-        let mut linear = state::linearize(problem, &state, None, scratch).ok()?;
+        let mut linear = look::linearize(problem, &state, None, scratch).ok()?;
         if state.blur_ends(linear.gradient[BLUR]) {
             linear.hold(BLUR);
         }
@@ -181,7 +181,7 @@ impl Marginal {
             (tilts[0][other], tilts[1][other]) = (of_tilts.x, of_tilts.y);
         }
         let own = by_lean(&gradient);
-        let others = Factor::new(&information, OTHERS)?;
+        let others = Factor::new(&information, linear.free().start..OTHERS)?;
         let step = others.solve(&gradient);
         let follow = tilts.map(|tilt| others.solve(&tilt));
         let dot = |one: &[f64; MOST], other: &[f64; MOST]| -> f64 {
@@ -224,7 +224,7 @@ impl Middle {
         let mut state = solution.state.clone();
         state.white += change(WHITE);
         state.step += change(STEP);
-        state.widen(change(BLUR));
+        state.widen(change(BLUR), Vector2::new(change(MOTION), change(MOTION + 1)));
         let before = lean_of(&state, frame).norm_squared();
         let normal = normal_of(&lean.mean, frame);
         let place = &mut state.place;

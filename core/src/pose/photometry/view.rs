@@ -6,7 +6,7 @@
 
 use fearless_simd::{Level, dispatch, prelude::*};
 use fearless_simd_macros::simd;
-use nalgebra::{Matrix3, Vector3};
+use nalgebra::{Matrix3, Vector2, Vector3};
 
 use super::{
     blur::PHASES,
@@ -61,6 +61,26 @@ impl Default for Nodes {
 }
 
 impl Nodes {
+    /// Has each node stand at several places along a motion, for its share of the exposure.
+    pub fn smear(&mut self, level: Level, motion_px: &Vector2<f64>, places: &[(f32, f32)]) {
+        let (outer, count) = (self.outer, self.x.len());
+        let copies = places.len();
+        if copies * count > MOST_NODES {
+            return;
+        }
+        self.resize(copies * count);
+        self.outer = copies * outer;
+        let motion = [motion_px.x as f32, motion_px.y as f32];
+        // From the last one on, so that none is overwritten before it has been read.
+        for (from, to, length) in [(outer, copies * outer, count - outer), (0, 0, outer)] {
+            for (k, &(along, share)) in places.iter().enumerate().rev() {
+                let copy = Copy { from, to: to + k * length, length, share };
+                let by = motion.map(|part| along * part);
+                dispatch!(level, simd => smear_all(simd, self, &copy, by));
+            }
+        }
+    }
+
     /// To as many nodes.
     fn resize(&mut self, count: usize) {
         for list in [&mut self.x, &mut self.y, &mut self.dx, &mut self.dy] {
@@ -73,6 +93,44 @@ impl Nodes {
             list.resize(count, 0);
         }
     }
+}
+
+/// Nodes that go elsewhere.
+struct Copy {
+    from: usize,
+    to: usize,
+    length: usize,
+    /// Of the exposure.
+    share: f32,
+}
+
+#[simd]
+fn smear_all<S: Simd>(simd: S, nodes: &mut Nodes, copy: &Copy, by: [f32; 2]) {
+    let width = S::f32s::LEN;
+    for start in (0..copy.length).step_by(width).rev() {
+        let (from, to) = (copy.from + start, copy.to + start);
+        let of = |list: &[f32]| S::f32s::from_slice(simd, &list[from..from + width]);
+        let (u, v) = (of(&nodes.x) + by[0], of(&nodes.y) + by[1]);
+        let (du, dv) = (of(&nodes.dx) * copy.share, of(&nodes.dy) * copy.share);
+        put(simd, nodes, to, [u, v, du, dv]);
+    }
+}
+
+/// Stores nodes at a place: column, row and shares of the way.
+#[inline(always)]
+fn put<S: Simd>(simd: S, nodes: &mut Nodes, start: usize, [u, v, du, dv]: [S::f32s; 4]) {
+    let _ = simd;
+    let end = start + S::f32s::LEN;
+    u.store_slice(&mut nodes.x[start..end]);
+    v.store_slice(&mut nodes.y[start..end]);
+    let (fine_u, fine_v) = (u * PHASES as f32, v * PHASES as f32);
+    let (whole_u, whole_v) = (fine_u.floor(), fine_v.floor());
+    whole_u.to_int::<S::i32s>().store_slice(&mut nodes.steps[0][start..end]);
+    whole_v.to_int::<S::i32s>().store_slice(&mut nodes.steps[1][start..end]);
+    (fine_u - whole_u).store_slice(&mut nodes.rest[0][start..end]);
+    (fine_v - whole_v).store_slice(&mut nodes.rest[1][start..end]);
+    du.store_slice(&mut nodes.dx[start..end]);
+    dv.store_slice(&mut nodes.dy[start..end]);
 }
 
 /// The projection's numbers, as f32.
@@ -136,17 +194,7 @@ fn project_all<S: Simd>(simd: S, view: &View, contour: Contour, nodes: &mut Node
         let (v, v1, v2) = polynomial(simd, &view.terms[1], t1, t2);
         let du = (u1 * dt1 + u2 * dt2) * view.sign;
         let dv = (v1 * dt1 + v2 * dt2) * view.sign;
-        let (u, v) = (u + view.shift[0], v + view.shift[1]);
-        u.store_slice(&mut nodes.x[start..end]);
-        v.store_slice(&mut nodes.y[start..end]);
-        let (fine_u, fine_v) = (u * PHASES as f32, v * PHASES as f32);
-        let (whole_u, whole_v) = (fine_u.floor(), fine_v.floor());
-        whole_u.to_int::<S::i32s>().store_slice(&mut nodes.steps[0][start..end]);
-        whole_v.to_int::<S::i32s>().store_slice(&mut nodes.steps[1][start..end]);
-        (fine_u - whole_u).store_slice(&mut nodes.rest[0][start..end]);
-        (fine_v - whole_v).store_slice(&mut nodes.rest[1][start..end]);
-        du.store_slice(&mut nodes.dx[start..end]);
-        dv.store_slice(&mut nodes.dy[start..end]);
+        put(simd, nodes, start, [u + view.shift[0], v + view.shift[1], du, dv]);
     }
 }
 

@@ -6,6 +6,7 @@ use crate::plot::{Curve, Panel, Style};
 
 /// What a curve stands for where nothing else is said.
 const USUAL: Range = Range {
+    motion_px: (0.0, 0.0),
     diameter_px: (30.0, 30.0),
     tilt_deg: (40.0, 40.0),
     blur_px: (0.7, 0.7),

@@ -5,7 +5,7 @@
 //! the medians over all cells are what a sound one has; cells far beyond them are left out, and may come
 //! back. What those that stay still stand apart widens the variance of every pixel.
 
-use super::{super::state::Linear, Careful, Fitter, cells::Known};
+use super::{super::linear::Linear, Careful, Fitter, cells::Known};
 
 /// δ²/var(δ) that a cell may have, as a multiple of what most have.
 const MOST_SQUARE: f64 = 12.0;

@@ -13,13 +13,15 @@
 use fearless_simd::prelude::*;
 use nalgebra::{Matrix2, SMatrix, SVector};
 
-use super::super::normal::{COLUMNS, Products, column};
+use super::super::normal::{self, STILL, column};
 
 /// Columns of a pixel: those of the fast fit, but the last is the outer rim's spread, and then the
 /// inner one's; filled up to whole vectors.
 pub const WIDTH: usize = 16;
 /// Of the spread of the outer rim; the inner one's follows.
-pub const SPREAD: usize = COLUMNS - 1;
+pub const SPREAD: usize = STILL - 1;
+/// All products' sums: the motion is held.
+pub type Products = normal::Products<STILL>;
 /// Length of a cell along its rim, pixels …
 const LENGTH_PX: f64 = 6.0;
 /// … as long as these are not too few or too many.
@@ -85,8 +87,8 @@ impl Cell {
         let ratio = self.levels[1] / step;
         let mut products = Products::zeros();
         let scale = |index: usize| if is_shape(index) { ratio } else { 1.0 };
-        for row in 0..WIDTH.min(COLUMNS + 1) {
-            for column in 0..WIDTH.min(COLUMNS + 1) {
+        for row in 0..WIDTH.min(STILL + 1) {
+            for column in 0..WIDTH.min(STILL + 1) {
                 let (to_row, to_column) = (row.min(SPREAD), column.min(SPREAD));
                 let sum = f64::from(self.sums[row][column]);
                 products[(to_row, to_column)] += sum * scale(to_row) * scale(to_column);
@@ -115,7 +117,7 @@ impl Cell {
     pub fn freed(&self, known: &Known) -> Option<Products> {
         let mut products = self.products(known.levels[1]);
         let (inverse, pull) = self.local(&products, known)?;
-        let mut rows: SMatrix<f64, 2, COLUMNS> = products.fixed_rows::<2>(1).into();
+        let mut rows: SMatrix<f64, 2, STILL> = products.fixed_rows::<2>(1).into();
         rows[(0, 0)] += pull[0];
         rows[(1, 0)] += pull[1];
         products[(0, 0)] = self.misfit(known);
@@ -129,10 +131,10 @@ impl Cell {
     }
 
     /// Moves its levels to what they are after the shared columns' coefficients.
-    pub fn settle(&mut self, known: &Known, coefficients: &SVector<f64, COLUMNS>) {
+    pub fn settle(&mut self, known: &Known, coefficients: &SVector<f64, STILL>) {
         let products = self.products(known.levels[1]);
         let Some((inverse, pull)) = self.local(&products, known) else { return };
-        let rows: SMatrix<f64, 2, COLUMNS> = products.fixed_rows::<2>(1).into();
+        let rows: SMatrix<f64, 2, STILL> = products.fixed_rows::<2>(1).into();
         let mut right = rows * coefficients;
         right[0] += pull[0];
         right[1] += pull[1];

@@ -14,6 +14,8 @@
 //!   an edge near the rim has none.
 //! * **drops.** Cells whose rim stands off the model's, or whose pixels are left with more than most
 //!   cells' are, leave the fit until their number settles.
+//! * **no motion.** Motion within the exposure would pass for whatever blurs one side more than another: it is
+//!   held at none.
 //! * **growth.** The variance of a pixel is multiplied by the mean of δ²/var(δ) over the cells that
 //!   stay: motion, JPEG and covers that were not seen move whole stretches, not single pixels.
 //!
@@ -31,14 +33,16 @@ use nalgebra::{SVector, Vector3};
 
 use super::{
     FitError, FitScratch, Placed,
+    linear::Linear,
+    look::{self, Parts},
     mirror::Glance,
-    normal::{COLUMNS, Products, column},
+    normal::{STILL, column},
     solution::{Covariance5, Solution},
-    state::{self, Linear, Parts, Problem, State},
+    state::{BLUR, Problem, State, UNKNOWNS, WHITE},
     window_of,
 };
 use crate::{ellipse::Ellipse, marker::make_room};
-use cells::{Cell, Known, SPREAD};
+use cells::{Cell, Known, Products, SPREAD};
 use image::{Images, Normal};
 use pixels::Pixel;
 
@@ -112,7 +116,7 @@ struct Fitter<'a> {
     cut_off: bool,
     bloom_px: f64,
     /// The last column's products, from before it was eliminated.
-    bloom: SVector<f64, COLUMNS>,
+    bloom: SVector<f64, STILL>,
     /// The misfit as it is, before levels and bloom have followed.
     misfit: f64,
     iterations: usize,
@@ -168,6 +172,7 @@ fn place(
         apart_m: second.map_or(Vector3::zeros(), |other| other.apart_m),
         covariance: solution.carried(problem, state, &own, &turns),
         noise2: *noise2,
+        motion_variance: None,
         iterations: solution.iterations,
         state: solution.state,
     })
@@ -179,9 +184,9 @@ impl Fitter<'_> {
         let careful = &mut self.scratch.careful;
         let (origin, width, height) =
             (careful.images.origin, careful.images.width, careful.images.height);
-        let model = state::model(self.problem, state, state.blur2.sqrt(), origin);
+        let model = look::model(self.problem, state, state.blur2.sqrt(), origin);
         let ratio = self.problem.kind.mean_ratio();
-        let radius_px = state::radius_px(self.problem, state);
+        let radius_px = look::radius_px(self.problem, state);
         let counts =
             [1.0, ratio].map(|share| cells::count(std::f64::consts::TAU * share * radius_px));
         careful.cells.clear();
@@ -290,8 +295,8 @@ impl Fitter<'_> {
             let flat = || FitError::Flat;
             let (factor, right) = linear.factor(&state, noise2, damping).ok_or_else(flat)?;
             let mut change = factor.solve(&right);
-            if state.blur_ends(change[column::BLUR - 1]) {
-                linear.hold(column::BLUR - 1);
+            if state.blur_ends(change[BLUR]) {
+                linear.hold(BLUR);
                 let (factor, right) = linear.factor(&state, noise2, damping).ok_or_else(flat)?;
                 change = factor.solve(&right);
             }
@@ -327,10 +332,10 @@ impl Fitter<'_> {
 
     /// Moves bloom and the cells' levels along with the shared unknowns.
     fn settle(&mut self, linear: &Linear, change: &[f64]) {
-        let mut coefficients = SVector::<f64, COLUMNS>::zeros();
+        let mut coefficients = SVector::<f64, STILL>::zeros();
         coefficients[0] = 1.0;
-        for (index, change) in change.iter().enumerate().take(SPREAD - 1) {
-            coefficients[index + 1] = -change * linear.scale[index];
+        for unknown in WHITE..UNKNOWNS {
+            coefficients[unknown + 1 - WHITE] = -change[unknown] * linear.scale[unknown];
         }
         if self.cut_off {
             let bloom = self.bloom.dot(&coefficients) / self.bloom[SPREAD];
@@ -353,7 +358,7 @@ impl Fitter<'_> {
         let FitScratch { level, contours, nodes, careful, .. } = &mut *self.scratch;
         let Careful { normal, images, .. } = careful;
         let mut parts = Parts { level: *level, contours, nodes, window: images.origin };
-        let radius_px = state::project(self.problem, state, blur_px, &mut parts);
+        let radius_px = look::project(self.problem, state, blur_px, &mut parts);
         if self.bloom_px != 0.0 {
             images.spread(nodes, self.bloom_px);
         }
@@ -371,7 +376,7 @@ impl Fitter<'_> {
         pixels::add_all(*level, (self.problem, state), careful, deviation);
         let products = self.combined();
         let origin = self.scratch.careful.images.origin;
-        let model = state::model(self.problem, state, blur_px, origin);
+        let model = look::model(self.problem, state, blur_px, origin);
         Ok(Linear::new(self.problem, state, (&products, &model), radius_px))
     }
 

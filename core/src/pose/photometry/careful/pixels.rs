@@ -4,7 +4,10 @@ use fearless_simd::{Level, Simd, dispatch};
 use fearless_simd_macros::simd;
 
 use super::{
-    super::state::{self, Problem, State},
+    super::{
+        look,
+        state::{Problem, State},
+    },
     Careful,
     image::{IMAGES, Normal},
 };
@@ -35,7 +38,7 @@ fn add_each<S: Simd>(
     deviation: f64,
 ) {
     let Careful { normal, images, pixels, cells, .. } = careful;
-    let model = state::model(problem, state, state.blur2.sqrt(), images.origin);
+    let model = look::model(problem, state, state.blur2.sqrt(), images.origin);
     for cell in cells.iter_mut() {
         cell.sums = Default::default();
     }
