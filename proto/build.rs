@@ -8,7 +8,7 @@ use prost::Message;
 const FILES: [&str; 1] = ["roundel/v1/roundel.proto"];
 
 /// Nanoseconds exceed what a JSON number holds exactly (2^53), so in JSON they are strings.
-const NANOSECONDS: [&str; 12] = [
+const NANOSECONDS: [&str; 13] = [
     "Snapshot.pose_time_ns",
     "Snapshot.capture_time_ns",
     "Snapshot.fused_time_ns",
@@ -21,13 +21,15 @@ const NANOSECONDS: [&str; 12] = [
     "Object.first_seen_time_ns",
     "Object.last_seen_time_ns",
     "ServerInfo.started_time_ns",
+    "Camera.pose_time_ns",
 ];
 
 /// Enumerations are integers on the wire and lower-case words in JSON.
-const ENUMERATIONS: [(&str, &str); 4] = [
+const ENUMERATIONS: [(&str, &str); 5] = [
     ("ObjectState.stage", "life_stage"),
     ("Object.stage", "life_stage"),
     ("Camera.status", "camera_status"),
+    ("Camera.pose_status", "pose_status"),
     ("Event.kind", "event_kind"),
 ];
 

@@ -57,6 +57,7 @@ macro_rules! enumeration {
 
 enumeration!(life_stage, crate::v1::LifeStage, "LIFE_STAGE_");
 enumeration!(camera_status, crate::v1::CameraStatus, "CAMERA_STATUS_");
+enumeration!(pose_status, crate::v1::PoseStatus, "POSE_STATUS_");
 enumeration!(event_kind, crate::v1::EventKind, "EVENT_KIND_");
 
 #[cfg(test)]

@@ -23,11 +23,8 @@ use roundel_server::{
 const OBJECTS: u64 = 100;
 
 fn installation() -> Installation {
-    let camera = |place: usize| CameraInfo {
-        name: format!("camera {place}"),
-        source: "sim:".into(),
-        mask: vec![],
-    };
+    let camera =
+        |place: usize| CameraInfo { name: format!("camera {place}"), ..CameraInfo::default() };
     Installation {
         name: "bench".into(),
         source_id: "0123456789abcdef".into(),

@@ -10,12 +10,13 @@ use roundel_core::{
     pose::{Detection, RoundelPose},
     rigid::{Rigid, upper_triangle},
     time::Timestamp,
-    world::{self, ClockEstimate, FrameObservations, LifeStage, ObjectState},
+    world::{self, ClockEstimate, FrameObservations, LifeStage, ObjectState, Unplaced},
 };
 use roundel_proto::v1;
 
 use crate::hub::{
-    CameraState, CameraStatus, Event, FusedSnapshot, Happening, Installation, ObjectRecord,
+    CameraPlace, CameraState, CameraStatus, Event, FusedSnapshot, Happening, Installation,
+    ObjectRecord, PoseStatus,
 };
 
 /// A snapshot of `objects` (those that the subscriber chose out of `fused`).
@@ -133,6 +134,9 @@ fn roundel_pose(pose: &RoundelPose) -> v1::RoundelPose {
 /// A camera with how it is doing.
 pub fn camera(installation: &Installation, id: CameraId, state: &CameraState) -> v1::Camera {
     let info = installation.cameras.get(id.0 as usize);
+    let ride = info.and_then(|info| info.ride.as_ref());
+    let CameraPlace { status, placement, time, reason } = &state.place;
+    let covariance = placement.as_ref().map(|placement| upper_triangle(&placement.covariance));
     v1::Camera {
         name: installation.camera_name(id).to_owned(),
         source: info.map(|info| info.source.clone()).unwrap_or_default(),
@@ -140,7 +144,7 @@ pub fn camera(installation: &Installation, id: CameraId, state: &CameraState) ->
         error: state.error.clone(),
         width: pixels(state.width),
         height: pixels(state.height),
-        pose: state.world_from_camera.as_ref().map(pose),
+        pose: placement.as_ref().map(|placement| pose(&placement.world_from_camera)),
         intrinsics: state.camera.as_ref().map(intrinsics),
         calibration_version: state.calibration_version,
         frames: state.frames,
@@ -153,6 +157,13 @@ pub fn camera(installation: &Installation, id: CameraId, state: &CameraState) ->
         blur_px: state.blur_px,
         noise: state.noise,
         clock: state.clock.as_ref().map(camera_clock),
+        pose_status: pose_status(*status) as i32,
+        pose_reason: reason.clone(),
+        pose_covariance: covariance.unwrap_or_default(),
+        pose_time_ns: time.unwrap_or_default().as_ns(),
+        carrier: ride.map(|ride| ride.carrier.clone()).unwrap_or_default(),
+        mount: ride.map(|ride| pose(&ride.object_from_camera)),
+        localizes: ride.is_some_and(|ride| ride.localizes),
     }
 }
 
@@ -192,14 +203,13 @@ pub fn object(installation: &Installation, record: &ObjectRecord) -> v1::Object 
 
 /// An event.
 pub fn event(installation: &Installation, event: &Event) -> v1::Event {
+    let of_camera = |kind, id| (kind, 0, installation.camera_name(id).to_owned());
     let (kind, object_id, camera) = match event.happening {
         Happening::Object(id, kind) => (object_event_kind(kind), id.0, String::new()),
-        Happening::Camera(id, status) => {
-            (camera_event_kind(status), 0, installation.camera_name(id).to_owned())
-        }
-        Happening::ClockSet(id) => {
-            (v1::EventKind::CameraClockSet, 0, installation.camera_name(id).to_owned())
-        }
+        Happening::Camera(id, status) => of_camera(camera_event_kind(status), id),
+        Happening::ClockSet(id) => of_camera(v1::EventKind::CameraClockSet, id),
+        Happening::Placed(id) => of_camera(v1::EventKind::CameraPlaced, id),
+        Happening::Unplaced(id) => of_camera(v1::EventKind::CameraUnplaced, id),
     };
     v1::Event {
         sequence: event.sequence,
@@ -237,6 +247,20 @@ fn camera_status(status: CameraStatus) -> v1::CameraStatus {
         CameraStatus::Running => v1::CameraStatus::Running,
         CameraStatus::Failed => v1::CameraStatus::Failed,
         CameraStatus::Finished => v1::CameraStatus::Finished,
+    }
+}
+
+fn pose_status(status: PoseStatus) -> v1::PoseStatus {
+    match status {
+        PoseStatus::Configured => v1::PoseStatus::Configured,
+        PoseStatus::Found => v1::PoseStatus::Found,
+        PoseStatus::Riding => v1::PoseStatus::Riding,
+        PoseStatus::Searching => v1::PoseStatus::Searching,
+        PoseStatus::Without(Unplaced::Unknown | Unplaced::CarrierUnseen) => {
+            v1::PoseStatus::CarrierUnseen
+        }
+        PoseStatus::Without(Unplaced::CarrierWithoutYaw) => v1::PoseStatus::CarrierWithoutYaw,
+        PoseStatus::Without(Unplaced::CarrierUncertain) => v1::PoseStatus::CarrierUncertain,
     }
 }
 

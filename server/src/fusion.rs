@@ -1,6 +1,8 @@
 //! The fusion thread: the one owner of all tracks. Takes what workers saw, drives the pure machine
 //! of `core::world`, and publishes snapshots at steady ticks.
 
+mod riding;
+
 use std::{
     collections::BTreeMap,
     sync::{
@@ -23,6 +25,7 @@ use crate::{
     stop::Stop,
     worker::{Sighted, meter::Median},
 };
+use riding::Riding;
 
 /// Frames from all cameras that may wait for fusion; full: the newest is dropped and counted.
 pub const QUEUE_FRAMES: usize = 256;
@@ -36,16 +39,18 @@ pub struct FusionTask {
     latency_ms: BTreeMap<CameraId, Median>,
     /// What the newest snapshot says of each object, for messages about it.
     known: BTreeMap<ObjectId, Known>,
+    riding: Riding,
 }
 
 /// Kind, body and code of an object.
 type Known = (Option<KindId>, Option<BodyId>, Option<Code>);
 
 impl FusionTask {
-    /// A task for a fusion machine whose cameras of known pose are set already.
+    /// A task for a fusion machine that was told already where cameras stand and what they ride on.
     pub fn new(fusion: Fusion, hub: Arc<Hub>, clock: Clock, received: Receiver<Sighted>) -> Self {
         let (latency_ms, known) = (BTreeMap::new(), BTreeMap::new());
-        Self { fusion, hub, clock, received, latency_ms, known }
+        let riding = Riding::of(&hub);
+        Self { fusion, hub, clock, received, latency_ms, known, riding }
     }
 
     /// Publishes a snapshot each `period` until the signal comes, and a last one then.
@@ -118,6 +123,8 @@ impl FusionTask {
 
     fn publish(&mut self, pose_time: Timestamp) {
         let snapshot = self.fusion.snapshot(pose_time);
+        let gives_frames = |camera| self.latency_ms.contains_key(&camera);
+        self.riding.publish(&mut self.fusion, &self.hub, pose_time, gives_frames);
         let events: Vec<Event> = self.fusion.drain_events().collect();
         self.remember(&snapshot);
         self.hub.set_fusion_counts(self.fusion.counts());
@@ -177,7 +184,7 @@ mod tests {
             source_id: "s".into(),
             started: clock.now(),
             snapshot_rate_hz: 100.0,
-            cameras: vec![CameraInfo { name: "north".into(), source: "test".into(), mask: vec![] }],
+            cameras: vec![CameraInfo { name: "north".into(), ..CameraInfo::default() }],
             kinds: vec!["robot".into()],
             object_names: BTreeMap::from([(KindId(0), "robot one".into())]),
             body_names: vec!["carrier".into()],

@@ -5,6 +5,8 @@
 //! sequence; observations and events are rings of fixed size (`broadcast`) whose slow readers are
 //! told how many they missed; pictures are made only when somebody has asked for one.
 
+mod camera;
+
 use std::{
     collections::{BTreeMap, VecDeque},
     sync::{
@@ -14,14 +16,16 @@ use std::{
 };
 
 use roundel_core::{
-    camera::{Camera, PixelPoint},
     id::{BodyId, CameraId, KindId, ObjectId},
-    marker::{Code, Reject},
-    rigid::Rigid,
+    marker::Code,
     time::Timestamp,
-    world::{self, ClockEstimate, FrameObservations, FusionCounts, LifeStage, Snapshot},
+    world::{self, FrameObservations, FusionCounts, LifeStage, Snapshot},
 };
 use tokio::sync::{broadcast, watch};
+
+pub use camera::{
+    CameraInfo, CameraPlace, CameraState, CameraStatus, DetectionCounts, PoseStatus, RideInfo,
+};
 
 /// Observations that a slow reader may lag behind before it misses some.
 const OBSERVATIONS_KEPT: usize = 256;
@@ -49,17 +53,6 @@ pub struct Installation {
     pub object_names: BTreeMap<KindId, String>,
     /// Configured names of all others, by [`BodyId`].
     pub body_names: Vec<String>,
-}
-
-/// What is fixed about a camera.
-#[derive(Clone, Debug)]
-pub struct CameraInfo {
-    /// Unique among the cameras.
-    pub name: String,
-    /// The source's URL, safe to show.
-    pub source: String,
-    /// Corners of the polygons in which nothing is looked for, raw pixels.
-    pub mask: Vec<Vec<PixelPoint>>,
 }
 
 impl Installation {
@@ -100,78 +93,6 @@ pub struct FusedSnapshot {
     pub snapshot: Snapshot,
 }
 
-/// How a camera is doing.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
-pub enum CameraStatus {
-    /// Being opened, no frame yet.
-    #[default]
-    Starting,
-    /// Frames arrive.
-    Running,
-    /// Failed; tried again after a pause.
-    Failed,
-    /// No more frames will come.
-    Finished,
-}
-
-/// The changing state of a camera.
-#[derive(Clone, Debug, Default)]
-pub struct CameraState {
-    /// How it is doing.
-    pub status: CameraStatus,
-    /// Why it failed and what to do; empty while it runs.
-    pub error: String,
-    /// Image size, pixels; 0 before the first frame.
-    pub width: usize,
-    /// Image size, pixels; 0 before the first frame.
-    pub height: usize,
-    /// world_from_camera, once known.
-    pub world_from_camera: Option<Rigid>,
-    /// Lens and intrinsics, once known.
-    pub camera: Option<Camera>,
-    /// Version of the calibration in use.
-    pub calibration_version: u64,
-    /// Frames processed.
-    pub frames: u64,
-    /// Frames that gave way to newer ones.
-    pub dropped: u64,
-    /// Times that the source was opened again.
-    pub restarts: u64,
-    /// Mean over the last seconds.
-    pub rate_hz: f64,
-    /// Roundels in the newest frame.
-    pub detections: usize,
-    /// Median of the newest frames' detection times, milliseconds.
-    pub detect_ms: f64,
-    /// The part of it that finding takes, median, milliseconds.
-    pub find_ms: f64,
-    /// The part of it that locating takes, median, milliseconds.
-    pub locate_ms: f64,
-    /// Deviation of the blur, median over fitted roundels of the newest frames, pixels; 0 before any.
-    pub blur_px: f64,
-    /// Deviation of the noise, likewise, grey levels.
-    pub noise: f64,
-    /// What became of rings and candidates since the start.
-    pub counts: DetectionCounts,
-    /// Median from capture to fused, milliseconds.
-    pub latency_ms: f64,
-    /// What fusion knows of its clock.
-    pub clock: Option<ClockEstimate>,
-}
-
-/// What became of a camera's rings and candidates since the start.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
-pub struct DetectionCounts {
-    /// Rings located by the fit to the grey levels.
-    pub precise: u64,
-    /// Rings located in closed form: all in fast mode, in precise mode those that the fit refused.
-    pub fast: u64,
-    /// Rings without a pose.
-    pub unlocated: u64,
-    /// Candidates that were no roundels, in the order of [`Reject::ALL`].
-    pub rejects: [u64; Reject::ALL.len()],
-}
-
 /// A camera's frame with what was found in it.
 #[derive(Clone, Debug)]
 pub struct Picture {
@@ -194,6 +115,10 @@ pub enum Happening {
     Camera(CameraId, CameraStatus),
     /// A camera's clock was set, or is of another epoch.
     ClockSet(CameraId),
+    /// Where a camera is became known.
+    Placed(CameraId),
+    /// Where a camera is has not been known for a while.
+    Unplaced(CameraId),
 }
 
 /// Something that happened once.
@@ -417,7 +342,7 @@ mod tests {
             source_id: "s".into(),
             started: Timestamp::default(),
             snapshot_rate_hz: 60.0,
-            cameras: vec![CameraInfo { name: "north".into(), source: "sim:".into(), mask: vec![] }],
+            cameras: vec![CameraInfo { name: "north".into(), ..CameraInfo::default() }],
             kinds: vec!["robot".into()],
             object_names: BTreeMap::new(),
             body_names: vec![],

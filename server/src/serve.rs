@@ -1,7 +1,8 @@
 //! Puts a server together, and takes it apart on shutdown: cameras first, then fusion, then clients.
 
+mod setup;
+
 use std::{
-    collections::BTreeMap,
     io,
     net::SocketAddr,
     sync::{Arc, mpsc::sync_channel},
@@ -9,16 +10,9 @@ use std::{
     time::{Duration, Instant},
 };
 
-use nalgebra::Vector3;
 use roundel_core::{
-    id::{BodyId, CameraId, KindId},
-    marker::{DetectorError, Mask, MaskError, Params},
-    rigid::Covariance6,
-    time::Timestamp,
-    world::{
-        BodyError, CameraMount, CameraPlacement, Carrier, ClockPrior, Fusion, FusionParams,
-        Landmark, reference::Reference,
-    },
+    marker::{DetectorError, MaskError},
+    world::BodyError,
 };
 use thiserror::Error;
 use tokio::net::TcpListener;
@@ -27,26 +21,19 @@ use tokio_util::sync::CancellationToken;
 use crate::{
     api,
     clock::Clock,
-    config::{
-        CameraConfig, CameraPose, Carried, Config, ObjectConfig, ReferenceConfig, RideConfig,
-    },
+    config::{CameraConfig, Config},
     fusion::{FusionTask, QUEUE_FRAMES},
-    hub::{CameraInfo, Hub, Installation},
+    hub::Hub,
     source::{OpenSource, Playback, SourceOpener, TimesError},
     stop::Stop,
-    worker::{
-        self, Place, Sighted, Worker, WorkerParts,
-        pipeline::{Pipeline, PipelineParts},
-    },
+    worker::{self, Sighted, Worker, WorkerParts, pipeline::Pipeline},
 };
+use setup::{camera_id, fusion, installation, pipeline, place};
 
 /// Time that shutdown may take in all.
 pub const GRACE: Duration = Duration::from_secs(5);
 /// Of it, for clients; the rest is for cameras and fusion, which need far less.
 const CLIENT_GRACE: Duration = Duration::from_secs(2);
-
-/// How much faster or slower than the others a camera's clock may run: quartz without care.
-const CLOCK_SKEW: f64 = 1e-4;
 
 /// Why a server does not start.
 #[derive(Debug, Error)]
@@ -278,141 +265,5 @@ async fn join(thread: JoinHandle<()>, deadline: Instant) {
     }
     if thread.join().is_err() {
         tracing::error!("a thread ended with a panic");
-    }
-}
-
-fn camera_id(index: usize) -> CameraId {
-    CameraId(u32::try_from(index).unwrap_or(u32::MAX))
-}
-
-fn installation(config: &Config, started: Timestamp) -> Installation {
-    let unique = started.as_ns() as u64 ^ (u64::from(std::process::id()) << 32).rotate_left(16);
-    Installation {
-        name: config.name.clone(),
-        source_id: format!("{}-{unique:016x}", config.name),
-        started,
-        snapshot_rate_hz: config.server.snapshot_rate_hz,
-        cameras: config
-            .cameras
-            .iter()
-            .map(|camera| CameraInfo {
-                name: camera.name.clone(),
-                source: camera.source.clone(),
-                mask: camera.mask.clone(),
-            })
-            .collect(),
-        kinds: config.kinds.iter().map(|kind| kind.name.clone()).collect(),
-        object_names: config
-            .objects
-            .iter()
-            .filter_map(|object| match object.carries {
-                Carried::Kind { kind, .. } => Some((kind, object.name.clone())),
-                Carried::Body(_) => None,
-            })
-            .collect::<BTreeMap<_, _>>(),
-        // In the order in which fusion is told of them, which numbers them.
-        body_names: config
-            .objects
-            .iter()
-            .filter(|object| matches!(object.carries, Carried::Body(_)))
-            .map(|object| object.name.clone())
-            .collect(),
-    }
-}
-
-fn fusion(config: &Config) -> Result<Fusion, ServeError> {
-    let ns = |seconds: f64| (seconds * 1e9).round() as i64;
-    let mut fusion = Fusion::new(FusionParams {
-        acceleration_m_s2: config.fusion.acceleration_m_s2,
-        late_window_ns: ns(config.fusion.late_window_s),
-        predicted_after_ns: ns(config.fusion.predicted_after_s),
-        lost_after_ns: ns(config.fusion.lost_after_s),
-        max_objects: config.limits.max_objects,
-        ..FusionParams::default()
-    });
-    for (index, class) in config.motions.iter().enumerate() {
-        fusion.set_motion(KindId(u16::try_from(index).unwrap_or(u16::MAX)), *class);
-    }
-    let mut bodies = Vec::new();
-    for ObjectConfig { name, carries } in &config.objects {
-        bodies.push(match carries {
-            Carried::Kind { kind, offset_m, motion } => {
-                fusion.set_offset(*kind, *offset_m);
-                motion.iter().for_each(|class| fusion.set_motion(*kind, *class));
-                None
-            }
-            Carried::Body(body) => {
-                let named = |source| ServeError::Object { name: name.clone(), source };
-                Some(fusion.add_body(body.clone()).map_err(named)?)
-            }
-        });
-    }
-    let landmark = |reference: &ReferenceConfig| Landmark {
-        orientation: reference.orientation,
-        ..Landmark::new(reference.kind, reference.code, reference.position_m)
-    };
-    fusion.set_landmarks(config.references.iter().map(landmark).collect());
-    for (index, camera) in config.cameras.iter().enumerate() {
-        if camera.clock_uncertainty_s > 0.0 {
-            let prior = ClockPrior { offset_s: camera.clock_uncertainty_s, skew: CLOCK_SKEW };
-            fusion.set_clock(camera_id(index), prior);
-        }
-        place_camera(&mut fusion, camera_id(index), camera, &bodies);
-    }
-    Ok(fusion)
-}
-
-/// Tells fusion what is known of a camera's place; `bodies` are those of the configured objects.
-fn place_camera(
-    fusion: &mut Fusion,
-    id: CameraId,
-    camera: &CameraConfig,
-    bodies: &[Option<BodyId>],
-) {
-    let covariance = Covariance6::zeros();
-    match camera.pose {
-        CameraPose::Known(world_from_camera) => {
-            fusion.set_camera(id, Some(CameraPlacement { world_from_camera, covariance }));
-        }
-        CameraPose::Unknown => {}
-        CameraPose::Rides(RideConfig { object, object_from_camera, localizes }) => {
-            let body = bodies.get(object).copied().flatten();
-            let carrier = body.map(Carrier::Body);
-            let mount =
-                |carrier| CameraMount { carrier, object_from_camera, covariance, localizes };
-            fusion.set_mount(id, carrier.map(mount));
-        }
-    }
-}
-
-fn pipeline(camera: &CameraConfig, config: &Config) -> Result<PipelineParts, MaskError> {
-    Ok(PipelineParts {
-        kinds: config.kinds.clone(),
-        params: Params {
-            mode: camera.mode,
-            max_roundels: config.limits.max_roundels_per_camera,
-            ..Params::default()
-        },
-        mask: Mask::of_polygons(&camera.mask)?,
-        camera: camera.calibration.clone(),
-        line_time_s: camera.line_time_s,
-    })
-}
-
-fn place(camera: &CameraConfig, config: &Config) -> Place {
-    match camera.pose {
-        CameraPose::Known(pose) => Place::Known(pose),
-        CameraPose::Unknown => Place::Unknown {
-            references: config
-                .references
-                .iter()
-                .map(|reference| Reference {
-                    position_m: reference.position_m,
-                    normal: reference.orientation.map(|turn| turn * Vector3::z()),
-                })
-                .collect(),
-            kinds: config.references.iter().map(|reference| reference.kind).collect(),
-        },
-        CameraPose::Rides(_) => Place::Rides,
     }
 }

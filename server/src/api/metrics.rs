@@ -156,9 +156,12 @@ fn write_server(page: &mut Page, api: &Api) {
 /// A number of each camera: name, type, help, and where it stands.
 type CameraFamily = (&'static str, &'static str, &'static str, fn(&CameraState) -> f64);
 
-const CAMERA_FAMILIES: [CameraFamily; 13] = [
+const CAMERA_FAMILIES: [CameraFamily; 14] = [
     ("roundel_camera_up", "gauge", "1 while frames arrive.", |camera| {
         f64::from(u8::from(camera.status == CameraStatus::Running))
+    }),
+    ("roundel_camera_placed", "gauge", "1 while its pose is known.", |camera| {
+        f64::from(u8::from(camera.place.placement.is_some()))
     }),
     ("roundel_camera_frames_total", "counter", "Frames processed.", |camera| camera.frames as f64),
     (
@@ -306,6 +309,9 @@ fn write_fusion_counts(page: &mut Page, counts: &FusionCounts) {
     ] {
         page.sample(name, &[("outcome", outcome)], count as f64);
     }
+    // What carries a camera being out of sight is counted by itself.
+    let unknown_place =
+        counts.no_camera_pose.saturating_sub(counts.carrier_unseen + counts.carrier_unturned);
     let name = "roundel_fusion_detections_total";
     page.family(name, "counter", "Detections handed to fusion, by what became of them.");
     for (outcome, count) in [
@@ -313,7 +319,11 @@ fn write_fusion_counts(page: &mut Page, counts: &FusionCounts) {
         ("late", counts.late),
         ("duplicate", counts.duplicate),
         ("jumped", counts.jumped),
-        ("no_camera_pose", counts.no_camera_pose),
+        ("no_camera_pose", unknown_place),
+        ("carrier_unseen", counts.carrier_unseen),
+        ("carrier_unturned", counts.carrier_unturned),
+        ("of_landmark", counts.of_landmarks),
+        ("of_carrier", counts.of_carriers),
         ("no_pose", counts.no_pose),
         ("invalid", counts.invalid),
         ("gated", counts.gated),
@@ -346,6 +356,11 @@ fn write_fusion_counts(page: &mut Page, counts: &FusionCounts) {
             "roundel_fusion_ambiguous_codes_total",
             "Objects with the code of another one that is seen as well.",
             counts.ambiguous_codes,
+        ),
+        (
+            "roundel_fusion_localized_total",
+            "Frames by which a camera on an object found where that is, from reference roundels.",
+            counts.localized,
         ),
         ("roundel_fusion_restarts_total", "Times that all tracks were ended.", counts.restarts),
     ] {

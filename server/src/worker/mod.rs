@@ -25,7 +25,6 @@ use std::{
 
 use roundel_core::{
     id::{CameraId, KindId},
-    rigid::Rigid,
     time::Timestamp,
     world::{CameraPlacement, FrameObservations, reference::Reference},
 };
@@ -34,7 +33,7 @@ pub use supervisor::{Pauses, run};
 
 use crate::{
     clock::Clock,
-    hub::{CameraStatus, Happening, Hub, Picture},
+    hub::{CameraPlace, CameraStatus, Happening, Hub, Picture, PoseStatus},
     source::{FrameInfo, OpenSource, SourceError},
 };
 use meter::{Median, Rate};
@@ -54,7 +53,7 @@ pub struct Sighted {
 #[derive(Clone, Debug)]
 pub enum Place {
     /// As configured.
-    Known(Rigid),
+    Known(CameraPlacement),
     /// To be found from roundels of these kinds at these places.
     Unknown {
         /// The references.
@@ -122,13 +121,19 @@ impl Worker {
                 Some(Placing::new(references.clone(), kinds.clone()))
             }
         };
-        let world_from_camera = match &parts.place {
-            Place::Known(pose) => Some(*pose),
-            Place::Unknown { .. } | Place::Rides => None,
+        let place = match &parts.place {
+            Place::Known(placement) => {
+                Some(CameraPlace::standing(PoseStatus::Configured, *placement))
+            }
+            Place::Unknown { .. } => Some(CameraPlace::searching(
+                "it looks for the reference roundels, of which it must see three",
+            )),
+            // Fusion says where.
+            Place::Rides => None,
         };
         let camera = parts.pipeline.camera().clone();
         parts.hub.update_camera(parts.id, |state| {
-            state.world_from_camera = world_from_camera;
+            place.into_iter().for_each(|place| state.place = place);
             state.camera = Some(camera);
             state.calibration_version = pipeline::CALIBRATION_VERSION;
         });
@@ -201,14 +206,10 @@ impl Worker {
 
     fn report_running(&self, info: &FrameInfo, now: Timestamp) {
         let (id, name) = (self.parts.id, &self.parts.name);
-        let error = match self.placing {
-            Some(_) => "no pose: looking for the reference roundels",
-            None => "",
-        };
         tracing::info!(camera = name, width = info.width, height = info.height, "frames arrive");
         self.parts.hub.update_camera(id, |state| {
             state.status = CameraStatus::Running;
-            error.clone_into(&mut state.error);
+            state.error.clear();
             (state.width, state.height) = (info.width, info.height);
         });
         let happening = Happening::Camera(id, CameraStatus::Running);
@@ -221,22 +222,20 @@ impl Worker {
         match placing.observe(observations) {
             Progress::Waiting => {}
             Progress::Failed(reason) => {
-                hub.update_camera(id, |state| state.error = format!("no pose: {reason}"));
+                hub.update_camera(id, |state| state.place = CameraPlace::searching(reason));
             }
             Progress::Found { placement, references, rms_m } => {
                 self.placing = None;
                 self.placement = Some(*placement);
-                hub.update_camera(id, |state| {
-                    state.error.clear();
-                    state.world_from_camera = Some(placement.world_from_camera);
-                });
+                let place = CameraPlace::standing(PoseStatus::Found, *placement);
+                hub.update_camera(id, |state| state.place = place);
                 let millimetres = rms_m * 1e3;
                 let message = format!(
                     "Camera {name} found its place from {references} references, which fit to \
                      {millimetres:.1} mm."
                 );
                 tracing::info!(camera = name, "{message}");
-                hub.publish_event(now, Happening::Camera(id, CameraStatus::Running), message);
+                hub.publish_event(now, Happening::Placed(id), message);
             }
         }
     }

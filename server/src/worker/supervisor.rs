@@ -120,7 +120,6 @@ mod tests {
         camera::{Camera, Intrinsics, Lens},
         id::CameraId,
         marker::{Mask, Params},
-        rigid::Rigid,
     };
 
     use super::*;
@@ -207,7 +206,7 @@ mod tests {
             source_id: "s".into(),
             started: clock.now(),
             snapshot_rate_hz: 60.0,
-            cameras: vec![CameraInfo { name: "north".into(), source: "test".into(), mask: vec![] }],
+            cameras: vec![CameraInfo { name: "north".into(), ..CameraInfo::default() }],
             kinds: Vec::new(),
             object_names: BTreeMap::new(),
             body_names: vec![],
@@ -231,7 +230,7 @@ mod tests {
                 line_time_s: 0.0,
             })
             .unwrap(),
-            place: Place::Known(Rigid::identity()),
+            place: Place::Rides,
             hub: hub.clone(),
             fusion,
             clock,

@@ -43,6 +43,7 @@ pub fn hub(source_id: &str) -> Arc<Hub> {
         name: name.into(),
         source: format!("sim:?of={name}"),
         mask: vec![corners.to_vec()],
+        ride: None,
     };
     Arc::new(Hub::new(Installation {
         name: "lab".into(),

@@ -1,0 +1,182 @@
+//! Where cameras that ride on objects are, told with each snapshot.
+//!
+//! A place that comes or goes is an event. Objects are lost and seen again within a few frames at the edge of
+//! what cameras see, so a place that has gone is told only when it stays away.
+
+use roundel_core::{
+    id::CameraId,
+    time::Timestamp,
+    world::{CameraPlacement, Fusion, Unplaced},
+};
+
+use crate::hub::{CameraPlace, Happening, Hub, PoseStatus, RideInfo};
+
+/// Unknown for so long: told.
+const AWAY_S: f64 = 1.0;
+
+/// One camera that rides.
+#[derive(Debug)]
+struct Rider {
+    camera: CameraId,
+    ride: RideInfo,
+    /// Since when its place is not known, while it gives frames.
+    away_since: Option<Timestamp>,
+    /// What was told last: whether its place is known.
+    told: Option<bool>,
+}
+
+/// All cameras that ride.
+#[derive(Debug)]
+pub(super) struct Riding {
+    riders: Vec<Rider>,
+}
+
+impl Riding {
+    pub(super) fn of(hub: &Hub) -> Self {
+        let cameras = (0..).map(CameraId).zip(&hub.installation().cameras);
+        let rider = |(camera, ride): (CameraId, RideInfo)| Rider {
+            camera,
+            ride,
+            away_since: None,
+            told: None,
+        };
+        let riders = cameras.filter_map(|(camera, info)| Some((camera, info.ride.clone()?)));
+        Self { riders: riders.map(rider).collect() }
+    }
+
+    /// Shows where each of them is at an instant. `gives_frames` says of a camera whether it has shown
+    /// anything yet: before, nobody misses its place.
+    pub(super) fn publish(
+        &mut self,
+        fusion: &mut Fusion,
+        hub: &Hub,
+        time: Timestamp,
+        gives_frames: impl Fn(CameraId) -> bool,
+    ) {
+        for rider in &mut self.riders {
+            let camera = rider.camera;
+            let place = place(&rider.ride, fusion.camera_place(camera, time), time);
+            if let Some(is_placed) = rider.news(&place, time, gives_frames(camera)) {
+                let name = hub.installation().camera_name(camera);
+                let (happening, message) = if is_placed {
+                    let carrier = &rider.ride.carrier;
+                    let message = format!("Camera {name} has its place, on \"{carrier}\".");
+                    (Happening::Placed(camera), message)
+                } else {
+                    let message = format!("Camera {name} has no place: {}.", place.reason);
+                    (Happening::Unplaced(camera), message)
+                };
+                tracing::info!(camera = name, "{message}");
+                hub.publish_event(time, happening, message);
+            }
+            hub.update_camera(camera, |state| state.place = place);
+        }
+    }
+}
+
+impl Rider {
+    /// Whether its place is known, if that is to be told.
+    fn news(&mut self, place: &CameraPlace, now: Timestamp, gives_frames: bool) -> Option<bool> {
+        let is_placed = place.placement.is_some();
+        if is_placed {
+            self.away_since = None;
+        } else if gives_frames {
+            let since = *self.away_since.get_or_insert(now);
+            if now.seconds_since(since) < AWAY_S {
+                return None;
+            }
+        } else {
+            return None;
+        }
+        (self.told.replace(is_placed) != Some(is_placed)).then_some(is_placed)
+    }
+}
+
+fn place(
+    ride: &RideInfo,
+    placement: Result<CameraPlacement, Unplaced>,
+    time: Timestamp,
+) -> CameraPlace {
+    match placement {
+        Ok(placement) => CameraPlace {
+            status: PoseStatus::Riding,
+            placement: Some(placement),
+            time: Some(time),
+            reason: String::new(),
+        },
+        Err(unplaced) => CameraPlace {
+            status: PoseStatus::Without(unplaced),
+            placement: None,
+            time: None,
+            reason: reason(ride, unplaced),
+        },
+    }
+}
+
+/// Why there is no place, and what to do.
+fn reason(ride: &RideInfo, unplaced: Unplaced) -> String {
+    let carrier = &ride.carrier;
+    match (unplaced, ride.localizes) {
+        (Unplaced::Unknown | Unplaced::CarrierUnseen, false) => format!(
+            "\"{carrier}\", which it rides on, is not followed now; cameras that stand must see it and \
+             read its code"
+        ),
+        (Unplaced::Unknown | Unplaced::CarrierUnseen, true) => format!(
+            "\"{carrier}\", which it rides on, is not followed now; the camera must see one reference \
+             roundel with code and orientation, or three"
+        ),
+        (Unplaced::CarrierWithoutYaw, _) => format!(
+            "how \"{carrier}\", which it rides on, is turned is not seen; its code, or several of its \
+             roundels, must be in view"
+        ),
+        (Unplaced::CarrierUncertain, _) => format!(
+            "how \"{carrier}\", which it rides on, is turned is too uncertain; it must be seen larger, \
+             by more cameras, or by more roundels"
+        ),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use roundel_core::rigid::Rigid;
+
+    use super::*;
+
+    fn ride() -> RideInfo {
+        let object_from_camera = Rigid::identity();
+        RideInfo { carrier: "drone".into(), object_from_camera, localizes: false }
+    }
+
+    #[test]
+    fn only_a_place_that_stays_away_is_told() {
+        let mut rider = Rider { camera: CameraId(0), ride: ride(), away_since: None, told: None };
+        let placement = CameraPlacement {
+            world_from_camera: Rigid::identity(),
+            covariance: Default::default(),
+        };
+        let mut told = Vec::new();
+        for tenth in 0..100 {
+            let time = Timestamp::default().plus_seconds(f64::from(tenth) * 0.1);
+            // It gives frames from 1 s on, has a place from 3.5 to 5 s with a gap, and after 8 s.
+            let has_place = matches!(tenth, 35..40 | 45..50 | 80..);
+            let placement = if has_place { Ok(placement) } else { Err(Unplaced::CarrierUnseen) };
+            let place = place(&ride(), placement, time);
+            told.extend(rider.news(&place, time, tenth >= 10).map(|is_placed| (tenth, is_placed)));
+        }
+        assert_eq!(told, [(20, false), (35, true), (60, false), (80, true)]);
+    }
+
+    #[test]
+    fn each_reason_names_the_object_and_what_to_do() {
+        let all = [
+            Unplaced::Unknown,
+            Unplaced::CarrierUnseen,
+            Unplaced::CarrierWithoutYaw,
+            Unplaced::CarrierUncertain,
+        ];
+        for (unplaced, localizes) in all.into_iter().flat_map(|it| [(it, false), (it, true)]) {
+            let text = reason(&RideInfo { localizes, ..ride() }, unplaced);
+            assert!(text.contains("\"drone\"") && text.contains("must"), "{text}");
+        }
+    }
+}
