@@ -1,5 +1,5 @@
 //! An arena as an installation on disk: frames, capture times, camera files and the configuration
-//! that `roundel serve` takes, with every camera's pose known.
+//! that `roundel serve` takes, with every camera's pose known, or that on the robot that it rides on.
 
 use std::{
     fmt::Write as _,
@@ -8,15 +8,20 @@ use std::{
     path::{Path, PathBuf},
 };
 
+use nalgebra::Vector3;
 use rayon::prelude::*;
 
 use crate::{
-    arena::{Arena, Site},
+    arena::{Arena, Landmark, Site},
     clutter::{Clutter, background},
+    coded::{coded_print, words},
     normal::Random,
     optics::Pinhole,
-    render::{Canvas, Image, Renderer, Seen},
+    render::{Canvas, Image, Print, Renderer, Seen},
 };
+
+/// White paper round the ring, of its diameter.
+const MARGIN: f64 = 0.25;
 
 /// How an installation is written.
 #[derive(Clone, Debug, PartialEq)]
@@ -47,6 +52,8 @@ pub struct Studio<'a> {
     stream: u64,
     renderer: Renderer,
     background: Canvas,
+    /// What is printed on walls.
+    landmarks: Vec<Print>,
 }
 
 impl<'a> Studio<'a> {
@@ -57,25 +64,57 @@ impl<'a> Studio<'a> {
         let stream = (index as u64 + 1) << 32;
         let mut random = Random::new(arena.seed, stream);
         let background = background(&renderer, floor, clutter, &mut random);
-        Self { arena, site, stream, renderer, background }
+        let landmarks = arena.landmarks.iter().map(|it| landmark_print(arena, it)).collect();
+        Self { arena, site, stream, renderer, background, landmarks }
     }
 
     /// The `frame`-th frame, from 0. The same frame has the same noise each time.
     pub fn frame(&self, frame: usize) -> Image {
         let capture_ns = self.arena.capture_time_ns(self.site, frame);
         let start_s = (capture_ns - self.arena.start_ns) as f64 * 1e-9;
-        let camera_from_world = self.site.world_from_camera.inverse();
-        let motions: Vec<_> = self
-            .arena
+        let (arena, site) = (self.arena, self.site);
+        let camera_from_world =
+            move |after_s: f64| arena.camera_pose(site, start_s + after_s).inverse();
+        let carrier = site.mount.map(|mount| mount.robot);
+        let robots: Vec<_> = arena
             .robots
             .iter()
-            .map(|robot| move |after_s: f64| camera_from_world * robot.path.pose(start_s + after_s))
+            .enumerate()
+            // A camera is fixed below what carries it, and one that stands does not look between shelves.
+            .filter(|&(index, robot)| {
+                carrier != Some(index) && (carrier.is_some() || !robot.is_among_shelves)
+            })
+            .map(|(_, robot)| robot)
             .collect();
-        let seen: Vec<_> = std::iter::zip(&self.arena.robots, &motions)
-            .map(|(robot, motion)| Seen { print: &robot.print, motion })
+        let robots_move: Vec<_> = robots
+            .iter()
+            .map(|robot| {
+                move |after_s: f64| camera_from_world(after_s) * robot.path.pose(start_s + after_s)
+            })
             .collect();
+        let landmarks_move: Vec<_> = arena
+            .landmarks
+            .iter()
+            .map(|landmark| move |after_s: f64| camera_from_world(after_s) * landmark.pose)
+            .collect();
+        let robots = std::iter::zip(&robots, &robots_move)
+            .map(|(robot, motion)| Seen { print: &robot.print, motion });
+        let landmarks = std::iter::zip(&self.landmarks, &landmarks_move)
+            .map(|(print, motion)| Seen { print, motion });
+        let seen: Vec<_> = robots.chain(landmarks).collect();
         let mut random = Random::new(self.arena.seed, self.stream + 1 + frame as u64);
         self.renderer.frame(&self.background, &seen, &mut random)
+    }
+}
+
+fn landmark_print(arena: &Arena, landmark: &Landmark) -> Print {
+    let kind = &arena.kinds[landmark.kind];
+    match kind.code_bits {
+        Some(bits) => {
+            let word = words(bits)[usize::from(landmark.code) - 1];
+            coded_print(kind.outer_diameter_m, bits, word, MARGIN)
+        }
+        None => Print::plain(kind.outer_diameter_m, kind.inner_diameter_m, MARGIN),
     }
 }
 
@@ -128,8 +167,6 @@ impl Export {
             }
         }
         for site in &arena.sites {
-            let p = site.world_from_camera.translation.vector;
-            let q = site.world_from_camera.rotation;
             let times = folder.join(format!("{}-times.txt", site.name));
             let pattern = folder.join(&site.name).join("*.png");
             let source =
@@ -138,19 +175,14 @@ impl Export {
                 text,
                 "\n[[camera]]\nname = \"{name}\"\nsource = '{source}'\n\
                  calibration = \"{name}.yaml\"\n\
-                 pose = {{ position_m = [{:?}, {:?}, {:?}], \
-                 orientation_xyzw = [{:?}, {:?}, {:?}, {:?}] }}\nline_time_us = {:?}\n",
-                p.x,
-                p.y,
-                p.z,
-                q.i,
-                q.j,
-                q.k,
-                q.w,
+                 pose = {{ {} }}\nline_time_us = {:?}\n",
+                pose(arena, site),
                 site.imaging.line_time_s * 1e6,
                 name = site.name,
             );
         }
+        text.push_str(&references(arena));
+        text.push_str(&carriers(arena));
         if !self.fusion.is_empty() {
             let _ = write!(text, "\n[fusion]\n{}\n", self.fusion);
         }
@@ -180,6 +212,56 @@ impl Export {
         }
         text
     }
+}
+
+/// Where a camera stands, or is fixed to what carries it; with landmarks about, it localizes by them.
+fn pose(arena: &Arena, site: &Site) -> String {
+    let place = site.mount.map_or(site.world_from_camera, |mount| mount.robot_from_camera);
+    let (p, q) = (place.translation.vector, place.rotation);
+    let ride = site.mount.map_or(String::new(), |mount| {
+        let object = &arena.robots[mount.robot].name;
+        format!(", object = \"{object}\", localizes = {}", !arena.landmarks.is_empty())
+    });
+    format!(
+        "position_m = [{:?}, {:?}, {:?}], orientation_xyzw = [{:?}, {:?}, {:?}, {:?}]{ride}",
+        p.x, p.y, p.z, q.i, q.j, q.k, q.w
+    )
+}
+
+fn references(arena: &Arena) -> String {
+    let reference = |landmark: &Landmark| {
+        let (p, turn) = (landmark.pose.translation.vector, landmark.pose.rotation);
+        let [right, top] = [turn * Vector3::x(), turn * Vector3::y()];
+        format!(
+            "\n[[reference]]\nroundel = \"{}\"\ncode = {}\nposition_m = [{:?}, {:?}, {:?}]\n\
+             right = [{:?}, {:?}, {:?}]\ntop = [{:?}, {:?}, {:?}]\n",
+            arena.kinds[landmark.kind].name,
+            landmark.code,
+            p.x,
+            p.y,
+            p.z,
+            right.x,
+            right.y,
+            right.z,
+            top.x,
+            top.y,
+            top.z
+        )
+    };
+    arena.landmarks.iter().map(reference).collect()
+}
+
+/// The robots that carry cameras, by their codes.
+fn carriers(arena: &Arena) -> String {
+    let mut carriers: Vec<usize> =
+        arena.sites.iter().filter_map(|site| Some(site.mount?.robot)).collect();
+    carriers.dedup();
+    let object = |index: usize| {
+        let robot = &arena.robots[index];
+        let code = robot.code.map_or(String::new(), |code| format!("code = {code}\n"));
+        format!("\n[[object]]\nname = \"{}\"\nroundel = \"{}\"\n{code}", robot.name, robot.kind)
+    };
+    carriers.into_iter().map(object).collect()
 }
 
 /// A ROS `camera_info` YAML file, as calibration tools write it.

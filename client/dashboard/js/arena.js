@@ -13,6 +13,8 @@ import { boundsOf, View } from "./view.js";
 
 /** Kept free round what is fitted, CSS pixels; the rulers come on top. */
 const FIT_MARGIN_PX = 26;
+/** Kept in view round an object where no camera stands, metres: it will move. */
+const ROOM_M = 2;
 /** Reach of a click beyond the disc, CSS pixels; fingers are thicker. */
 const REACH_PX = 6;
 const REACH_COARSE_PX = 18;
@@ -123,7 +125,7 @@ export class Arena {
 
   onCameras() {
     const look = JSON.stringify(
-      this.store.cameras.map(({ name, status, pose, intrinsics, width, height }) => [
+      this.standing().map(({ name, status, pose, intrinsics, width, height }) => [
         name, status === "failed", pose, intrinsics, width, height,
       ]),
     );
@@ -131,6 +133,11 @@ export class Arena {
     this.camerasDrawn = look;
     if (this.fitsItself) this.fitNow();
     this.refresh();
+  }
+
+  /** Cameras that stay where they are. */
+  standing() {
+    return this.store.cameras.filter((camera) => !camera.mount);
   }
 
   onSelection() {
@@ -161,14 +168,18 @@ export class Arena {
     this.backdropStale = true;
   }
 
-  /** Fits to the cameras and what they see; to the objects where no camera's place is known. */
+  /** Fits to the cameras that stand and what they see; to the objects where no such camera's place is known. */
   fitNow() {
-    const { cameras, tracks } = this.store;
-    const places = cameras.flatMap((camera) =>
+    const { tracks } = this.store;
+    const places = this.standing().flatMap((camera) =>
       camera.pose ? [camera.pose.position, ...cameraFootprint(camera)] : [],
     );
     if (places.length === 0) {
-      for (const { state } of tracks.values()) if (state.positionM) places.push(state.positionM);
+      for (const { state } of tracks.values()) {
+        if (!state.positionM) continue;
+        const { x, y } = state.positionM;
+        places.push({ x: x - ROOM_M, y: y - ROOM_M }, { x: x + ROOM_M, y: y + ROOM_M });
+      }
     }
     if (places.length === 0) this.boundsFitted = "";
     const bounds = boundsOf(places);
@@ -238,7 +249,7 @@ export class Arena {
     const { view, palette, store } = this;
     if (this.backdropStale) {
       this.backdropStale = false;
-      drawBackdrop(this.layers.backdrop.context, view, palette, store.cameras);
+      drawBackdrop(this.layers.backdrop.context, view, palette, this.standing());
       this.describe();
     }
     drawTracks(this.layers.tracks.context, view, palette, [...store.tracks.values()], {
@@ -247,6 +258,7 @@ export class Arena {
       selected: store.selected,
       hovered: this.hovered,
       timeMs: store.snapshot?.poseTimeMs ?? 0,
+      cameras: store.cameras.filter((camera) => camera.mount),
     });
   }
 

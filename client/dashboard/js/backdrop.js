@@ -1,6 +1,7 @@
 /**
  * What stands still in the arena: the grid with its rulers, the world's axes, the cameras and what
- * they see of the floor. Drawn on a canvas of its own, only when the view or a camera changes.
+ * they see of the floor. Drawn on a canvas of its own, only when the view or a camera changes; cameras that
+ * ride on objects are drawn as they are here, with what moves.
  */
 
 import { footprint, roundStep, rotate } from "./geometry.js";
@@ -27,6 +28,18 @@ export function drawBackdrop(context, view, palette, cameras) {
   drawAxes(context, view, palette, stepM);
   for (const camera of cameras) drawCamera(context, view, palette, camera);
   drawRulers(context, view, palette, stepM);
+}
+
+/**
+ * Cameras that move, with what they see of the floor.
+ * @param {CanvasRenderingContext2D} context in CSS pixels
+ * @param {View} view
+ * @param {Palette} palette
+ * @param {Camera[]} cameras
+ */
+export function drawCameras(context, view, palette, cameras) {
+  for (const camera of cameras) drawFootprint(context, view, palette, camera);
+  for (const camera of cameras) drawCamera(context, view, palette, camera);
 }
 
 /** Distance between the grid's lines: about 70 pixels or a little less. @param {View} view */

@@ -85,8 +85,19 @@ function trouble(camera) {
   }
   if (camera.status === "starting") return camera.error || "The source is being opened.";
   if (camera.status === "finished") return "The source has no more frames.";
-  if (!camera.pose) return "Its place is not known yet, so its observations are not used.";
+  if (!camera.pose) {
+    const why = camera.poseReason ? `: ${camera.poseReason}` : " yet";
+    return `Its place is not known${why}. What it sees is not used meanwhile.`;
+  }
   return "";
+}
+
+/** Where it is, and what carries it. @param {Camera} camera */
+function placeWords(camera) {
+  const on = camera.carrier ? `on ${camera.carrier}` : "stands";
+  if (!camera.pose) return camera.carrier ? on : "";
+  const { x, y, z } = camera.pose.position;
+  return `${on}, at ${[x, y, z].map((value) => fixed(value, 2)).join("  ")} m`;
 }
 
 class Card {
@@ -106,6 +117,7 @@ class Card {
     this.status = element("span", { class: "status" });
     this.statusShown = "";
     this.note = element("p", { class: "trouble" });
+    this.place = element("p", { class: "place" });
     this.values = FIGURES.map(({ key }) => element("span", { "data-figure": key }));
     const figures = FIGURES.map(({ name: title, unit, title: hint }, i) =>
       element("div", { title: hint }, [
@@ -117,6 +129,7 @@ class Card {
     this.root = element("li", { class: "card", "data-camera-card": name }, [
       this.frame,
       element("div", { class: "card-head" }, [this.head, this.status]),
+      this.place,
       this.note,
       element("dl", { class: "figures" }, figures),
     ]);
@@ -137,6 +150,7 @@ class Card {
     const words = trouble(camera);
     this.note.hidden = words === "";
     setText(this.note, words);
+    setText(this.place, placeWords(camera));
     for (const [i, { value }] of FIGURES.entries()) setText(this.values[i], value(camera));
     // Before the first frame there is no picture to ask for; a finished camera's last one stays.
     this.picture.setWanted(live && camera.frames > 0 && camera.status !== "failed" && camera.status !== "starting");

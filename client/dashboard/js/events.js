@@ -13,6 +13,8 @@ const SIGNS = new Map([
   ["camera_failed", "failed"],
   ["camera_finished", "finished"],
   ["camera_clock_set", "predicted"],
+  ["camera_placed", "running"],
+  ["camera_unplaced", "predicted"],
 ]);
 
 /** @param {import("./store.js").Store} store */

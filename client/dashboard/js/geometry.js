@@ -41,6 +41,34 @@ export function rotate(q, v) {
 }
 
 /**
+ * The rotation by b, then by a.
+ * @param {Quaternion} a
+ * @param {Quaternion} b
+ * @returns {Quaternion}
+ */
+export function multiply(a, b) {
+  return {
+    x: a.w * b.x + a.x * b.w + a.y * b.z - a.z * b.y,
+    y: a.w * b.y - a.x * b.z + a.y * b.w + a.z * b.x,
+    z: a.w * b.z + a.x * b.y - a.y * b.x + a.z * b.w,
+    w: a.w * b.w - a.x * b.x - a.y * b.y - a.z * b.z,
+  };
+}
+
+/**
+ * What is placed by b in a frame that is placed by a.
+ * @param {{position: Vector3, orientation: Quaternion}} a
+ * @param {{position: Vector3, orientation: Quaternion}} b
+ */
+export function compose(a, b) {
+  const arm = rotate(a.orientation, b.position);
+  return {
+    position: { x: a.position.x + arm.x, y: a.position.y + arm.y, z: a.position.z + arm.z },
+    orientation: multiply(a.orientation, b.orientation),
+  };
+}
+
+/**
  * Direction of an object's x axis in the world's floor plane, radians from world x towards y.
  * @param {Quaternion} worldFromObject
  */

@@ -24,6 +24,7 @@ import { errorEllipse, headingRad, sigmasM, tiltRad } from "./geometry.js";
  * @property {string} label what a person calls it
  * @property {Stage} stage
  * @property {Vector3 | null} positionM
+ * @property {Quaternion | null} orientation world_from_object
  * @property {number | null} headingRad null while the yaw is not observed
  * @property {boolean} eitherWay the opposite heading looks the same
  * @property {number | null} tiltRad
@@ -56,7 +57,11 @@ import { errorEllipse, headingRad, sigmasM, tiltRad } from "./geometry.js";
  * @property {string} error
  * @property {number} width
  * @property {number} height
- * @property {{position: Vector3, orientation: Quaternion} | null} pose world_from_camera
+ * @property {Pose | null} pose world_from_camera
+ * @property {string} poseStatus how the pose is known, or why not
+ * @property {string} poseReason why it is not known and what to do; empty while it is
+ * @property {string} carrier name of the object that it rides on; empty of one that stands
+ * @property {Pose | null} mount object_from_camera of one that rides
  * @property {Intrinsics | null} intrinsics
  * @property {number} frames
  * @property {number} dropped
@@ -69,6 +74,7 @@ import { errorEllipse, headingRad, sigmasM, tiltRad } from "./geometry.js";
  * @property {number | null} blurPx null before it is known
  */
 
+/** @typedef {{position: Vector3, orientation: Quaternion}} Pose */
 /** @typedef {{offsetMs: number, skewPpm: number, deviationMs: number}} Clock how late its stamps are */
 /** @typedef {{sequence: number, timeMs: number, kind: string, objectId: number, camera: string, message: string}} Event */
 /** @typedef {{version: string, sourceId: string, name: string, startedTimeMs: number | null, snapshotRateHz: number}} ServerInfo */
@@ -112,6 +118,7 @@ function readObject(raw) {
     label: name || String(id),
     stage: STAGES.has(raw?.stage) ? raw.stage : "unspecified",
     positionM: vector(raw?.position),
+    orientation,
     headingRad: raw?.yaw_observed === true && orientation ? headingRad(orientation) : null,
     eitherWay: number(raw?.yaw_symmetry) === 2,
     tiltRad: orientation ? tiltRad(orientation) : null,
@@ -146,8 +153,6 @@ export function readCameras(raw) {
  * @returns {Camera}
  */
 function readCamera(raw) {
-  const position = vector(raw?.pose?.position);
-  const orientation = quaternion(raw?.pose?.orientation);
   return {
     name: text(raw?.name),
     source: text(raw?.source),
@@ -155,7 +160,11 @@ function readCamera(raw) {
     error: text(raw?.error),
     width: count(raw?.width),
     height: count(raw?.height),
-    pose: position && orientation && { position, orientation },
+    pose: readPose(raw?.pose),
+    poseStatus: text(raw?.pose_status),
+    poseReason: text(raw?.pose_reason),
+    carrier: text(raw?.carrier),
+    mount: readPose(raw?.mount),
     intrinsics: readIntrinsics(raw?.intrinsics),
     frames: count(raw?.frames),
     dropped: count(raw?.dropped),
@@ -168,6 +177,13 @@ function readCamera(raw) {
     // 0 is "not fitted".
     blurPx: number(raw?.blur_px) || null,
   };
+}
+
+/** @param {any} raw @returns {Pose | null} */
+function readPose(raw) {
+  const position = vector(raw?.position);
+  const orientation = quaternion(raw?.orientation);
+  return position && orientation && { position, orientation };
 }
 
 /**

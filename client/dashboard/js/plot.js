@@ -5,7 +5,7 @@
  * one, tentative a diamond, lost a cross.
  */
 
-import { RULER } from "./backdrop.js";
+import { drawCameras, RULER } from "./backdrop.js";
 import { fixed } from "./format.js";
 import { TRAIL_MS } from "./store.js";
 
@@ -31,6 +31,7 @@ const TRAIL_GAP_MS = 500;
  * @property {number | null} selected
  * @property {number | null} hovered
  * @property {number} timeMs pose time of the newest snapshot
+ * @property {import("./message.js").Camera[]} cameras those that move
  */
 
 /** Radius of an object's disc, CSS pixels: about 0.3 m wide in the world, but always legible. */
@@ -53,6 +54,7 @@ export function drawTracks(context, view, palette, tracks, options) {
   context.clip();
   context.lineCap = "round";
   context.lineJoin = "round";
+  drawCameras(context, view, palette, options.cameras);
   if (options.trails) drawTrails(context, view, palette, tracks, options.timeMs);
   const margin = 80;
   const seen = tracks.filter(({ state }) => {

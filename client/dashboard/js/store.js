@@ -5,6 +5,7 @@
  */
 
 import { readCameras, readEvent, readSnapshot } from "./message.js";
+import { carried } from "./riding.js";
 
 /** Length of a trail, ms. */
 export const TRAIL_MS = 5000;
@@ -78,6 +79,7 @@ export class Store {
     if (Array.isArray(message?.cameras)) {
       this.cameras = readCameras(message.cameras);
       this.camerasKnown = true;
+      this.carryCameras();
       this.emit("cameras");
     }
     if (message?.event) this.takeEvent(readEvent(message.event));
@@ -104,7 +106,14 @@ export class Store {
       const shownUntilMs = track.lostAtMs === null ? 0 : track.lostAtMs + LOST_SHOWN_MS;
       if (snapshot.poseTimeMs > shownUntilMs) this.tracks.delete(id);
     }
+    this.carryCameras();
     this.emit("snapshot");
+  }
+
+  /** Moves the cameras that ride to where their objects are in the newest snapshot. */
+  carryCameras() {
+    const objects = this.snapshot?.objects ?? [];
+    this.cameras = this.cameras.map((camera) => carried(camera, objects));
   }
 
   /**

@@ -4,6 +4,7 @@ mod client;
 mod grpc;
 mod http;
 mod picture;
+mod place;
 mod port;
 mod rig;
 mod websocket;

@@ -1,0 +1,101 @@
+//! Where cameras are, as clients are told: those that stand, and those that ride on objects.
+
+use nalgebra::{UnitQuaternion, Vector3};
+use roundel_core::{
+    id::CameraId,
+    rigid::{Covariance6, Rigid},
+    time::Timestamp,
+    world::{CameraPlacement, Unplaced},
+};
+use roundel_server::{
+    api::Limits,
+    hub::{CameraPlace, Happening, Hub, PoseStatus, RideInfo},
+};
+use serde_json::{Value, json};
+
+use super::rig::{Rig, hub};
+
+/// The second camera rides on the carrier, looking down.
+fn hub_with_rider() -> std::sync::Arc<Hub> {
+    let mut installation = hub("run").installation().clone();
+    let down = UnitQuaternion::from_axis_angle(&Vector3::x_axis(), std::f64::consts::PI);
+    installation.cameras[1].ride = Some(RideInfo {
+        carrier: "carrier".into(),
+        object_from_camera: Rigid::from_parts(Vector3::new(0.0, 0.0, -0.1).into(), down),
+        localizes: true,
+    });
+    std::sync::Arc::new(Hub::new(installation))
+}
+
+fn placement(x_m: f64, variance: f64) -> CameraPlacement {
+    CameraPlacement {
+        world_from_camera: Rigid::translation(x_m, 2.0, 3.0),
+        covariance: Covariance6::from_diagonal_element(variance),
+    }
+}
+
+async fn cameras(rig: &Rig) -> [Value; 2] {
+    let all = rig.get("/api/v1/cameras").await.json();
+    [0, 1].map(|index| all["cameras"][index].clone())
+}
+
+#[tokio::test]
+async fn each_camera_says_where_it_is_or_why_that_is_not_known() {
+    let rig = Rig::start_with(hub_with_rider(), Limits::default(), "127.0.0.1:0").await;
+    let place = |camera: u32, place: CameraPlace| {
+        rig.hub.update_camera(CameraId(camera), |state| state.place = place);
+    };
+    place(0, CameraPlace::searching("it sees two references"));
+    let reason = "\"carrier\" is not followed".to_owned();
+    let status = PoseStatus::Without(Unplaced::CarrierUnseen);
+    place(1, CameraPlace { status, reason, ..CameraPlace::default() });
+    let [stands, rides] = cameras(&rig).await;
+    assert_eq!((&stands["pose"], &stands["mount"]), (&Value::Null, &Value::Null));
+    assert_eq!((&stands["pose_status"], &stands["carrier"]), (&json!("searching"), &json!("")));
+    assert_eq!(stands["pose_reason"], "it sees two references");
+    assert_eq!(rides["pose_status"], "carrier_unseen");
+    assert_eq!(rides["pose_reason"], "\"carrier\" is not followed");
+    assert_eq!((&rides["carrier"], &rides["localizes"]), (&json!("carrier"), &json!(true)));
+    assert_eq!(
+        (&rides["mount"]["position"]["z"], &rides["pose_time_ns"]),
+        (&json!(-0.1), &json!("0"))
+    );
+    assert_eq!(rides["pose_covariance"], json!([]));
+    let metrics = rig.get("/metrics").await;
+    assert!(metrics.text().contains("roundel_camera_placed{camera=\"south side\"} 0\n"));
+
+    place(0, CameraPlace::standing(PoseStatus::Found, placement(1.0, 0.0)));
+    let time = Some(Timestamp::from_ns(1_700_000_000_123_456_789));
+    let placement = Some(placement(4.0, 1e-6));
+    let status = PoseStatus::Riding;
+    place(1, CameraPlace { status, placement, time, reason: String::new() });
+    let [stands, rides] = cameras(&rig).await;
+    assert_eq!((&stands["pose_status"], &stands["pose_time_ns"]), (&json!("found"), &json!("0")));
+    assert_eq!(
+        (&stands["pose"]["position"]["x"], &stands["pose_reason"]),
+        (&json!(1.0), &json!(""))
+    );
+    assert_eq!(rides["pose_status"], "riding");
+    assert_eq!(rides["pose_time_ns"], "1700000000123456789");
+    let covariance: Vec<f64> = serde_json::from_value(rides["pose_covariance"].clone()).unwrap();
+    assert_eq!((covariance.len(), covariance[0], covariance[1]), (21, 1e-6, 0.0));
+    let metrics = rig.get("/metrics").await;
+    assert!(metrics.text().contains("roundel_camera_placed{camera=\"south side\"} 1\n"));
+    rig.stop().await;
+}
+
+#[tokio::test]
+async fn places_that_come_and_go_are_events() {
+    let rig = Rig::start_with(hub_with_rider(), Limits::default(), "127.0.0.1:0").await;
+    for happening in [Happening::Placed(CameraId(1)), Happening::Unplaced(CameraId(1))] {
+        rig.hub.publish_event(rig.clock.now(), happening, "so it is".into());
+    }
+    let events = rig.get("/api/v1/events?backlog=5").await.json();
+    let told = [0, 1].map(|index| {
+        let event = &events["events"][index];
+        (event["kind"].clone(), event["camera"].clone(), event["object_id"].clone())
+    });
+    let of_camera = |kind: &str| (json!(kind), json!("south side"), json!(0));
+    assert_eq!(told, [of_camera("camera_placed"), of_camera("camera_unplaced")]);
+    rig.stop().await;
+}
