@@ -62,6 +62,44 @@ describe("trouble with cameras", () => {
   });
 });
 
+describe("a camera that rides", () => {
+  /** One more camera, under the forklift, which the server places twice a second and less. */
+  class Riding extends World {
+    state(robot, t) {
+      const state = super.state(robot, t);
+      return robot.name === "Forklift" ? { ...state, yaw_observed: true } : state;
+    }
+
+    cameras() {
+      const cameras = super.cameras();
+      const mount = { position: { x: 0, y: 0, z: 1 }, orientation: { x: 1, y: 0, z: 0, w: 0 } };
+      const rides = { name: "aboard", carrier: "Forklift", mount, pose_status: "riding", pose: mount };
+      const away = { pose: null, pose_status: "carrier_unseen", pose_reason: "\"Forklift\" is not followed now" };
+      return [...cameras, { ...cameras[0], ...rides, ...(this.away ? away : {}) }];
+    }
+  }
+
+  test("goes where its object goes, and says why it is nowhere", async () => {
+    const world = new Riding({ robots: 7 });
+    await withWorld(world, async (page, { complaints }) => {
+      const place = page.locator('[data-camera-card="aboard"] .place');
+      await page.waitForFunction(() => /on Forklift, at/.test(document.querySelector('[data-camera-card="aboard"] .place').textContent));
+      const first = await place.textContent();
+      // The server's word for it is always the same place; the page moves it with the forklift.
+      await page.waitForFunction(
+        (before) => document.querySelector('[data-camera-card="aboard"] .place').textContent !== before,
+        first,
+      );
+      world.away = true;
+      await page.locator(".trouble", { hasText: 'Its place is not known: "Forklift" is not followed now.' }).waitFor();
+      assert.equal(await place.textContent(), "on Forklift");
+      world.tell({ kind: "camera_unplaced", camera: "aboard", message: "Camera aboard has no place." });
+      await page.locator(".event.sign-predicted", { hasText: "aboard has no place" }).waitFor();
+      assert.deepEqual(complaints, []);
+    });
+  });
+});
+
 describe("little to show", () => {
   test("no objects", async () => {
     await withWorld(new World({ robots: 0 }), async (page, { complaints }) => {
