@@ -6,7 +6,7 @@ use nalgebra::Vector3;
 use roundel_core::{
     id::{BodyId, CameraId, KindId},
     marker::{Mask, MaskError, Params},
-    rigid::{Covariance6, Rigid},
+    rigid::Covariance6,
     time::Timestamp,
     world::{
         CameraMount, CameraPlacement, Carrier, ClockPrior, Fusion, FusionParams, Landmark,
@@ -26,10 +26,12 @@ use crate::{
 /// How much faster or slower than the others a camera's clock may run: quartz without care.
 const CLOCK_SKEW: f64 = 1e-4;
 
+/// Cameras are numbered as they are configured.
 pub(super) fn camera_id(index: usize) -> CameraId {
     CameraId(u32::try_from(index).unwrap_or(u32::MAX))
 }
 
+/// What the hub says of the installation.
 pub(super) fn installation(config: &Config, started: Timestamp) -> Installation {
     let unique = started.as_ns() as u64 ^ (u64::from(std::process::id()) << 32).rotate_left(16);
     Installation {
@@ -75,6 +77,7 @@ fn ride(camera: &CameraConfig, config: &Config) -> Option<RideInfo> {
     Some(RideInfo { carrier, object_from_camera, localizes })
 }
 
+/// A fusion machine that knows objects, motions, landmarks, clocks and cameras.
 pub(super) fn fusion(config: &Config) -> Result<Fusion, ServeError> {
     let ns = |seconds: f64| (seconds * 1e9).round() as i64;
     let mut fusion = Fusion::new(FusionParams {
@@ -126,7 +129,9 @@ fn place_camera(
 ) {
     let covariance = Covariance6::zeros();
     match camera.pose {
-        CameraPose::Known(pose) => fusion.set_camera(id, Some(exactly(pose))),
+        CameraPose::Known(world_from_camera) => {
+            fusion.set_camera(id, Some(CameraPlacement { world_from_camera, covariance }));
+        }
         CameraPose::Unknown => {}
         CameraPose::Rides(RideConfig { object, object_from_camera, localizes }) => {
             let body = bodies.get(object).copied().flatten();
@@ -138,11 +143,7 @@ fn place_camera(
     }
 }
 
-/// A place as somebody has written it.
-fn exactly(world_from_camera: Rigid) -> CameraPlacement {
-    CameraPlacement { world_from_camera, covariance: Covariance6::zeros() }
-}
-
+/// How a camera's frames are searched.
 pub(super) fn pipeline(camera: &CameraConfig, config: &Config) -> Result<PipelineParts, MaskError> {
     Ok(PipelineParts {
         kinds: config.kinds.clone(),
@@ -157,9 +158,10 @@ pub(super) fn pipeline(camera: &CameraConfig, config: &Config) -> Result<Pipelin
     })
 }
 
+/// What a camera's worker is told of its place.
 pub(super) fn place(camera: &CameraConfig, config: &Config) -> Place {
     match camera.pose {
-        CameraPose::Known(pose) => Place::Known(exactly(pose)),
+        CameraPose::Known(pose) => Place::Known(pose),
         CameraPose::Unknown => Place::Unknown {
             references: config
                 .references

@@ -25,6 +25,7 @@ use std::{
 
 use roundel_core::{
     id::{CameraId, KindId},
+    rigid::{Covariance6, Rigid},
     time::Timestamp,
     world::{CameraPlacement, FrameObservations, reference::Reference},
 };
@@ -53,7 +54,7 @@ pub struct Sighted {
 #[derive(Clone, Debug)]
 pub enum Place {
     /// As configured.
-    Known(CameraPlacement),
+    Known(Rigid),
     /// To be found from roundels of these kinds at these places.
     Unknown {
         /// The references.
@@ -122,9 +123,10 @@ impl Worker {
             }
         };
         let place = match &parts.place {
-            Place::Known(placement) => {
-                Some(CameraPlace::standing(PoseStatus::Configured, *placement))
-            }
+            Place::Known(pose) => Some(CameraPlace::standing(
+                PoseStatus::Configured,
+                CameraPlacement { world_from_camera: *pose, covariance: Covariance6::zeros() },
+            )),
             Place::Unknown { .. } => Some(CameraPlace::searching(
                 "it looks for the reference roundels, of which it must see three",
             )),
