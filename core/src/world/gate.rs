@@ -92,18 +92,14 @@ impl Field {
     fn near_with<S: Simd>(&self, simd: S, probe: &Probe, limit: f64, near: &mut Vec<usize>) {
         let [r11, r12, r13, r22, r23, r33] = probe.precision;
         for start in (0..self.spreads_m2.len()).step_by(LANES) {
-            let lanes = |column: &[f64]| f64x8::from_slice(simd, &column[start..start + LANES]);
-            let apart = |axis: usize| {
-                probe.place_m[axis]
-                    - lanes(&self.places_m[axis])
-                    - lanes(&self.velocities_m_s[axis]) * probe.offset_s
-            };
-            let (x, y, z) = (apart(0), apart(1), apart(2));
+            let x = self.apart(simd, 0, start, probe);
+            let y = self.apart(simd, 1, start, probe);
+            let z = self.apart(simd, 2, start, probe);
             let u = x * r11 + y * r12 + z * r13;
             let v = x * r12 + y * r22 + z * r23;
             let w = x * r13 + y * r23 + z * r33;
             let misfit = x * u + y * v + z * w;
-            let spread = (u * u + v * v + w * w) * lanes(&self.spreads_m2);
+            let spread = (u * u + v * v + w * w) * eight(simd, &self.spreads_m2, start);
             let inside = (misfit * misfit).simd_le((spread + misfit) * (2.0 * limit));
             let mut left = inside.to_bitmask();
             while left != 0 {
@@ -112,6 +108,22 @@ impl Field {
             }
         }
     }
+}
+
+impl Field {
+    /// The residuals of eight tracks along one axis. No closure: it would not be part of the function that
+    /// has the vector instructions.
+    #[inline(always)]
+    fn apart<S: Simd>(&self, simd: S, axis: usize, start: usize, probe: &Probe) -> f64x8<S> {
+        let place_m = eight(simd, &self.places_m[axis], start);
+        let moved_m = eight(simd, &self.velocities_m_s[axis], start) * probe.offset_s;
+        probe.place_m[axis] - place_m - moved_m
+    }
+}
+
+#[inline(always)]
+fn eight<S: Simd>(simd: S, column: &[f64], start: usize) -> f64x8<S> {
+    f64x8::from_slice(simd, &column[start..start + LANES])
 }
 
 impl Probe {
