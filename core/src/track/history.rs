@@ -1,25 +1,30 @@
 //! The rewind buffer: a window of measurements and the estimates between them, so that a late
 //! measurement is put where it belongs and what came after it is filtered again.
 //!
-//! The result depends on the measurements' times alone, not on the order in which they came. Full
-//! estimates are kept only every few measurements; the rest is computed again when needed: a late
-//! measurement is put in its place at once, but the filtering waits until the estimate is asked for
-//! or [`PENDING_MOST`] of them have gathered. Until then [`History::newest`] lacks them, which is
-//! good enough for gating.
+//! The result depends on the measurements' times alone, not on the order in which they came. A late
+//! measurement is put in its place at once, but the filtering waits, as that of all that come after it,
+//! until the estimate is asked for or [`WAITING_MOST`] of them have gathered. Until then
+//! [`History::newest`] lacks them, which is good enough for gating.
+//!
+//! Full estimates are kept only here and there, the rest is computed again when needed: one where the last
+//! filtering ended, since what comes next mostly belongs behind it, and others at distances that double with
+//! their age, since few measurements are very late.
 
 use std::collections::VecDeque;
 
 use super::{Estimate, Look, Measurement, MotionModel};
 use crate::time::Timestamp;
 
-/// Measurements from one kept estimate to the next. PERF: each kept estimate costs about 4 kB of
-/// copying, each one not kept a few filter steps when something is late; measure with
+/// Measurements from one kept estimate to the next at most. PERF: each kept estimate costs some kilobytes
+/// of copying, each one not kept a few filter steps when something is late; measure with
 /// `cargo bench -p roundel-core --bench fusion`.
 const CHECKPOINT_EVERY: u64 = 8;
+/// As old ones are let go, at most so many come to lie between two.
+const OLD_CHECKPOINT_EVERY: u64 = 32;
 
-/// Late measurements that may wait for the filter. PERF: with measurements 0 to 40 ms late, each
+/// Measurements that may wait for the filter. PERF: with measurements 0 to 40 ms late, each
 /// would otherwise cost some twenty filter steps.
-const PENDING_MOST: usize = 16;
+const WAITING_MOST: usize = 16;
 
 /// What became of a measurement.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -48,28 +53,36 @@ pub struct History {
     /// Number of the first entry, counted from the track's first.
     first: u64,
     /// Ascending; the first one covers what has left the window.
-    checkpoints: VecDeque<Checkpoint>,
-    newest: Estimate,
+    checkpoints: VecDeque<Box<Checkpoint>>,
+    /// Memory of those let go.
+    spare: Vec<Box<Checkpoint>>,
+    newest: Box<Estimate>,
     /// Measurements put in their place and not filtered yet.
-    pending: usize,
+    waiting: usize,
 }
 
 impl History {
     /// Starts with one measurement.
     pub fn begin(measurement: Measurement, model: &MotionModel) -> Self {
-        let newest = Estimate::begin(&measurement, model);
+        let newest = Box::new(Estimate::begin(&measurement, model));
         Self {
             entries: VecDeque::from([measurement]),
             first: 0,
             checkpoints: VecDeque::new(),
+            spare: Vec::new(),
             newest,
-            pending: 0,
+            waiting: 0,
         }
     }
 
-    /// The estimate after the newest measurement; late ones that wait are not in it.
+    /// The estimate after the newest measurement that was filtered; those that wait are not in it.
     pub fn newest(&self) -> &Estimate {
         &self.newest
+    }
+
+    /// When the newest measurement was made, filtered or not.
+    pub fn newest_time(&self) -> Timestamp {
+        self.entries.back().map_or(self.newest.time, |entry| entry.time)
     }
 
     /// The measurements of the window, oldest first.
@@ -93,7 +106,7 @@ impl History {
     pub fn at(&mut self, time: Timestamp, model: &MotionModel) -> Estimate {
         self.settle(model);
         let mut estimate = if time >= self.newest.time {
-            self.newest
+            *self.newest
         } else {
             let until = self.entries.partition_point(|entry| entry.time <= time);
             self.replayed(until.max(1), model)
@@ -111,41 +124,62 @@ impl History {
         if place > 0 && self.entries[place - 1].key() == key {
             return Inserted::Duplicate;
         }
-        if newer == 0 {
-            self.newest.update(&measurement, model);
-            self.entries.push_back(measurement);
-            if self.pending == 0 {
-                self.keep_checkpoint();
-            }
-            return Inserted::InOrder;
-        }
         if place == 0 && self.first > 0 {
             return Inserted::TooLate;
         }
-        let number = self.first + place as u64;
-        while self.checkpoints.back().is_some_and(|kept| kept.applied > number) {
-            self.checkpoints.pop_back();
+        if newer == 0 && self.waiting == 0 {
+            self.newest.update(&measurement, model);
+            self.entries.push_back(measurement);
+            let applied = self.first + self.entries.len() as u64;
+            if applied - self.kept() >= CHECKPOINT_EVERY {
+                self.keep(applied);
+            }
+            return Inserted::InOrder;
+        }
+        if newer > 0 {
+            let number = self.first + place as u64;
+            while let Some(kept) = self.checkpoints.pop_back_if(|kept| kept.applied > number) {
+                self.spare.push(kept);
+            }
         }
         self.entries.insert(place, measurement);
-        self.pending += 1;
-        if self.pending >= PENDING_MOST {
+        self.waiting += 1;
+        if self.waiting >= WAITING_MOST {
             self.settle(model);
         }
-        Inserted::OutOfOrder
+        if newer > 0 { Inserted::OutOfOrder } else { Inserted::InOrder }
     }
 
-    /// Filters what waits.
+    /// Filters what waits, from the last checkpoint on.
     fn settle(&mut self, model: &MotionModel) {
-        if self.pending > 0 {
-            self.pending = 0;
-            self.replay(model);
+        if self.waiting == 0 {
+            return;
+        }
+        self.waiting = 0;
+        let mut done = match self.checkpoints.back() {
+            Some(kept) => {
+                *self.newest = kept.estimate;
+                (kept.applied - self.first) as usize
+            }
+            None => {
+                *self.newest = Estimate::begin(&self.entries[0], model);
+                1
+            }
+        };
+        while done < self.entries.len() {
+            self.newest.update(&self.entries[done], model);
+            done += 1;
+            let applied = self.first + done as u64;
+            if applied - self.kept() >= CHECKPOINT_EVERY || done == self.entries.len() {
+                self.keep(applied);
+            }
         }
     }
 
     /// Lets go of measurements from before `time`, as far as a kept estimate covers them.
     pub fn forget(&mut self, time: Timestamp) {
         while self.checkpoints.len() > 1 && self.checkpoints[1].estimate.time < time {
-            self.checkpoints.pop_front();
+            self.spare.extend(self.checkpoints.pop_front());
         }
         let Some(kept) = self.checkpoints.front().filter(|kept| kept.estimate.time < time) else {
             return;
@@ -157,28 +191,31 @@ impl History {
         }
     }
 
-    fn keep_checkpoint(&mut self) {
-        let applied = self.first + self.entries.len() as u64;
-        if applied.is_multiple_of(CHECKPOINT_EVERY) {
-            self.checkpoints.push_back(Checkpoint { applied, estimate: self.newest });
-        }
+    /// Measurements in the last kept estimate.
+    fn kept(&self) -> u64 {
+        self.checkpoints.back().map_or(0, |kept| kept.applied)
     }
 
-    /// Filters everything after the last checkpoint again, keeping new ones on the way.
-    fn replay(&mut self, model: &MotionModel) {
-        let (mut done, mut estimate) = match self.checkpoints.back() {
-            Some(kept) => ((kept.applied - self.first) as usize, kept.estimate),
-            None => (1, Estimate::begin(&self.entries[0], model)),
-        };
-        while done < self.entries.len() {
-            estimate.update(&self.entries[done], model);
-            done += 1;
-            let applied = self.first + done as u64;
-            if applied.is_multiple_of(CHECKPOINT_EVERY) {
-                self.checkpoints.push_back(Checkpoint { applied, estimate });
+    /// Keeps the newest estimate, in which are so many measurements, and lets go of one that its neighbours
+    /// can stand in for.
+    fn keep(&mut self, applied: u64) {
+        let kept = match self.spare.pop() {
+            Some(mut kept) => {
+                kept.applied = applied;
+                kept.estimate = *self.newest;
+                kept
             }
+            None => Box::new(Checkpoint { applied, estimate: *self.newest }),
+        };
+        self.checkpoints.push_back(kept);
+        let is_between = |middle: &usize| {
+            let [before, after] = [middle - 1, middle + 1].map(|at| self.checkpoints[at].applied);
+            after - before <= (applied - after).min(OLD_CHECKPOINT_EVERY)
+        };
+        let dispensable = (1..self.checkpoints.len() - 1).rev().find(is_between);
+        if let Some(middle) = dispensable {
+            self.spare.extend(self.checkpoints.remove(middle));
         }
-        self.newest = estimate;
     }
 
     /// The estimate after the first `count` entries (at least one).

@@ -150,7 +150,7 @@ impl Track {
 
     /// The cameras' views of this held against one another, from time to time.
     pub(super) fn compare(&mut self, clocks: &Clocks) -> Option<Comparison> {
-        let now = self.history.newest().time;
+        let now = self.history.newest_time();
         if self.compared.is_some_and(|time| now.ns_since(time) < comparison::WINDOW_NS) {
             return None;
         }
