@@ -34,20 +34,19 @@
 //! the subtraction keeps more than six digits; a property test drives it through the extremes.
 
 mod innovation;
+mod sources;
 
 use nalgebra::{Matrix3, Vector3};
 
 use super::{MotionModel, Spread};
 use crate::id::CameraId;
+use innovation::Joint;
 pub use innovation::{Innovation, Noise};
-use innovation::{Joint, NO_SOURCE, Source};
 pub(crate) use innovation::{invert_positive, positive_root};
+use sources::{Sources, gain_of};
 
 /// Cameras whose systematic error is carried at most; the one not heard of longest gives way.
 pub const MAX_SOURCES: usize = 8;
-
-/// Sources whose correlation has decayed below exp(-this) are let go.
-const FORGOTTEN_TIMES: f64 = 6.0;
 
 /// Rate, covariance and systematic correlations; the value itself lies with the caller, who knows
 /// whether it is a vector or a rotation.
@@ -57,16 +56,13 @@ pub struct Kernel {
     pub rate: Vector3<f64>,
     /// Covariance.
     pub spread: Spread,
-    sources: [Source; MAX_SOURCES],
-    len: usize,
-    /// Whether a clock is considered; until then nothing is computed for it.
-    is_timed: bool,
+    sources: Sources,
 }
 
 impl Kernel {
     /// After one measurement of the value, with a rate of which only the variance along each axis is known.
     pub fn begin(noise: &Noise, camera: CameraId, rate_variance: &Vector3<f64>) -> Self {
-        let mut kernel = Self {
+        Self {
             rate: Vector3::zeros(),
             spread: Spread {
                 // The rate is not known yet, and neither is what the clock's error does.
@@ -75,34 +71,15 @@ impl Kernel {
                 cross: Matrix3::zeros(),
                 rate: Matrix3::from_diagonal(rate_variance),
             },
-            sources: [NO_SOURCE; MAX_SOURCES],
-            len: 1,
-            is_timed: noise.timing_s > 0.0,
-        };
-        kernel.sources[0] = Source { camera, value: noise.systematic_root, ..NO_SOURCE };
-        kernel
+            sources: Sources::begin(camera, &noise.systematic_root, noise.timing_s > 0.0),
+        }
     }
 
     /// Moves the covariance on by `dt` seconds; the caller moves the value by `rate` · dt.
     pub fn predict(&mut self, dt: f64, density: &Vector3<f64>, systematic_time_s: f64) {
         self.spread.predict(dt, density);
         let kept = (-dt.abs() / systematic_time_s).exp();
-        let mut live = 0;
-        for index in 0..self.len {
-            if self.sources[index].age_s + dt.abs() > FORGOTTEN_TIMES * systematic_time_s {
-                continue;
-            }
-            if live < index {
-                self.sources[live] = self.sources[index];
-            }
-            let source = &mut self.sources[live];
-            source.predict(dt, kept);
-            if self.is_timed {
-                source.predict_clock(dt);
-            }
-            live += 1;
-        }
-        self.len = live;
+        self.sources.predict(dt, kept, systematic_time_s);
     }
 
     /// How far `residual` (measured less predicted value) would be from zero, `dt` seconds from
@@ -117,18 +94,14 @@ impl Kernel {
         let mut spread = self.spread;
         spread.predict(dt, &model.acceleration_density_m2_s3);
         let kept = (-dt.abs() / model.systematic_time_s).exp();
-        let own = self.source(camera);
-        let predicted = |source: &Source, kept: f64| {
-            let mut source = *source;
-            source.predict(dt, kept);
-            source.predict_clock(dt);
-            source
-        };
-        let source = own.map(|index| predicted(&self.sources[index], kept));
-        let mut joint = Joint::of(&spread, source.as_ref(), noise);
+        let own = self.sources.find(camera);
+        let shared = own.map(|index| {
+            let (value, rate) = self.sources.with(index);
+            ((value + rate * dt) * kept, rate * kept)
+        });
+        let mut joint = Joint::of(&spread, shared.as_ref(), noise);
         if noise.timing_s > 0.0 {
-            let sources = self.sources[..self.len].iter().map(|source| predicted(source, 1.0));
-            joint.add_clocks(sources, &self.rate, (camera, noise.timing_s));
+            self.sources.add_clocks(&mut joint, dt, (own, noise.timing_s), &self.rate);
         }
         joint.innovation(residual)
     }
@@ -147,45 +120,32 @@ impl Kernel {
     /// The covariance with what the clocks may add.
     pub fn told(&self) -> Spread {
         let mut spread = self.spread;
-        for source in self.sources[..self.len].iter().filter(|source| source.timing_s > 0.0) {
-            let square = source.timing_s * source.timing_s;
-            let weighted = source.value_by_clock.transpose() * square;
-            spread.value += source.value_by_clock * weighted;
-            spread.cross += source.value_by_clock * source.rate_by_clock.transpose() * square;
-            spread.rate += source.rate_by_clock * source.rate_by_clock.transpose() * square;
-        }
+        self.sources.add_told(&mut spread);
         spread
     }
 
     /// Traces of [`Kernel::told`]'s blocks: of value, of both, of rate.
     pub fn told_traces(&self) -> (f64, f64, f64) {
         let spread = &self.spread;
-        let mut traces = (spread.value.trace(), spread.cross.trace(), spread.rate.trace());
-        for source in self.sources[..self.len].iter().filter(|source| source.timing_s > 0.0) {
-            let square = source.timing_s * source.timing_s;
-            traces.0 += source.value_by_clock.norm_squared() * square;
-            traces.1 += source.value_by_clock.dot(&source.rate_by_clock) * square;
-            traces.2 += source.rate_by_clock.norm_squared() * square;
-        }
-        traces
+        let [value, cross, rate] = self.sources.told_traces();
+        (spread.value.trace() + value, spread.cross.trace() + cross, spread.rate.trace() + rate)
     }
 
     /// Of the value's covariance, what systematic errors have made: Σ Cp Cpᵀ.
     pub fn systematic(&self) -> Matrix3<f64> {
-        let sources = self.sources[..self.len].iter();
-        sources.map(|source| source.value * source.value.transpose()).sum()
+        self.sources.systematic()
     }
 
     /// As if the clocks were known, and with what they may add.
     fn joint(&self, camera: CameraId, noise: &Noise) -> (Joint, Joint) {
-        let source = self.source(camera).map(|index| &self.sources[index]);
-        let joint = Joint::of(&self.spread, source, noise);
+        let own = self.sources.find(camera);
+        let shared = own.map(|index| self.sources.with(index));
+        let joint = Joint::of(&self.spread, shared.as_ref(), noise);
         if noise.timing_s <= 0.0 {
             return (joint, joint);
         }
         let mut whole = joint;
-        let sources = self.sources[..self.len].iter().copied();
-        whole.add_clocks(sources, &self.rate, (camera, noise.timing_s));
+        self.sources.add_clocks(&mut whole, 0.0, (own, noise.timing_s), &self.rate);
         (joint, whole)
     }
 
@@ -198,9 +158,8 @@ impl Kernel {
         camera: CameraId,
         robust_distance_squared: f64,
     ) -> (Vector3<f64>, Innovation) {
-        let own = self.source_or_new(camera);
-        self.sources[own].timing_s = noise.timing_s;
-        self.is_timed |= noise.timing_s > 0.0;
+        let own = self.sources.find_or_new(camera);
+        self.sources.set_timing(own, noise.timing_s);
         let (given, whole) = self.joint(camera, noise);
         let Joint { value: value_cov, rate: rate_cov, innovation: covariance } = whole;
         let Some((inverse, determinant)) = invert_positive(&covariance) else {
@@ -231,22 +190,8 @@ impl Kernel {
             spread.cross -= value_gain * rate_cov.transpose() * share;
             spread.rate = symmetric(spread.rate - rate_gain * rate_cov.transpose() * share);
         }
-        let rate = self.rate;
-        let (value_gain, rate_gain) = (value_gain * weight, rate_gain * weight);
-        for (index, source) in self.sources[..self.len].iter_mut().enumerate() {
-            let mut with_innovation = source.value;
-            if index == own {
-                with_innovation += noise.systematic_root;
-                source.age_s = 0.0;
-            }
-            source.value -= value_gain * with_innovation;
-            source.rate -= rate_gain * with_innovation;
-            if self.is_timed {
-                let by_clock = source.by_clock((index == own).then_some(&rate));
-                source.value_by_clock -= value_gain * by_clock;
-                source.rate_by_clock -= rate_gain * by_clock;
-            }
-        }
+        let gain = gain_of(&(value_gain * weight), &(rate_gain * weight));
+        self.sources.correct(own, &gain, &noise.systematic_root, &self.rate);
         self.rate += rate_cov * weighted * weight;
         (value_cov * weighted * weight, innovation)
     }
@@ -270,30 +215,6 @@ impl Kernel {
         let rate = rate_gain * given.rate.transpose();
         spread.rate =
             symmetric(spread.rate - rate - rate.transpose() + of_rate * rate_gain.transpose());
-    }
-
-    fn source(&self, camera: CameraId) -> Option<usize> {
-        self.sources[..self.len].iter().position(|source| source.camera == camera)
-    }
-
-    fn source_or_new(&mut self, camera: CameraId) -> usize {
-        if let Some(index) = self.source(camera) {
-            return index;
-        }
-        let index = if self.len < MAX_SOURCES {
-            self.len += 1;
-            self.len - 1
-        } else {
-            let mut oldest = 0;
-            for index in 1..MAX_SOURCES {
-                if self.sources[index].age_s > self.sources[oldest].age_s {
-                    oldest = index;
-                }
-            }
-            oldest
-        };
-        self.sources[index] = Source { camera, ..NO_SOURCE };
-        index
     }
 }
 

@@ -3,7 +3,6 @@
 use nalgebra::{Matrix3, Vector3};
 
 use super::super::spread::Spread;
-use crate::id::CameraId;
 
 /// A measurement's error: everything, and the root of the part that stays.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -14,51 +13,6 @@ pub struct Noise {
     pub systematic_root: Matrix3<f64>,
     /// Deviation of the camera's clock from the others', seconds; comes on top of `total`.
     pub timing_s: f64,
-}
-
-/// A camera's systematic error and the state, E[x̃ βᵀ], and its clock's error and the state, q.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub(super) struct Source {
-    pub(super) camera: CameraId,
-    pub(super) age_s: f64,
-    pub(super) value: Matrix3<f64>,
-    pub(super) rate: Matrix3<f64>,
-    pub(super) value_by_clock: Vector3<f64>,
-    pub(super) rate_by_clock: Vector3<f64>,
-    /// σ.
-    pub(super) timing_s: f64,
-}
-
-pub(super) const NO_SOURCE: Source = Source {
-    camera: CameraId(u32::MAX),
-    age_s: 0.0,
-    value: Matrix3::new(0., 0., 0., 0., 0., 0., 0., 0., 0.),
-    rate: Matrix3::new(0., 0., 0., 0., 0., 0., 0., 0., 0.),
-    value_by_clock: Vector3::new(0., 0., 0.),
-    rate_by_clock: Vector3::new(0., 0., 0.),
-    timing_s: 0.0,
-};
-
-impl Source {
-    /// What the clock's error adds to an innovation, each second; `own` the rate if it is the clock of
-    /// the measurement's camera.
-    pub(super) fn by_clock(&self, own: Option<&Vector3<f64>>) -> Vector3<f64> {
-        own.map_or(self.value_by_clock, |rate| self.value_by_clock - rate)
-    }
-
-    /// `dt` seconds later, when the systematic error has kept this share.
-    #[inline]
-    pub(super) fn predict(&mut self, dt: f64, kept: f64) {
-        self.age_s += dt.abs();
-        self.value = (self.value + self.rate * dt) * kept;
-        self.rate *= kept;
-    }
-
-    /// The same of the clock's error, which forgets nothing.
-    #[inline]
-    pub(super) fn predict_clock(&mut self, dt: f64) {
-        self.value_by_clock += self.rate_by_clock * dt;
-    }
 }
 
 /// How far a measurement lies from what was predicted. No logarithms here: who compares two takes
@@ -106,55 +60,29 @@ pub(super) struct Joint {
 }
 
 impl Joint {
-    /// As if the clocks were known.
+    /// As if the clocks were known; `shared` are the correlations of value and rate with the systematic error.
     #[inline]
-    pub(super) fn of(spread: &Spread, source: Option<&Source>, noise: &Noise) -> Self {
+    pub(super) fn of(
+        spread: &Spread,
+        shared: Option<&(Matrix3<f64>, Matrix3<f64>)>,
+        noise: &Noise,
+    ) -> Self {
         let mut joint = Self {
             value: spread.value,
             rate: spread.cross.transpose(),
             innovation: spread.value + noise.total,
         };
-        if let Some(source) = source {
+        if let Some((value, rate)) = shared {
             let root_transposed = noise.systematic_root.transpose();
-            let shared = source.value * root_transposed;
+            let shared = value * root_transposed;
             joint.value += shared;
-            joint.rate += source.rate * root_transposed;
+            joint.rate += rate * root_transposed;
             joint.innovation += shared + shared.transpose();
         }
         if noise.timing_s > 0.0 {
             joint.innovation += spread.rate * noise.timing_s.powi(2);
         }
         joint
-    }
-
-    /// With what a clock may add: `own` the rate if it is that of the measurement's camera.
-    #[inline]
-    fn add_clock(&mut self, source: &Source, timing_s: f64, own: Option<&Vector3<f64>>) {
-        let by_clock = source.by_clock(own);
-        let weighted = by_clock.transpose() * (timing_s * timing_s);
-        self.value += source.value_by_clock * weighted;
-        self.rate += source.rate_by_clock * weighted;
-        self.innovation += by_clock * weighted;
-    }
-
-    /// With what all clocks may add, that of the measurement's camera among them.
-    #[inline]
-    pub(super) fn add_clocks(
-        &mut self,
-        sources: impl Iterator<Item = Source>,
-        rate: &Vector3<f64>,
-        (camera, timing_s): (CameraId, f64),
-    ) {
-        let mut known = false;
-        for source in sources {
-            let own = source.camera == camera;
-            known |= own;
-            let timing_s = if own { timing_s } else { source.timing_s };
-            self.add_clock(&source, timing_s, own.then_some(rate));
-        }
-        if !known {
-            self.add_clock(&NO_SOURCE, timing_s, Some(rate));
-        }
     }
 
     pub(super) fn innovation(&self, residual: &Vector3<f64>) -> Option<Innovation> {

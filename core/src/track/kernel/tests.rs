@@ -116,8 +116,8 @@ proptest! {
         let mut value = Vector3::zeros();
         let mut plain = Plain::begin(&first, 0, 9.0, &clocks_s);
         for (camera, timing_s) in clocks_s.iter().enumerate() {
-            let index = kernel.source_or_new(CameraId(camera as u32));
-            kernel.sources[index].timing_s = *timing_s;
+            let index = kernel.sources.find_or_new(CameraId(camera as u32));
+            kernel.sources.set_timing(index, *timing_s);
         }
         for (camera, dt, direction, seen) in &steps {
             let timing_s = clocks_s[*camera];
@@ -193,6 +193,6 @@ fn the_camera_heard_of_longest_ago_gives_way() {
         kernel.predict(0.01, &Vector3::repeat(0.2), 1.0);
         kernel.update(&Vector3::zeros(), &seen, CameraId(camera), 16.3);
     }
-    assert_eq!(kernel.source(CameraId(0)), None);
-    assert!(kernel.source(CameraId(1)).is_some());
+    assert_eq!(kernel.sources.find(CameraId(0)), None);
+    assert!(kernel.sources.find(CameraId(1)).is_some());
 }
