@@ -3,7 +3,7 @@
 //! A transform `a_from_b` turns coordinates of frame b into coordinates of frame a. Covariances are
 //! over (position, rotation) with the rotation as a left perturbation, see [`crate::conventions`].
 
-use nalgebra::{Isometry3, Matrix3, SMatrix, SVector, UnitQuaternion, Vector3};
+use nalgebra::{Isometry3, Matrix3, Quaternion, SMatrix, SVector, UnitQuaternion, Vector3};
 
 /// A rigid transform, or the pose of one frame in another.
 pub type Rigid = Isometry3<f64>;
@@ -13,6 +13,9 @@ pub type Covariance6 = SMatrix<f64, 6, 6>;
 
 /// Variance of an angle of which nothing is known: π²/3, that of the uniform one.
 pub const UNKNOWN_ANGLE_VARIANCE_RAD2: f64 = std::f64::consts::PI * std::f64::consts::PI / 3.0;
+
+/// Nearer to half a turn the closed forms of the smallest rotation lose digits: 1 + cos.
+const LEAST_COSINE: f64 = 0.01;
 
 /// Carries a covariance into another frame by the rotation of a known rigid motion.
 pub fn rotate_covariance(rotation: &UnitQuaternion<f64>, covariance: &Covariance6) -> Covariance6 {
@@ -48,9 +51,44 @@ pub fn from_upper_triangle<const N: usize>(numbers: &[f64]) -> Option<SMatrix<f6
 /// The orientation of a plain roundel or object whose z axis is `normal` (unit): the smallest
 /// rotation from +z, and for -z the half turn about x.
 pub fn orientation_of_normal(normal: &Vector3<f64>) -> UnitQuaternion<f64> {
+    // (1 + z·n, z × n) is twice the half angle's cosine times that rotation.
+    let cosine = normal.norm() + normal.z;
+    if cosine > LEAST_COSINE {
+        let turn = Quaternion::new(cosine, -normal.y, normal.x, 0.0);
+        return UnitQuaternion::new_normalize(turn);
+    }
     UnitQuaternion::rotation_between(&Vector3::z(), normal).unwrap_or_else(|| {
         UnitQuaternion::from_axis_angle(&Vector3::x_axis(), std::f64::consts::PI)
     })
+}
+
+/// The matrix of the smallest rotation from one unit vector to another; `None` where they are nearly opposite.
+pub(crate) fn smallest_rotation(from: &Vector3<f64>, to: &Vector3<f64>) -> Option<Matrix3<f64>> {
+    let cosine = 1.0 + from.dot(to);
+    (cosine > LEAST_COSINE).then(|| {
+        let cross = from.cross(to).cross_matrix();
+        Matrix3::identity() + cross + cross * cross / cosine
+    })
+}
+
+/// Whether a symmetric matrix is positive definite, by its factors L D Lᵀ.
+pub(crate) fn is_positive_definite<const N: usize>(matrix: &SMatrix<f64, N, N>) -> bool {
+    let mut left = *matrix;
+    for pivot in 0..N {
+        let diagonal = left[(pivot, pivot)];
+        // Not a number is not positive either.
+        if !(diagonal > 0.0 && diagonal.is_finite()) {
+            return false;
+        }
+        let per = 1.0 / diagonal;
+        for column in pivot + 1..N {
+            let factor = left[(column, pivot)] * per;
+            for row in column..N {
+                left[(row, column)] -= left[(row, pivot)] * factor;
+            }
+        }
+    }
+    true
 }
 
 /// Squared Mahalanobis length of `error`; `None` if the covariance is not positive definite.
@@ -81,6 +119,36 @@ mod tests {
             prop_assume!(normal.norm() > 1e-3);
             let normal = normal.normalize();
             prop_assert!((orientation_of_normal(&normal) * Vector3::z() - normal).norm() < 1e-9);
+        }
+    }
+
+    proptest! {
+        #[test]
+        fn smallest_rotations_are_those_of_their_vectors(
+            from in [-1.0..1.0f64, -1.0..1.0f64, -1.0..1.0f64].prop_map(Vector3::from),
+            to in [-1.0..1.0f64, -1.0..1.0f64, -1.0..1.0f64].prop_map(Vector3::from),
+        ) {
+            prop_assume!(from.norm() > 1e-3 && to.norm() > 1e-3);
+            let (from, to) = (from.normalize(), to.normalize());
+            let Some(expected) = UnitQuaternion::rotation_between(&from, &to) else { return Ok(()) };
+            let expected = expected.to_rotation_matrix().into_inner();
+            if let Some(found) = smallest_rotation(&from, &to) {
+                prop_assert!((found - expected).norm() < 1e-6);
+            } else {
+                prop_assert!(from.dot(&to) < -0.98);
+            }
+            let level = orientation_of_normal(&to) * Vector3::z_axis().cross(&to);
+            prop_assert!((level - Vector3::z_axis().cross(&to)).norm() < 1e-9, "turned about itself");
+        }
+
+        #[test]
+        fn positive_definite_is_what_has_a_root(
+            numbers in proptest::collection::vec(-1.0..1.0f64, 36),
+            added in -1.0..2.0f64,
+        ) {
+            let root = Covariance6::from_column_slice(&numbers);
+            let matrix = root + root.transpose() + Covariance6::identity() * (3.0 * added);
+            prop_assert_eq!(is_positive_definite(&matrix), matrix.cholesky().is_some());
         }
     }
 

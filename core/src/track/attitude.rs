@@ -25,7 +25,7 @@ use nalgebra::{Matrix3, Matrix6, UnitQuaternion, Vector3};
 use super::{Ground, Kernel, MotionModel, Noise, Spread};
 use crate::{
     id::CameraId,
-    rigid::{UNKNOWN_ANGLE_VARIANCE_RAD2, orientation_of_normal},
+    rigid::{UNKNOWN_ANGLE_VARIANCE_RAD2, orientation_of_normal, smallest_rotation},
 };
 
 /// Successive frames share most of their error, so each counts only for this part of a fresh one.
@@ -66,9 +66,11 @@ impl AttitudeMeasurement {
         noise: Noise,
     ) -> Self {
         let normals = candidates.map(|candidate| candidate * Vector3::z());
-        let turn = UnitQuaternion::from_scaled_axis(smallest_turn(&normals[0], &normals[1]))
-            .to_rotation_matrix()
-            .into_inner();
+        let turn = smallest_rotation(&normals[0], &normals[1]).unwrap_or_else(|| {
+            UnitQuaternion::from_scaled_axis(smallest_turn(&normals[0], &normals[1]))
+                .to_rotation_matrix()
+                .into_inner()
+        });
         let turned = Noise {
             total: turn * noise.total * turn.transpose(),
             // Turned from both sides, so that the same part of the systematic error goes on meaning

@@ -85,11 +85,10 @@ pub struct Measurement {
 }
 
 impl Measurement {
-    /// With this uncertainty of its camera's clock, seconds.
-    pub fn timed(mut self, timing_s: f64) -> Self {
+    /// Says how uncertain its camera's clock is, seconds.
+    pub fn set_timing(&mut self, timing_s: f64) {
         self.position_noise.timing_s = timing_s;
         self.attitude.noises.iter_mut().for_each(|noise| noise.timing_s = timing_s);
-        self
     }
 
     /// What orders measurements of one object, whatever the order in which they came.

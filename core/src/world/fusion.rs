@@ -27,7 +27,7 @@ use super::{
     timeline::{Timeline, Verdict},
 };
 use crate::{
-    id::{CameraId, KindId, ObjectId},
+    id::{CameraId, KindId, ObjectId, TrackNumber},
     rigid::{Covariance6, Rigid},
     time::Timestamp,
     track::{Inserted, Measurement},
@@ -72,6 +72,8 @@ pub struct Fusion {
     counts: FusionCounts,
     scratch: Scratch,
     sightings: Vec<Sighting>,
+    /// As which their camera knows them, but for those of bodies.
+    numbers: Vec<TrackNumber>,
 }
 
 impl Fusion {
@@ -98,6 +100,7 @@ impl Fusion {
             counts: FusionCounts::default(),
             scratch: Scratch::default(),
             sightings: Vec::new(),
+            numbers: Vec::new(),
         }
     }
 
@@ -244,8 +247,9 @@ impl Fusion {
         let known = self.tracks.len();
         let mut claims = Vec::new();
         let mut seen = vec![false; known];
-        for (index, decision) in decisions.iter().enumerate() {
-            let mut sighting = self.sightings[index];
+        // Taken out meanwhile, so that none is copied.
+        let mut sightings = std::mem::take(&mut self.sightings);
+        for (sighting, decision) in sightings.iter_mut().zip(&decisions) {
             let rides = rides && sighting.measurement.number != OWN_NUMBER;
             if rides && self.riders.is_carrier(&sighting.subject, sighting.code) {
                 self.counts.of_carriers += 1;
@@ -254,7 +258,7 @@ impl Fusion {
             }
             let Some((track, innovation)) = *decision else {
                 if !self.is_contradiction(&sighting.measurement, known) {
-                    self.begin(&sighting);
+                    self.begin(sighting);
                 }
                 continue;
             };
@@ -264,8 +268,8 @@ impl Fusion {
                 self.counts.of_carriers += 1;
                 continue;
             }
-            let seen = &mut sighting.measurement;
-            *seen = seen.timed(track.timing_s(seen, &self.clocks));
+            let timing_s = track.timing_s(&sighting.measurement, &self.clocks);
+            sighting.measurement.set_timing(timing_s);
             let (inserted, event) = track.observe(&sighting.measurement, &innovation, &self.params);
             if self.clocks.is_estimating()
                 && let Some(comparison) = track.compare(&self.clocks)
@@ -292,6 +296,7 @@ impl Fusion {
                 self.tell(event);
             }
         }
+        self.sightings = sightings;
         for (track, seen) in self.tracks[..known].iter_mut().zip(seen) {
             if let Some(time) = whole.filter(|_| !seen) {
                 track.miss(camera, time);

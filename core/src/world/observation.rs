@@ -15,7 +15,7 @@ use super::{
 use crate::{
     id::CameraId,
     pose::{Detection, RoundelPose},
-    rigid::{Covariance6, orientation_of_normal, rotate_covariance},
+    rigid::{Covariance6, is_positive_definite, orientation_of_normal},
     time::Timestamp,
     track::{AttitudeMeasurement, Measurement, Noise, positive_root},
 };
@@ -73,29 +73,26 @@ pub(super) fn measure(
         return Err(Refused::Invalid);
     }
     let place = &stand.world_from_camera;
+    let turn = place.rotation.to_rotation_matrix().into_inner();
     let arm_m = place.rotation * pose.position_m;
-    let seen = rotate_covariance(&place.rotation, &pose.covariance);
     let [stays, fresh] = [&stand.systematic, &stand.fresh].map(|part| placed(part, &arm_m));
     let share = params.systematic_share.clamp(0.0, 1.0);
-    let noise = |corner: usize| {
-        let block = |whole: &Covariance6| {
-            let block = whole.fixed_view::<3, 3>(corner, corner);
-            (block + block.transpose()) * 0.5
-        };
-        let systematic = block(&seen) * share + block(&stays);
+    let noise = |block: usize| {
+        let seen = pose.covariance.fixed_view::<3, 3>(3 * block, 3 * block);
+        let seen = symmetric(turn * seen * turn.transpose());
+        let systematic = seen * share + stays[block];
         Noise {
-            total: block(&seen)
-                + block(&stays)
-                + block(&fresh)
+            total: seen
+                + stays[block]
+                + fresh[block]
                 + Matrix3::from_diagonal_element(FLOOR_VARIANCE),
             // Nothing systematic: no root, and none is needed.
             systematic_root: positive_root(&systematic).unwrap_or_else(Matrix3::zeros),
             timing_s: 0.0,
         }
     };
-    let (position_noise, rotation_noise) = (noise(0), noise(3));
-    if positive_root(&position_noise.total).is_none()
-        || positive_root(&rotation_noise.total).is_none()
+    let (position_noise, rotation_noise) = (noise(0), noise(1));
+    if !is_positive_definite(&position_noise.total) || !is_positive_definite(&rotation_noise.total)
     {
         return Err(Refused::Invalid);
     }
@@ -121,30 +118,35 @@ pub(super) fn measure(
 pub(super) fn with_stand(mut seen: Measurement, stand: &Stand) -> Measurement {
     let arm_m = seen.position_m - stand.world_from_camera.translation.vector;
     let [stays, fresh] = [&stand.systematic, &stand.fresh].map(|part| placed(part, &arm_m));
-    let widen = |noise: &mut Noise, corner: usize| {
-        let [stays, fresh] = [&stays, &fresh].map(|part| {
-            let part = part.fixed_view::<3, 3>(corner, corner);
-            (part + part.transpose()) * 0.5
-        });
-        let systematic = noise.systematic_root * noise.systematic_root.transpose() + stays;
-        noise.total += stays + fresh;
+    let widen = |noise: &mut Noise, block: usize| {
+        let systematic = noise.systematic_root * noise.systematic_root.transpose() + stays[block];
+        noise.total += stays[block] + fresh[block];
         noise.systematic_root = positive_root(&systematic).unwrap_or_else(Matrix3::zeros);
     };
     widen(&mut seen.position_noise, 0);
-    seen.attitude.noises.iter_mut().for_each(|noise| widen(noise, 3));
+    seen.attitude.noises.iter_mut().for_each(|noise| widen(noise, 1));
     seen
 }
 
 /// The roundel's orientation in the camera frame: the normal's, turned by the yaw about it.
 pub(super) fn orientation(normal: &Vector3<f64>, yaw_rad: Option<f64>) -> UnitQuaternion<f64> {
-    let yaw = UnitQuaternion::from_axis_angle(&Vector3::z_axis(), yaw_rad.unwrap_or(0.0));
-    orientation_of_normal(&normal.normalize()) * yaw
+    let level = orientation_of_normal(&normal.normalize());
+    yaw_rad.map_or(level, |yaw_rad| {
+        level * UnitQuaternion::from_axis_angle(&Vector3::z_axis(), yaw_rad)
+    })
 }
 
-/// What the camera's place adds.
-fn placed(covariance: &Covariance6, arm_m: &Vector3<f64>) -> Covariance6 {
-    let is_exact = *covariance == Covariance6::zeros();
-    if is_exact { Covariance6::zeros() } else { with_arm(covariance, arm_m) }
+/// What the camera's place adds to position and rotation.
+fn placed(covariance: &Covariance6, arm_m: &Vector3<f64>) -> [Matrix3<f64>; 2] {
+    if covariance.iter().all(|number| *number == 0.0) {
+        return [Matrix3::zeros(); 2];
+    }
+    let placed = with_arm(covariance, arm_m);
+    [0, 3].map(|corner| symmetric(placed.fixed_view::<3, 3>(corner, corner).into_owned()))
+}
+
+fn symmetric(matrix: Matrix3<f64>) -> Matrix3<f64> {
+    (matrix + matrix.transpose()) * 0.5
 }
 
 pub(super) fn is_sound(pose: &RoundelPose) -> bool {
@@ -158,5 +160,5 @@ pub(super) fn is_sound(pose: &RoundelPose) -> bool {
         && pose.yaw_symmetry >= 1
         && (0..3).all(|axis| (0.0..=CEILING_POSITION_M2).contains(&variances[axis]))
         && (3..6).all(|axis| (0.0..=CEILING_ROTATION_RAD2).contains(&variances[axis]))
-        && pose.covariance.cholesky().is_some()
+        && is_positive_definite(&pose.covariance)
 }

@@ -150,6 +150,7 @@ impl Fusion {
             }
         };
         self.sightings.clear();
+        self.numbers.clear();
         for detection in &frame.detections {
             if landmarks.contains(&detection.track) {
                 continue;
@@ -163,8 +164,7 @@ impl Fusion {
                 self.counts.late += 1;
                 continue;
             }
-            let is_known = |sighting: &Sighting| sighting.measurement.number == detection.track;
-            if self.sightings.iter().any(is_known) || self.bodies.has_seen(detection.track) {
+            if self.numbers.contains(&detection.track) || self.bodies.has_seen(detection.track) {
                 self.counts.duplicate += 1;
                 continue;
             }
@@ -180,6 +180,7 @@ impl Fusion {
             match measure(detection, source, &stand, late, &self.params) {
                 Ok(measurement) => {
                     let subject = Subject { kind: ring.kind, body: None };
+                    self.numbers.push(detection.track);
                     self.sightings.push(Sighting { subject, code, measurement });
                 }
                 Err(refused) => self.counts.count_refused(refused),
