@@ -100,6 +100,34 @@ describe("a camera that rides", () => {
   });
 });
 
+describe("nothing but a robot's own camera", () => {
+  test("the view goes along with a robot that would leave it", async () => {
+    class Leaving extends World {
+      cameras() {
+        return [];
+      }
+
+      state(robot, t) {
+        const state = super.state(robot, t);
+        return { ...state, position: { x: this.away ? 40 : 0, y: 0, z: 0.3 } };
+      }
+    }
+    const world = new Leaving({ robots: 1, cameras: 0 });
+    await withWorld(world, async (page) => {
+      await page.locator("#object-rows tr").waitFor();
+      // A trail would still show where it went.
+      await page.locator("#trails").uncheck();
+      world.away = true;
+      await page.locator("#object-rows td", { hasText: "40.000" }).waitFor();
+      await page.waitForFunction(() => {
+        const canvas = document.querySelector("#arena-tracks");
+        const { data } = canvas.getContext("2d").getImageData(0, 0, canvas.width, canvas.height);
+        return data.some((value) => value > 0);
+      }, null, { timeout: 10_000 });
+    });
+  });
+});
+
 describe("little to show", () => {
   test("no objects", async () => {
     await withWorld(new World({ robots: 0 }), async (page, { complaints }) => {

@@ -115,12 +115,23 @@ export class Arena {
   }
 
   onSnapshot() {
-    if (this.fitsItself && this.boundsFitted === "") {
+    if (this.fitsItself && (this.boundsFitted === "" || this.isLeft())) {
       this.fitNow();
       this.backdropStale = true;
     }
     this.centerOnFollowed();
     this.askFrame();
+  }
+
+  /** Whether an object has gone out of sight where no camera that stands says what there is to see. */
+  isLeft() {
+    if (this.standing().some((camera) => camera.pose)) return false;
+    const { view } = this;
+    return [...this.store.tracks.values()].some(({ state: { positionM } }) => {
+      if (!positionM) return false;
+      const [px, py] = [view.screenX(positionM.x), view.screenY(positionM.y)];
+      return px < RULER.left || px > view.width || py < 0 || py > view.height - RULER.bottom;
+    });
   }
 
   onCameras() {

@@ -24,6 +24,7 @@ const MOST_CODES: usize = u16::MAX as usize;
 
 /// What is taken: by whom, for errors.
 struct Claims<'a> {
+    kinds: &'a NamedKinds,
     references: &'a [ReferenceConfig],
     taken: Vec<(KindId, Option<Code>, String)>,
 }
@@ -45,7 +46,7 @@ pub(super) fn objects<'t, 'i>(
     references: &[ReferenceConfig],
 ) -> NamedObjects<'t, 'i> {
     let tables = root.tables("object", "[[object]]", &OBJECT_KEYS);
-    let mut claims = Claims { references, taken: Vec::new() };
+    let mut claims = Claims { kinds, references, taken: Vec::new() };
     let (mut configs, mut table_of, mut names) = (Vec::<ObjectConfig>::new(), vec![], vec![]);
     for (index, table) in tables.iter().enumerate() {
         let name = table.required_text("name", "\"robot one\"");
@@ -247,6 +248,11 @@ pub(super) fn code(
 }
 
 impl Claims<'_> {
+    fn is_coded(&self, kind: KindId) -> bool {
+        let kind = self.kinds.kinds.get(usize::from(kind.0));
+        kind.is_some_and(|kind| matches!(kind.pattern, Pattern::Coded(_)))
+    }
+
     /// Takes a roundel for an object; reports it and gives `None` if it is another's, or its own twice.
     fn take(
         &mut self,
@@ -273,6 +279,10 @@ impl Claims<'_> {
             Some(code) => (
                 format!("code {}", code.number),
                 "a code is on one print: give the other one its own",
+            ),
+            None if self.is_coded(kind) => (
+                "the same kind of roundel".to_owned(),
+                "write the `code` of the object's own roundel",
             ),
             None => (
                 "the same kind of roundel".to_owned(),

@@ -145,6 +145,11 @@ fn what_is_wrong_with_a_ride_is_said() {
             "reference 1 and object \"robot one\" carry the same kind of roundel",
         ),
         (
+            "roundel = \"shuttle\"\ncode = 7",
+            "roundel = \"shuttle\"",
+            "write the `code` of the object's own roundel",
+        ),
+        (
             "[[object]]",
             "[[reference]]\nroundel = \"shuttle\"\ncode = 9\nposition_m = [4, 0, 0.5]\n[[object]]",
             "references 5 and 6 carry code 9",
