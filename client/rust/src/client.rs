@@ -113,7 +113,10 @@ impl Client {
         answer.map(|list| list.into_inner().objects).map_err(|status| self.error(&status))
     }
 
-    /// Every camera, in the order of the server's configuration.
+    /// Every camera, in the order of the server's configuration, as it is now: how it does, where it is
+    /// (`pose`, with `pose_status` and `pose_reason` while that is not known), and what is known of its
+    /// clock (`clock`: how late its stamps are in milliseconds, by how much more each second in parts per
+    /// million, and the deviation of that). [`crate::camera_pose_at`] follows one that rides on an object.
     ///
     /// # Errors
     /// Of the connection.
@@ -133,6 +136,10 @@ impl Client {
 
     /// Events from now on, after the newest `backlog` remembered ones (up to 1000). The stream ends
     /// with an error when the connection is lost; a gap in `sequence` is what was missed.
+    ///
+    /// [`v1::EventKind`] names them: an object appeared, is predicted, recovered, or lost; a camera is
+    /// running, failed, finished, its clock was set, it is placed or unplaced. `message` says it in a
+    /// sentence.
     ///
     /// # Errors
     /// [`Error::Refused`] for too long a backlog, and those of the connection.

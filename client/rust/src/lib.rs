@@ -27,12 +27,14 @@ mod address;
 mod backoff;
 mod client;
 mod error;
+mod riding;
 mod snapshot;
 mod state;
 mod subscription;
 
 pub use client::{Client, Messages};
 pub use error::Error;
+pub use riding::camera_pose_at;
 pub use roundel_proto::v1;
 pub use snapshot::{Snapshots, Update};
 pub use state::{position_sigma_m, speed_m_s};
