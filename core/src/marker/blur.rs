@@ -287,6 +287,17 @@ fn upper_tail(z: f64, density: f64) -> f64 {
     density * t * (0.436_183_6 + t * (-0.120_167_6 + t * 0.937_298_0))
 }
 
+/// φ(z).
+pub(crate) fn normal_density(z: f64) -> f64 {
+    Beyond::density(z)
+}
+
+/// Φ(z), to 1e-5.
+pub(crate) fn normal_share(z: f64) -> f64 {
+    let tail = upper_tail(z.abs(), Beyond::density(z));
+    if z < 0.0 { tail } else { 1.0 - tail }
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;

@@ -1,41 +1,46 @@
-//! A coded roundel's two rims to a fraction of a pixel, from points where the grey level is halfway.
+//! A coded roundel's outer rim to a fraction of a pixel, from points where the grey level is halfway.
 //!
-//! Across the outer rim, the place of the level halfway between ring and margin is looked for at points
+//! Across the rim, the place of the level halfway between ring and margin is looked for at points
 //! evenly spaced in the ellipse's parameter t. How far outwards of the ellipse they lie, as a share q(t)
 //! of its size, has five harmonics that an ellipse can follow:
 //! q = α + βₓ cos t + βᵧ sin t + γ cos 2t + η sin 2t, the ellipse's map A becoming A (1 + S) with
 //! S = [α+γ η; η α-γ] and its centre moving by A β. The rest of q is how uneven the rim is.
 //!
-//! The white disc's rim is seen between the teeth alone. There its size and its centre are fitted, its
-//! shape being that of the outer rim as the chart carries it.
-//!
 //! A blur of deviation σ draws the half level of a rim of curvature κ inwards by σ²κ/2; σ is told by
-//! the outer rim's slope, (W - B)/(√(2π) σ).
+//! the rim's slope, (W - B)/(√(2π) σ). B and W are seen a few pixels inside and outside of the rim, of small
+//! or tilted ones nearer, where they are mixed; by how much, the blur tells.
 
 use crate::{
     camera::PixelPoint,
     ellipse::{Ellipse, Symmetric2},
     frame::Frame,
-    marker::{
-        code::{CodeLayout, chart::Chart},
-        reject::Reject,
-    },
+    marker::{blur::normal_share, reject::Reject},
 };
 
 /// Points of the outer rim.
 const POINTS: usize = 48;
-/// Where ring and margin have their levels, pixels from the rim, and at most as a share of the shorter
-/// semiaxis: the ring is 0.4 of it wide, the margin hardly more than 0.15.
-const LEVEL_PX: f64 = 2.5;
-const LEVEL_SHARE: (f64, f64) = (0.2, 0.14);
+/// Where ring and margin have their levels, pixels from the rim, at least and at most, and between those a
+/// share of the shorter semiaxis: the margin may be hardly wider. As far inside as outside, where the levels
+/// are mixed alike and the one halfway is that of the whole levels.
+const LEVEL_PX: (f64, f64) = (1.0, 2.5);
+const LEVEL_SHARE: f64 = 0.14;
+/// How wide the ring is, as a share of the radius.
+const RING_SHARE: f64 = 0.4;
+/// What blur leaves of the contrast between those levels, at least.
+const LEAST_LEFT: f64 = 0.5;
 /// By turn, how far from the ellipse a point may be, as a share of the shorter semiaxis …
 const WALKS: [f64; 4] = [0.35, 0.12, 0.05, 0.02];
 /// … and pixels on top.
 const WALK_PX: f64 = 1.5;
-/// Turns in which the inner one is.
-const INNER_TURNS: usize = 2;
+/// Turns in which the rim is found, at most: of a small one, whose levels are seen near its edge, each leaves
+/// up to two thirds of what it was off …
+const MOST_TURNS: usize = 14;
+/// … and the last one moves it by less than this, pixels.
+const SETTLED_PX: f64 = 0.002;
 /// Points without an edge, of all, at most.
 const MOST_MISSING: usize = POINTS / 6;
+/// Variance of a slope's width, px².
+const SLOPE_PX2: f64 = 1.0 / 12.0;
 /// Deviations that the slope of an edge may tell, pixels: pixels and interpolation alone give the
 /// first.
 const BLURS_PX: (f64, f64) = (0.5, 3.0);
@@ -79,15 +84,18 @@ impl Light<'_, '_> {
 /// The outer rim near a rough outline; `threshold` parts black from white at first.
 pub(crate) fn outer_rim(light: &Light, outline: &Ellipse, threshold: f64) -> Result<Rim, Reject> {
     let mut rim = Rim { ellipse: *outline, black: 0.0, blur_px: 1.0, unevenness: 0.0 };
-    for (turn, share) in WALKS.iter().enumerate() {
+    for turn in 0..MOST_TURNS {
+        let share = WALKS[turn.min(WALKS.len() - 1)];
         let reach_px = WALK_PX + share * rim.ellipse.semi_minor_px;
+        let before = rim.ellipse;
         rim = fitted(light, &rim, (turn == 0).then_some(threshold), reach_px)?;
+        let grown_px = rim.ellipse.mean_radius_px() - before.mean_radius_px();
+        if turn + 1 >= WALKS.len() && grown_px.abs() < SETTLED_PX {
+            break;
+        }
     }
     if rim.unevenness > super::measure::MOST_UNEVEN { Err(Reject::Covered) } else { Ok(rim) }
 }
-
-/// Where the level of a gap is taken, as a share of the white disc's radius.
-const LEVEL_AT: f64 = 0.8;
 
 /// A point of a rim.
 #[derive(Clone, Copy, Default)]
@@ -100,6 +108,13 @@ struct Point {
     /// Normal part of the way from the centre.
     height_px: f64,
     curvature_per_px: f64,
+}
+
+impl Point {
+    /// What a blur draws the half level inwards by.
+    fn drawn_px(&self, blur_px: f64) -> f64 {
+        0.5 * blur_px * blur_px * self.curvature_per_px
+    }
 }
 
 fn points(ellipse: &Ellipse) -> [Point; POINTS] {
@@ -128,25 +143,34 @@ fn fitted(light: &Light, rim: &Rim, threshold: Option<f64>, reach_px: f64) -> Re
     let level = |point: &Point, out_px: f64| {
         light.at(point.at.0 + out_px * point.normal.0, point.at.1 + out_px * point.normal.1)
     };
-    let (inside_px, outside_px) =
-        (LEVEL_PX.min(LEVEL_SHARE.0 * minor), LEVEL_PX.min(LEVEL_SHARE.1 * minor).max(1.0));
-    let blacks = points.each_ref().map(|point| level(point, -inside_px));
-    let margins = points.each_ref().map(|point| level(point, outside_px));
+    let aside_px = (LEVEL_SHARE * minor).clamp(LEVEL_PX.0, LEVEL_PX.1);
+    let share = |px: f64| normal_share(px / rim.blur_px);
+    let (mut blacks, mut margins) = ([0.0; POINTS], [0.0; POINTS]);
+    for (index, point) in points.iter().enumerate() {
+        let drawn_px = point.drawn_px(rim.blur_px);
+        let to_teeth_px = RING_SHARE * point.height_px + drawn_px / (1.0 - RING_SHARE) - aside_px;
+        // What of the margin's light is seen there, of the gaps' and of the black.
+        let of_margin = share(drawn_px - aside_px) + 0.5 * share(-to_teeth_px);
+        let of_black = share(-drawn_px - aside_px);
+        let (dark, bright) = (level(point, -aside_px), level(point, aside_px));
+        let contrast = (bright - dark) / (1.0 - of_margin - of_black).max(LEAST_LEFT);
+        blacks[index] = dark - of_margin * contrast;
+        margins[index] = bright + of_black * contrast;
+    }
+    let (blacks, margins) = (tilted(&points, &blacks), smoothed(&margins));
     let mean = |levels: &[f64; POINTS]| levels.iter().sum::<f64>() / POINTS as f64;
-    let (black, margin) = (mean(&blacks), mean(&margins));
-    let contrast = margin - black;
+    let black = mean(&blacks);
+    let contrast = mean(&margins) - black;
     if threshold.is_none() && (contrast.is_nan() || contrast < 1.0) {
         return Err(Reject::Contrast);
     }
-    let (blacks, margins) = (smoothed(&blacks), smoothed(&margins));
     let (mut shares, mut missing) = ([0.0; POINTS], 0);
     let (mut steep, mut seen) = (0.0, 0);
     for (index, point) in points.iter().enumerate() {
         let half = threshold.unwrap_or(0.5 * (blacks[index] + margins[index]));
         match crossing(|out_px| level(point, out_px) - half, reach_px) {
             Some((out_px, slope)) => {
-                let drawn_px = 0.5 * rim.blur_px * rim.blur_px * point.curvature_per_px;
-                shares[index] = (out_px + drawn_px) / point.height_px;
+                shares[index] = (out_px + point.drawn_px(rim.blur_px)) / point.height_px;
                 steep += slope;
                 seen += 1;
             }
@@ -156,8 +180,10 @@ fn fitted(light: &Light, rim: &Rim, threshold: Option<f64>, reach_px: f64) -> Re
     if missing > MOST_MISSING {
         return Err(Reject::Covered);
     }
-    let blur_px = contrast * f64::from(seen) / (steep * std::f64::consts::TAU.sqrt());
-    let blur_px = if threshold.is_none() { blur_px.clamp(BLURS_PX.0, BLURS_PX.1) } else { 1.0 };
+    // A slope over a pixel is that of an edge blurred by a pixel more.
+    let seen_px = contrast * f64::from(seen) / (steep * std::f64::consts::TAU.sqrt());
+    let blur_px = (seen_px * seen_px - SLOPE_PX2).sqrt();
+    let blur_px = if threshold.is_none() { blur_px.max(BLURS_PX.0).min(BLURS_PX.1) } else { 1.0 };
     let (ellipse, rest_px) = moved(&rim.ellipse, &points, &shares).ok_or(Reject::Profile)?;
     // What an edge strays, in levels; points without one stray by half the contrast.
     let strays = rest_px / (std::f64::consts::TAU.sqrt() * blur_px);
@@ -174,8 +200,19 @@ fn smoothed(levels: &[f64; POINTS]) -> [f64; POINTS] {
     })
 }
 
+/// The plane through them: what a light varies, and not what teeth near by add here and there.
+fn tilted(points: &[Point; POINTS], levels: &[f64; POINTS]) -> [f64; POINTS] {
+    let (mut mean, mut x, mut y) = (0.0, 0.0, 0.0);
+    for (point, level) in points.iter().zip(levels) {
+        mean += level / POINTS as f64;
+        x += 2.0 * level * point.parameter.0 / POINTS as f64;
+        y += 2.0 * level * point.parameter.1 / POINTS as f64;
+    }
+    points.each_ref().map(|point| mean + x * point.parameter.0 + y * point.parameter.1)
+}
+
 /// Where a rising profile crosses zero, nearest to 0, and how steeply; `None` if not within reach.
-fn crossing(profile: impl Fn(f64) -> f64, reach_px: f64) -> Option<(f64, f64)> {
+pub(super) fn crossing(profile: impl Fn(f64) -> f64, reach_px: f64) -> Option<(f64, f64)> {
     let mut place = 0.0;
     let mut level = profile(0.0);
     let step = if level < 0.0 { 1.0 } else { -1.0 };
@@ -240,7 +277,7 @@ fn basis((cos, sin): (f64, f64)) -> [f64; 5] {
 }
 
 /// The image of the unit circle under the map of these columns.
-fn of_columns(center: PixelPoint, [p, q]: [(f64, f64); 2]) -> Ellipse {
+pub(super) fn of_columns(center: PixelPoint, [p, q]: [(f64, f64); 2]) -> Ellipse {
     let matrix = Symmetric2 {
         uu: p.0 * p.0 + q.0 * q.0,
         uv: p.0 * p.1 + q.0 * q.1,
@@ -253,83 +290,4 @@ fn of_columns(center: PixelPoint, [p, q]: [(f64, f64); 2]) -> Ellipse {
         semi_minor_px: short.max(0.0).sqrt(),
         angle_rad,
     }
-}
-
-/// A gap between teeth, or one slot of it, in the chart.
-#[derive(Clone, Copy, Debug)]
-pub(crate) struct Gap {
-    /// cos and sin of its middle's angle.
-    pub direction: (f64, f64),
-    /// Angles to the next teeth on both sides, radians.
-    pub to_teeth_rad: (f64, f64),
-}
-
-/// The white disc's rim, by the gaps between teeth; `black` is the ring's level. Without enough gaps it
-/// is where the chart has it.
-///
-/// In the middle of a gap, teeth on both sides take some of the white away by blur; the level halfway
-/// is lower by as much. How white a gap is, is seen well inside it.
-pub(crate) fn inner_rim(
-    light: &Light,
-    chart: &Chart,
-    ratio: f64,
-    gaps: impl Iterator<Item = Gap> + Clone,
-    (black, blur_px): (f64, f64),
-) -> Option<Ellipse> {
-    let mut radius = ratio;
-    let mut shift = (0.0, 0.0);
-    for _ in 0..INNER_TURNS {
-        let mut normal = nalgebra::Matrix3::<f64>::zeros();
-        let mut right = nalgebra::Vector3::<f64>::zeros();
-        for gap in gaps.clone() {
-            let (cos, sin) = gap.direction;
-            let at = |share: f64| {
-                let x = (radius * share * cos + shift.0, radius * share * sin + shift.1);
-                chart.image(x)
-            };
-            let (rim, beyond, place) = (at(1.0), at(1.02), at(LEVEL_AT));
-            let (du, dv) = (beyond.u - rim.u, beyond.v - rim.v);
-            let length_px = du.hypot(dv);
-            if length_px.is_nan() || length_px <= 0.0 {
-                return None;
-            }
-            // A whole radius is 50 times the step above.
-            let (du, dv) = (du / length_px, dv / length_px);
-            let aside = chart.image((radius * (cos - 0.02 * sin), radius * (sin + 0.02 * cos)));
-            let px_per_rad = 50.0 * (aside.u - rim.u).hypot(aside.v - rim.v);
-            let share = |px: f64| normal_share(px / blur_px);
-            let open = |at: f64| {
-                let (one, other) = gap.to_teeth_rad;
-                share(one * px_per_rad * at) + share(other * px_per_rad * at) - 1.0
-            };
-            // At its place the level has lost to the ring and gained from the core as well.
-            let size_px = 50.0 * length_px;
-            let from_core = share((CodeLayout::CORE_SHARE - LEVEL_AT) * size_px);
-            let from_ring = share((LEVEL_AT - 1.0) * size_px);
-            let expected = open(LEVEL_AT) * (1.0 - from_ring - from_core) + from_core;
-            let level = light.at(place.u, place.v) - black;
-            let half = black + 0.5 * level * open(1.0) / expected;
-            let dark = |out_px: f64| half - light.at(rim.u + out_px * du, rim.v + out_px * dv);
-            let Some((out_px, _)) = crossing(dark, 3.0) else { continue };
-            let drawn_px = 0.5 * blur_px * blur_px / size_px;
-            let share = (out_px + drawn_px) / size_px;
-            let row = nalgebra::Vector3::new(1.0, cos, sin);
-            normal += row * row.transpose();
-            right += row * share;
-        }
-        let change = normal.cholesky().map(|normal| normal.solve(&right));
-        let Some(change) = change else { break };
-        shift = (shift.0 + radius * change[1], shift.1 + radius * change[2]);
-        radius *= 1.0 + change[0];
-    }
-    let fits = radius > 0.5 * ratio && radius < 0.5 * (1.0 + ratio) && shift.0.hypot(shift.1) < 0.1;
-    let (radius, shift) = if fits { (radius, shift) } else { (ratio, (0.0, 0.0)) };
-    let (center, columns) = chart.circle(shift, radius);
-    let ellipse = of_columns(center, columns);
-    ellipse.is_valid().then_some(ellipse)
-}
-
-/// Φ, to 0.01.
-fn normal_share(z: f64) -> f64 {
-    1.0 / (1.0 + (-1.702 * z).exp())
 }

@@ -6,6 +6,7 @@
 //! teeth cannot be read, the disc's rim is where the outer one has it, which says nothing more.
 
 use crate::{
+    ellipse::Ellipse,
     frame::Frame,
     id::KindId,
     marker::{
@@ -13,7 +14,8 @@ use crate::{
         code::{
             CodeLayout, CodeReader,
             chart::Chart,
-            contour::{Gap, Light, Rim, inner_rim, outer_rim},
+            contour::{Light, Rim, of_columns, outer_rim},
+            gaps::{Disc, Gap, disc},
             profile::Levels,
             reader::Read,
             spoke::{offset, outline},
@@ -102,12 +104,15 @@ fn measure_kind(
     if read.is_none() && !toothed.is_half_white {
         return Err(Reject::Profile);
     }
-    let inner = disc(&light, &chart, kind, &rim, read.as_ref()).ok_or(Reject::Profile)?;
-    let shift_px = rim_shift_px(&rim.ellipse, &inner, kind.ratio).ok_or(Reject::Kind)?;
-    if shift_px.abs() > shift_limit_px(&rim.ellipse) {
-        return Err(Reject::Kind);
+    let disc = read.as_ref().and_then(|read| seen_disc(&light, &chart, kind, &rim, read));
+    let disc = disc.unwrap_or(Disc { radius: kind.ratio, shift: (0.0, 0.0) });
+    let outer = outer_compensated(&rim.ellipse, disc.radius, kind.ratio)?;
+    let (center, columns) =
+        Chart::with_offset(&outer, toothed.offset).circle(disc.shift, kind.ratio);
+    let inner = of_columns(center, columns);
+    if !inner.is_valid() {
+        return Err(Reject::Profile);
     }
-    let (outer, inner) = compensated(&rim.ellipse, &inner, shift_px).ok_or(Reject::Kind)?;
     // The centre is known better now than when the teeth were read; their angles do not depend on it.
     let code =
         read.map(|read| read.seen_in(&Chart::new(&outer, inner.center, kind.ratio), kind.ratio));
@@ -144,7 +149,7 @@ fn toothed(light: &Light, probe: &Probe, rules: &Rules, ratio: f64) -> Result<To
     Ok(Toothed { rim, offset, white, is_half_white })
 }
 
-fn check_size(frame: &Frame, outer: &crate::ellipse::Ellipse, rules: &Rules) -> Result<(), Reject> {
+fn check_size(frame: &Frame, outer: &Ellipse, rules: &Rules) -> Result<(), Reject> {
     if outer.semi_minor_px < rules.min_semi_minor_px {
         return Err(Reject::TooSmall);
     }
@@ -170,30 +175,41 @@ fn mean_at(light: &Light, chart: &Chart, radius: f64, points: usize) -> f64 {
     (0..points).map(level).sum::<f64>() / points as f64
 }
 
-/// The white disc's rim.
-fn disc(
+/// The outer rim, moved by what makes the disc as large as it is printed: what blooms, or was printed too
+/// fat, moves both rims towards the black alike.
+fn outer_compensated(outer: &Ellipse, disc: f64, ratio: f64) -> Result<Ellipse, Reject> {
+    let seen = Ellipse {
+        semi_major_px: disc * outer.semi_major_px,
+        semi_minor_px: disc * outer.semi_minor_px,
+        ..*outer
+    };
+    let shift_px = rim_shift_px(outer, &seen, ratio).ok_or(Reject::Kind)?;
+    if shift_px.abs() > shift_limit_px(outer) {
+        return Err(Reject::Kind);
+    }
+    Ok(compensated(outer, &seen, shift_px).ok_or(Reject::Kind)?.0)
+}
+
+/// The white disc's rim between the teeth that were read.
+fn seen_disc(
     light: &Light,
     chart: &Chart,
     kind: &CodedKind,
     rim: &Rim,
-    read: Option<&Read>,
-) -> Option<crate::ellipse::Ellipse> {
+    read: &Read,
+) -> Option<Disc> {
     let bits = u32::from(kind.reader.dictionary().layout().bits);
     let slot_rad = std::f64::consts::PI / f64::from(bits);
-    let gaps = (0..2 * bits).filter_map(|slot| {
-        let read = read?;
-        // The tooth of a 0 is in the first slot.
-        let is_tooth =
-            |slot: u32| u32::from(read.word >> (bits - 1 - slot % (2 * bits) / 2) & 1) == slot % 2;
-        if is_tooth(slot) {
-            return None;
-        }
+    // The tooth of a 0 is in the first slot.
+    let is_tooth =
+        |slot: u32| u32::from(read.word >> (bits - 1 - slot % (2 * bits) / 2) & 1) == slot % 2;
+    let gaps = (0..2 * bits).filter(|slot| !is_tooth(*slot)).map(|slot| {
         let to_tooth = |is_next: bool| slot_rad * if is_next { 0.5 } else { 1.5 };
         let middle = -(read.zero_rad + (f64::from(slot) + 0.5) * slot_rad);
-        Some(Gap {
+        Gap {
             direction: (middle.cos(), middle.sin()),
             to_teeth_rad: (to_tooth(is_tooth(slot + 2 * bits - 1)), to_tooth(is_tooth(slot + 1))),
-        })
+        }
     });
-    inner_rim(light, chart, kind.ratio, gaps, (rim.black, rim.blur_px))
+    disc(light, chart, kind.ratio, gaps, (rim.black, rim.blur_px))
 }

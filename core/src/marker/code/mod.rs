@@ -9,11 +9,12 @@
 //! | from them to a word | `word` |
 //! | a reading, with its confidence and its zero | `reader` |
 //! | a track's readings together | `vote` |
-//! | a coded roundel's outline and rims | `spoke`, `contour`, `measure` |
+//! | a coded roundel's outline and rims | `spoke`, `contour`, `gaps`, `measure` |
 
 mod chart;
 mod contour;
 mod dictionary;
+mod gaps;
 mod layout;
 pub(crate) mod measure;
 mod profile;
