@@ -188,6 +188,14 @@ pub fn coded_trials(range: &Range, bits: u8, count: usize, seed: u64) -> Vec<Tri
     (0..count as u64).into_par_iter().map(of).collect()
 }
 
+/// The same of roundels whose teeth are no code: they look alike after half a turn.
+pub fn uncoded_trials(range: &Range, bits: u8, count: usize, seed: u64) -> Vec<Trial> {
+    let half = u32::from(bits / 2);
+    let words: Vec<u16> = (1..(1 << half) - 1).map(|part: u16| part << half | part).collect();
+    let of = |index| trial(range, Some((bits, &words)), seed, index);
+    (0..count as u64).into_par_iter().map(of).collect()
+}
+
 fn trial(range: &Range, codes: Option<(u8, &[u16])>, seed: u64, index: u64) -> Trial {
     let mut random = Random::new(index, seed);
     let mut draw = |(low, high): (f64, f64)| random.uniform(low, high);

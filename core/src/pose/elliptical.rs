@@ -24,8 +24,9 @@
 use nalgebra::{Matrix2, UnitQuaternion, Vector2, Vector3};
 
 use super::{
-    PoseError, RimNoise, RingNoise, RoundelPose, closed,
+    PoseError, RimNoise, RoundelPose, closed,
     information::Information,
+    noise::{Known, RimErrors, RingNoise},
     seen::{RimSeen, RingFound},
     yaw,
 };
@@ -56,12 +57,13 @@ pub fn locate(
     let disc_px = ring.inner.semi_minor_px * (least / most).sqrt();
     // There the black is narrowest, too.
     let black_px = ring.outer.semi_minor_px * (1.0 - most);
-    let noise = RingNoise { round_disc: false, ..noise.of_ring(ring, disc_px, black_px) };
+    let noise = RingNoise { disc: Known::size(), ..noise.of_ring(ring, disc_px, black_px) };
     let mut pose = closed::locate(camera, &RingFound::new(&round, radii_m, noise))?;
     let rays = DiscRays::new(camera, &ring.inner)
         .map_err(|source| PoseError::Lens { rim: "inner", source })?;
     let heading = rays.heading(&pose).ok_or(PoseError::NoCircle)?;
-    let variance = heading.variance_rad2(kind, &ring.inner, &noise).ok_or(PoseError::NoCircle)?;
+    let variance =
+        heading.variance_rad2(kind, &ring.inner, &noise.rims[1]).ok_or(PoseError::NoCircle)?;
     pose.yaw_rad = Some(heading.yaw_rad);
     pose.yaw_symmetry = 2;
     let by_tilt = rays.by_tilt(&pose, &heading);
@@ -172,7 +174,7 @@ impl DiscRays {
 
 impl Heading {
     /// Variance from the errors of the disc's rim alone.
-    fn variance_rad2(&self, kind: &Kind, inner: &Ellipse, noise: &RingNoise<f64>) -> Option<f64> {
+    fn variance_rad2(&self, kind: &Kind, inner: &Ellipse, noise: &RimErrors<f64>) -> Option<f64> {
         let (known, true) = Information::of(&RimSeen::of(inner), noise) else { return None };
         let turn = 1.0 / known.turn;
         let elongation =

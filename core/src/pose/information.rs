@@ -6,7 +6,10 @@
 //! alike in all five, the unevenness. By symmetry only size and elongation are coupled. The means of g,
 //! g cos 2t and g cos 4t are those over the eight points.
 
-use super::{RingNoise, seen::RimSeen};
+use super::{
+    noise::{Known, RimErrors},
+    seen::RimSeen,
+};
 use crate::lanes::Lane;
 
 /// Five numbers of a rim.
@@ -29,7 +32,7 @@ pub struct Information<T> {
 impl<T: Lane> Information<T> {
     /// Of a rim, and where there is one.
     #[inline(always)]
-    pub fn of(rim: &RimSeen<T>, noise: &RingNoise<T>) -> (Self, T::Mask) {
+    pub fn of(rim: &RimSeen<T>, noise: &RimErrors<T>) -> (Self, T::Mask) {
         let (a, b) = (rim.semi_major_px, rim.semi_minor_px);
         let between = ((a * a + b * b) * 0.5).root();
         let (g0, g2, g4) =
@@ -68,12 +71,19 @@ impl<T: Lane> Information<T> {
         (information, known)
     }
 
-    /// With elongation and turn unknown.
+    /// What of it is left where not all numbers say something. Elongation and turn that say nothing take with
+    /// them what they say of the size.
     #[inline(always)]
-    pub fn without_shape(&self) -> Self {
-        let zero = self.size.splat(0.0);
-        let size = self.size - self.size_and_elongation.squared() / self.elongation;
-        Self { size, size_and_elongation: zero, elongation: zero, turn: zero, ..*self }
+    pub fn only(&self, known: &Known<T>) -> Self {
+        let Known { size: by_size, shape: by_shape } = *known;
+        let by_elongation = self.size_and_elongation.squared() / self.elongation;
+        Self {
+            size: (self.size - (-by_shape + 1.0) * by_elongation) * by_size,
+            size_and_elongation: self.size_and_elongation * by_shape,
+            elongation: self.elongation * by_shape,
+            turn: self.turn * by_shape,
+            ..*self
+        }
     }
 
     /// These five numbers weighted.

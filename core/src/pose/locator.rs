@@ -229,7 +229,7 @@ mod tests {
     use super::*;
     use crate::{
         camera::{Lens, PixelPoint},
-        marker::Pattern,
+        marker::{CodeLayout, Pattern},
         rigid::orientation_of_normal,
     };
 
@@ -240,6 +240,7 @@ mod tests {
         FaceOn,
         OfNoKind,
         OfAnEllipticalDisc,
+        OfACode,
         NoEllipse,
         /// Where this lens has ended.
         Beyond,
@@ -264,6 +265,7 @@ mod tests {
             2 => Just(Odd::FaceOn),
             1 => Just(Odd::OfNoKind),
             1 => Just(Odd::OfAnEllipticalDisc),
+            3 => Just(Odd::OfACode),
             1 => Just(Odd::NoEllipse),
             1 => Just(Odd::Beyond),
             1 => Just(Odd::FarApart),
@@ -292,7 +294,11 @@ mod tests {
         let (outer, mut inner) = (rim(0.08), rim(0.032));
         inner.center.u += drawn.off_px;
         inner.semi_major_px += drawn.off_px.abs();
-        let kind = if let Odd::OfAnEllipticalDisc = drawn.odd { 1 } else { 0 };
+        let kind = match drawn.odd {
+            Odd::OfAnEllipticalDisc => 1,
+            Odd::OfACode => 2,
+            _ => 0,
+        };
         let mut ring = Ring {
             unevenness: drawn.unevenness,
             kind: Some(KindId(kind)),
@@ -303,7 +309,7 @@ mod tests {
             Odd::NoEllipse => ring.outer.semi_minor_px = 0.1,
             Odd::Beyond => ring.outer.center.u = 4e3,
             Odd::FarApart => ring.inner.center.u += 30.0 * ring.outer.semi_major_px,
-            Odd::Nothing | Odd::FaceOn | Odd::OfAnEllipticalDisc => {}
+            Odd::Nothing | Odd::FaceOn | Odd::OfAnEllipticalDisc | Odd::OfACode => {}
         }
         TrackedRing { track: TrackNumber(number as u64), ring, code: None }
     }
@@ -321,8 +327,12 @@ mod tests {
             ][lens];
             let camera = camera(lens);
             let pattern = Pattern::Elliptical { minor_diameter_m: 0.05 };
-            let kinds =
-                vec![Kind::plain("", 0.16, 0.064), Kind { pattern, ..Kind::plain("", 0.16, 0.078) }];
+            let coded = Pattern::Coded(CodeLayout { bits: 8, min_distance: 1 });
+            let kinds = vec![
+                Kind::plain("", 0.16, 0.064),
+                Kind { pattern, ..Kind::plain("", 0.16, 0.078) },
+                Kind { pattern: coded, ..Kind::plain("", 0.16, 0.064) },
+            ];
             let rings: Vec<_> =
                 drawn.iter().enumerate().map(|(k, drawn)| tracked(&camera, k, drawn)).collect();
             let pixels = [0; 4];
@@ -334,7 +344,7 @@ mod tests {
             for ((ring, located), drawn) in rings.iter().zip(&located).zip(&drawn) {
                 let alone = locator.locate(&frame, ring);
                 prop_assert_eq!(located, &alone, "{:?}", drawn);
-                let is_odd = !matches!(drawn.odd, Odd::Nothing | Odd::FaceOn);
+                let is_odd = !matches!(drawn.odd, Odd::Nothing | Odd::FaceOn | Odd::OfACode);
                 prop_assert!(is_odd || alone.is_ok(), "{:?}: {:?}", drawn, alone);
             }
         }

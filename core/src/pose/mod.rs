@@ -55,7 +55,6 @@ use crate::{
 };
 pub use locator::{ImageQuality, Located, Locator};
 pub use noise::RimNoise;
-use noise::RingNoise;
 use seen::RingFound;
 
 /// Pose of a roundel in the camera frame.
@@ -194,8 +193,12 @@ fn found(kind: &Kind, ring: &Ring, noise: &RimNoise) -> Result<Option<RingFound>
         return Ok(None);
     }
     let radii_m = [0.5 * kind.outer_diameter_m, 0.5 * kind.inner_diameter_m];
-    let disc_px = ring.inner.semi_minor_px;
-    let noise = noise.of_ring(ring, disc_px, ring.outer.semi_minor_px - disc_px);
+    let noise = if let Pattern::Coded(layout) = kind.pattern {
+        noise.of_coded(ring, layout.bits)
+    } else {
+        let disc_px = ring.inner.semi_minor_px;
+        noise.of_ring(ring, disc_px, ring.outer.semi_minor_px - disc_px)
+    };
     Ok(Some(RingFound::new(ring, radii_m, noise)))
 }
 

@@ -325,9 +325,10 @@ impl<T: Lane> Flat<T> {
         number: usize,
     ) -> (Rim<T>, T::Mask) {
         let (center, shape, semiaxes, is_ellipse) = self.seen_from(local_from_base);
-        let (mut information, is_informed) = Information::of(&seen.rims[number], &seen.noise);
-        if number == 1 && !seen.noise.round_disc {
-            information = information.without_shape();
+        let (mut information, is_informed) =
+            Information::of(&seen.rims[number], &seen.noise.rims[number]);
+        if number == 1 {
+            information = information.only(&seen.noise.disc);
         }
         let (inverse, regular) = semiaxes.inverse();
         let rim = Rim { radius_m: seen.radii_m[number], center, shape, inverse, information };

@@ -2,7 +2,7 @@
 
 use std::f64::consts::{FRAC_PI_2, PI};
 
-use super::RingNoise;
+use super::noise::{Known, RimErrors, RingNoise};
 use crate::{
     ellipse::Ellipse,
     lanes::{Lane, Vec2},
@@ -51,14 +51,28 @@ impl RingFound {
 }
 
 impl<T: Lane> RingSeen<T> {
-    /// Rings side by side, as many as `like` has lanes, all with round discs or none.
+    /// Rings side by side, as many as `like` has lanes.
     #[inline(always)]
     pub fn gather(like: T, rings: &[RingFound]) -> Self {
-        let [outer_m, inner_m, edge_px, floor_px, uneven_px] = like.each(
+        let [outer_m, inner_m, size, shape] = like.each(
             #[inline(always)]
             |lane| {
                 let RingFound { radii_m, noise, .. } = &rings[lane];
-                [radii_m[0], radii_m[1], noise.edge_px, noise.floor_px, noise.uneven_px]
+                [radii_m[0], radii_m[1], noise.disc.size, noise.disc.shape]
+            },
+        );
+        let errors = [0, 1].map(
+            #[inline(always)]
+            |rim| {
+                let [edge_px, floor_px, uneven_px] = like.each(
+                    #[inline(always)]
+                    |lane| {
+                        let RimErrors { edge_px, floor_px, uneven_px } =
+                            rings[lane].noise.rims[rim];
+                        [edge_px, floor_px, uneven_px]
+                    },
+                );
+                RimErrors { edge_px, floor_px, uneven_px }
             },
         );
         let outer = RimSeen::of_numbers(like.each(
@@ -69,8 +83,7 @@ impl<T: Lane> RingSeen<T> {
             #[inline(always)]
             |lane| numbers(&rings[lane].inner),
         ));
-        let round_disc = rings[0].noise.round_disc;
-        let noise = RingNoise { edge_px, floor_px, uneven_px, round_disc };
+        let noise = RingNoise { rims: errors, disc: Known { size, shape } };
         Self { rims: [outer, inner], radii_m: [outer_m, inner_m], noise }
     }
 }

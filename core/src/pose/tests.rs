@@ -5,7 +5,11 @@ use proptest::prelude::*;
 use rand::{RngExt, SeedableRng};
 use rand_distr::{Distribution, StandardNormal};
 
-use super::{noise::CLEAN_UNEVENNESS, refine::Estimates, *};
+use super::{
+    noise::{CLEAN_UNEVENNESS, RimErrors},
+    refine::Estimates,
+    *,
+};
 use crate::{
     camera::{Intrinsics, Lens, PixelPoint},
     rigid::{UNKNOWN_ANGLE_VARIANCE_RAD2, mahalanobis_squared, orientation_of_normal},
@@ -137,7 +141,7 @@ proptest! {
 
 /// An ellipse as found: its rim strays by white noise along its arc, of which an ellipse takes up the
 /// first harmonics, and by a floor on its numbers.
-fn stray(ellipse: &Ellipse, noise: &RingNoise<f64>, draw: &mut impl FnMut() -> f64) -> Ellipse {
+fn stray(ellipse: &Ellipse, noise: &RimErrors<f64>, draw: &mut impl FnMut() -> f64) -> Ellipse {
     const SAMPLES: usize = 48;
     let (a, b) = (ellipse.semi_major_px, ellipse.semi_minor_px);
     let step = std::f64::consts::TAU / SAMPLES as f64;
@@ -216,8 +220,8 @@ fn tally(radius_px: f64, tilts_rad: std::ops::Range<f64>, runs: usize, noise: &R
         let mut draw = || -> f64 { StandardNormal.sample(&mut random) };
         let disc_px = exact.inner.semi_minor_px;
         let of_ring = noise.of_ring(&exact, disc_px, exact.outer.semi_minor_px - disc_px);
-        let outer = stray(&exact.outer, &of_ring, &mut draw);
-        let inner = stray(&exact.inner, &of_ring, &mut draw);
+        let outer = stray(&exact.outer, &of_ring.rims[0], &mut draw);
+        let inner = stray(&exact.inner, &of_ring.rims[1], &mut draw);
         let found = Ring { outer, inner, ..exact };
         let reported = locate(&camera, &kind, &found, noise).unwrap();
         let off_m = position_m - reported.position_m;
