@@ -20,14 +20,13 @@ use fearless_simd_macros::simd;
 
 use super::{
     blur::{FUNCTIONS, Kernel, PHASES, Taps, fall_shift},
+    differences::{DIFFERENCE, Differences, Lines, differences},
     normal::{COLUMNS, Sums},
     patches::Patches,
     view::Nodes,
 };
 use crate::{ellipse::Chords, frame::Frame, marker::make_room};
 
-/// Pixels each way that differences take in.
-const DIFFERENCE: usize = 2;
 /// Rows are padded to whole vectors of any width.
 const LANES: usize = 16;
 /// The lanes' numbers.
@@ -282,10 +281,9 @@ fn gather_all<S: Simd, const PRODUCTS: bool, const FREE: bool>(
         let around = (row - DIFFERENCE) * width..(row + DIFFERENCE + 1) * width + LANES;
         let mut line = Line {
             row,
-            width,
             span: (from, to),
             grey: &mut window.grey,
-            image: &window.image[around],
+            around: Lines { image: &window.image[around], width },
         };
         add_row::<S, FREE>(simd, &mut line, model, |columns, count| {
             if PRODUCTS {
@@ -324,11 +322,9 @@ fn add_up<S: Simd>(simd: S, image: &mut [f32], width: usize, columns: Range<usiz
 /// One row of the window.
 struct Line<'a> {
     row: usize,
-    width: usize,
     span: (usize, usize),
     grey: &'a mut [f32],
-    /// d of this row and those next to it.
-    image: &'a [f32],
+    around: Lines<'a>,
 }
 
 /// One of the table's functions at a phase, `rest` of a step beyond it; `values` are followed by
@@ -418,58 +414,6 @@ fn moved<S: Simd>(
     g1.mul_add(S::f32s::splat(simd, along[0]), across)
 }
 
-/// d and its differences at the pixels of a vector: ∂d/∂u, ∂d/∂v, ∇²d, and h where it is needed.
-#[inline(always)]
-fn differences<S: Simd, const FREE: bool>(
-    simd: S,
-    line: &Line,
-    start: usize,
-    taps: &Taps,
-) -> (S::f32s, [S::f32s; 2], S::f32s, [S::f32s; 2]) {
-    let lanes = S::f32s::LEN;
-    let width = line.width;
-    // One look at the bounds for all that is read of a row.
-    let reach = lanes + 2 * DIFFERENCE;
-    let beside = &line.image[DIFFERENCE * width + start - DIFFERENCE..][..reach];
-    let at = |place: usize| S::f32s::from_slice(simd, &beside[place..place + lanes]);
-    let (left_2, left, share, right, right_2) = (at(0), at(1), at(2), at(3), at(4));
-    let of_row =
-        |row: usize| S::f32s::from_slice(simd, &line.image[row * width + start..][..lanes]);
-    let (up_2, up, down, down_2) = (of_row(0), of_row(1), of_row(3), of_row(4));
-    let [g1, g2] = taps.gradient.map(|tap| S::f32s::splat(simd, tap));
-    let along_u = (right - left).mul_add(g1, (right_2 - left_2) * g2);
-    let along_v = (down - up).mul_add(g1, (down_2 - up_2) * g2);
-    let [c1, c2] = taps.curvature.map(|tap| S::f32s::splat(simd, tap));
-    let (near_u, near_v) = (left + right, up + down);
-    let (far_u, far_v) = (left_2 + right_2, up_2 + down_2);
-    let (near, far) = (near_u + near_v, far_u + far_v);
-    let rest = share * S::f32s::splat(simd, -4.0 * (taps.curvature[0] + taps.curvature[1]));
-    let curvature = near.mul_add(c1, far.mul_add(c2, rest));
-    if !FREE {
-        return (share, [along_u, along_v], curvature, [S::f32s::splat(simd, 0.0); 2]);
-    }
-    let stretch = (near_u - near_v).mul_add(c1, (far_u - far_v) * c2);
-    // Twice ∂²d/∂u∂v, by the squares with corners one pixel and two pixels away.
-    let [s1, s2] = taps.skew.map(|tap| S::f32s::splat(simd, tap));
-    let skew = corners(simd, line, start, 1).mul_add(s1, corners(simd, line, start, 2) * s2);
-    (share, [along_u, along_v], curvature, [stretch, skew])
-}
-
-/// d at the corners so many pixels away along both axes or against both, less the other two; no closures,
-/// which would be calls here.
-#[inline(always)]
-fn corners<S: Simd>(simd: S, line: &Line, start: usize, by: usize) -> S::f32s {
-    let lanes = S::f32s::LEN;
-    let reach = lanes + 2 * by;
-    let above = &line.image[(DIFFERENCE - by) * line.width + start - by..][..reach];
-    let below = &line.image[(DIFFERENCE + by) * line.width + start - by..][..reach];
-    let falling = S::f32s::from_slice(simd, &below[2 * by..2 * by + lanes])
-        + S::f32s::from_slice(simd, &above[..lanes]);
-    let rising = S::f32s::from_slice(simd, &below[..lanes])
-        + S::f32s::from_slice(simd, &above[2 * by..2 * by + lanes]);
-    falling - rising
-}
-
 #[inline(always)]
 fn add_row<S: Simd, const FREE: bool>(
     simd: S,
@@ -491,8 +435,9 @@ fn add_row<S: Simd, const FREE: bool>(
         // What lies beyond the span is finite, and weighs nothing.
         let weight = (S::f32s::splat(simd, to) - u).min(one).max(zero);
         let grey = S::f32s::from_slice(simd, &line.grey[start..start + lanes]);
-        let (share, [along_u, along_v], curvature, [stretch, skew]) =
-            differences::<S, FREE>(simd, line, start, &model.taps);
+        let Differences { share, slope, curvature, bend } =
+            differences::<S, FREE>(simd, &line.around, start, &model.taps);
+        let ([along_u, along_v], [stretch, skew]) = (slope, bend);
         let (fall_u, fall_v) = (along_u * weight, along_v * weight);
         let g1 = zero - fall_u.mul_add(m11, fall_v * m21);
         let g2 = zero - fall_u.mul_add(m12, fall_v * m22);

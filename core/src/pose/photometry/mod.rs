@@ -51,6 +51,7 @@ mod blur;
 mod careful;
 mod contour;
 mod descend;
+mod differences;
 mod heading;
 mod image;
 mod lens;
