@@ -52,6 +52,9 @@ const LAST_BEND_PX: f64 = 0.002;
 /// … and σ² by less than this share of the radius, px² to px: the smaller the rims, the less they tell blur
 /// from size and levels, and the further the columns' errors carry.
 const LAST_BLUR_PX: f64 = 8e-4;
+/// μ may move as far as the pixels tell with [`LAST_MOVE`] variances, and no more than this, px²: the columns'
+/// errors carry far less of it than its own noise.
+const LAST_MOTION_PX2: f64 = 1.0;
 /// Deviation of the light's gradient: relative change over a radius.
 const LIGHT_PRIOR: f64 = 0.1;
 /// [`patches::share`] of noise exceeds 1 by no more than this over the root of the number of pixels: three
@@ -132,10 +135,12 @@ impl Linear {
             })
             .sum();
         let turn2 = change[TILT].powi(2) + change[TILT + 1].powi(2);
+        let motion2 = change[MOTION].powi(2) + change[MOTION + 1].powi(2);
         moved < (LAST_MOVE * self.noise2()).min(LAST_MOVE_PX * LAST_MOVE_PX * self.edges)
             && 0.5 * turn2 * self.radius_px < LAST_BEND_PX
-            && change[BLUR].abs().max(change[MOTION].hypot(change[MOTION + 1]) / 24.0)
-                < LAST_BLUR_PX * self.radius_px
+            && change[BLUR].abs() < LAST_BLUR_PX * self.radius_px
+            && motion2 < LAST_MOTION_PX2 * LAST_MOTION_PX2
+            && motion2 * self.information[MOTION][MOTION] < LAST_MOVE * self.noise2()
             && self.is_even()
             && state.is_turned_little(change)
     }
