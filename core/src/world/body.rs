@@ -155,6 +155,16 @@ impl Bodies {
         params.motion_model(&class)
     }
 
+    /// The height that it is held at by the middle of its roundels, and what was said of its origin.
+    pub(super) fn held_m(&self, body: BodyId) -> Option<(f64, f64)> {
+        match self.bodies[body.0 as usize].motion {
+            MotionClass::Ground { height_m: Some(said_m) } => {
+                Some((said_m + self.middles_m[body.0 as usize].z, said_m))
+            }
+            MotionClass::Ground { height_m: None } | MotionClass::Free => None,
+        }
+    }
+
     /// What a camera's detection is part of, and whether this camera's track was not known as that before.
     pub(super) fn part_of(
         &mut self,

@@ -1,6 +1,7 @@
 //! The fusion machine: frames in, snapshots and events out. How detections become sightings, by cameras
 //! that stand or ride, is in `place`, and those of several roundels of one object one sighting in `parts`.
 
+mod height;
 mod parts;
 mod place;
 
@@ -16,6 +17,7 @@ use super::{
     body::Bodies,
     clock::{ClockEstimate, ClockPrior, Clocks},
     count::FusionCounts,
+    floor::Floors,
     identity::{Claim, Identities, Mark, Subject},
     landmark::Landmark,
     life::Track,
@@ -60,6 +62,7 @@ pub struct Fusion {
     offsets_m: BTreeMap<KindId, Vector3<f64>>,
     identities: Identities,
     bodies: Bodies,
+    floors: Floors,
     timeline: Timeline,
     /// In the order in which they began.
     tracks: Vec<Track>,
@@ -90,6 +93,7 @@ impl Fusion {
             offsets_m: BTreeMap::new(),
             identities: Identities::default(),
             bodies: Bodies::default(),
+            floors: Floors::default(),
             timeline: Timeline::default(),
             tracks: Vec::new(),
             lost: Vec::new(),
@@ -236,6 +240,7 @@ impl Fusion {
     /// Gives each sighting to its track, or to a new one. With the frame's time, they are all that its
     /// camera has seen in it.
     fn apply(&mut self, camera: CameraId, whole: Option<Timestamp>, now: Timestamp) {
+        self.check_heights();
         let rides = self.riders.has(camera);
         let decisions = associate(
             &self.tracks,

@@ -8,7 +8,7 @@
 //! tracks of one object, `vote` counts the codes that it was seen with, `identity` gives an object that returns its
 //! id again, `snapshot` shows the result at an instant. `body` knows the objects that carry several
 //! roundels, and `assembly` makes one measurement of these. Cameras that move are placed by what carries them (`rider`), and place it by landmarks
-//! that they see (`landmark`, `localize`).
+//! that they see (`landmark`, `localize`). `floor` tells when what drives is not as high as was said.
 
 mod anchor;
 mod assembly;
@@ -19,6 +19,7 @@ mod clock;
 mod coarse;
 mod comparison;
 mod count;
+mod floor;
 mod fusion;
 mod gate;
 mod identity;
@@ -36,6 +37,7 @@ mod vote;
 pub use body::{Body, BodyError, Mount};
 pub use clock::{ClockEstimate, ClockPrior};
 pub use count::FusionCounts;
+pub use floor::WrongHeight;
 pub use fusion::{CameraPlacement, Fusion};
 pub use landmark::{Landmark, TURN_SIGMA_RAD};
 pub use param::{FusionParams, MotionClass};

@@ -24,7 +24,7 @@ const TILT_RAD: f64 = 0.02;
 const ROCKING_RAD_S2: f64 = 1.0;
 const ROCKING_RAD_S: f64 = 0.1;
 /// Its floor is even to this, m, …
-const FLOOR_M: f64 = 0.003;
+pub(super) const FLOOR_M: f64 = 0.003;
 /// … so that up and down it moves by so much at most, rms.
 const BUMP_M_S2: f64 = 0.05;
 const SLOPE_M_S: f64 = 0.05;
