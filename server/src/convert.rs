@@ -210,6 +210,7 @@ pub fn event(installation: &Installation, event: &Event) -> v1::Event {
         Happening::ClockSet(id) => of_camera(v1::EventKind::CameraClockSet, id),
         Happening::Placed(id) => of_camera(v1::EventKind::CameraPlaced, id),
         Happening::Unplaced(id) => of_camera(v1::EventKind::CameraUnplaced, id),
+        Happening::WrongHeight => (v1::EventKind::HeightContradicted, 0, String::new()),
     };
     v1::Event {
         sequence: event.sequence,

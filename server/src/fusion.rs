@@ -16,12 +16,12 @@ use roundel_core::{
     id::{BodyId, CameraId, KindId, ObjectId},
     marker::Code,
     time::Timestamp,
-    world::{Event, EventKind, Fusion, Snapshot},
+    world::{Event, EventKind, Fusion, Snapshot, WrongHeight},
 };
 
 use crate::{
     clock::Clock,
-    hub::{Happening, Hub},
+    hub::{Happening, Hub, Installation},
     stop::Stop,
     worker::{Sighted, meter::Median},
 };
@@ -126,6 +126,11 @@ impl FusionTask {
         let gives_frames = |camera| self.latency_ms.contains_key(&camera);
         self.riding.publish(&mut self.fusion, &self.hub, pose_time, gives_frames);
         let events: Vec<Event> = self.fusion.drain_events().collect();
+        for wrong in self.fusion.drain_wrong_heights() {
+            let message = height_sentence(self.hub.installation(), &wrong);
+            tracing::warn!("{message}");
+            self.hub.publish_event(pose_time, Happening::WrongHeight, message);
+        }
         self.remember(&snapshot);
         self.hub.set_fusion_counts(self.fusion.counts());
         self.hub.publish_snapshot(snapshot, self.clock.now());
@@ -160,6 +165,21 @@ impl FusionTask {
     }
 }
 
+fn height_sentence(installation: &Installation, wrong: &WrongHeight) -> String {
+    let what = match wrong.body {
+        Some(_) => format!("\"{}\"", installation.object_name(wrong.kind, wrong.body)),
+        None => format!("Roundels \"{}\"", installation.kind_name(wrong.kind)),
+    };
+    let cameras: Vec<&str> = wrong.cameras.iter().map(|&id| installation.camera_name(id)).collect();
+    format!(
+        "{what}: seen at a height of {:.2} m by {}, and `height_m` says {:.2}. Correct it, or the diameters \
+         or the cameras' poses; until then places are wrong, and objects may appear that are not there.",
+        wrong.seen_m,
+        cameras.join(", "),
+        wrong.said_m
+    )
+}
+
 #[cfg(test)]
 mod tests {
     use std::sync::mpsc::sync_channel;
@@ -172,11 +192,11 @@ mod tests {
         marker::Ring,
         pose::{Detection, RoundelPose},
         rigid::{Covariance6, Rigid},
-        world::{CameraPlacement, FrameObservations, FusionParams},
+        world::{CameraPlacement, FrameObservations, FusionParams, MotionClass},
     };
 
     use super::*;
-    use crate::hub::{CameraInfo, Installation};
+    use crate::hub::{CameraInfo, EVENTS_KEPT};
 
     fn hub(clock: &Clock) -> Arc<Hub> {
         Arc::new(Hub::new(Installation {
@@ -279,6 +299,46 @@ mod tests {
         assert_eq!(told, [Happening::ClockSet(CameraId(0))]);
         assert!(events[0].message.contains("camera north was set"), "{}", events[0].message);
         assert!(hub.cameras()[0].clock.is_some());
+    }
+
+    #[test]
+    fn a_height_that_cameras_contradict_is_told() {
+        let clock = Clock::anchored_now();
+        let hub = hub(&clock);
+        let (sender, receiver) = sync_channel(QUEUE_FRAMES);
+        for frame in 1..=200 {
+            sender.send(sighted(frame, clock.now().plus_seconds(frame as f64 * 0.11))).unwrap();
+        }
+        drop(sender);
+        let mut fusion = Fusion::new(FusionParams::default());
+        let world_from_camera = Rigid::identity();
+        let placement = CameraPlacement { world_from_camera, covariance: Covariance6::zeros() };
+        fusion.set_camera(CameraId(0), Some(placement));
+        fusion.set_motion(KindId(0), MotionClass::Ground { height_m: Some(2.5) });
+        let task = FusionTask::new(fusion, hub.clone(), clock, receiver);
+        let stop = Stop::default();
+        stop.stop();
+        task.run(Duration::from_millis(10), &stop);
+        let (events, _) = hub.events(EVENTS_KEPT);
+        let told: Vec<&str> = events
+            .iter()
+            .filter(|event| event.happening == Happening::WrongHeight)
+            .map(|event| event.message.as_str())
+            .collect();
+        let expected =
+            "Roundels \"robot\": seen at a height of 3.00 m by north, and `height_m` says 2.50.";
+        assert_eq!(told.len(), 1, "{told:?}");
+        assert!(told[0].starts_with(expected), "{told:?}");
+        // Of an object that is known by several roundels, by its name.
+        let wrong = WrongHeight {
+            kind: Some(KindId(0)),
+            body: Some(BodyId(0)),
+            said_m: 0.0,
+            seen_m: 0.2,
+            cameras: vec![CameraId(0)],
+        };
+        let sentence = height_sentence(hub.installation(), &wrong);
+        assert!(sentence.starts_with("\"carrier\": seen at a height of 0.20 m"), "{sentence}");
     }
 
     #[test]

@@ -119,6 +119,8 @@ pub enum Happening {
     Placed(CameraId),
     /// Where a camera is has not been known for a while.
     Unplaced(CameraId),
+    /// What drives is not as high as was configured.
+    WrongHeight,
 }
 
 /// Something that happened once.

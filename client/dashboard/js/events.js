@@ -15,6 +15,7 @@ const SIGNS = new Map([
   ["camera_clock_set", "predicted"],
   ["camera_placed", "running"],
   ["camera_unplaced", "predicted"],
+  ["height_contradicted", "failed"],
 ]);
 
 /** @param {import("./store.js").Store} store */

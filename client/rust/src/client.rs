@@ -138,8 +138,8 @@ impl Client {
     /// with an error when the connection is lost; a gap in `sequence` is what was missed.
     ///
     /// [`v1::EventKind`] names them: an object appeared, is predicted, recovered, or lost; a camera is
-    /// running, failed, finished, its clock was set, it is placed or unplaced. `message` says it in a
-    /// sentence.
+    /// running, failed, finished, its clock was set, it is placed or unplaced; a configured height is
+    /// contradicted. `message` says it in a sentence.
     ///
     /// # Errors
     /// [`Error::Refused`] for too long a backlog, and those of the connection.
