@@ -60,7 +60,8 @@ pub(super) fn gain_of(value: &Matrix3<f64>, rate: &Matrix3<f64>) -> Gain {
 }
 
 impl Sources {
-    /// Of one camera, after one measurement of the value.
+    /// Of one camera, after one measurement of the value: the estimate is the measurement, p̂ = p + L β + w, so that
+    /// E[(p - p̂) βᵀ] = -L.
     pub(super) fn begin(camera: CameraId, systematic_root: &Matrix3<f64>, is_timed: bool) -> Self {
         let mut sources = Self {
             cameras: [NO_CAMERA; MAX_SOURCES],
@@ -74,7 +75,7 @@ impl Sources {
         sources.cameras[0] = camera;
         for component in 0..3 {
             for axis in 0..3 {
-                sources.systematic[component][axis][0] = systematic_root[(axis, component)];
+                sources.systematic[component][axis][0] = -systematic_root[(axis, component)];
             }
         }
         sources

@@ -27,8 +27,8 @@ impl Plain {
         covariance.view_mut((3, 3), (3, 3)).fill_with_identity();
         covariance.view_mut((3, 3), (3, 3)).scale_mut(rate_variance);
         let own = 6 + 3 * camera;
-        covariance.view_mut((0, own), (3, 3)).copy_from(&noise.systematic_root);
-        covariance.view_mut((own, 0), (3, 3)).copy_from(&noise.systematic_root.transpose());
+        covariance.view_mut((0, own), (3, 3)).copy_from(&-noise.systematic_root);
+        covariance.view_mut((own, 0), (3, 3)).copy_from(&-noise.systematic_root.transpose());
         Self { state: DVector::zeros(SIZE), covariance }
     }
 
@@ -163,6 +163,16 @@ proptest! {
             prop_assert!(kernel.spread.matrix().cholesky().is_some(), "{:?}", kernel.spread);
         }
     }
+}
+
+/// Two measurements of one camera with half of the variance systematic leave three quarters of it.
+#[test]
+fn the_first_measurement_errs_as_the_second_does() {
+    let seen = noise(0.01, 0.01, &Vector3::z(), 0.5);
+    let mut kernel = Kernel::begin(&seen, CameraId(0), &Vector3::zeros());
+    kernel.update(&Vector3::zeros(), &seen, CameraId(0), 16.3);
+    let left = kernel.spread.value[(0, 0)] / 1e-4;
+    assert!((left - 0.75).abs() < 1e-6, "{left}");
 }
 
 #[test]
