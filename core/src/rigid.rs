@@ -14,6 +14,9 @@ pub type Covariance6 = SMatrix<f64, 6, 6>;
 /// Variance of an angle of which nothing is known: π²/3, that of the uniform one.
 pub const UNKNOWN_ANGLE_VARIANCE_RAD2: f64 = std::f64::consts::PI * std::f64::consts::PI / 3.0;
 
+/// Up to here series stand in for sines and their inverses: the square of a sine.
+pub(crate) const SMALL_SQUARED: f64 = 0.01;
+
 /// Nearer to half a turn the closed forms of the smallest rotation lose digits: 1 + cos.
 const LEAST_COSINE: f64 = 0.01;
 
@@ -69,6 +72,35 @@ pub(crate) fn smallest_rotation(from: &Vector3<f64>, to: &Vector3<f64>) -> Optio
         let cross = from.cross(to).cross_matrix();
         Matrix3::identity() + cross + cross * cross / cosine
     })
+}
+
+/// The rotation by a rotation vector; a small one without sines.
+pub(crate) fn turn_by(vector: &Vector3<f64>) -> UnitQuaternion<f64> {
+    let half = vector * 0.5;
+    let x = half.norm_squared();
+    if x > SMALL_SQUARED {
+        return UnitQuaternion::from_scaled_axis(*vector);
+    }
+    // cos √x and sin √x / √x.
+    let cos = 1.0 - x / 2.0 * (1.0 - x / 12.0 * (1.0 - x / 30.0 * (1.0 - x / 56.0)));
+    let sin = 1.0 - x / 6.0 * (1.0 - x / 20.0 * (1.0 - x / 42.0 * (1.0 - x / 72.0)));
+    UnitQuaternion::new_unchecked(Quaternion::from_parts(cos, half * sin))
+}
+
+/// The rotation vector of a rotation; of a small one without arc functions.
+pub(crate) fn vector_of(turn: &UnitQuaternion<f64>) -> Vector3<f64> {
+    let part = turn.imag();
+    let x = part.norm_squared();
+    if x > SMALL_SQUARED {
+        return turn.scaled_axis();
+    }
+    part * (2.0 * arc_sine_share(x)).copysign(turn.w)
+}
+
+/// asin √x / √x for x up to [`SMALL_SQUARED`], exact to 1e-16.
+pub(crate) fn arc_sine_share(x: f64) -> f64 {
+    let tail = 63.0 / 2816.0 + x * (231.0 / 13312.0 + x * (143.0 / 10240.0));
+    1.0 + x * (1.0 / 6.0 + x * (3.0 / 40.0 + x * (5.0 / 112.0 + x * (35.0 / 1152.0 + x * tail))))
 }
 
 /// Whether a symmetric matrix is positive definite, by its factors L D Lᵀ.
@@ -139,6 +171,24 @@ mod tests {
             }
             let level = orientation_of_normal(&to) * Vector3::z_axis().cross(&to);
             prop_assert!((level - Vector3::z_axis().cross(&to)).norm() < 1e-9, "turned about itself");
+        }
+
+        #[test]
+        fn small_turns_are_those_of_sines(
+            axis in [-1.0..1.0f64, -1.0..1.0f64, -1.0..1.0f64].prop_map(Vector3::from),
+            size in prop_oneof![0.0..0.4f64, 0.0..3.1f64],
+        ) {
+            prop_assume!(axis.norm() > 1e-3);
+            let vector = axis.normalize() * size;
+            let turn = UnitQuaternion::from_scaled_axis(vector);
+            prop_assert!((turn_by(&vector).coords - turn.coords).norm() < 1e-15);
+            prop_assert!((vector_of(&turn) - vector).norm() < 1e-14);
+            let opposite = UnitQuaternion::new_unchecked(-turn.into_inner());
+            prop_assert!((vector_of(&opposite) - vector).norm() < 1e-14);
+            let sine = size.sin();
+            if size < 1.5 && sine * sine <= SMALL_SQUARED && sine > 0.0 {
+                prop_assert!((arc_sine_share(sine * sine) * sine - size).abs() < 1e-16);
+            }
         }
 
         #[test]

@@ -25,7 +25,10 @@ use nalgebra::{Matrix3, Matrix6, UnitQuaternion, Vector3};
 use super::{Ground, Kernel, MotionModel, Noise, Spread};
 use crate::{
     id::CameraId,
-    rigid::{UNKNOWN_ANGLE_VARIANCE_RAD2, orientation_of_normal, smallest_rotation},
+    rigid::{
+        SMALL_SQUARED, UNKNOWN_ANGLE_VARIANCE_RAD2, arc_sine_share, orientation_of_normal,
+        smallest_rotation, turn_by, vector_of,
+    },
 };
 
 /// Successive frames share most of their error, so each counts only for this part of a fresh one.
@@ -89,7 +92,7 @@ struct Hypothesis {
 }
 
 /// Orientation and angular velocity of one object, with both normals while both are possible.
-#[derive(Clone, Copy, Debug, PartialEq)]
+#[derive(Copy, Debug, PartialEq)]
 pub struct Attitude {
     best: Hypothesis,
     rival: Option<Hypothesis>,
@@ -110,6 +113,23 @@ pub struct AttitudeEstimate {
     pub angular_velocity_rad_s: Vector3<f64>,
     /// Over (rotation, angular velocity), world frame, left perturbation.
     pub covariance: Matrix6<f64>,
+}
+
+impl Clone for Attitude {
+    fn clone(&self) -> Self {
+        *self
+    }
+
+    /// Without the kilobytes of a rival that is not there.
+    fn clone_from(&mut self, other: &Self) {
+        let Self { best, rival, log_odds, yaw_symmetry } = other;
+        self.best = *best;
+        match rival {
+            Some(rival) => self.rival = Some(*rival),
+            None => self.rival = None,
+        }
+        (self.log_odds, self.yaw_symmetry) = (*log_odds, *yaw_symmetry);
+    }
 }
 
 impl Attitude {
@@ -134,7 +154,7 @@ impl Attitude {
     /// Moves on by `dt` seconds, either way.
     pub fn predict(&mut self, dt: f64, model: &MotionModel) {
         for hypothesis in std::iter::once(&mut self.best).chain(self.rival.as_mut()) {
-            let turn = UnitQuaternion::from_scaled_axis(hypothesis.kernel.rate * dt);
+            let turn = turn_by(&(hypothesis.kernel.rate * dt));
             hypothesis.orientation = turn * hypothesis.orientation;
             hypothesis.kernel.predict(dt, &model.angular_density_rad2_s3, model.systematic_time_s);
         }
@@ -204,8 +224,7 @@ impl Attitude {
         for hypothesis in std::iter::once(&mut self.best).chain(self.rival.as_mut()) {
             let turn = smallest_turn(&hypothesis.normal(), &Vector3::z());
             let correction = ground.hold_upright(&mut hypothesis.kernel, &turn);
-            hypothesis.orientation =
-                UnitQuaternion::from_scaled_axis(correction) * hypothesis.orientation;
+            hypothesis.orientation = turn_by(&correction) * hypothesis.orientation;
         }
     }
 
@@ -267,7 +286,7 @@ impl Hypothesis {
     fn told(&self, dt: f64, density: &Vector3<f64>) -> (UnitQuaternion<f64>, Spread) {
         let mut spread = self.kernel.told();
         spread.predict(dt, density);
-        let turn = UnitQuaternion::from_scaled_axis(self.kernel.rate * dt);
+        let turn = turn_by(&(self.kernel.rate * dt));
         (turn * self.orientation, spread)
     }
 
@@ -299,14 +318,14 @@ impl Hypothesis {
         };
         let robust = model.robust_distance_squared;
         let (correction, _) = self.kernel.update(&turn, &seen.noises[index], camera, robust);
-        self.orientation = UnitQuaternion::from_scaled_axis(correction) * self.orientation;
+        self.orientation = turn_by(&correction) * self.orientation;
         (fit, index)
     }
 
     /// The rotation from this orientation to the candidate's.
     fn turn_to(&self, seen: &AttitudeMeasurement, index: usize) -> Vector3<f64> {
         if seen.yaw_symmetry.is_some() {
-            (nearest(seen, index, &self.orientation) * self.orientation.inverse()).scaled_axis()
+            vector_of(&(nearest(seen, index, &self.orientation) * self.orientation.inverse()))
         } else {
             smallest_turn(&self.normal(), &(seen.candidates[index] * Vector3::z()))
         }
@@ -375,11 +394,13 @@ fn nearest(
 /// Rotation vector of the smallest rotation from one unit vector to another.
 pub(crate) fn smallest_turn(from: &Vector3<f64>, to: &Vector3<f64>) -> Vector3<f64> {
     let cross = from.cross(to);
-    let (sine, cosine) = (cross.norm(), from.dot(to));
+    let (square, cosine) = (cross.norm_squared(), from.dot(to));
+    if square < SMALL_SQUARED && cosine > 0.0 {
+        return cross * arc_sine_share(square);
+    }
+    let sine = square.sqrt();
     if sine > 1e-12 {
         cross * (sine.atan2(cosine) / sine)
-    } else if cosine > 0.0 {
-        cross
     } else {
         // Opposite: any axis across will do; this one is the same every time.
         let axis = if from.x.abs() < 0.9 { Vector3::x() } else { Vector3::y() };

@@ -43,7 +43,9 @@ pub enum Inserted {
 struct Checkpoint {
     /// Measurements in the estimate, counted from the track's first.
     applied: u64,
-    estimate: Estimate,
+    /// The estimate's.
+    time: Timestamp,
+    estimate: Box<Estimate>,
 }
 
 /// One object's measurements of the window and its newest estimate.
@@ -53,9 +55,9 @@ pub struct History {
     /// Number of the first entry, counted from the track's first.
     first: u64,
     /// Ascending; the first one covers what has left the window.
-    checkpoints: VecDeque<Box<Checkpoint>>,
+    checkpoints: VecDeque<Checkpoint>,
     /// Memory of those let go.
-    spare: Vec<Box<Checkpoint>>,
+    spare: Vec<Box<Estimate>>,
     newest: Box<Estimate>,
     /// Measurements put in their place and not filtered yet.
     waiting: usize,
@@ -139,7 +141,7 @@ impl History {
         if newer > 0 {
             let number = self.first + place as u64;
             while let Some(kept) = self.checkpoints.pop_back_if(|kept| kept.applied > number) {
-                self.spare.push(kept);
+                self.spare.push(kept.estimate);
             }
         }
         self.entries.insert(place, measurement);
@@ -158,7 +160,7 @@ impl History {
         self.waiting = 0;
         let mut done = match self.checkpoints.back() {
             Some(kept) => {
-                *self.newest = kept.estimate;
+                self.newest.clone_from(&kept.estimate);
                 (kept.applied - self.first) as usize
             }
             None => {
@@ -178,10 +180,10 @@ impl History {
 
     /// Lets go of measurements from before `time`, as far as a kept estimate covers them.
     pub fn forget(&mut self, time: Timestamp) {
-        while self.checkpoints.len() > 1 && self.checkpoints[1].estimate.time < time {
-            self.spare.extend(self.checkpoints.pop_front());
+        while self.checkpoints.len() > 1 && self.checkpoints[1].time < time {
+            self.spare.extend(self.checkpoints.pop_front().map(|kept| kept.estimate));
         }
-        let Some(kept) = self.checkpoints.front().filter(|kept| kept.estimate.time < time) else {
+        let Some(kept) = self.checkpoints.front().filter(|kept| kept.time < time) else {
             return;
         };
         // One entry stays, so that there is something to place others before or after.
@@ -199,22 +201,21 @@ impl History {
     /// Keeps the newest estimate, in which are so many measurements, and lets go of one that its neighbours
     /// can stand in for.
     fn keep(&mut self, applied: u64) {
-        let kept = match self.spare.pop() {
-            Some(mut kept) => {
-                kept.applied = applied;
-                kept.estimate = *self.newest;
-                kept
+        let estimate = match self.spare.pop() {
+            Some(mut spare) => {
+                spare.clone_from(&self.newest);
+                spare
             }
-            None => Box::new(Checkpoint { applied, estimate: *self.newest }),
+            None => self.newest.clone(),
         };
-        self.checkpoints.push_back(kept);
+        self.checkpoints.push_back(Checkpoint { applied, time: estimate.time, estimate });
         let is_between = |middle: &usize| {
             let [before, after] = [middle - 1, middle + 1].map(|at| self.checkpoints[at].applied);
             after - before <= (applied - after).min(OLD_CHECKPOINT_EVERY)
         };
         let dispensable = (1..self.checkpoints.len() - 1).rev().find(is_between);
         if let Some(middle) = dispensable {
-            self.spare.extend(self.checkpoints.remove(middle));
+            self.spare.extend(self.checkpoints.remove(middle).map(|kept| kept.estimate));
         }
     }
 
@@ -223,7 +224,7 @@ impl History {
         let number = self.first + count as u64;
         let kept = self.checkpoints.iter().rev().find(|kept| kept.applied <= number);
         let (mut done, mut estimate) = match kept.or(self.checkpoints.front()) {
-            Some(kept) => ((kept.applied - self.first) as usize, kept.estimate),
+            Some(kept) => ((kept.applied - self.first) as usize, *kept.estimate),
             None => (1, Estimate::begin(&self.entries[0], model)),
         };
         while done < count {

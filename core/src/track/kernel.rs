@@ -36,6 +36,8 @@
 mod innovation;
 mod sources;
 
+use fearless_simd::{Level, Simd, dispatch};
+use fearless_simd_macros::simd;
 use nalgebra::{Matrix3, Vector3};
 
 use super::{MotionModel, Spread};
@@ -137,6 +139,7 @@ impl Kernel {
     }
 
     /// As if the clocks were known, and with what they may add.
+    #[inline(always)]
     fn joint(&self, camera: CameraId, noise: &Noise) -> (Joint, Joint) {
         let own = self.sources.find(camera);
         let shared = own.map(|index| self.sources.with(index));
@@ -153,6 +156,20 @@ impl Kernel {
     /// has no positive definite covariance changes nothing and has an infinite distance.
     pub fn update(
         &mut self,
+        residual: &Vector3<f64>,
+        noise: &Noise,
+        camera: CameraId,
+        robust_distance_squared: f64,
+    ) -> (Vector3<f64>, Innovation) {
+        dispatch!(Level::new(), simd => {
+            self.update_with(simd, residual, noise, camera, robust_distance_squared)
+        })
+    }
+
+    #[simd]
+    fn update_with<S: Simd>(
+        &mut self,
+        simd: S,
         residual: &Vector3<f64>,
         noise: &Noise,
         camera: CameraId,
@@ -191,12 +208,13 @@ impl Kernel {
             spread.rate = symmetric(spread.rate - rate_gain * rate_cov.transpose() * share);
         }
         let gain = gain_of(&(value_gain * weight), &(rate_gain * weight));
-        self.sources.correct(own, &gain, &noise.systematic_root, &self.rate);
+        self.sources.correct(simd, own, &gain, &noise.systematic_root, &self.rate);
         self.rate += rate_cov * weighted * weight;
         (value_cov * weighted * weight, innovation)
     }
 
     /// P after an update with any gain.
+    #[inline(always)]
     fn shrink_by_any(
         &mut self,
         given: &Joint,
@@ -218,6 +236,7 @@ impl Kernel {
     }
 }
 
+#[inline(always)]
 fn symmetric(matrix: Matrix3<f64>) -> Matrix3<f64> {
     (matrix + matrix.transpose()) * 0.5
 }

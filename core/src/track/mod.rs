@@ -98,7 +98,7 @@ impl Measurement {
 }
 
 /// All that is known of one object at one instant.
-#[derive(Clone, Copy, Debug, PartialEq)]
+#[derive(Copy, Debug, PartialEq)]
 pub struct Estimate {
     /// The instant.
     pub time: Timestamp,
@@ -119,6 +119,18 @@ pub struct Look {
     pub attitude: AttitudeEstimate,
     /// As in [`Estimate`].
     pub residual: f64,
+}
+
+impl Clone for Estimate {
+    fn clone(&self) -> Self {
+        *self
+    }
+
+    fn clone_from(&mut self, other: &Self) {
+        let Self { time, motion, attitude, residual } = other;
+        (self.time, self.motion, self.residual) = (*time, *motion, *residual);
+        self.attitude.clone_from(attitude);
+    }
 }
 
 impl Estimate {

@@ -138,7 +138,7 @@ pub(super) fn orientation(normal: &Vector3<f64>, yaw_rad: Option<f64>) -> UnitQu
 
 /// What the camera's place adds to position and rotation.
 fn placed(covariance: &Covariance6, arm_m: &Vector3<f64>) -> [Matrix3<f64>; 2] {
-    if covariance.iter().all(|number| *number == 0.0) {
+    if (0..6).all(|axis| covariance[(axis, axis)] == 0.0) {
         return [Matrix3::zeros(); 2];
     }
     let placed = with_arm(covariance, arm_m);

@@ -30,6 +30,7 @@ pub struct Innovation {
 }
 
 impl Innovation {
+    #[inline(always)]
     pub(super) fn new(
         residual: &Vector3<f64>,
         weighted: &Vector3<f64>,
@@ -61,7 +62,7 @@ pub(super) struct Joint {
 
 impl Joint {
     /// As if the clocks were known; `shared` are the correlations of value and rate with the systematic error.
-    #[inline]
+    #[inline(always)]
     pub(super) fn of(
         spread: &Spread,
         shared: Option<&(Matrix3<f64>, Matrix3<f64>)>,
@@ -105,6 +106,7 @@ pub(crate) fn positive_root(matrix: &Matrix3<f64>) -> Option<Matrix3<f64>> {
 
 /// Inverse and determinant of a symmetric positive definite matrix, by its factors L D Lᵀ: as stable as
 /// Cholesky's, without roots.
+#[inline(always)]
 pub(crate) fn invert_positive(matrix: &Matrix3<f64>) -> Option<(Matrix3<f64>, f64)> {
     let per = |pivot: f64| (pivot.is_finite() && pivot > 0.0).then(|| 1.0 / pivot);
     let d0 = matrix.m11;

@@ -117,19 +117,8 @@ impl Sources {
 
     /// After a correction with this gain by a measurement of the camera `own`, whose systematic error has
     /// this root; `rate` is the state's before it.
-    pub(super) fn correct(
-        &mut self,
-        own: usize,
-        gain: &Gain,
-        systematic_root: &Matrix3<f64>,
-        rate: &Vector3<f64>,
-    ) {
-        self.ages_s[own] = 0.0;
-        dispatch!(Level::new(), simd => self.correct_with(simd, own, gain, systematic_root, rate));
-    }
-
-    #[simd]
-    fn correct_with<S: Simd>(
+    #[inline(always)]
+    pub(super) fn correct<S: Simd>(
         &mut self,
         simd: S,
         own: usize,
@@ -137,6 +126,7 @@ impl Sources {
         systematic_root: &Matrix3<f64>,
         rate: &Vector3<f64>,
     ) {
+        self.ages_s[own] = 0.0;
         let only = load(simd, &ONLY[own]);
         for (component, rows) in self.systematic.iter_mut().enumerate() {
             let x = load(simd, &rows[0]) + only * systematic_root[(0, component)];
