@@ -92,7 +92,7 @@ struct Hypothesis {
 }
 
 /// Orientation and angular velocity of one object, with both normals while both are possible.
-#[derive(Copy, Debug, PartialEq)]
+#[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Attitude {
     best: Hypothesis,
     rival: Option<Hypothesis>,
@@ -115,23 +115,6 @@ pub struct AttitudeEstimate {
     pub covariance: Matrix6<f64>,
 }
 
-impl Clone for Attitude {
-    fn clone(&self) -> Self {
-        *self
-    }
-
-    /// Without the kilobytes of a rival that is not there.
-    fn clone_from(&mut self, other: &Self) {
-        let Self { best, rival, log_odds, yaw_symmetry } = other;
-        self.best = *best;
-        match rival {
-            Some(rival) => self.rival = Some(*rival),
-            None => self.rival = None,
-        }
-        (self.log_odds, self.yaw_symmetry) = (*log_odds, *yaw_symmetry);
-    }
-}
-
 impl Attitude {
     /// What one measurement tells.
     pub fn begin(seen: &AttitudeMeasurement, camera: CameraId, model: &MotionModel) -> Self {
@@ -149,6 +132,17 @@ impl Attitude {
             attitude.prior(model) + log_likelihood(seen, 0) - log_likelihood(seen, 1);
         attitude.settle();
         attitude
+    }
+
+    /// Becomes another, without the kilobytes of a rival that is not there.
+    pub(super) fn copy_from(&mut self, other: &Self) {
+        let Self { best, rival, log_odds, yaw_symmetry } = other;
+        self.best = *best;
+        match rival {
+            Some(rival) => self.rival = Some(*rival),
+            None => self.rival = None,
+        }
+        (self.log_odds, self.yaw_symmetry) = (*log_odds, *yaw_symmetry);
     }
 
     /// Moves on by `dt` seconds, either way.

@@ -140,8 +140,8 @@ impl History {
         }
         if newer > 0 {
             let number = self.first + place as u64;
-            while let Some(kept) = self.checkpoints.pop_back_if(|kept| kept.applied > number) {
-                self.spare.push(kept.estimate);
+            while self.kept() > number {
+                self.spare.extend(self.checkpoints.pop_back().map(|kept| kept.estimate));
             }
         }
         self.entries.insert(place, measurement);
@@ -160,7 +160,7 @@ impl History {
         self.waiting = 0;
         let mut done = match self.checkpoints.back() {
             Some(kept) => {
-                self.newest.clone_from(&kept.estimate);
+                self.newest.copy_from(&kept.estimate);
                 (kept.applied - self.first) as usize
             }
             None => {
@@ -203,7 +203,7 @@ impl History {
     fn keep(&mut self, applied: u64) {
         let estimate = match self.spare.pop() {
             Some(mut spare) => {
-                spare.clone_from(&self.newest);
+                spare.copy_from(&self.newest);
                 spare
             }
             None => self.newest.clone(),

@@ -98,7 +98,7 @@ impl Measurement {
 }
 
 /// All that is known of one object at one instant.
-#[derive(Copy, Debug, PartialEq)]
+#[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Estimate {
     /// The instant.
     pub time: Timestamp,
@@ -119,18 +119,6 @@ pub struct Look {
     pub attitude: AttitudeEstimate,
     /// As in [`Estimate`].
     pub residual: f64,
-}
-
-impl Clone for Estimate {
-    fn clone(&self) -> Self {
-        *self
-    }
-
-    fn clone_from(&mut self, other: &Self) {
-        let Self { time, motion, attitude, residual } = other;
-        (self.time, self.motion, self.residual) = (*time, *motion, *residual);
-        self.attitude.clone_from(attitude);
-    }
 }
 
 impl Estimate {
@@ -154,6 +142,13 @@ impl Estimate {
         };
         estimate.hold(model);
         estimate
+    }
+
+    /// Becomes another, without what of it is not there.
+    fn copy_from(&mut self, other: &Self) {
+        let Self { time, motion, attitude, residual } = other;
+        (self.time, self.motion, self.residual) = (*time, *motion, *residual);
+        self.attitude.copy_from(attitude);
     }
 
     /// Holds what drives to its floor.
