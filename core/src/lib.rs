@@ -16,6 +16,7 @@
 //! | [`pose`] | where a ring is in the camera frame, with covariance |
 //! | [`track`] | one object's motion over time |
 //! | [`world`] | all objects in the world frame, from all cameras |
+//! | [`calib`] | where the cameras stand, found once |
 //! | [`sim`] | simulated scenarios, rendered to pixels |
 //!
 //! Frames, units and signs: `docs/conventions.md`, shown at [`conventions`].
@@ -25,6 +26,7 @@ pub mod conventions {}
 #[doc = include_str!("../docs/errata.md")]
 pub mod errata {}
 
+pub mod calib;
 pub mod camera;
 pub mod ellipse;
 pub mod frame;
