@@ -22,6 +22,7 @@
 //! | [`python`] | Python with packages from PyPI, for tests that need them |
 //! | [`scenario`] | what fusion has to hold: seeded worlds, their bars, one table |
 //! | [`score`] | snapshots against the truth: normalized errors, swaps, rms |
+//! | [`survey`] | recordings that an arena is calibrated from, and how far off the result is |
 //! | [`process`] | a real server process: built, started, read, ended |
 //! | [`layering`] | the house's rules of who may use whom, checked on source text |
 //! | [`timing`] | times of following and searching with poses |
@@ -48,4 +49,5 @@ pub mod scenario;
 pub mod score;
 pub mod sensor;
 pub mod shared_data;
+pub mod survey;
 pub mod timing;

@@ -1,0 +1,138 @@
+//! Recordings that an arena's cameras are calibrated from, and how far off the result is.
+//!
+//! References are coded roundels that lie on the floor where the first camera sees them, near the corners
+//! of its image; no other camera's sightings of them are kept, so that everything else hangs on robots that
+//! drive about.
+
+use nalgebra::{Isometry3, Vector2, Vector3, Vector6};
+use roundel_core::{
+    calib::arena::{ArenaCamera, CalibratedCamera, Recording},
+    id::{CameraId, KindId},
+    marker::Code,
+    world::{FrameObservations, Landmark},
+};
+
+use crate::{
+    arena::{Arena, Path},
+    optics::Pinhole,
+    pipeline::core_camera,
+    scenario::pixels,
+    sensor::{Sensing, Stream},
+};
+
+/// References' distance from the image's edges, as shares of its sides.
+const INSET: f64 = 0.12;
+/// How well a reference's place is said to be known: measured once and well, metres.
+const REFERENCE_SIGMA_M: f64 = 5e-5;
+
+/// An arena whose cameras' places nobody knows.
+#[derive(Clone, Debug)]
+pub struct Survey {
+    /// With the references as the last of its robots.
+    pub arena: Arena,
+    /// Where they were said to be.
+    pub references: Vec<Landmark>,
+    /// Their codes' numbers, which other cameras than the first overlook.
+    numbers: Vec<u16>,
+}
+
+impl Survey {
+    /// Lays out four references before the first camera of an arena of coded roundels.
+    pub fn new(mut arena: Arena) -> Self {
+        let (site, kind) = (arena.sites[0].clone(), arena.kinds[0].clone());
+        let bits = kind.code_bits.expect("survey: the arena's roundels are coded");
+        let (mut references, mut numbers) = (Vec::new(), Vec::new());
+        for (across, down) in [(0.0, 0.0), (1.0, 0.0), (1.0, 1.0), (0.0, 1.0)] {
+            let along =
+                |share: f64, size: usize| size as f64 * (INSET + share * (1.0 - 2.0 * INSET));
+            let pixel =
+                Vector2::new(along(across, site.optics.width), along(down, site.optics.height));
+            let place_m = on_floor(&site.optics, &site.world_from_camera, &pixel);
+            arena.add_robot(Path::still(place_m));
+            let number = arena.robots[arena.robots.len() - 1].code.unwrap_or_default();
+            numbers.push(number);
+            references.push(Landmark {
+                position_deviation_m: REFERENCE_SIGMA_M,
+                ..Landmark::new(KindId(0), Some(Code { bits, number }), place_m)
+            });
+        }
+        Self { arena, references, numbers }
+    }
+
+    /// Cameras as the arena has them.
+    pub fn cameras(&self) -> Vec<ArenaCamera> {
+        let camera = |(index, site): (usize, &crate::arena::Site)| ArenaCamera {
+            id: CameraId(index as u32),
+            lens: core_camera(&site.optics).expect("survey: a lens that core takes"),
+            lens_deviation: None,
+        };
+        self.arena.sites.iter().enumerate().map(camera).collect()
+    }
+
+    /// So many seconds without pixels.
+    pub fn record(&self, sensing: Sensing, seconds: f64, most_hz: f64) -> Recording {
+        let mut recording = Recording::new(most_hz);
+        for frame in Stream::new(&self.arena, sensing, seconds) {
+            recording.add(&self.overlooked(frame));
+        }
+        recording
+    }
+
+    /// So many rendered frames of each camera.
+    pub fn record_pixels(&self, frames: usize) -> Recording {
+        let mut recording = Recording::new(1e3);
+        for frame in pixels::watch(&self.arena, frames) {
+            recording.add(&self.overlooked(frame));
+        }
+        recording
+    }
+
+    fn overlooked(&self, mut frame: FrameObservations) -> FrameObservations {
+        if frame.camera != CameraId(0) {
+            let is_reference = |code: Code| self.numbers.contains(&code.number);
+            frame
+                .detections
+                .retain(|it| !it.ring.code.as_ref().is_some_and(|read| is_reference(read.code)));
+        }
+        frame
+    }
+
+    /// How far a camera's result is off: metres and radians in the world, and the square of both over the
+    /// stated covariance.
+    pub fn error(&self, found: &CalibratedCamera, seconds: f64) -> SurveyError {
+        let truth = self.arena.sites[found.camera.0 as usize].world_from_camera;
+        let off = found.world_from_camera.translation.vector - truth.translation.vector;
+        let turn = (found.world_from_camera.rotation * truth.rotation.inverse()).scaled_axis();
+        let both = Vector6::new(off.x, off.y, off.z, turn.x, turn.y, turn.z);
+        let square =
+            found.covariance.cholesky().map_or(f64::INFINITY, |k| both.dot(&k.solve(&both)));
+        let clock_s = found.clock_offset_s - self.ahead_s(found.camera, seconds / 2.0);
+        SurveyError { off_m: off.norm(), turn_rad: turn.norm(), square, clock_s }
+    }
+
+    /// What a camera's clock is ahead of the first one's, `t` seconds after the arena's start.
+    fn ahead_s(&self, camera: CameraId, t: f64) -> f64 {
+        let [it, first] = [camera.0 as usize, 0].map(|index| self.arena.sites[index].clock);
+        it.ahead_s - first.ahead_s + (it.skew - first.skew) * t
+    }
+}
+
+/// How far a camera is off.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct SurveyError {
+    /// Metres.
+    pub off_m: f64,
+    /// Radians.
+    pub turn_rad: f64,
+    /// Of six, over the covariance.
+    pub square: f64,
+    /// Its clock's offset, seconds.
+    pub clock_s: f64,
+}
+
+/// Where a pixel's ray meets the floor.
+fn on_floor(optics: &Pinhole, place: &Isometry3<f64>, pixel: &Vector2<f64>) -> Vector3<f64> {
+    let ray = place.rotation * optics.ray(pixel).expect("survey: a pixel with a ray");
+    let eye_m = place.translation.vector;
+    eye_m - ray * (eye_m.z / ray.z)
+}

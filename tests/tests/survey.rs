@@ -1,0 +1,260 @@
+//! Arenas that calibrate themselves: every camera's place from robots that drive about, and what is said
+//! where that cannot be.
+
+use nalgebra::{Point3, Vector3};
+use roundel_core::{
+    calib::arena::{
+        ArenaCalibration, ArenaCamera, ArenaError, ArenaParams, Finding, LensDeviation, calibrate,
+    },
+    camera::{Camera, Intrinsics},
+    id::CameraId,
+};
+use roundel_tests::{
+    arena::{Arena, Path, look_at},
+    sensor::Sensing,
+    survey::Survey,
+};
+
+/// Detections of the precise mode are about as good as this.
+const SENSING: Sensing = Sensing { noise_px: 0.03, ..Sensing::USUAL };
+const SECONDS: f64 = 20.0;
+const MOST_HZ: f64 = 30.0;
+
+fn run(survey: &Survey) -> Result<ArenaCalibration, ArenaError> {
+    let recording = survey.record(SENSING, SECONDS, MOST_HZ);
+    let params = ArenaParams::default();
+    calibrate(&recording, &survey.cameras(), &survey.references, &params, |_| true)
+}
+
+fn r4(seed: u64) -> Survey {
+    Survey::new(Arena::r4(seed).with_unset_clocks())
+}
+
+/// Cameras' worst distance from where they are, metres.
+fn worst_m(survey: &Survey, found: &ArenaCalibration) -> f64 {
+    found.cameras.iter().map(|it| survey.error(it, SECONDS).off_m).fold(0.0, f64::max)
+}
+
+#[test]
+fn cameras_and_clocks_are_found_as_well_as_is_stated() {
+    let (mut square, mut count) = (0.0, 0.0);
+    for seed in 1..=4 {
+        let survey = r4(seed);
+        let found = run(&survey).unwrap();
+        assert_eq!(found.cameras.len(), 4);
+        assert!(found.findings.is_empty(), "{:?}", found.findings);
+        for camera in &found.cameras {
+            let error = survey.error(camera, SECONDS);
+            assert!(error.off_m < 1e-3 && error.turn_rad.to_degrees() < 0.01, "{error:?}");
+            assert!(error.clock_s.abs() < 1e-4, "{error:?}");
+            assert!(camera.coverage > 0.3 && camera.neighbours.len() == 3);
+            square += error.square / 6.0;
+            count += 1.0;
+        }
+    }
+    // Cameras of one arena share the references' errors, so these are few independent samples.
+    let mean = square / count;
+    assert!((0.3..2.5).contains(&mean), "{mean}");
+}
+
+#[test]
+fn the_same_recording_gives_the_same_bits() {
+    let survey = r4(5);
+    let [one, other] = [0, 1].map(|_| run(&survey).unwrap());
+    for (one, other) in one.cameras.iter().zip(&other.cameras) {
+        assert_eq!(one.world_from_camera, other.world_from_camera);
+        assert_eq!(one.covariance, other.covariance);
+    }
+}
+
+#[test]
+fn a_chain_of_cameras_hangs_on_the_first() {
+    let mut arena = Arena::r16(6).with_unset_clocks();
+    // One row, in which each overlaps with its neighbours.
+    arena.sites.truncate(4);
+    let survey = Survey::new(arena);
+    let found = run(&survey).unwrap();
+    assert_eq!(found.cameras.len(), 4);
+    assert!(worst_m(&survey, &found) < 6e-3, "{}", worst_m(&survey, &found));
+    let deviation = |index: usize| found.cameras[index].covariance.fixed_view::<3, 3>(0, 0).trace();
+    assert!(deviation(3) > deviation(1), "uncertainty grows along the chain");
+}
+
+#[test]
+fn a_lens_that_is_off_is_refined() {
+    let survey = r4(7);
+    let recording = survey.record(SENSING, SECONDS, MOST_HZ);
+    let mut cameras = survey.cameras();
+    // Poses in the recording were made by true lenses: believing others is the same as having the lens off.
+    let wrong: Vec<Camera> = cameras
+        .iter()
+        .enumerate()
+        .map(|(index, camera)| {
+            let sign = if index % 2 == 0 { 1.0 } else { -1.0 };
+            let true_lens = camera.lens.intrinsics().clone();
+            let believed = Intrinsics {
+                fx_px: true_lens.fx_px * (1.0 + sign * 3e-3),
+                fy_px: true_lens.fy_px * (1.0 + sign * 3e-3),
+                cx_px: true_lens.cx_px + sign * 1.5,
+                cy_px: true_lens.cy_px - sign * 1.0,
+                ..true_lens
+            };
+            Camera::new(believed).unwrap()
+        })
+        .collect();
+    let seen = recording.seen_through(|camera, place_m| {
+        let index = camera.0 as usize;
+        believed(&cameras[index].lens, &wrong[index], place_m)
+    });
+    let params = ArenaParams::default();
+    let [as_believed, refined] = [false, true].map(|is_refined| {
+        for (camera, lens) in cameras.iter_mut().zip(&wrong) {
+            camera.lens = lens.clone();
+            camera.lens_deviation = is_refined.then(LensDeviation::default);
+        }
+        let found = calibrate(&seen, &cameras, &survey.references, &params, |_| true).ok()?;
+        Some(point_errors_mm(&survey, &found, &cameras))
+    });
+    // Taken as exact such lenses make references contradict one another, or points that are far off.
+    let refined = refined.unwrap();
+    let as_believed = as_believed.unwrap_or(f64::INFINITY);
+    assert!(refined < 1.0 && refined < 0.5 * as_believed, "{as_believed} mm, {refined} mm");
+}
+
+/// Where a camera that believes another lens measures what is at `place_m`: along that lens' ray, and as far
+/// off as makes it as large there as it is seen.
+fn believed(lens: &Camera, believed: &Camera, place_m: &Vector3<f64>) -> Vector3<f64> {
+    let bearing = believed.bearing(lens.project(place_m).unwrap()).unwrap();
+    let seen_px = size_px(lens, place_m);
+    bearing * (size_px(believed, &bearing) / seen_px)
+}
+
+/// Root of the area that a small square across the line of sight has in the image, over its side.
+fn size_px(lens: &Camera, place_m: &Vector3<f64>) -> f64 {
+    let side_m = 1e-4 * place_m.norm();
+    let across = place_m.cross(&Vector3::y()).normalize();
+    let down = place_m.cross(&across).normalize();
+    let [u, v] = [across, down].map(|axis| {
+        let [one, other] =
+            [1.0, -1.0].map(|sign| lens.project(&(place_m + axis * (sign * side_m))).unwrap());
+        [(one.u - other.u) / (2.0 * side_m), (one.v - other.v) / (2.0 * side_m)]
+    });
+    (u[0] * v[1] - u[1] * v[0]).abs().sqrt()
+}
+
+/// By how much points of the arena are misplaced by what was found, rms over cameras and points, mm.
+fn point_errors_mm(survey: &Survey, found: &ArenaCalibration, cameras: &[ArenaCamera]) -> f64 {
+    let (mut square, mut count) = (0.0, 0.0);
+    for result in &found.cameras {
+        let index = result.camera.0 as usize;
+        let site = &survey.arena.sites[index];
+        let lens = result.lens.as_ref().map_or(&cameras[index].lens, |lens| &lens.camera);
+        for (x, y) in (-4..=4).flat_map(|x| (-3..=3).map(move |y| (f64::from(x), f64::from(y)))) {
+            let point = Point3::new(x, y, 0.5);
+            let Some([u, v]) = survey.arena.pixel(site, &point) else { continue };
+            let place = &result.world_from_camera;
+            let ray =
+                place.rotation * lens.bearing(roundel_core::camera::PixelPoint { u, v }).unwrap();
+            // What lies across the ray; along it others see.
+            let arm = point.coords - place.translation.vector;
+            square += (arm - ray * ray.dot(&arm)).norm_squared();
+            count += 1.0;
+        }
+    }
+    (square / count).sqrt() * 1e3
+}
+
+#[test]
+fn a_camera_that_overlaps_with_none_is_named() {
+    let mut survey = r4(8);
+    survey.arena.sites[2].world_from_camera =
+        look_at(Vector3::new(40.0, 40.0, 5.0), Vector3::new(40.0, 40.0, 0.0));
+    let found = run(&survey).unwrap();
+    assert_eq!(found.cameras.len(), 3);
+    let unseen = |finding: &Finding| matches!(finding, Finding::Unseen { camera: CameraId(2), .. });
+    assert!(found.findings.iter().any(unseen), "{:?}", found.findings);
+    assert!(worst_m(&survey, &found) < 1e-3);
+}
+
+#[test]
+fn too_little_motion_is_said() {
+    let mut arena = Arena::r4(9);
+    arena.robots.truncate(1);
+    arena.robots[0].path = Path::still(Vector3::new(0.0, 0.0, 0.3));
+    let found = run(&Survey::new(arena)).unwrap();
+    let little = found
+        .findings
+        .iter()
+        .filter(|finding| matches!(finding, Finding::TooLittleMotion { .. }))
+        .count();
+    assert_eq!((found.cameras.len(), little), (1, 3), "{:?}", found.findings);
+}
+
+#[test]
+fn a_reference_in_a_wrong_place_is_named_and_left_out() {
+    let mut survey = r4(10);
+    survey.references[2].position_m.y += 0.05;
+    let found = run(&survey).unwrap();
+    let misplaced = |finding: &Finding| match finding {
+        Finding::Misplaced { reference: 2, off_m, .. } => (off_m - 0.05).abs() < 0.005,
+        _ => false,
+    };
+    assert!(found.findings.iter().any(misplaced), "{:?}", found.findings);
+    assert!(worst_m(&survey, &found) < 2e-3, "{}", worst_m(&survey, &found));
+}
+
+#[test]
+fn two_references_in_wrong_places_are_an_error_that_says_by_how_much() {
+    let mut survey = r4(11);
+    survey.references[1].position_m.x += 0.08;
+    survey.references[2].position_m.y += 0.05;
+    let error = run(&survey).unwrap_err();
+    assert!(
+        matches!(&error, ArenaError::Misplaced { camera: CameraId(0), offs_m } if offs_m.len() == 4)
+    );
+    assert!(error.to_string().contains("measure their places"), "{error}");
+}
+
+#[test]
+fn too_few_references_are_an_error_that_says_who_sees_how_many() {
+    let mut survey = r4(12);
+    survey.references.truncate(2);
+    let error = run(&survey).unwrap_err().to_string();
+    assert!(error.contains("camera 0 sees 2, camera 1 sees 0"), "{error}");
+}
+
+#[test]
+fn two_roundels_of_one_code_spoil_nothing() {
+    let mut survey = r4(13);
+    survey.arena.robots[5].code = survey.arena.robots[9].code;
+    let found = run(&survey).unwrap();
+    let twice = |finding: &Finding| {
+        matches!(finding, Finding::Twice { code, .. } | Finding::Elsewhere { code, .. }
+            if Some(code.number) == survey.arena.robots[9].code)
+    };
+    assert!(found.findings.iter().any(twice), "{:?}", found.findings);
+    assert!(worst_m(&survey, &found) < 1e-3, "{}", worst_m(&survey, &found));
+}
+
+#[test]
+fn a_reference_that_is_moved_meanwhile_is_named() {
+    let mut survey = r4(14);
+    let last = survey.arena.robots.len() - 1;
+    let place_m = survey.references[3].position_m;
+    // Creeps 2 cm and back over the recording and a while beyond.
+    survey.arena.robots[last].path = Path::circuit(place_m, 0.02, 0.002, 0.0);
+    let found = run(&survey).unwrap();
+    let moved = |finding: &Finding| matches!(finding, Finding::Moved { reference: 3, .. });
+    assert!(found.findings.iter().any(moved), "{:?}", found.findings);
+    assert!(worst_m(&survey, &found) < 2e-3, "{}", worst_m(&survey, &found));
+}
+
+#[test]
+fn a_person_may_stop_it() {
+    let survey = r4(15);
+    let recording = survey.record(SENSING, 5.0, MOST_HZ);
+    let params = ArenaParams::default();
+    let stopped =
+        calibrate(&recording, &survey.cameras(), &survey.references, &params, |it| it.step < 2);
+    assert_eq!(stopped.unwrap_err(), ArenaError::Cancelled);
+}
