@@ -71,8 +71,23 @@ impl Survey {
 
     /// So many seconds without pixels.
     pub fn record(&self, sensing: Sensing, seconds: f64, most_hz: f64) -> Recording {
+        self.record_through(sensing, seconds, most_hz, |_, place_m| *place_m)
+    }
+
+    /// The same as if poses had been computed by other lenses: `place` says where a camera then measures
+    /// what it measures at a place, metres in its frame.
+    pub fn record_through(
+        &self,
+        sensing: Sensing,
+        seconds: f64,
+        most_hz: f64,
+        place: impl Fn(CameraId, &Vector3<f64>) -> Vector3<f64>,
+    ) -> Recording {
         let mut recording = Recording::new(most_hz);
-        for frame in Stream::new(&self.arena, sensing, seconds) {
+        for mut frame in Stream::new(&self.arena, sensing, seconds) {
+            for pose in frame.detections.iter_mut().filter_map(|it| it.pose.as_mut()) {
+                pose.position_m = place(frame.camera, &pose.position_m);
+            }
             recording.add(&self.overlooked(frame));
         }
         recording

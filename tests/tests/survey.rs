@@ -83,7 +83,6 @@ fn a_chain_of_cameras_hangs_on_the_first() {
 #[test]
 fn a_lens_that_is_off_is_refined() {
     let survey = r4(7);
-    let recording = survey.record(SENSING, SECONDS, MOST_HZ);
     let mut cameras = survey.cameras();
     // Poses in the recording were made by true lenses: believing others is the same as having the lens off.
     let wrong: Vec<Camera> = cameras
@@ -102,7 +101,7 @@ fn a_lens_that_is_off_is_refined() {
             Camera::new(believed).unwrap()
         })
         .collect();
-    let seen = recording.seen_through(|camera, place_m| {
+    let seen = survey.record_through(SENSING, SECONDS, MOST_HZ, |camera, place_m| {
         let index = camera.0 as usize;
         believed(&cameras[index].lens, &wrong[index], place_m)
     });

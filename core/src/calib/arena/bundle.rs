@@ -147,12 +147,7 @@ impl Bundle {
             .par_iter()
             .flat_map_iter(|subject| subject.squares(&self.stations))
             .collect();
-        if squares.is_empty() {
-            return 1.0;
-        }
-        let middle = squares.len() / 2;
-        let (_, median, _) = squares.select_nth_unstable_by(middle, f64::total_cmp);
-        median.min(1e12) / MEDIAN
+        excess_squared(&mut squares)
     }
 
     fn equations(&self, scale: f64) -> Option<Equations> {
@@ -293,6 +288,16 @@ impl Bundle {
         }
         Some(&inverse * (spread_of + stated) * &inverse)
     }
+}
+
+/// The median of squared errors of three components over what it should be; 1 without any.
+pub(super) fn excess_squared(squares: &mut [f64]) -> f64 {
+    if squares.is_empty() {
+        return 1.0;
+    }
+    let middle = squares.len() / 2;
+    let (_, median, _) = squares.select_nth_unstable_by(middle, f64::total_cmp);
+    median.min(1e12) / MEDIAN
 }
 
 fn solve(equations: &Equations, damping: f64) -> Option<DVector<f64>> {

@@ -141,17 +141,6 @@ impl Recording {
         self.cameras.get(&camera).map_or(0, |heard| heard.frames)
     }
 
-    /// The same with every detection's place in its camera changed, as if poses had been computed by other lenses.
-    pub fn seen_through(&self, place: impl Fn(CameraId, &Vector3<f64>) -> Vector3<f64>) -> Self {
-        let mut changed = self.clone();
-        for ((camera, _), followed) in &mut changed.followed {
-            for sample in &mut followed.samples {
-                sample.place_m = place(*camera, &sample.place_m);
-            }
-        }
-        changed
-    }
-
     /// Whether a camera saw any roundel of known identity.
     pub(super) fn names_any(&self, camera: CameraId) -> bool {
         self.followed.iter().any(|((of, _), followed)| *of == camera && followed.name().is_some())

@@ -8,7 +8,7 @@
 
 use std::collections::BTreeMap;
 
-use nalgebra::{Matrix3, Matrix6, SMatrix, UnitQuaternion, Vector3, Vector6};
+use nalgebra::{Matrix3, Vector3};
 
 use super::{
     ArenaCamera, ArenaError, ArenaParams, LensDeviation, Placed,
@@ -20,7 +20,7 @@ use crate::{
     rigid::{Rigid, mahalanobis_squared},
     world::{
         Landmark,
-        reference::{self, Reference, Sighting, align},
+        reference::{self, Reference, Sighting, align_stated},
     },
 };
 
@@ -36,8 +36,6 @@ const STILL_M: f64 = 0.003;
 const WRONG_SQUARED: f64 = 30.7;
 /// What a stated place may be off without being called wrong, metres.
 const LEAST_WRONG_M: f64 = 0.002;
-/// The start is good to a few of its deviations.
-const STEPS: usize = 4;
 
 /// One reference as cameras see it.
 #[derive(Clone, Debug)]
@@ -70,17 +68,16 @@ pub(super) fn take(
     landmarks: &[Landmark],
     params: &ArenaParams,
 ) -> Result<Standing, ArenaError> {
-    let ids: BTreeMap<CameraId, usize> =
-        cameras.iter().enumerate().map(|(index, camera)| (camera.id, index)).collect();
-    let mut standing = Standing { placed: vec![None; ids.len()], ..Standing::default() };
+    let index_of = |id: CameraId| cameras.iter().position(|camera| camera.id == id);
+    let mut standing = Standing { placed: vec![None; cameras.len()], ..Standing::default() };
     let mut seen = coded(sorted, landmarks);
-    for &camera in ids.keys() {
-        nameless(sorted, camera, landmarks, &mut seen, params)?;
+    for camera in cameras {
+        nameless(sorted, camera.id, landmarks, &mut seen, params)?;
     }
     for (index, landmark) in landmarks.iter().enumerate() {
         let mut means = Vec::new();
         for (camera, seen) in seen.remove(&index).unwrap_or_default() {
-            let Some(&camera) = ids.get(&camera) else { continue };
+            let Some(camera) = index_of(camera) else { continue };
             let (mean, moved_m) = mean(&seen.samples, params);
             match (mean, moved_m) {
                 (_, Some(moved_m)) => standing.moved.push((index, camera, moved_m)),
@@ -105,7 +102,7 @@ pub(super) fn take(
         let count = |camera: usize| {
             standing.references.iter().filter(|r| r.seen.iter().any(|s| s.0 == camera)).count()
         };
-        let seen = ids.iter().map(|(&id, &camera)| (id, count(camera))).collect();
+        let seen = (0..cameras.len()).map(|index| (cameras[index].id, count(index))).collect();
         return Err(ArenaError::References { seen });
     }
     Ok(standing)
@@ -288,30 +285,10 @@ fn lensed(seen: &Sample, lens: &Camera, deviation: Option<&LensDeviation>) -> Si
     Sighting { position_m: seen.place_m, covariance }
 }
 
-/// Gauss and Newton's steps from [`align`]'s answer, each reference as well known as was stated.
 fn fit(view: &[(usize, Stated, Sighting)]) -> Result<Rigid, reference::ReferenceError> {
-    let (world_m, seen): (Vec<_>, Vec<_>) =
-        view.iter().map(|(_, stated, sighting)| (stated.0, *sighting)).unzip();
-    let mut place = align(&world_m, &seen)?.world_from_camera;
-    for _ in 0..STEPS {
-        let (mut information, mut gradient) = (Matrix6::zeros(), Vector6::zeros());
-        for one in view {
-            let (error, covariance) = error(one, &place);
-            let Some(weight) = covariance.cholesky() else { continue };
-            let arm_m = place.rotation * one.2.position_m;
-            let mut jacobian = SMatrix::<f64, 3, 6>::zeros();
-            jacobian.fixed_view_mut::<3, 3>(0, 0).fill_with_identity();
-            jacobian.fixed_view_mut::<3, 3>(0, 3).copy_from(&-arm_m.cross_matrix());
-            information += jacobian.transpose() * weight.solve(&jacobian);
-            gradient -= jacobian.transpose() * weight.solve(&error);
-        }
-        let Some(factor) = information.cholesky() else { break };
-        let step = factor.solve(&gradient);
-        let turn = UnitQuaternion::from_scaled_axis(step.fixed_rows::<3>(3).into_owned());
-        let moved_m = place.translation.vector + step.fixed_rows::<3>(0);
-        place = Rigid::from_parts(moved_m.into(), turn * place.rotation);
-    }
-    Ok(place)
+    let (stated, seen): (Vec<Stated>, Vec<Sighting>) =
+        view.iter().map(|(_, stated, sighting)| (*stated, *sighting)).unzip();
+    Ok(align_stated(&stated, &seen)?.world_from_camera)
 }
 
 /// Distance from the stated place, metres, and its square over the covariance.

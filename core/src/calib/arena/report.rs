@@ -6,14 +6,14 @@
 
 use super::{
     ArenaCamera,
-    bundle::{Bundle, Outcome, is_outlier},
+    bundle::{Bundle, Outcome, excess_squared, is_outlier},
     finding::{Advice, Finding},
     gather::{Name, Recording},
     place_covariance,
     reference::Standing,
     start::{LEAST_SPREAD_M, Tie},
     station::WITHOUT_LENS,
-    subject::Subject,
+    subject::{Sight, Subject},
 };
 use crate::{
     camera::Camera,
@@ -115,13 +115,13 @@ pub(super) struct Found<'a> {
 
 pub(super) fn report(found: &Found<'_>, bundle: &Bundle, outcome: &Outcome) -> ArenaCalibration {
     let mut findings = before(found);
-    let results: Vec<CalibratedCamera> = (0..found.kept.len())
-        .map(|at| {
-            let seen = seen(&found.cameras[found.kept[at]], at, (bundle, outcome));
-            calibrated(found, at, seen, (bundle, outcome))
-        })
+    let (seen, elsewhere) = seen(found, bundle, outcome);
+    let results: Vec<CalibratedCamera> = seen
+        .into_iter()
+        .enumerate()
+        .map(|(at, seen)| calibrated(found, at, seen, (bundle, outcome)))
         .collect();
-    findings.extend(elsewhere(found, bundle, outcome));
+    findings.extend(elsewhere);
     findings.extend(results.iter().filter_map(doubtful));
     findings.extend(results.iter().filter_map(weak));
     ArenaCalibration {
@@ -168,57 +168,73 @@ fn before(found: &Found<'_>) -> Vec<Finding> {
 }
 
 /// One camera's sightings after the adjustment.
-#[derive(Clone, Copy, Debug, Default)]
+#[derive(Clone, Debug)]
 struct Seen {
-    used: usize,
+    /// Squared errors of those that were used.
+    squares: Vec<f64>,
     square_px: f64,
-    ratio: f64,
-    coverage: f64,
+    fields: [bool; FIELDS.0 * FIELDS.1],
 }
 
-fn seen(camera: &ArenaCamera, at: usize, (bundle, outcome): (&Bundle, &Outcome)) -> Seen {
-    let mut seen = Seen::default();
-    let mut fields = vec![false; FIELDS.0 * FIELDS.1];
-    let mut squares = Vec::new();
+/// What each camera saw, and who was seen elsewhere by one than by others.
+fn seen(found: &Found<'_>, bundle: &Bundle, outcome: &Outcome) -> (Vec<Seen>, Vec<Finding>) {
+    let fields = [false; FIELDS.0 * FIELDS.1];
+    let mut seen = vec![Seen { squares: Vec::new(), square_px: 0.0, fields }; found.kept.len()];
+    let mut findings = Vec::new();
     for subject in &bundle.subjects {
+        // Sightings of each camera, and those that are off.
+        let mut shares = vec![(0usize, 0usize); found.kept.len()];
         for (sight, square) in subject.sights.iter().zip(subject.squares(&bundle.stations)) {
-            if sight.camera != at || is_outlier(square, outcome.excess) {
-                continue;
+            let is_off = is_outlier(square, outcome.excess);
+            shares[sight.camera].0 += 1;
+            shares[sight.camera].1 += usize::from(is_off);
+            if !is_off {
+                let lens = &found.cameras[found.kept[sight.camera]].lens;
+                seen[sight.camera].add(sight, square, lens, (bundle, subject));
             }
-            squares.push(square);
-            let station = &bundle.stations[at];
-            let point_m = subject.course.at(station.time_s(sight.stamp_s)).position_m;
-            let Some(explained_m) = station.sees(&point_m) else { continue };
-            let pixels = [sight.place_m, explained_m].map(|place_m| camera.lens.project(&place_m));
-            let [Ok(one), Ok(other)] = pixels else { continue };
-            seen.used += 1;
-            seen.square_px += (one.u - other.u).powi(2) + (one.v - other.v).powi(2);
-            let field = |value: f64, size: usize, count: usize| {
-                ((value / size as f64 * count as f64).max(0.0) as usize).min(count - 1)
-            };
-            let column = field(one.u, camera.lens.width(), FIELDS.0);
-            fields[field(one.v, camera.lens.height(), FIELDS.1) * FIELDS.0 + column] = true;
+        }
+        for (camera, (sightings, off)) in shares.into_iter().enumerate() {
+            let share = off as f64 / sightings.max(1) as f64;
+            if let Some(Name::Coded(kind, code)) = subject.name.filter(|_| share > ELSEWHERE) {
+                let camera = found.cameras[found.kept[camera]].id;
+                findings.push(Finding::Elsewhere { camera, kind, code, sightings, share });
+            }
         }
     }
-    seen.ratio = median_ratio(&mut squares);
-    seen.coverage = fields.iter().filter(|&&is_seen| is_seen).count() as f64 / fields.len() as f64;
-    seen
+    (seen, findings)
 }
 
-/// By the median of χ² with 3 degrees of freedom.
-fn median_ratio(squares: &mut [f64]) -> f64 {
-    if squares.is_empty() {
-        return 1.0;
+impl Seen {
+    fn add(
+        &mut self,
+        sight: &Sight,
+        square: f64,
+        lens: &Camera,
+        (bundle, subject): (&Bundle, &Subject),
+    ) {
+        self.squares.push(square);
+        let station = &bundle.stations[sight.camera];
+        let point_m = subject.course.at(station.time_s(sight.stamp_s)).position_m;
+        let Some(explained_m) = station.sees(&point_m) else { return };
+        let pixels = [sight.place_m, explained_m].map(|place_m| lens.project(&place_m));
+        let [Ok(one), Ok(other)] = pixels else { return };
+        self.square_px += (one.u - other.u).powi(2) + (one.v - other.v).powi(2);
+        let field = |value: f64, size: usize, count: usize| {
+            ((value / size as f64 * count as f64).max(0.0) as usize).min(count - 1)
+        };
+        let column = field(one.u, lens.width(), FIELDS.0);
+        self.fields[field(one.v, lens.height(), FIELDS.1) * FIELDS.0 + column] = true;
     }
-    let middle = squares.len() / 2;
-    let (_, median, _) = squares.select_nth_unstable_by(middle, f64::total_cmp);
-    (*median / 2.366).sqrt()
+
+    fn coverage(&self) -> f64 {
+        self.fields.iter().filter(|&&is_seen| is_seen).count() as f64 / self.fields.len() as f64
+    }
 }
 
 fn calibrated(
     found: &Found<'_>,
     at: usize,
-    seen: Seen,
+    mut seen: Seen,
     (bundle, outcome): (&Bundle, &Outcome),
 ) -> CalibratedCamera {
     let (cameras, ties, index) = (found.cameras, &found.ties, found.kept[at]);
@@ -242,10 +258,10 @@ fn calibrated(
         clock_skew: station.skew,
         clock_skew_deviation: deviation(7),
         lens,
-        sightings: seen.used,
-        reprojection_rms_px: (seen.square_px / seen.used.max(1) as f64).sqrt(),
-        error_ratio: seen.ratio,
-        coverage: seen.coverage,
+        sightings: seen.squares.len(),
+        reprojection_rms_px: (seen.square_px / seen.squares.len().max(1) as f64).sqrt(),
+        error_ratio: excess_squared(&mut seen.squares).sqrt(),
+        coverage: seen.coverage(),
         neighbours: neighbours
             .map(|tie| Neighbour {
                 camera: cameras[if tie.one == index { tie.other } else { tie.one }].id,
@@ -254,31 +270,6 @@ fn calibrated(
             })
             .collect(),
     }
-}
-
-/// Roundels that one camera sees where they are not.
-fn elsewhere(found: &Found<'_>, bundle: &Bundle, outcome: &Outcome) -> Vec<Finding> {
-    let share = |subject: &Subject, camera: usize| {
-        let of = subject.sights.iter().zip(subject.squares(&bundle.stations));
-        let (mut all, mut off) = (0, 0);
-        for (_, square) in of.filter(|(sight, _)| sight.camera == camera) {
-            all += 1;
-            off += usize::from(is_outlier(square, outcome.excess));
-        }
-        (all, off as f64 / all.max(1) as f64)
-    };
-    let mut findings = Vec::new();
-    for subject in &bundle.subjects {
-        for &camera in subject.cameras.iter() {
-            let (sightings, share) = share(subject, camera);
-            let name = subject.name.filter(|_| share > ELSEWHERE);
-            if let Some(Name::Coded(kind, code)) = name {
-                let camera = found.cameras[found.kept[camera]].id;
-                findings.push(Finding::Elsewhere { camera, kind, code, sightings, share });
-            }
-        }
-    }
-    findings
 }
 
 fn doubtful(camera: &CalibratedCamera) -> Option<Finding> {

@@ -1,17 +1,20 @@
 //! Where cameras are, roughly: what the bundle starts from.
 //!
 //! Two cameras that saw the same roundels at the same times are tied by the rigid motion between what
-//! they saw (Kabsch 1976), weighed anew by how well each pair fits until wrong ones say nothing. If their
+//! they saw, weighed anew by how well each pair fits until wrong ones say nothing. If their
 //! clocks differ, moving roundels fit badly; the offset is that of the best fit, found on a grid and then
 //! by halving. From cameras that see the references, the strongest ties lead to all others (Prim 1957).
 
 use std::collections::BTreeMap;
 
-use nalgebra::{Matrix3, Rotation3, SymmetricEigen, UnitQuaternion, Vector3};
+use nalgebra::Vector3;
 use rayon::prelude::*;
 
 use super::gather::Sample;
-use crate::rigid::Rigid;
+use crate::{
+    rigid::Rigid,
+    world::reference::{kabsch, spread},
+};
 
 /// Clocks are looked for this far apart, seconds …
 const FARTHEST_S: f64 = 0.6;
@@ -151,9 +154,12 @@ fn fit(pairs: &[[Vector3<f64>; 2]]) -> Option<Fit> {
         return None;
     }
     let mut weights = vec![1.0; pairs.len()];
+    let others: Vec<Vector3<f64>> = pairs.iter().map(|[_, other]| *other).collect();
     let mut found = None;
     for _ in 0..ROUNDS {
-        let (one_from_other, spread_m) = kabsch(pairs, &weights)?;
+        let (rotation, origin_m, _) = kabsch(pairs, &weights);
+        let one_from_other = Rigid::from_parts(origin_m.into(), rotation.into());
+        let [_, spread_m] = spread(&others, &weights);
         let distances: Vec<f64> = pairs
             .iter()
             .map(|[one, other]| {
@@ -170,31 +176,4 @@ fn fit(pairs: &[[Vector3<f64>; 2]]) -> Option<Fit> {
         found = Some(Fit { one_from_other, spread_m, left_m, pairs: pairs.len() });
     }
     found
-}
-
-fn kabsch(pairs: &[[Vector3<f64>; 2]], weights: &[f64]) -> Option<(Rigid, f64)> {
-    let total: f64 = weights.iter().sum();
-    let mean = |which: usize| -> Vector3<f64> {
-        std::iter::zip(pairs, weights)
-            .map(|(pair, weight)| pair[which] * *weight)
-            .sum::<Vector3<f64>>()
-            / total
-    };
-    let (one_m, other_m) = (mean(0), mean(1));
-    let (mut cross, mut scatter) = (Matrix3::zeros(), Matrix3::zeros());
-    for ([one, other], weight) in std::iter::zip(pairs, weights) {
-        let other = other - other_m;
-        cross += (one - one_m) * other.transpose() * *weight;
-        scatter += other * other.transpose() * *weight;
-    }
-    let mut spreads: [f64; 3] = SymmetricEigen::new(scatter / total).eigenvalues.into();
-    spreads.sort_by(f64::total_cmp);
-    let svd = cross.svd(true, true);
-    let (u, v) = (svd.u?, svd.v_t?.transpose());
-    let mut signs = Matrix3::identity();
-    signs[(2, 2)] = (u * v.transpose()).determinant().signum();
-    let rotation = Rotation3::from_matrix_unchecked(u * signs * v.transpose());
-    let turn = UnitQuaternion::from_rotation_matrix(&rotation);
-    let place = Rigid::from_parts((one_m - turn * other_m).into(), turn);
-    Some((place, spreads[1].max(0.0).sqrt()))
 }

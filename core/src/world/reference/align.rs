@@ -1,8 +1,11 @@
 //! The rigid motion that takes sightings to their references.
 
-use nalgebra::{Matrix3, Rotation3, SMatrix, SVector, SymmetricEigen, UnitQuaternion, Vector3};
+use nalgebra::{Matrix3, Rotation3, SMatrix, SVector, UnitQuaternion, Vector3};
 
-use super::{PLACE_SIGMA_M, Placement, ReferenceError, Sighting};
+use super::{
+    PLACE_SIGMA_M, Placement, ReferenceError, Sighting,
+    kabsch::{kabsch, nearest_rotation, spread},
+};
 use crate::rigid::{Covariance6, Rigid};
 
 /// Points this close to one line, relative to their spread along it, give no plane.
@@ -12,14 +15,28 @@ const STEPS: usize = 5;
 
 /// `world_from_camera` by weighted least squares over three or more pairs not in one line.
 ///
-/// Starts from the closed form for round covariances (Kabsch 1976, Umeyama 1991: the singular value
-/// decomposition of the weighted cross covariance), then weighs each pair by its whole covariance, in
-/// which depth is looser than bearing, and that of the stated place ([`PLACE_SIGMA_M`]).
+/// Starts from the closed form for round covariances ([`mod@kabsch`]), then weighs each pair by its whole
+/// covariance, in which depth is looser than bearing, and that of the stated place ([`PLACE_SIGMA_M`]).
 pub fn align(world_m: &[Vector3<f64>], seen: &[Sighting]) -> Result<Placement, ReferenceError> {
-    check(world_m, seen)?;
-    let weights: Vec<f64> =
-        seen.iter().map(|s| 1.0 / (s.covariance.trace() + PLACE_VARIANCE)).collect();
-    let (mut rotation, mut origin_m, scale) = kabsch(world_m, seen, &weights);
+    let stated: Vec<_> = world_m.iter().map(|place_m| (*place_m, PLACE_SIGMA_M)).collect();
+    align_stated(&stated, seen)
+}
+
+/// The same with a standard deviation for each stated place's coordinates, metres.
+pub fn align_stated(
+    stated: &[(Vector3<f64>, f64)],
+    seen: &[Sighting],
+) -> Result<Placement, ReferenceError> {
+    let world_m: Vec<Vector3<f64>> = stated.iter().map(|(place_m, _)| *place_m).collect();
+    check(&world_m, seen)?;
+    let variances: Vec<f64> = stated.iter().map(|(_, deviation_m)| deviation_m.powi(2)).collect();
+    let weights: Vec<f64> = std::iter::zip(seen, &variances)
+        .map(|(sighting, variance)| 1.0 / (sighting.covariance.trace() + variance))
+        .collect();
+    let pairs: Vec<[Vector3<f64>; 2]> = std::iter::zip(&world_m, seen)
+        .map(|(world, sighting)| [*world, sighting.position_m])
+        .collect();
+    let (mut rotation, mut origin_m, scale) = kabsch(&pairs, &weights);
     let mut covariance = Covariance6::identity();
     for _ in 0..STEPS {
         let mut information = Covariance6::zeros();
@@ -28,7 +45,7 @@ pub fn align(world_m: &[Vector3<f64>], seen: &[Sighting]) -> Result<Placement, R
             let turned = rotation * sighting.position_m;
             let turn = rotation.matrix();
             let error = turn * sighting.covariance * turn.transpose()
-                + Matrix3::from_diagonal_element(PLACE_VARIANCE);
+                + Matrix3::from_diagonal_element(variances[index]);
             let weight = error.cholesky().ok_or(ReferenceError::NotFinite { index })?.inverse();
             let mut jacobian = SMatrix::<f64, 3, 6>::zeros();
             jacobian.fixed_view_mut::<3, 3>(0, 0).fill_with_identity();
@@ -44,10 +61,8 @@ pub fn align(world_m: &[Vector3<f64>], seen: &[Sighting]) -> Result<Placement, R
         rotation = Rotation3::new(change.fixed_rows::<3>(3).into_owned()) * rotation;
         covariance = factor.inverse();
     }
-    Ok(placement(world_m, seen, rotation, origin_m, scale, covariance))
+    Ok(placement(&world_m, seen, rotation, origin_m, scale, covariance))
 }
-
-const PLACE_VARIANCE: f64 = PLACE_SIGMA_M * PLACE_SIGMA_M;
 
 /// The paper's section 4.4.1, made rigid: from each triplet of pairs not in one line, the motion that
 /// takes the triplet's frame in the camera to that in the world, and of these the mean.
@@ -110,64 +125,12 @@ fn check(world_m: &[Vector3<f64>], seen: &[Sighting]) -> Result<(), ReferenceErr
         }
     }
     for points in [world_m.to_vec(), seen.iter().map(|s| s.position_m).collect()] {
-        let (along_m, across_m) = spread(&points);
+        let [along_m, across_m] = spread(&points, &vec![1.0; points.len()]);
         if across_m <= COLLINEAR * along_m {
             return Err(ReferenceError::Collinear { spread_m: across_m });
         }
     }
     Ok(())
-}
-
-/// Root mean square extent of points along their longest direction and along the next.
-fn spread(points: &[Vector3<f64>]) -> (f64, f64) {
-    let n = points.len() as f64;
-    let middle = points.iter().sum::<Vector3<f64>>() / n;
-    let scatter: Matrix3<f64> =
-        points.iter().map(|p| (p - middle) * (p - middle).transpose()).sum::<Matrix3<f64>>() / n;
-    let mut values: [f64; 3] = SymmetricEigen::new(scatter).eigenvalues.into();
-    values.sort_by(f64::total_cmp);
-    (values[2].max(0.0).sqrt(), values[1].max(0.0).sqrt())
-}
-
-/// Rotation, origin and scale that minimize Σ w |world - R camera - t|².
-fn kabsch(
-    world_m: &[Vector3<f64>],
-    seen: &[Sighting],
-    weights: &[f64],
-) -> (Rotation3<f64>, Vector3<f64>, f64) {
-    let total: f64 = weights.iter().sum();
-    let (mut world_middle, mut camera_middle) = (Vector3::zeros(), Vector3::zeros());
-    for ((world, sighting), weight) in world_m.iter().zip(seen).zip(weights) {
-        world_middle += world * (weight / total);
-        camera_middle += sighting.position_m * (weight / total);
-    }
-    let mut cross = Matrix3::zeros();
-    for ((world, sighting), weight) in world_m.iter().zip(seen).zip(weights) {
-        cross +=
-            (world - world_middle) * (sighting.position_m - camera_middle).transpose() * *weight;
-    }
-    let rotation = nearest_rotation(&cross);
-    let (mut together, mut camera) = (0.0, 0.0);
-    for ((world, sighting), weight) in world_m.iter().zip(seen).zip(weights) {
-        let ray = sighting.position_m - camera_middle;
-        together += weight * (world - world_middle).dot(&(rotation * ray));
-        camera += weight * ray.norm_squared();
-    }
-    (rotation, world_middle - rotation * camera_middle, together / camera)
-}
-
-/// The proper rotation R that maximizes tr(Rᵀ M).
-fn nearest_rotation(matrix: &Matrix3<f64>) -> Rotation3<f64> {
-    let decomposed = matrix.svd(true, true);
-    let (Some(u), Some(v_t)) = (decomposed.u, decomposed.v_t) else {
-        return Rotation3::identity();
-    };
-    let mut signs = Vector3::repeat(1.0);
-    if (u * v_t).determinant() < 0.0 {
-        // A reflection: turn the direction that matters least.
-        signs[decomposed.singular_values.imin()] = -1.0;
-    }
-    Rotation3::from_matrix_unchecked(u * Matrix3::from_diagonal(&signs) * v_t)
 }
 
 fn placement(

@@ -11,6 +11,7 @@
 mod align;
 mod homography;
 mod identify;
+mod kabsch;
 
 use nalgebra::{Matrix3, Vector3};
 use thiserror::Error;
@@ -19,9 +20,10 @@ use crate::{
     pose::RoundelPose,
     rigid::{Covariance6, Rigid},
 };
-pub use align::{align, mean_over_triplets};
+pub use align::{align, align_stated, mean_over_triplets};
 pub use homography::{Homography, HomographyError};
 pub use identify::identify;
+pub(crate) use kabsch::{kabsch, spread};
 
 /// Standard deviation of a reference's stated place, each coordinate, metres: a tape's millimetre.
 pub const PLACE_SIGMA_M: f64 = 0.001;
