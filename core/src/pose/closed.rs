@@ -7,7 +7,7 @@
 //! faces the camera (`upright`), if a second step is needed or if one circle is none (`refine`). Its result is
 //! that of [`locate`] to the last bit (`locator::tests::rings_side_by_side_are_each_as_alone`).
 //!
-//! PERF: `--bench pose`, 30 px, `plumb_bob`: 0.59 µs alone; one of 64 0.16 µs with AVX-512 and 0.26 µs with AVX2
+//! PERF: `--bench pose`, 30 px, `plumb_bob`: 0.70 µs alone; one of 64 0.18 µs with AVX-512 and 0.26 µs with AVX2
 //! (by fours 0.23 µs there, and more with AVX-512).
 
 use fearless_simd::{Level, Simd, SimdFrom, dispatch, f64x8};

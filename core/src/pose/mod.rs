@@ -36,6 +36,7 @@ pub mod photometry;
 mod refine;
 mod rim;
 mod seen;
+mod smear;
 #[cfg(test)]
 mod tests;
 mod upright;

@@ -17,6 +17,8 @@
 //! and Newton is the solution, unless it moves the lean by more than a share of itself, over which the
 //! elongation's derivative (2w) is another.
 //!
+//! What motion within the exposure adds to both rims alike is put right after the step (`smear`).
+//!
 //! With the other lean, -w, only the terms of ln d with α and w change their sign: one normal matrix,
 //! and one inverse, serve both.
 
@@ -24,6 +26,7 @@ use super::{
     cone::{Circle, PER_ROOT},
     facing,
     rim::Rim,
+    smear::{self, Smear},
 };
 use crate::lanes::{Lane, Mat2, Vec2, Vec3};
 
@@ -149,9 +152,13 @@ impl<T: Lane> Step<T> {
         covariance: &Covariance5<T>,
         sign: f64,
     ) -> Self {
-        let (mut right, mut square) = linear.rims[0].pull(circle, &rims[0], sign);
-        let (right_inner, square_inner) = linear.rims[1].pull(circle, &rims[1], sign);
+        let (mut right, mut smeared, mut square) = linear.rims[0].pull(circle, &rims[0], sign);
+        let (right_inner, smeared_inner, square_inner) =
+            linear.rims[1].pull(circle, &rims[1], sign);
         square = square + square_inner;
+        for k in 0..2 {
+            smeared[k] = smeared[k] + smeared_inner[k];
+        }
         for k in 0..5 {
             right[k] = right[k] + right_inner[k];
         }
@@ -169,20 +176,23 @@ impl<T: Lane> Step<T> {
             + change[2] * right[2]
             + change[3] * right[3]
             + change[4] * right[4];
+        let mut covariance = *covariance;
+        let fall = linear.smear.free(smeared, sign, &mut change, &mut covariance);
         let tilted = circle.lean.square();
         let (circle, valid) = circle.moved(&change);
         let turned = change[3] * change[3] + change[4] * change[4];
-        let misfit = (square - explained).larger(square.splat(0.0));
+        let misfit = (square - explained - fall).larger(square.splat(0.0));
         // A millionth of a radian is nothing, however upright the circle is.
         let is_last = turned.at_most(tilted * LAST_STEP + 1e-12);
-        Self { estimate: Estimate { circle, covariance: *covariance, misfit }, valid, is_last }
+        Self { estimate: Estimate { circle, covariance, misfit }, valid, is_last }
     }
 }
 
 /// The normal matrix at a circle, in blocks of place (α, ln d) and lean, and what it is made of.
-struct Linear<T> {
+struct Linear<T: Lane> {
     rims: [LinearRim<T>; 2],
     normal: Normal<T>,
+    smear: Smear<T>,
 }
 
 /// A normal matrix.
@@ -197,13 +207,15 @@ struct Normal<T> {
 
 /// Derivatives of one rim's numbers.
 #[derive(Clone, Copy)]
-struct LinearRim<T> {
+struct LinearRim<T: Lane> {
     /// Of the centre by ln d.
     by_depth: Vec2<T>,
     /// Of the centre by w.
     by_lean: Mat2<T>,
     /// Of size, elongation and turn by either component of w.
     shape_by_lean: [Vec3<T>; 2],
+    /// What it says of motion within the exposure.
+    smear: (Smear<T>, smear::Weighted<T>),
 }
 
 impl<T: Lane> Linear<T> {
@@ -211,7 +223,8 @@ impl<T: Lane> Linear<T> {
     fn of(circle: &Circle<T>, rims: &[Rim<T>; 2]) -> Self {
         let linear = [LinearRim::of(circle, &rims[0]), LinearRim::of(circle, &rims[1])];
         let normal = linear[0].normal(&rims[0]).plus(&linear[1].normal(&rims[1]));
-        Self { rims: linear, normal }
+        let smear = linear[0].smear.0.plus(&linear[1].smear.0);
+        Self { rims: linear, normal, smear }
     }
 
     /// The inverse, by the complement of the place, and where the matrix is positive definite.
@@ -290,7 +303,8 @@ impl<T: Lane> LinearRim<T> {
                 n12 * (0.5 * PER_ROOT),
             );
         }
-        Self { by_depth: w * (level * -2.0), by_lean, shape_by_lean }
+        let smear = Smear::of(rim, &shape_by_lean);
+        Self { by_depth: w * (level * -2.0), by_lean, shape_by_lean, smear }
     }
 
     /// This rim's part of Σ Jᵀ W J.
@@ -331,9 +345,9 @@ impl<T: Lane> LinearRim<T> {
         }
     }
 
-    /// This rim's part of Σ Jᵀ W h and of Σ hᵀ W h.
+    /// This rim's part of Σ Jᵀ W h, of Σ sᵀ W h and of Σ hᵀ W h.
     #[inline(always)]
-    fn pull(&self, circle: &Circle<T>, rim: &Rim<T>, sign: f64) -> ([T; 5], T) {
+    fn pull(&self, circle: &Circle<T>, rim: &Rim<T>, sign: f64) -> ([T; 5], [T; 2], T) {
         let left = circle.compare(rim);
         let weighted = rim.information.times(&left);
         let square = left[0] * weighted[0]
@@ -356,7 +370,9 @@ impl<T: Lane> LinearRim<T> {
             t1.dot(pull) + shape.dot(self.shape_by_lean[0]),
             t2.dot(pull) + shape.dot(self.shape_by_lean[1]),
         ];
-        (right, square)
+        let shape = Vec3::new(left[0], left[3], left[4]);
+        let smeared = [shape.dot(self.smear.1[0]), shape.dot(self.smear.1[1])];
+        (right, smeared, square)
     }
 }
 

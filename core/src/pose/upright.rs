@@ -12,6 +12,7 @@ use super::{
     facing::{self, Evidence, Lean},
     refine::{Covariance5, Estimate, Estimates},
     rim::Rim,
+    smear::MISSED,
 };
 use crate::lanes::{Lane, Vec2};
 
@@ -61,7 +62,7 @@ pub fn is_needed<T: Lane>(about: &Circle<T>, rims: &[Rim<T>; 2]) -> T::Mask {
 /// The one or two circles where that is so.
 pub fn estimate(about: &Circle<f64>, rims: &[Rim<f64>; 2]) -> Estimates<f64> {
     let weights = Weights::of(about, rims);
-    let Weights { r2, squared_sigma, linear: linear_information, .. } = weights;
+    let Weights { r2, linear: linear_information, .. } = weights;
     let mean = |values: [f64; 2], weights: &[f64; 2]| {
         (values[0] * weights[0] + values[1] * weights[1]) / (weights[0] + weights[1])
     };
@@ -70,7 +71,9 @@ pub fn estimate(about: &Circle<f64>, rims: &[Rim<f64>; 2]) -> Estimates<f64> {
     };
     let shapes = [0, 1].map(|k| Matrix2::from(rims[k].shape) / r2[k]);
     let squares = shapes.map(|m| Vector2::new(m.m22 - m.m11, -2.0 * m.m12));
-    let squared = mean2(squares, &weights.squared);
+    let smear = Smeared::of(&squares, &weights);
+    let squared = mean2(squares, &smear.weights);
+    let squared_sigma = smear.sigma;
     let size_weight = rims.map(|rim| rim.information.size);
     let sizes = shapes.map(|m| 0.25 * (m.m11 * m.m22 - m.m12 * m.m12).ln());
     let size = mean(sizes, &size_weight);
@@ -94,7 +97,7 @@ pub fn estimate(about: &Circle<f64>, rims: &[Rim<f64>; 2]) -> Estimates<f64> {
         // elongation, and what the centres' distance says against this lean.
         let between = |weights: &[f64; 2]| weights[0] * weights[1] / (weights[0] + weights[1]);
         let misfit = between(&size_weight) * (sizes[0] - sizes[1]).powi(2)
-            + between(&weights.squared) * (squares[0] - squares[1]).norm_squared()
+            + (squares[0] - squares[1]).norm_squared() / smear.apart
             + linear_information * (linear - lean.mean).norm_squared();
         Estimate { circle, covariance, misfit }
     };
@@ -102,6 +105,39 @@ pub fn estimate(about: &Circle<f64>, rims: &[Rim<f64>; 2]) -> Estimates<f64> {
     match leans.other {
         Some(other) => Estimates { first, other: make(&other), likelihood: leans.likelihood },
         None => Estimates::alone(first),
+    }
+}
+
+/// The elongations' weights with what motion within the exposure adds to both (`super::smear`): to w² of
+/// either rim ν over the square of its radius.
+struct Smeared {
+    /// They add up to 1; one may be negative.
+    weights: [f64; 2],
+    /// What the mean strays by, and the variance of the difference, in either component.
+    sigma: f64,
+    apart: f64,
+}
+
+impl Smeared {
+    fn of(squares: &[Vector2<f64>; 2], weights: &Weights<f64>) -> Self {
+        let sigma = weights.squared_sigma;
+        // An elliptical disc's rim has no say.
+        if weights.squared[1] <= 0.0 {
+            return Self { weights: [1.0, 0.0], sigma, apart: f64::INFINITY };
+        }
+        let [outer, inner] = weights.squared.map(|weight| 1.0 / weight);
+        let [by_outer, by_inner] = weights.r2.map(|r2| 1.0 / r2);
+        let per_apart = 1.0 / (by_inner - by_outer).powi(2);
+        let found = (squares[1] - squares[0]).norm_squared() * per_apart;
+        let prior = 0.5 * found;
+        let missed = MISSED * prior;
+        let (outer, inner) = (outer + missed * by_outer.powi(2), inner + missed * by_inner.powi(2));
+        let both = prior * by_outer * by_inner;
+        let (outer, inner) =
+            (outer + prior * by_outer * by_outer, inner + prior * by_inner * by_inner);
+        let apart = outer + inner - 2.0 * both;
+        let weights = [(inner - both) / apart, (outer - both) / apart];
+        Self { weights, sigma: ((outer * inner - both * both) / apart).sqrt(), apart }
     }
 }
 
