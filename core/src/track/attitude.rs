@@ -4,9 +4,9 @@
 //! angular velocity's error; [`Kernel`] filters them, and each correction goes into the quaternion
 //! at once (a multiplicative Kalman filter: Lefferts, Markley, Shuster, 1982).
 //!
-//! A plain roundel shows its normal only. Its measured orientation is then the predicted one turned
-//! by the smallest rotation onto the measured normal: nothing is said about the rest, and the
-//! measurement's variance about the normal is that of an unknown angle.
+//! A plain roundel shows its normal only ([`AttitudeMeasurement`]). A coded one whose code is not read now and
+//! then is measured as a plain one then; its yaw goes on from before, and is told until it is too old or its
+//! covariance has grown too large.
 //!
 //! An elliptical disc looks the same turned by half a turn about its normal. Of both orientations each
 //! measurement is the one nearer to the prediction, so that a heading once taken up is kept.
@@ -20,16 +20,19 @@
 //! grown old, the normal it did not take stands up as its rival again. Both are shown by the
 //! covariance, as long as the second is not negligible (moments of the mixture).
 
+mod measurement;
+
 use nalgebra::{Matrix3, Matrix6, UnitQuaternion, Vector3};
 
-use super::{Ground, Kernel, MotionModel, Noise, Spread};
+use super::{Ground, Kernel, MotionModel, Spread};
 use crate::{
     id::CameraId,
     rigid::{
-        SMALL_SQUARED, UNKNOWN_ANGLE_VARIANCE_RAD2, arc_sine_share, orientation_of_normal,
-        smallest_rotation, turn_by, vector_of,
+        SMALL_SQUARED, UNKNOWN_ANGLE_VARIANCE_RAD2, arc_sine_share, orientation_of_normal, turn_by,
+        vector_of,
     },
 };
+pub use measurement::AttitudeMeasurement;
 
 /// Successive frames share most of their error, so each counts only for this part of a fresh one.
 const EVIDENCE_WEIGHT: f64 = 0.25;
@@ -46,44 +49,13 @@ const VERDICT_TIME_S: f64 = 1.0;
 /// of freedom, 0.99).
 const FITTING_DISTANCE_SQUARED: f64 = 9.2;
 
-/// How one detection says that the roundel is turned, world frame.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub struct AttitudeMeasurement {
-    /// The orientations of both normals, the likelier first; of plain roundels only the z axes count.
-    pub candidates: [UnitQuaternion<f64>; 2],
-    /// Of the first one, 0.5 to 1.
-    pub likelihood: f64,
-    /// In how many evenly spaced yaws it looks the same; `None` where the rotation about the normal is not
-    /// measured.
-    pub yaw_symmetry: Option<u32>,
-    /// Errors of the small rotation, of each candidate.
-    pub noises: [Noise; 2],
-}
-
-impl AttitudeMeasurement {
-    /// `noise` belongs to the first candidate; the second one's is the same, turned along.
-    pub fn new(
-        candidates: [UnitQuaternion<f64>; 2],
-        likelihood: f64,
-        yaw_symmetry: Option<u32>,
-        noise: Noise,
-    ) -> Self {
-        let normals = candidates.map(|candidate| candidate * Vector3::z());
-        let turn = smallest_rotation(&normals[0], &normals[1]).unwrap_or_else(|| {
-            UnitQuaternion::from_scaled_axis(smallest_turn(&normals[0], &normals[1]))
-                .to_rotation_matrix()
-                .into_inner()
-        });
-        let turned = Noise {
-            total: turn * noise.total * turn.transpose(),
-            // Turned from both sides, so that the same part of the systematic error goes on meaning
-            // nearly the same direction when the candidates change places.
-            systematic_root: turn * noise.systematic_root * turn.transpose(),
-            timing_s: noise.timing_s,
-        };
-        Self { candidates, likelihood, yaw_symmetry, noises: [noise, turned] }
-    }
-}
+/// Variance about the normal of an unread code while the yaw is known from before: that of an unknown angle would
+/// be information, which averages sixty times a second, and the yaw would never be forgotten. (Without a yaw
+/// to forget, an unknown angle's keeps the filter from drifting about it.)
+const UNREAD_VARIANCE_RAD2: f64 = 300.0;
+/// The yaw is told while its deviation is below this and the newest measurement that had one is no older.
+const KNOWN_YAW_RAD: f64 = 0.3;
+const KNOWN_YAW_S: f64 = 0.5;
 
 #[derive(Clone, Copy, Debug, PartialEq)]
 struct Hypothesis {
@@ -98,7 +70,10 @@ pub struct Attitude {
     rival: Option<Hypothesis>,
     /// ln(likelihood of `best` / likelihood of the other normal).
     log_odds: f64,
+    /// Of the newest measurement that had a yaw …
     yaw_symmetry: Option<u32>,
+    /// … and how old it is, seconds.
+    yaw_age_s: f64,
 }
 
 /// What is told about an orientation.
@@ -119,30 +94,30 @@ impl Attitude {
     /// What one measurement tells.
     pub fn begin(seen: &AttitudeMeasurement, camera: CameraId, model: &MotionModel) -> Self {
         let hypothesis = |index: usize| Hypothesis {
-            orientation: nearest(seen, index, &completed(seen, 0)),
-            kernel: Kernel::begin(&seen.noises[index], camera, &turning(model)),
+            orientation: seen.nearest(index, &seen.completed(0)),
+            kernel: begin(seen, index, camera, model),
         };
         let mut attitude = Self {
             best: hypothesis(0),
             rival: Some(hypothesis(1)),
             log_odds: 0.0,
             yaw_symmetry: seen.yaw_symmetry,
+            yaw_age_s: 0.0,
         };
-        attitude.log_odds =
-            attitude.prior(model) + log_likelihood(seen, 0) - log_likelihood(seen, 1);
+        attitude.log_odds = attitude.prior(model) + seen.log_likelihood(0) - seen.log_likelihood(1);
         attitude.settle();
         attitude
     }
 
     /// Becomes another, without the kilobytes of a rival that is not there.
     pub(super) fn copy_from(&mut self, other: &Self) {
-        let Self { best, rival, log_odds, yaw_symmetry } = other;
+        let Self { best, rival, log_odds, yaw_symmetry, yaw_age_s } = other;
         self.best = *best;
         match rival {
             Some(rival) => self.rival = Some(*rival),
             None => self.rival = None,
         }
-        (self.log_odds, self.yaw_symmetry) = (*log_odds, *yaw_symmetry);
+        (self.log_odds, self.yaw_symmetry, self.yaw_age_s) = (*log_odds, *yaw_symmetry, *yaw_age_s);
     }
 
     /// Moves on by `dt` seconds, either way.
@@ -152,15 +127,26 @@ impl Attitude {
             hypothesis.orientation = turn * hypothesis.orientation;
             hypothesis.kernel.predict(dt, &model.angular_density_rad2_s3, model.systematic_time_s);
         }
+        self.yaw_age_s += dt;
         self.log_odds = faded(self.log_odds, dt, self.prior(model));
     }
 
     /// Takes in a measurement at the present time.
     pub fn update(&mut self, seen: &AttitudeMeasurement, camera: CameraId, model: &MotionModel) {
-        self.yaw_symmetry = seen.yaw_symmetry;
-        let (fit, taken) = self.best.update(seen, camera, model);
+        let knows_yaw = self.yaw_symmetry.is_some() && self.yaw_age_s < KNOWN_YAW_S;
+        let unread_rad2 =
+            if knows_yaw { UNREAD_VARIANCE_RAD2 } else { UNKNOWN_ANGLE_VARIANCE_RAD2 };
+        if seen.yaw_symmetry.is_some() {
+            if !knows_yaw {
+                // What was held about the normal meanwhile says nothing.
+                let hypotheses = std::iter::once(&mut self.best).chain(self.rival.as_mut());
+                hypotheses.for_each(|hypothesis| hypothesis.forget_yaw(model));
+            }
+            (self.yaw_symmetry, self.yaw_age_s) = (seen.yaw_symmetry, 0.0);
+        }
+        let (fit, taken) = self.best.update((seen, unread_rad2), camera, model);
         let other_fit = match &mut self.rival {
-            Some(rival) => rival.update(seen, camera, model).0,
+            Some(rival) => rival.update((seen, unread_rad2), camera, model).0,
             // No rival stands: the best one is held against a normal that would just fit.
             None => fit.fitting(),
         };
@@ -188,14 +174,16 @@ impl Attitude {
             spread.rate += (told.rate - spread.rate) * weight;
             spread.cross += (told.cross - spread.cross) * weight;
         }
+        let normal = orientation * Vector3::z();
+        let is_known = self.yaw_age_s + dt < KNOWN_YAW_S
+            && normal.dot(&(spread.value * normal)) < KNOWN_YAW_RAD * KNOWN_YAW_RAD;
         let mut estimate = AttitudeEstimate {
             orientation,
-            yaw_symmetry: self.yaw_symmetry,
+            yaw_symmetry: self.yaw_symmetry.filter(|_| is_known),
             angular_velocity_rad_s: self.best.kernel.rate,
             covariance: spread.matrix(),
         };
-        if self.yaw_symmetry.is_none() {
-            let normal = orientation * Vector3::z();
+        if estimate.yaw_symmetry.is_none() {
             estimate.orientation = orientation_of_normal(&normal);
             estimate.angular_velocity_rad_s -=
                 normal * normal.dot(&estimate.angular_velocity_rad_s);
@@ -235,8 +223,8 @@ impl Attitude {
         camera: CameraId,
         model: &MotionModel,
     ) {
-        let kernel = Kernel::begin(&seen.noises[index], camera, &turning(model));
-        let orientation = nearest(seen, index, &self.best.orientation);
+        let kernel = begin(seen, index, camera, model);
+        let orientation = seen.nearest(index, &self.best.orientation);
         self.rival = Some(Hypothesis { orientation, kernel });
     }
 
@@ -288,19 +276,28 @@ impl Hypothesis {
         self.orientation * Vector3::z()
     }
 
-    /// Takes the candidate that suits better; says how well it fits and which one it was.
+    /// Makes the angle about the normal unknown, and how it turns about it.
+    fn forget_yaw(&mut self, model: &MotionModel) {
+        let normal = self.normal();
+        let along = normal * normal.transpose();
+        self.kernel.spread.value += along * UNKNOWN_ANGLE_VARIANCE_RAD2;
+        self.kernel.spread.rate += along * turning(model).dot(&normal.component_mul(&normal));
+    }
+
+    /// Takes the candidate that suits better, where about the normal nothing better than `unread_rad2` is known from
+    /// a measurement without yaw; says how well it fits and which one it was.
     fn update(
         &mut self,
-        seen: &AttitudeMeasurement,
+        (seen, unread_rad2): (&AttitudeMeasurement, f64),
         camera: CameraId,
         model: &MotionModel,
     ) -> (Fit, usize) {
         let mut chosen: Option<(Fit, usize, Vector3<f64>)> = None;
         for index in 0..2 {
             let turn = self.turn_to(seen, index);
-            let noise = &seen.noises[index];
-            let Some(innovation) = self.kernel.innovation(&turn, noise, camera) else { continue };
-            let evidence = log_likelihood(seen, index)
+            let noise = seen.noise(index, (&self.normal(), unread_rad2));
+            let Some(innovation) = self.kernel.innovation(&turn, &noise, camera) else { continue };
+            let evidence = seen.log_likelihood(index)
                 - 0.5 * (innovation.distance_squared + innovation.log_det());
             if chosen.is_none_or(|(fit, ..)| evidence > fit.evidence) {
                 let fit = Fit { evidence, distance_squared: innovation.distance_squared };
@@ -311,7 +308,8 @@ impl Hypothesis {
             return (Fit { evidence: 0.0, distance_squared: 0.0 }, 0);
         };
         let robust = model.robust_distance_squared;
-        let (correction, _) = self.kernel.update(&turn, &seen.noises[index], camera, robust);
+        let noise = seen.noise(index, (&self.normal(), unread_rad2));
+        let (correction, _) = self.kernel.update(&turn, &noise, camera, robust);
         self.orientation = turn_by(&correction) * self.orientation;
         (fit, index)
     }
@@ -319,11 +317,22 @@ impl Hypothesis {
     /// The rotation from this orientation to the candidate's.
     fn turn_to(&self, seen: &AttitudeMeasurement, index: usize) -> Vector3<f64> {
         if seen.yaw_symmetry.is_some() {
-            vector_of(&(nearest(seen, index, &self.orientation) * self.orientation.inverse()))
+            vector_of(&(seen.nearest(index, &self.orientation) * self.orientation.inverse()))
         } else {
-            smallest_turn(&self.normal(), &(seen.candidates[index] * Vector3::z()))
+            smallest_turn(&self.normal(), &seen.normal(index))
         }
     }
+}
+
+/// A filter of one candidate.
+fn begin(
+    seen: &AttitudeMeasurement,
+    index: usize,
+    camera: CameraId,
+    model: &MotionModel,
+) -> Kernel {
+    let about = (&seen.normal(index), UNKNOWN_ANGLE_VARIANCE_RAD2);
+    Kernel::begin(&seen.noise(index, about), camera, &turning(model))
 }
 
 /// The covariance of a rotation and its rate when nothing is known about the rotation about
@@ -352,37 +361,6 @@ fn faded(log_odds: f64, dt: f64, prior: f64) -> f64 {
 /// Variance of an unseen angular velocity about each axis.
 fn turning(model: &MotionModel) -> Vector3<f64> {
     model.angular_speed_rad_s.component_mul(&model.angular_speed_rad_s)
-}
-
-fn log_likelihood(seen: &AttitudeMeasurement, index: usize) -> f64 {
-    // A pose estimator's certainty is not believed beyond a thousand to one.
-    let first = seen.likelihood.clamp(1e-3, 1.0 - 1e-3);
-    if index == 0 { first.ln() } else { (1.0 - first).ln() }
-}
-
-fn completed(seen: &AttitudeMeasurement, index: usize) -> UnitQuaternion<f64> {
-    if seen.yaw_symmetry.is_some() {
-        seen.candidates[index]
-    } else {
-        orientation_of_normal(&(seen.candidates[index] * Vector3::z()))
-    }
-}
-
-/// Of the orientations in which the candidate looks the same, the one nearest to another.
-fn nearest(
-    seen: &AttitudeMeasurement,
-    index: usize,
-    to: &UnitQuaternion<f64>,
-) -> UnitQuaternion<f64> {
-    let candidate = completed(seen, index);
-    let symmetry = seen.yaw_symmetry.unwrap_or(1);
-    let part = std::f64::consts::TAU / f64::from(symmetry);
-    let turned = |step: u32| {
-        candidate * UnitQuaternion::from_axis_angle(&Vector3::z_axis(), f64::from(step) * part)
-    };
-    (1..symmetry).map(turned).fold(candidate, |best, other| {
-        if other.angle_to(to) < best.angle_to(to) { other } else { best }
-    })
 }
 
 /// Rotation vector of the smallest rotation from one unit vector to another.

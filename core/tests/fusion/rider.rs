@@ -319,18 +319,25 @@ fn without_a_yaw_nothing_is_placed_and_that_is_counted() {
     assert!(fusion.camera_place(CameraId(0), end).is_ok());
 }
 
-/// A code that is read once in a while, but no yaw measured with the newest: the normal alone.
+/// A code that is not read once leaves the yaw known; one that is not read for long, the normal alone.
 #[test]
-fn a_yaw_that_is_not_observed_now_places_nothing() {
+fn a_yaw_that_is_not_observed_any_more_places_nothing() {
     let mut fusion = fusion();
     fusion.set_mount(ABOARD, Some(mount()));
     fly(&mut fusion, 1.0, true, |_, _| {});
-    let time = START.plus_seconds(1.0);
-    let seen = standing_camera(STANDING[0]).inverse() * drone(1.0);
-    let mut unread = Eye::new(5).see(&seen, time, 1, None);
-    unread.pose.as_mut().unwrap().normal_likelihood = 0.99;
-    fusion.observe(&frame(CameraId(0), 1000, time, vec![unread]));
-    assert_eq!(fusion.camera_place(ABOARD, time), Err(Unplaced::CarrierWithoutYaw));
+    let mut eye = Eye::new(5);
+    let mut places = Vec::new();
+    for number in 0..120u32 {
+        let t = 1.0 + f64::from(number) / 60.0;
+        let time = START.plus_seconds(t);
+        let seen = standing_camera(STANDING[0]).inverse() * drone(t);
+        let mut unread = eye.see(&seen, time, 1, None);
+        unread.pose.as_mut().unwrap().normal_likelihood = 0.99;
+        fusion.observe(&frame(CameraId(0), 1000 + u64::from(number), time, vec![unread]));
+        places.push(fusion.camera_place(ABOARD, time).map(|_| ()));
+    }
+    assert_eq!(places[0], Ok(()));
+    assert_eq!(*places.last().unwrap(), Err(Unplaced::CarrierWithoutYaw), "{places:?}");
 }
 
 /// Two drones in sight of each other: each is located by cameras that stand alone.
