@@ -1,14 +1,16 @@
 //! The rewind buffer: a window of measurements and the estimates between them, so that a late
 //! measurement is put where it belongs and what came after it is filtered again.
 //!
-//! The result depends on the measurements' times alone, not on the order in which they came. A late
-//! measurement is put in its place at once, but the filtering waits, as that of all that come after it,
-//! until the estimate is asked for or [`WAITING_MOST`] of them have gathered. Until then
-//! [`History::newest`] lacks them, which is good enough for gating.
+//! The result depends on the measurements' times alone, not on the order in which they came. A
+//! measurement is put in its place at once, but the filtering waits until the estimate is asked for: the next
+//! measurement, of another camera, often belongs before this one. Until then [`History::newest`] lacks those
+//! that wait, which is good enough for gating as long as they are few ([`WAITING_MOST`]) and recent
+//! ([`WAITING_NS`]), and the velocity is known ([`WAITING_FROM`]).
 //!
 //! Full estimates are kept only here and there, the rest is computed again when needed: one where the last
-//! filtering ended, since what comes next mostly belongs behind it, and others at distances that double with
-//! their age, since few measurements are very late.
+//! filtering ended, since what comes next mostly belongs behind it, one before as many measurements as late ones
+//! were put before of late, and others at distances that double with their age, since few measurements are very
+//! late.
 
 use std::collections::VecDeque;
 
@@ -23,8 +25,13 @@ const CHECKPOINT_EVERY: u64 = 8;
 const OLD_CHECKPOINT_EVERY: u64 = 32;
 
 /// Measurements that may wait for the filter. PERF: with measurements 0 to 40 ms late, each
-/// would otherwise cost some twenty filter steps.
+/// would otherwise cost some twenty filter steps; of cameras in order whose rolling shutters see an object at
+/// different times, 1.3 (eight synchronized ones) to 1.5 (four that are not).
 const WAITING_MOST: usize = 16;
+/// And for so long: what is later than the newest estimate by more does not wait.
+const WAITING_NS: i64 = 30_000_000;
+/// An object's first so many measurements do not wait.
+const WAITING_FROM: u64 = 16;
 
 /// What became of a measurement.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -61,6 +68,12 @@ pub struct History {
     newest: Box<Estimate>,
     /// Measurements put in their place and not filtered yet.
     waiting: usize,
+    /// Number of the oldest of these.
+    oldest_waiting: u64,
+    /// Filtered measurements that had late ones put before them, of late.
+    reach: u64,
+    /// Measurements in the newest estimate.
+    applied: u64,
 }
 
 impl History {
@@ -74,6 +87,9 @@ impl History {
             spare: Vec::new(),
             newest,
             waiting: 0,
+            oldest_waiting: u64::MAX,
+            reach: 0,
+            applied: 1,
         }
     }
 
@@ -129,24 +145,15 @@ impl History {
         if place == 0 && self.first > 0 {
             return Inserted::TooLate;
         }
-        if newer == 0 && self.waiting == 0 {
-            self.newest.update(&measurement, model);
-            self.entries.push_back(measurement);
-            let applied = self.first + self.entries.len() as u64;
-            if applied - self.kept() >= CHECKPOINT_EVERY {
-                self.keep(applied);
-            }
-            return Inserted::InOrder;
-        }
-        if newer > 0 {
-            let number = self.first + place as u64;
-            while self.kept() > number {
-                self.spare.extend(self.checkpoints.pop_back().map(|kept| kept.estimate));
-            }
+        let number = self.first + place as u64;
+        while self.kept() > number {
+            self.spare.extend(self.checkpoints.pop_back().map(|kept| kept.estimate));
         }
         self.entries.insert(place, measurement);
         self.waiting += 1;
-        if self.waiting >= WAITING_MOST {
+        self.oldest_waiting = self.oldest_waiting.min(number);
+        let ahead_ns = self.newest_time().ns_since(self.newest.time);
+        if self.waiting >= WAITING_MOST || ahead_ns > WAITING_NS || self.count() <= WAITING_FROM {
             self.settle(model);
         }
         if newer > 0 { Inserted::OutOfOrder } else { Inserted::InOrder }
@@ -157,25 +164,40 @@ impl History {
         if self.waiting == 0 {
             return;
         }
-        self.waiting = 0;
-        let mut done = match self.checkpoints.back() {
+        let count = self.count();
+        let overtaken = count - self.oldest_waiting - self.waiting as u64;
+        self.reach = overtaken.max(self.reach.saturating_sub(1));
+        (self.waiting, self.oldest_waiting) = (0, u64::MAX);
+        self.rewind(model);
+        while self.applied < count {
+            self.newest.update(&self.entries[(self.applied - self.first) as usize], model);
+            self.applied += 1;
+            let left = count - self.applied;
+            if left == 0 || left == self.reach || self.applied - self.kept() >= CHECKPOINT_EVERY {
+                self.keep();
+            }
+        }
+    }
+
+    /// Makes the last kept estimate the newest.
+    fn rewind(&mut self, model: &MotionModel) {
+        match self.checkpoints.back() {
+            // It is the newest still.
+            Some(kept) if kept.applied == self.applied => {}
             Some(kept) => {
                 self.newest.copy_from(&kept.estimate);
-                (kept.applied - self.first) as usize
+                self.applied = kept.applied;
             }
             None => {
                 *self.newest = Estimate::begin(&self.entries[0], model);
-                1
-            }
-        };
-        while done < self.entries.len() {
-            self.newest.update(&self.entries[done], model);
-            done += 1;
-            let applied = self.first + done as u64;
-            if applied - self.kept() >= CHECKPOINT_EVERY || done == self.entries.len() {
-                self.keep(applied);
+                self.applied = self.first + 1;
             }
         }
+    }
+
+    /// Measurements so far.
+    fn count(&self) -> u64 {
+        self.first + self.entries.len() as u64
     }
 
     /// Lets go of measurements from before `time`, as far as a kept estimate covers them.
@@ -198,9 +220,9 @@ impl History {
         self.checkpoints.back().map_or(0, |kept| kept.applied)
     }
 
-    /// Keeps the newest estimate, in which are so many measurements, and lets go of one that its neighbours
-    /// can stand in for.
-    fn keep(&mut self, applied: u64) {
+    /// Keeps the newest estimate, and lets go of one that its neighbours can stand in for.
+    fn keep(&mut self) {
+        let applied = self.applied;
         let estimate = match self.spare.pop() {
             Some(mut spare) => {
                 spare.copy_from(&self.newest);
