@@ -33,6 +33,7 @@
 //! P stays positive definite: S ≥ R, R has a floor and P a ceiling (see `world::params`), so that
 //! the subtraction keeps more than six digits; a property test drives it through the extremes.
 
+mod block;
 mod innovation;
 mod sources;
 
@@ -42,10 +43,10 @@ use nalgebra::{Matrix3, Vector3};
 
 use super::{MotionModel, Spread};
 use crate::id::CameraId;
-use innovation::Joint;
+use block::{Block, Numbers};
 pub use innovation::{Innovation, Noise};
 pub(crate) use innovation::{invert_positive, positive_root};
-use sources::{Sources, gain_of};
+use sources::Sources;
 
 /// Cameras whose systematic error is carried at most; the one not heard of longest gives way.
 pub const MAX_SOURCES: usize = 8;
@@ -80,8 +81,7 @@ impl Kernel {
     /// Moves the covariance on by `dt` seconds; the caller moves the value by `rate` · dt.
     pub fn predict(&mut self, dt: f64, density: &Vector3<f64>, systematic_time_s: f64) {
         self.spread.predict(dt, density);
-        let kept = (-dt.abs() / systematic_time_s).exp();
-        self.sources.predict(dt, kept, systematic_time_s);
+        self.sources.predict(dt, decayed(dt.abs() / systematic_time_s), systematic_time_s);
     }
 
     /// How far `residual` (measured less predicted value) would be from zero, `dt` seconds from
@@ -95,17 +95,8 @@ impl Kernel {
     ) -> Option<Innovation> {
         let mut spread = self.spread;
         spread.predict(dt, &model.acceleration_density_m2_s3);
-        let kept = (-dt.abs() / model.systematic_time_s).exp();
-        let own = self.sources.find(camera);
-        let shared = own.map(|index| {
-            let (value, rate) = self.sources.with(index);
-            ((value + rate * dt) * kept, rate * kept)
-        });
-        let mut joint = Joint::of(&spread, shared.as_ref(), noise);
-        if noise.timing_s > 0.0 {
-            self.sources.add_clocks(&mut joint, dt, (own, noise.timing_s), &self.rate);
-        }
-        joint.innovation(residual)
+        let kept = decayed(dt.abs() / model.systematic_time_s);
+        self.innovation_of(&spread.value, (dt, kept), residual, (noise, camera))
     }
 
     /// How far `residual` (measured less predicted value) is from zero, by a camera's noise.
@@ -116,7 +107,42 @@ impl Kernel {
         noise: &Noise,
         camera: CameraId,
     ) -> Option<Innovation> {
-        self.joint(camera, noise).1.innovation(residual)
+        self.innovation_of(&self.spread.value, (0.0, 1.0), residual, (noise, camera))
+    }
+
+    /// With this covariance of the value, so many seconds from now, when systematic errors have kept such a share.
+    fn innovation_of(
+        &self,
+        value: &Matrix3<f64>,
+        (dt, kept): (f64, f64),
+        residual: &Vector3<f64>,
+        (noise, camera): (&Noise, CameraId),
+    ) -> Option<Innovation> {
+        let own = self.sources.find(camera);
+        let mut covariance = dispatch!(Level::new(), simd => {
+            self.innovation_with(simd, value, (own, dt, kept), noise)
+        });
+        if noise.timing_s > 0.0 {
+            covariance += self.spread.rate * noise.timing_s.powi(2);
+            covariance += self.sources.clocks_of_innovation(dt, (own, noise.timing_s), &self.rate);
+        }
+        Innovation::of(residual, &covariance)
+    }
+
+    /// S as if the clocks were known.
+    #[simd]
+    fn innovation_with<S: Simd>(
+        &self,
+        simd: S,
+        value: &Matrix3<f64>,
+        (own, dt, kept): (Option<usize>, f64, f64),
+        noise: &Noise,
+    ) -> Matrix3<f64> {
+        let Some(own) = own else { return value + noise.total };
+        let (of_value, of_rate) = self.sources.with(simd, own);
+        let shared = of_value.plus_scaled(of_rate, dt).scaled(kept);
+        let with = Block::of(simd, value).plus(shared, &noise.systematic_root).matrix();
+        innovation_covariance(value, &with, noise)
     }
 
     /// The covariance with what the clocks may add.
@@ -136,20 +162,6 @@ impl Kernel {
     /// Of the value's covariance, what systematic errors have made: Σ Cp Cpᵀ.
     pub fn systematic(&self) -> Matrix3<f64> {
         self.sources.systematic()
-    }
-
-    /// As if the clocks were known, and with what they may add.
-    #[inline(always)]
-    fn joint(&self, camera: CameraId, noise: &Noise) -> (Joint, Joint) {
-        let own = self.sources.find(camera);
-        let shared = own.map(|index| self.sources.with(index));
-        let joint = Joint::of(&self.spread, shared.as_ref(), noise);
-        if noise.timing_s <= 0.0 {
-            return (joint, joint);
-        }
-        let mut whole = joint;
-        self.sources.add_clocks(&mut whole, 0.0, (own, noise.timing_s), &self.rate);
-        (joint, whole)
     }
 
     /// Takes in a measurement; gives the correction of the value. A measurement whose innovation
@@ -177,16 +189,23 @@ impl Kernel {
     ) -> (Vector3<f64>, Innovation) {
         let own = self.sources.find_or_new(camera);
         self.sources.set_timing(own, noise.timing_s);
-        let (given, whole) = self.joint(camera, noise);
-        let Joint { value: value_cov, rate: rate_cov, innovation: covariance } = whole;
+        let (of_value, of_rate) = self.sources.with(simd, own);
+        let root = &noise.systematic_root;
+        let mut value_cov = Block::of(simd, &self.spread.value).plus(of_value, root);
+        let mut rate_cov = Block::of_transposed(simd, &self.spread.cross).plus(of_rate, root);
+        let mut covariance = innovation_covariance(&self.spread.value, &value_cov.matrix(), noise);
+        if noise.timing_s > 0.0 {
+            covariance += self.spread.rate * noise.timing_s.powi(2);
+        }
+        let given = (value_cov, rate_cov, covariance);
+        if noise.timing_s > 0.0 {
+            let clocks = self.sources.clocks(simd, (own, noise.timing_s), &self.rate);
+            value_cov = value_cov.sum(Block::of(simd, &clocks.value));
+            rate_cov = rate_cov.sum(Block::of(simd, &clocks.rate));
+            covariance += clocks.innovation;
+        }
         let Some((inverse, determinant)) = invert_positive(&covariance) else {
-            let nothing = Innovation {
-                distance_squared: f64::INFINITY,
-                determinant: 1.0,
-                conditional_squared: Vector3::zeros(),
-                conditional_precision: Vector3::repeat(1.0),
-            };
-            return (Vector3::zeros(), nothing);
+            return (Vector3::zeros(), Innovation::none());
         };
         let weighted = inverse * residual;
         let innovation = Innovation::new(residual, &weighted, &inverse, determinant);
@@ -196,49 +215,68 @@ impl Kernel {
         } else {
             1.0
         };
-        let value_gain = value_cov * inverse;
-        let rate_gain = rate_cov * inverse;
+        // Of K its negative is wanted.
+        let value_gain = value_cov.times(&inverse).scaled(-weight);
+        let rate_gain = rate_cov.times(&inverse).scaled(-weight);
+        let gain = (value_gain.numbers(), rate_gain.numbers());
         if noise.timing_s > 0.0 {
-            self.shrink_by_any(&given, &(value_gain * weight), &(rate_gain * weight));
+            let (value_cov, rate_cov, covariance) = given;
+            let by = (value_cov.numbers(), rate_cov.numbers());
+            self.add(simd, (value_gain, rate_gain), &by);
+            let left =
+                (value_cov.plus(value_gain, &covariance), rate_cov.plus(rate_gain, &covariance));
+            self.add(simd, left, &gain);
         } else {
-            let share = 2.0 * weight - weight * weight;
-            let spread = &mut self.spread;
-            spread.value = symmetric(spread.value - value_gain * value_cov.transpose() * share);
-            spread.cross -= value_gain * rate_cov.transpose() * share;
-            spread.rate = symmetric(spread.rate - rate_gain * rate_cov.transpose() * share);
+            let by = (value_cov.numbers(), rate_cov.numbers());
+            let share = 2.0 - weight;
+            self.add(simd, (value_gain.scaled(share), rate_gain.scaled(share)), &by);
         }
-        let gain = gain_of(&(value_gain * weight), &(rate_gain * weight));
-        self.sources.correct(simd, own, &gain, &noise.systematic_root, &self.rate);
-        self.rate += rate_cov * weighted * weight;
-        (value_cov * weighted * weight, innovation)
+        make_symmetric(&mut self.spread.value);
+        make_symmetric(&mut self.spread.rate);
+        self.sources.correct(simd, own, &gain, root, &self.rate);
+        self.rate -= rate_gain.times_vector(residual);
+        (-value_gain.times_vector(residual), innovation)
     }
 
-    /// P after an update with any gain.
+    /// Adds to P the product of one with another transposed, each in parts of value and rate.
     #[inline(always)]
-    fn shrink_by_any(
+    fn add<S: Simd>(
         &mut self,
-        given: &Joint,
-        value_gain: &Matrix3<f64>,
-        rate_gain: &Matrix3<f64>,
+        simd: S,
+        (value, rate): (Block<S>, Block<S>),
+        (by_value, by_rate): &(Numbers, Numbers),
     ) {
         let spread = &mut self.spread;
-        let of_value = value_gain * given.innovation;
-        let of_rate = rate_gain * given.innovation;
-        let value = value_gain * given.value.transpose();
-        spread.value =
-            symmetric(spread.value - value - value.transpose() + of_value * value_gain.transpose());
-        spread.cross += of_value * rate_gain.transpose()
-            - value_gain * given.rate.transpose()
-            - given.value * rate_gain.transpose();
-        let rate = rate_gain * given.rate.transpose();
-        spread.rate =
-            symmetric(spread.rate - rate - rate.transpose() + of_rate * rate_gain.transpose());
+        Block::of(simd, &spread.value).plus_by(value, by_value).write(&mut spread.value);
+        Block::of(simd, &spread.cross).plus_by(value, by_rate).write(&mut spread.cross);
+        Block::of(simd, &spread.rate).plus_by(rate, by_rate).write(&mut spread.rate);
     }
 }
 
+/// S = A + Cp Lᵀ + L Cpᵀ + R, of A, `with` = A + Cp Lᵀ and R.
 #[inline(always)]
-fn symmetric(matrix: Matrix3<f64>) -> Matrix3<f64> {
-    (matrix + matrix.transpose()) * 0.5
+fn innovation_covariance(value: &Matrix3<f64>, with: &Matrix3<f64>, noise: &Noise) -> Matrix3<f64> {
+    with + (with - value).transpose() + noise.total
+}
+
+#[inline(always)]
+fn make_symmetric(matrix: &mut Matrix3<f64>) {
+    for (row, column) in [(1, 0), (2, 0), (2, 1)] {
+        let mean = 0.5 * (matrix[(row, column)] + matrix[(column, row)]);
+        matrix[(row, column)] = mean;
+        matrix[(column, row)] = mean;
+    }
+}
+
+/// Up to here a series stands in for the exponential.
+const SMALL_DECAY: f64 = 0.1;
+
+/// exp(-x).
+fn decayed(x: f64) -> f64 {
+    if x > SMALL_DECAY {
+        return (-x).exp();
+    }
+    (1..=9).rev().fold(1.0, |sum, order| 1.0 - x * (1.0 / f64::from(order)) * sum)
 }
 
 #[cfg(test)]

@@ -18,8 +18,16 @@ impl Spread {
     /// density along each axis.
     pub fn predict(&mut self, dt: f64, density: &Vector3<f64>) {
         let span = dt.abs();
-        let sum = self.cross + self.cross.transpose();
-        self.value += sum * dt + self.rate * (dt * dt);
+        let squared = dt * dt;
+        for row in 0..3 {
+            for column in 0..=row {
+                let both = self.cross[(row, column)] + self.cross[(column, row)];
+                let sum =
+                    self.value[(row, column)] + (both * dt + self.rate[(row, column)] * squared);
+                self.value[(row, column)] = sum;
+                self.value[(column, row)] = sum;
+            }
+        }
         self.cross += self.rate * dt;
         for axis in 0..3 {
             let q = density[axis];

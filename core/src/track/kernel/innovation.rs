@@ -2,8 +2,6 @@
 
 use nalgebra::{Matrix3, Vector3};
 
-use super::super::spread::Spread;
-
 /// A measurement's error: everything, and the root of the part that stays.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Noise {
@@ -46,49 +44,26 @@ impl Innovation {
         }
     }
 
+    /// `None` if the covariance is not positive definite.
+    #[inline(always)]
+    pub(super) fn of(residual: &Vector3<f64>, covariance: &Matrix3<f64>) -> Option<Self> {
+        let (inverse, determinant) = invert_positive(covariance)?;
+        Some(Self::new(residual, &(inverse * residual), &inverse, determinant))
+    }
+
+    /// Of a covariance that is none.
+    pub(super) fn none() -> Self {
+        Self {
+            distance_squared: f64::INFINITY,
+            determinant: 1.0,
+            conditional_squared: Vector3::zeros(),
+            conditional_precision: Vector3::repeat(1.0),
+        }
+    }
+
     /// ln det S.
     pub fn log_det(&self) -> f64 {
         self.determinant.ln()
-    }
-}
-
-/// Covariances of the errors of value and rate with an innovation, M and N, and of that, S.
-#[derive(Clone, Copy)]
-pub(super) struct Joint {
-    pub(super) value: Matrix3<f64>,
-    pub(super) rate: Matrix3<f64>,
-    pub(super) innovation: Matrix3<f64>,
-}
-
-impl Joint {
-    /// As if the clocks were known; `shared` are the correlations of value and rate with the systematic error.
-    #[inline(always)]
-    pub(super) fn of(
-        spread: &Spread,
-        shared: Option<&(Matrix3<f64>, Matrix3<f64>)>,
-        noise: &Noise,
-    ) -> Self {
-        let mut joint = Self {
-            value: spread.value,
-            rate: spread.cross.transpose(),
-            innovation: spread.value + noise.total,
-        };
-        if let Some((value, rate)) = shared {
-            let root_transposed = noise.systematic_root.transpose();
-            let shared = value * root_transposed;
-            joint.value += shared;
-            joint.rate += rate * root_transposed;
-            joint.innovation += shared + shared.transpose();
-        }
-        if noise.timing_s > 0.0 {
-            joint.innovation += spread.rate * noise.timing_s.powi(2);
-        }
-        joint
-    }
-
-    pub(super) fn innovation(&self, residual: &Vector3<f64>) -> Option<Innovation> {
-        let (inverse, determinant) = invert_positive(&self.innovation)?;
-        Some(Innovation::new(residual, &(inverse * residual), &inverse, determinant))
     }
 }
 

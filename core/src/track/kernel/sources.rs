@@ -9,11 +9,15 @@
 //!
 //! PERF: a filter's step with eight cameras, `cargo bench -p roundel-core --bench fusion`.
 
-use fearless_simd::{Level, Simd, SimdBase, dispatch, f64x8};
+use fearless_simd::{Level, Simd, SimdBase, SimdFloat, SimdMask, dispatch, f64x8};
 use fearless_simd_macros::simd;
 use nalgebra::{Matrix3, Vector3};
 
-use super::{super::spread::Spread, MAX_SOURCES, innovation::Joint};
+use super::{
+    super::spread::Spread,
+    MAX_SOURCES,
+    block::{Block, Numbers},
+};
 use crate::id::CameraId;
 
 /// Sources whose correlation has decayed below exp(-this) are let go.
@@ -50,13 +54,12 @@ pub(super) struct Sources {
     by_clock: [Row; 6],
 }
 
-/// K in rows, value and rate.
-pub(super) type Gain = [[f64; 3]; 6];
-
-/// The rows of both parts.
-pub(super) fn gain_of(value: &Matrix3<f64>, rate: &Matrix3<f64>) -> Gain {
-    let row = |of: &Matrix3<f64>, row: usize| [of[(row, 0)], of[(row, 1)], of[(row, 2)]];
-    [row(value, 0), row(value, 1), row(value, 2), row(rate, 0), row(rate, 1), row(rate, 2)]
+/// What clocks add to the covariances of the errors of value and rate with an innovation, and to that of the
+/// innovation.
+pub(super) struct ByClocks {
+    pub(super) value: Matrix3<f64>,
+    pub(super) rate: Matrix3<f64>,
+    pub(super) innovation: Matrix3<f64>,
 }
 
 impl Sources {
@@ -83,55 +86,69 @@ impl Sources {
 
     /// `dt` seconds later, when the systematic errors have kept this share.
     pub(super) fn predict(&mut self, dt: f64, kept: f64, systematic_time_s: f64) {
-        let mut index = 0;
-        while index < self.len {
-            self.ages_s[index] += dt.abs();
-            if self.ages_s[index] > FORGOTTEN_TIMES * systematic_time_s {
-                self.remove(index);
-            } else {
-                index += 1;
-            }
+        let most_s = FORGOTTEN_TIMES * systematic_time_s;
+        let is_any_old =
+            dispatch!(Level::new(), simd => self.predict_with(simd, (dt, kept), most_s));
+        if is_any_old {
+            self.forget(most_s);
         }
-        dispatch!(Level::new(), simd => self.predict_with(simd, dt, kept));
     }
 
+    /// True if a camera was not heard of for longer than so many seconds.
     #[simd]
-    fn predict_with<S: Simd>(&mut self, simd: S, dt: f64, kept: f64) {
+    fn predict_with<S: Simd>(&mut self, simd: S, (dt, kept): (f64, f64), most_s: f64) -> bool {
         for rows in &mut self.systematic {
             for axis in 0..3 {
-                let rate = load(simd, &rows[axis + 3]);
-                ((load(simd, &rows[axis]) + rate * dt) * kept).store_array(&mut rows[axis]);
-                (rate * kept).store_array(&mut rows[axis + 3]);
+                let rate = load(simd, &rows[axis + 3]) * kept;
+                rate.mul_add(dt, load(simd, &rows[axis]) * kept).store_array(&mut rows[axis]);
+                rate.store_array(&mut rows[axis + 3]);
             }
         }
         if self.is_timed {
             self.by_clock = moved(simd, &self.by_clock, dt);
         }
+        let ages_s = load(simd, &self.ages_s) + dt.abs();
+        ages_s.store_array(&mut self.ages_s);
+        ages_s.simd_gt(most_s).any_true()
+    }
+
+    /// Lets go of cameras that were not heard of for longer than so many seconds.
+    fn forget(&mut self, most_s: f64) {
+        for index in (0..self.len).rev() {
+            if self.ages_s[index] > most_s {
+                self.remove(index);
+            }
+        }
+        // Nobody's age.
+        self.ages_s[self.len..].fill(0.0);
     }
 
     /// The correlations with a camera's systematic error, value and rate.
-    pub(super) fn with(&self, index: usize) -> (Matrix3<f64>, Matrix3<f64>) {
-        let of = |row: usize, component: usize| self.systematic[component][row][index];
-        (Matrix3::from_fn(of), Matrix3::from_fn(|row, component| of(row + 3, component)))
+    #[inline(always)]
+    pub(super) fn with<S: Simd>(&self, simd: S, index: usize) -> (Block<S>, Block<S>) {
+        let [x, y, z] = &self.systematic;
+        let value = [at(x, 0, index), at(y, 0, index), at(z, 0, index)];
+        let rate = [at(x, 3, index), at(y, 3, index), at(z, 3, index)];
+        (Block::of_columns(simd, value), Block::of_columns(simd, rate))
     }
 
-    /// After a correction with this gain by a measurement of the camera `own`, whose systematic error has
+    /// After a correction with a gain of which this is the negative, value and rate, by a measurement of the camera `own`, whose systematic error has
     /// this root; `rate` is the state's before it.
     #[inline(always)]
     pub(super) fn correct<S: Simd>(
         &mut self,
         simd: S,
         own: usize,
-        gain: &Gain,
+        gain: &(Numbers, Numbers),
         systematic_root: &Matrix3<f64>,
         rate: &Vector3<f64>,
     ) {
         self.ages_s[own] = 0.0;
         let only = load(simd, &ONLY[own]);
         for (component, rows) in self.systematic.iter_mut().enumerate() {
-            let x = load(simd, &rows[0]) + only * systematic_root[(0, component)];
-            let y = load(simd, &rows[1]) + only * systematic_root[(1, component)];
-            let z = load(simd, &rows[2]) + only * systematic_root[(2, component)];
+            let x = only.mul_add(systematic_root[(0, component)], load(simd, &rows[0]));
+            let y = only.mul_add(systematic_root[(1, component)], load(simd, &rows[1]));
+            let z = only.mul_add(systematic_root[(2, component)], load(simd, &rows[2]));
             shrink(simd, rows, gain, [x, y, z]);
         }
         if self.is_timed {
@@ -140,52 +157,70 @@ impl Sources {
         }
     }
 
-    /// Adds what all clocks may, `dt` seconds from now; that of the camera `own` (if it is among them) by this
-    /// deviation.
-    pub(super) fn add_clocks(
+    /// What all clocks may add; that of the camera `own` by this deviation.
+    #[inline(always)]
+    pub(super) fn clocks<S: Simd>(
         &self,
-        joint: &mut Joint,
+        simd: S,
+        (own, timing_s): (usize, f64),
+        rate: &Vector3<f64>,
+    ) -> ByClocks {
+        let mut timings_s = self.timings_s;
+        timings_s[own] = timing_s;
+        let u = innovation_by(simd, &self.by_clock, own, rate);
+        let weighted = weighted(simd, u, &timings_s);
+        let mut sums = [Matrix3::zeros(); 3];
+        for row in 0..3 {
+            let lines =
+                [load(simd, &self.by_clock[row]), load(simd, &self.by_clock[row + 3]), u[row]];
+            for column in 0..3 {
+                for part in 0..3 {
+                    sums[part][(row, column)] = (lines[part] * weighted[column]).reduce_sum();
+                }
+            }
+        }
+        let [value, rate, innovation] = sums;
+        ByClocks { value, rate, innovation }
+    }
+
+    /// What they may add to the covariance of an innovation `dt` seconds from now; a camera that is not among
+    /// them is on its own.
+    pub(super) fn clocks_of_innovation(
+        &self,
         dt: f64,
         (own, timing_s): (Option<usize>, f64),
         rate: &Vector3<f64>,
-    ) {
+    ) -> Matrix3<f64> {
         let mut timings_s = self.timings_s;
-        let sums = match own {
-            Some(own) => {
-                timings_s[own] = timing_s;
-                dispatch!(Level::new(), simd => self.clock_sums(simd, dt, (own, &timings_s), rate))
-            }
-            None => {
-                joint.innovation += rate * rate.transpose() * (timing_s * timing_s);
-                let still = Vector3::zeros();
-                dispatch!(Level::new(), simd => self.clock_sums(simd, dt, (0, &timings_s), &still))
-            }
+        let Some(own) = own else {
+            let all = dispatch!(Level::new(), simd => {
+                self.innovation_clocks(simd, dt, (0, &timings_s), &Vector3::zeros())
+            });
+            return all + rate * rate.transpose() * (timing_s * timing_s);
         };
-        let block = |from: usize| Matrix3::from_fn(|row, column| sums[from + row][column]);
-        joint.value += block(0);
-        joint.rate += block(3);
-        joint.innovation += block(6);
+        timings_s[own] = timing_s;
+        dispatch!(Level::new(), simd => {
+            self.innovation_clocks(simd, dt, (own, &timings_s), rate)
+        })
     }
 
-    /// Σ σ² q uᵀ, and below it Σ σ² u uᵀ.
+    /// Σ σ² u uᵀ.
     #[simd]
-    fn clock_sums<S: Simd>(
+    fn innovation_clocks<S: Simd>(
         &self,
         simd: S,
         dt: f64,
         (own, timings_s): (usize, &Row),
         rate: &Vector3<f64>,
-    ) -> [[f64; 3]; 9] {
-        let by_clock = moved(simd, &self.by_clock, dt);
-        let u = innovation_by(simd, &by_clock, own, rate);
-        let timing_s = load(simd, timings_s);
-        let squares = timing_s * timing_s;
-        let weighted = [u[0] * squares, u[1] * squares, u[2] * squares];
-        let mut sums = [[0.0; 3]; 9];
-        for row in 0..9 {
-            let left = if row < 6 { load(simd, &by_clock[row]) } else { u[row - 6] };
-            for column in 0..3 {
-                sums[row][column] = (left * weighted[column]).reduce_sum();
+    ) -> Matrix3<f64> {
+        let u = innovation_by(simd, &moved(simd, &self.by_clock, dt), own, rate);
+        let weighted = weighted(simd, u, timings_s);
+        let mut sums = Matrix3::zeros();
+        for row in 0..3 {
+            for column in 0..=row {
+                let sum = (u[row] * weighted[column]).reduce_sum();
+                sums[(row, column)] = sum;
+                sums[(column, row)] = sum;
             }
         }
         sums
@@ -222,7 +257,9 @@ impl Sources {
 
     /// Σ Cp Cpᵀ.
     pub(super) fn systematic(&self) -> Matrix3<f64> {
-        let own = |index: usize| self.with(index).0;
+        let own = |index: usize| {
+            Matrix3::from_fn(|row, component| self.systematic[component][row][index])
+        };
         (0..self.len).map(|index| own(index) * own(index).transpose()).sum()
     }
 
@@ -315,11 +352,36 @@ fn innovation_by<S: Simd>(
     ]
 }
 
-/// Takes K u from the rows.
+/// σ² u.
 #[inline(always)]
-fn shrink<S: Simd>(simd: S, rows: &mut [Row; 6], gain: &Gain, u: [f64x8<S>; 3]) {
-    for (row, gain) in rows.iter_mut().zip(gain) {
-        let taken = u[0] * gain[0] + u[1] * gain[1] + u[2] * gain[2];
-        (load(simd, row) - taken).store_array(row);
+fn weighted<S: Simd>(simd: S, u: [f64x8<S>; 3], timings_s: &Row) -> [f64x8<S>; 3] {
+    let timing_s = load(simd, timings_s);
+    let squares = timing_s * timing_s;
+    [u[0] * squares, u[1] * squares, u[2] * squares]
+}
+
+/// Adds -K u to the rows.
+#[inline(always)]
+fn shrink<S: Simd>(
+    simd: S,
+    rows: &mut [Row; 6],
+    (value, rate): &(Numbers, Numbers),
+    [x, y, z]: [f64x8<S>; 3],
+) {
+    for axis in 0..3 {
+        let row = load(simd, &rows[axis]);
+        let row = x.mul_add(value[0][axis], row);
+        let row = z.mul_add(value[2][axis], y.mul_add(value[1][axis], row));
+        row.store_array(&mut rows[axis]);
+        let row = load(simd, &rows[axis + 3]);
+        let row = x.mul_add(rate[0][axis], row);
+        let row = z.mul_add(rate[2][axis], y.mul_add(rate[1][axis], row));
+        row.store_array(&mut rows[axis + 3]);
     }
+}
+
+/// Three rows' numbers of one camera.
+#[inline(always)]
+fn at(rows: &[Row; 6], from: usize, index: usize) -> [f64; 3] {
+    [rows[from][index], rows[from + 1][index], rows[from + 2][index]]
 }
