@@ -7,10 +7,9 @@
 //! that wait, which is good enough for gating as long as they are few ([`WAITING_MOST`]) and recent
 //! ([`WAITING_NS`]), and the velocity is known ([`WAITING_FROM`]).
 //!
-//! Full estimates are kept only here and there, the rest is computed again when needed: one where the last
-//! filtering ended, since what comes next mostly belongs behind it, one before as many measurements as late ones
-//! were put before of late, and others at distances that double with their age, since few measurements are very
-//! late.
+//! Full estimates are kept only here and there, the rest is computed again when needed: one before as many
+//! measurements as late ones were put before of late, and others at distances that double with their age, since few
+//! measurements are very late.
 
 use std::collections::VecDeque;
 
@@ -134,7 +133,7 @@ impl History {
     }
 
     /// Puts a measurement in its place.
-    pub fn insert(&mut self, measurement: Measurement, model: &MotionModel) -> Inserted {
+    pub fn insert(&mut self, measurement: &Measurement, model: &MotionModel) -> Inserted {
         let key = measurement.key();
         let newer = self.entries.iter().rev().take_while(|entry| entry.key() > key).count();
         // All before `place` have the same key or lower ones.
@@ -149,7 +148,11 @@ impl History {
         while self.kept() > number {
             self.spare.extend(self.checkpoints.pop_back().map(|kept| kept.estimate));
         }
-        self.entries.insert(place, measurement);
+        if newer == 0 {
+            self.entries.push_back(*measurement);
+        } else {
+            self.entries.insert(place, *measurement);
+        }
         self.waiting += 1;
         self.oldest_waiting = self.oldest_waiting.min(number);
         let ahead_ns = self.newest_time().ns_since(self.newest.time);
@@ -167,13 +170,15 @@ impl History {
         let count = self.count();
         let overtaken = count - self.oldest_waiting - self.waiting as u64;
         self.reach = overtaken.max(self.reach.saturating_sub(1));
+        if self.oldest_waiting < self.applied {
+            self.rewind(model);
+        }
         (self.waiting, self.oldest_waiting) = (0, u64::MAX);
-        self.rewind(model);
         while self.applied < count {
             self.newest.update(&self.entries[(self.applied - self.first) as usize], model);
             self.applied += 1;
-            let left = count - self.applied;
-            if left == 0 || left == self.reach || self.applied - self.kept() >= CHECKPOINT_EVERY {
+            let is_reached = self.reach > 0 && self.reach == count - self.applied;
+            if is_reached || self.applied - self.kept() >= CHECKPOINT_EVERY {
                 self.keep();
             }
         }
@@ -182,8 +187,6 @@ impl History {
     /// Makes the last kept estimate the newest.
     fn rewind(&mut self, model: &MotionModel) {
         match self.checkpoints.back() {
-            // It is the newest still.
-            Some(kept) if kept.applied == self.applied => {}
             Some(kept) => {
                 self.newest.copy_from(&kept.estimate);
                 self.applied = kept.applied;

@@ -167,7 +167,7 @@ impl Track {
         innovation: &Innovation,
         params: &FusionParams,
     ) -> (Inserted, Option<Event>) {
-        let inserted = self.history.insert(*seen, &self.model);
+        let inserted = self.history.insert(seen, &self.model);
         self.refresh();
         if matches!(inserted, Inserted::TooLate | Inserted::Duplicate) {
             return (inserted, None);
