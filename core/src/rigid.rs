@@ -17,6 +17,9 @@ pub const UNKNOWN_ANGLE_VARIANCE_RAD2: f64 = std::f64::consts::PI * std::f64::co
 /// Up to here series stand in for sines and their inverses: the square of a sine.
 pub(crate) const SMALL_SQUARED: f64 = 0.01;
 
+/// Of what points straight down less than this points aside, squared: its smallest rotation is any.
+const LEAST_ACROSS: f64 = 1e-30;
+
 /// Nearer to half a turn the closed forms of the smallest rotation lose digits: 1 + cos.
 const LEAST_COSINE: f64 = 0.01;
 
@@ -55,14 +58,22 @@ pub fn from_upper_triangle<const N: usize>(numbers: &[f64]) -> Option<SMatrix<f6
 /// rotation from +z, and for -z the half turn about x.
 pub fn orientation_of_normal(normal: &Vector3<f64>) -> UnitQuaternion<f64> {
     // (1 + z·n, z × n) is twice the half angle's cosine times that rotation.
-    let cosine = normal.norm() + normal.z;
-    if cosine > LEAST_COSINE {
-        let turn = Quaternion::new(cosine, -normal.y, normal.x, 0.0);
-        return UnitQuaternion::new_normalize(turn);
+    let across = normal.x * normal.x + normal.y * normal.y;
+    let length = (across + normal.z * normal.z).sqrt();
+    let cosine = if normal.z >= 0.0 { length + normal.z } else { across / (length - normal.z) };
+    if across < LEAST_ACROSS * length && normal.z < 0.0 {
+        return UnitQuaternion::from_quaternion(Quaternion::new(0.0, 1.0, 0.0, 0.0));
     }
-    UnitQuaternion::rotation_between(&Vector3::z(), normal).unwrap_or_else(|| {
-        UnitQuaternion::from_axis_angle(&Vector3::x_axis(), std::f64::consts::PI)
-    })
+    UnitQuaternion::new_normalize(Quaternion::new(cosine, -normal.y, normal.x, 0.0))
+}
+
+/// The turn about z by an angle of which cosine and sine are given.
+pub(crate) fn turn_about_z(cosine: f64, sine: f64) -> UnitQuaternion<f64> {
+    // Half the angle, from the larger one of both.
+    let larger = (0.5 * (1.0 + cosine.abs())).sqrt();
+    let smaller = 0.5 * sine.abs() / larger;
+    let (w, z) = if cosine >= 0.0 { (larger, smaller) } else { (smaller, larger) };
+    UnitQuaternion::new_normalize(Quaternion::new(w, 0.0, 0.0, z.copysign(sine)))
 }
 
 /// The matrix of the smallest rotation from one unit vector to another; `None` where they are nearly opposite.
@@ -199,6 +210,28 @@ mod tests {
             let root = Covariance6::from_column_slice(&numbers);
             let matrix = root + root.transpose() + Covariance6::identity() * (3.0 * added);
             prop_assert_eq!(is_positive_definite(&matrix), matrix.cholesky().is_some());
+        }
+    }
+
+    #[test]
+    fn what_points_nearly_down_is_turned_as_exactly() {
+        for aside in [0.2, 1e-3, 1e-6, 1e-9, 1e-12] {
+            let normal = Vector3::new(0.6 * aside, 0.8 * aside, -f64::sqrt(1.0 - aside * aside));
+            let turned = orientation_of_normal(&normal);
+            assert!((turned * Vector3::z() - normal).norm() < 1e-15, "{aside}");
+            // About what lies across both.
+            let axis = Vector3::z().cross(&normal).normalize();
+            assert!((turned * axis - axis).norm() < 1e-15, "{aside}");
+        }
+    }
+
+    #[test]
+    fn turns_about_z_are_those_of_their_angles() {
+        for step in -20..=20 {
+            let angle_rad = f64::from(step) * std::f64::consts::PI / 20.0;
+            let expected = UnitQuaternion::from_axis_angle(&Vector3::z_axis(), angle_rad);
+            let turn = turn_about_z(angle_rad.cos(), angle_rad.sin());
+            assert!(turn.angle_to(&expected) < 1e-7, "{angle_rad}");
         }
     }
 

@@ -84,6 +84,11 @@ impl RoundelPose {
     pub fn other_yaw_rad(&self) -> Option<f64> {
         self.yaw_rad.map(|yaw_rad| yaw::carried_rad(self, yaw_rad, &self.other_normal))
     }
+
+    /// Where the print's x points then, if this is where it points with `normal`; camera frame.
+    pub(crate) fn other_x(&self, x: &Vector3<f64>) -> Vector3<f64> {
+        yaw::x_for(x, &self.position_m, &self.other_normal)
+    }
 }
 
 /// One roundel found in one frame.

@@ -88,11 +88,15 @@ pub fn axes_for(
     position_m: &Vector3<f64>,
     normal: &Vector3<f64>,
 ) -> Matrix3<f64> {
-    let sight = position_m.normalize();
-    let a = axes.column(0);
-    let across = a - sight * sight.dot(&a);
-    let a = (across - sight * (across.dot(normal) / sight.dot(normal))).normalize();
+    let a = x_for(&axes.column(0).into_owned(), position_m, normal);
     Matrix3::from_columns(&[a, normal.cross(&a), *normal])
+}
+
+/// The x axis of these.
+pub fn x_for(x: &Vector3<f64>, position_m: &Vector3<f64>, normal: &Vector3<f64>) -> Vector3<f64> {
+    let sight = position_m.normalize();
+    let across = x - sight * sight.dot(x);
+    (across - sight * (across.dot(normal) / sight.dot(normal))).normalize()
 }
 
 /// The yaw about another normal with which the print's x still points the same way, as seen along the

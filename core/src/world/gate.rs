@@ -28,14 +28,28 @@ const LANES: usize = 8;
 /// The clock's error moves a measurement by the object's speed, and the prediction by less than as much.
 const CLOCK_SHARE: f64 = 2.0;
 
-/// Where all tracks are at one time, number by number.
+/// Where all tracks are at one time, eight by eight.
 #[derive(Clone, Debug, Default)]
 pub(super) struct Field {
-    places_m: [Vec<f64>; 3],
-    velocities_m_s: [Vec<f64>; 3],
-    /// tr P, with what clocks may add.
-    spreads_m2: Vec<f64>,
+    tracks: usize,
+    eights: Vec<Eight>,
 }
+
+/// Eight tracks, number by number.
+#[derive(Clone, Debug)]
+struct Eight {
+    places_m: [[f64; LANES]; 3],
+    velocities_m_s: [[f64; LANES]; 3],
+    /// tr P, with what clocks may add.
+    spreads_m2: [f64; LANES],
+}
+
+/// Nothing is near what is not there.
+const NOBODY: Eight = Eight {
+    places_m: [[f64::INFINITY; LANES]; 3],
+    velocities_m_s: [[0.0; LANES]; 3],
+    spreads_m2: [0.0; LANES],
+};
 
 /// What of a sighting meets the field.
 #[derive(Clone, Copy, Debug)]
@@ -55,33 +69,30 @@ impl Field {
     /// Of these tracks, for sightings up to `span_s` before or after `time` by a camera whose clock may be
     /// off by `timing_s`.
     pub(super) fn fill(&mut self, tracks: &[Track], time: Timestamp, span_s: f64, timing_s: f64) {
-        let columns = self.places_m.iter_mut().chain(&mut self.velocities_m_s);
-        columns.chain([&mut self.spreads_m2]).for_each(Vec::clear);
+        self.tracks = 0;
+        self.eights.clear();
         for track in tracks {
             self.push(&track.coarse.predicted(time), span_s, timing_s);
         }
-        self.pad();
-    }
-
-    /// Nothing is near the rest of the last eight.
-    fn pad(&mut self) {
-        let padded = self.spreads_m2.len().next_multiple_of(LANES);
-        self.places_m.iter_mut().for_each(|column| column.resize(padded, f64::INFINITY));
-        self.velocities_m_s.iter_mut().for_each(|column| column.resize(padded, 0.0));
-        self.spreads_m2.resize(padded, 0.0);
     }
 
     fn push(&mut self, coarse: &Coarse, span_s: f64, timing_s: f64) {
+        let lane = self.tracks % LANES;
+        if lane == 0 {
+            self.eights.push(NOBODY);
+        }
+        let eight = &mut self.eights[self.tracks / LANES];
+        self.tracks += 1;
         for axis in 0..3 {
-            self.places_m[axis].push(coarse.position_m[axis]);
-            self.velocities_m_s[axis].push(coarse.velocity_m_s[axis]);
+            eight.places_m[axis][lane] = coarse.position_m[axis];
+            eight.velocities_m_s[axis][lane] = coarse.velocity_m_s[axis];
         }
         let mut deviation_m = coarse.most_deviation_m(span_s);
         if timing_s > 0.0 {
             let speed_m_s = coarse.velocity_m_s.norm() + coarse.spread.2.max(0.0).sqrt();
             deviation_m += CLOCK_SHARE * timing_s * speed_m_s;
         }
-        self.spreads_m2.push(deviation_m * deviation_m);
+        eight.spreads_m2[lane] = deviation_m * deviation_m;
     }
 
     /// Tracks that the sighting may be of, none that is within this squared Mahalanobis length left out;
@@ -94,11 +105,11 @@ impl Field {
     #[simd]
     fn near_with<S: Simd>(&self, simd: S, probe: &Probe, limit: f64, near: &mut Vec<usize>) {
         let [r11, r12, r13, r22, r23, r33] = probe.precision;
-        for start in (0..self.spreads_m2.len()).step_by(LANES) {
-            let x = self.apart(simd, 0, start, probe);
-            let y = self.apart(simd, 1, start, probe);
-            let z = self.apart(simd, 2, start, probe);
-            let spread_m2 = eight(simd, &self.spreads_m2, start);
+        for (place, eight) in self.eights.iter().enumerate() {
+            let x = eight.apart(simd, 0, probe);
+            let y = eight.apart(simd, 1, probe);
+            let z = eight.apart(simd, 2, probe);
+            let spread_m2 = f64x8::load_array_ref(simd, &eight.spreads_m2);
             let apart_m2 = x * x + y * y + z * z;
             if apart_m2.simd_gt((spread_m2 + probe.trace_m2) * (2.0 * limit)).all_true() {
                 continue;
@@ -111,27 +122,22 @@ impl Field {
             let inside = (misfit * misfit).simd_le((spread + misfit) * (2.0 * limit));
             let mut left = inside.to_bitmask();
             while left != 0 {
-                near.push(start + left.trailing_zeros() as usize);
+                near.push(LANES * place + left.trailing_zeros() as usize);
                 left &= left - 1;
             }
         }
     }
 }
 
-impl Field {
-    /// The residuals of eight tracks along one axis. No closure: it would not be part of the function that
-    /// has the vector instructions.
+impl Eight {
+    /// The residuals along one axis. No closure: it would not be part of the function that has the vector
+    /// instructions.
     #[inline(always)]
-    fn apart<S: Simd>(&self, simd: S, axis: usize, start: usize, probe: &Probe) -> f64x8<S> {
-        let place_m = eight(simd, &self.places_m[axis], start);
-        let velocity_m_s = eight(simd, &self.velocities_m_s[axis], start);
+    fn apart<S: Simd>(&self, simd: S, axis: usize, probe: &Probe) -> f64x8<S> {
+        let place_m = f64x8::load_array_ref(simd, &self.places_m[axis]);
+        let velocity_m_s = f64x8::load_array_ref(simd, &self.velocities_m_s[axis]);
         velocity_m_s.mul_add(-probe.offset_s, probe.place_m[axis] - place_m)
     }
-}
-
-#[inline(always)]
-fn eight<S: Simd>(simd: S, column: &[f64], start: usize) -> f64x8<S> {
-    f64x8::from_slice(simd, &column[start..start + LANES])
 }
 
 impl Probe {
@@ -219,7 +225,6 @@ mod tests {
             let coarse = Coarse::of(&estimate, &model.acceleration_density_m2_s3);
             let time = estimate.time.plus_seconds(later_s);
             field.push(&coarse.predicted(time), offset_s.abs(), timing_s);
-            field.pad();
             let probe = Probe::new(place_m.into(), noise, offset_s);
             let mut near = Vec::new();
             field.near(&probe, LIMIT, &mut near);

@@ -19,7 +19,7 @@
 use nalgebra::{Matrix3, Matrix6, SMatrix, UnitQuaternion, Vector3, Vector6};
 
 use super::{
-    observation::orientation,
+    observation::orientations,
     reference::{self, PLACE_SIGMA_M, align},
 };
 use crate::{
@@ -143,7 +143,7 @@ fn ends(pairs: &[Pair], expected: Option<&Rigid>) -> Vec<Solution> {
         pairs.iter().filter(|pair| pair.pose.yaw_rad.is_some() && pair.pose.yaw_symmetry == 1)
     {
         let Some(turned) = pair.landmark.orientation else { continue };
-        starts.extend(turns(&pair.pose).map(|seen| {
+        starts.extend(orientations(&pair.pose).map(|seen| {
             let rotation = turned * seen.inverse();
             let origin_m = pair.landmark.position_m - rotation * pair.pose.position_m;
             Rigid::from_parts(origin_m.into(), rotation)
@@ -211,12 +211,6 @@ fn descend(pairs: &[Pair], mut place: Rigid) -> Option<Solution> {
     is_sound.then_some(Solution { world_from_camera: place, seen, placed, cost })
 }
 
-/// camera_from_roundel's rotation by both normals.
-fn turns(pose: &RoundelPose) -> [UnitQuaternion<f64>; 2] {
-    [(pose.normal, pose.yaw_rad), (pose.other_normal, pose.other_yaw_rad())]
-        .map(|(normal, yaw_rad)| orientation(&normal, yaw_rad))
-}
-
 /// By the normal that suits the place better.
 fn say(pair: &Pair, place: &Rigid) -> Option<Say> {
     let (pose, landmark) = (&pair.pose, &pair.landmark);
@@ -233,7 +227,7 @@ fn say(pair: &Pair, place: &Rigid) -> Option<Say> {
         return position_say(&turned, &placed, &error_m, jacobian);
     };
     let has_yaw = pose.yaw_rad.is_some() && pose.yaw_symmetry == 1;
-    let candidates = turns(pose).map(|turn| place.rotation * turn);
+    let candidates = orientations(pose).map(|turn| place.rotation * turn);
     let likelihood = pose.normal_likelihood.clamp(1e-3, 1.0 - 1e-3);
     let mut best: Option<Say> = None;
     for (candidate, likelihood) in candidates.into_iter().zip([likelihood, 1.0 - likelihood]) {

@@ -15,7 +15,7 @@ use super::{
 use crate::{
     id::CameraId,
     pose::{Detection, RoundelPose},
-    rigid::{Covariance6, is_positive_definite, orientation_of_normal},
+    rigid::{Covariance6, is_positive_definite, orientation_of_normal, turn_about_z},
     time::Timestamp,
     track::{AttitudeMeasurement, Measurement, Noise, positive_root},
 };
@@ -105,8 +105,7 @@ pub(super) fn measure(
         position_m: arm_m + place.translation.vector,
         position_noise,
         attitude: AttitudeMeasurement::new(
-            [(pose.normal, pose.yaw_rad), (pose.other_normal, pose.other_yaw_rad())]
-                .map(|(normal, yaw_rad)| place.rotation * orientation(&normal, yaw_rad)),
+            orientations(pose).map(|turned| place.rotation * turned),
             pose.normal_likelihood,
             pose.yaw_rad.map(|_| pose.yaw_symmetry),
             rotation_noise,
@@ -128,9 +127,21 @@ pub(super) fn with_stand(mut seen: Measurement, stand: &Stand) -> Measurement {
     seen
 }
 
+/// The roundel's orientations in the camera frame by both normals; the print's x points the same way in the
+/// picture.
+pub(super) fn orientations(pose: &RoundelPose) -> [UnitQuaternion<f64>; 2] {
+    let first = orientation(&pose.normal, pose.yaw_rad);
+    let level = orientation_of_normal(&pose.other_normal);
+    if pose.yaw_rad.is_none() {
+        return [first, level];
+    }
+    let x = level.inverse() * pose.other_x(&(first * Vector3::x()));
+    [first, level * turn_about_z(x.x, x.y)]
+}
+
 /// The roundel's orientation in the camera frame: the normal's, turned by the yaw about it.
 pub(super) fn orientation(normal: &Vector3<f64>, yaw_rad: Option<f64>) -> UnitQuaternion<f64> {
-    let level = orientation_of_normal(&normal.normalize());
+    let level = orientation_of_normal(normal);
     yaw_rad.map_or(level, |yaw_rad| {
         level * UnitQuaternion::from_axis_angle(&Vector3::z_axis(), yaw_rad)
     })
@@ -152,7 +163,10 @@ fn symmetric(matrix: Matrix3<f64>) -> Matrix3<f64> {
 pub(super) fn is_sound(pose: &RoundelPose) -> bool {
     let is_unit = |vector: &Vector3<f64>| (vector.norm() - 1.0).abs() < UNIT_TOLERANCE;
     let variances = pose.covariance.diagonal();
-    pose.position_m.iter().chain(pose.covariance.iter()).all(|number| number.is_finite())
+    // All of them, without a branch for each.
+    let are_finite = |numbers: &[f64]| numbers.iter().fold(true, |all, one| all & one.is_finite());
+    are_finite(pose.position_m.as_slice())
+        && are_finite(pose.covariance.as_slice())
         && is_unit(&pose.normal)
         && is_unit(&pose.other_normal)
         && (0.0..=1.0).contains(&pose.normal_likelihood)
