@@ -9,6 +9,8 @@ pub struct FusionCounts {
     pub duplicate_frames: u64,
     /// Frames older than the late window.
     pub late_frames: u64,
+    /// Frames that never came: numbers that their camera left out, or times at which its regular interval has one.
+    pub missing_frames: u64,
     /// Frames from an implausible future, or a past that their camera has left.
     pub jumped_frames: u64,
     /// Times that a camera's clock was found to be of another epoch or to have been set, so that its

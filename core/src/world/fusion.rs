@@ -18,6 +18,7 @@ use super::{
     clock::{ClockEstimate, ClockPrior, Clocks},
     count::FusionCounts,
     floor::Floors,
+    gap::Gaps,
     identity::{Claim, Identities, Mark, Subject},
     landmark::Landmark,
     life::Track,
@@ -64,6 +65,7 @@ pub struct Fusion {
     bodies: Bodies,
     floors: Floors,
     timeline: Timeline,
+    gaps: Gaps,
     /// In the order in which they began.
     tracks: Vec<Track>,
     /// To be named once more.
@@ -95,6 +97,7 @@ impl Fusion {
             bodies: Bodies::default(),
             floors: Floors::default(),
             timeline: Timeline::default(),
+            gaps: Gaps::default(),
             tracks: Vec::new(),
             lost: Vec::new(),
             next_id: 1,
@@ -152,6 +155,8 @@ impl Fusion {
         let detections = frame.detections.len() as u64;
         self.counts.frames += 1;
         self.counts.detections += detections;
+        let times = (frame.capture_time, frame.received_time);
+        self.counts.missing_frames += self.gaps.see(frame.camera, frame.frame, times);
         let limits = (self.params.late_window_ns, self.params.max_lead_ns);
         let Some(late) = self.lateness(frame) else {
             self.counts.jumped_frames += 1;

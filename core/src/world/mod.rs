@@ -2,7 +2,8 @@
 //!
 //! [`Fusion`] takes what cameras saw, each observation with its own time and covariance, in any
 //! order, and gives snapshots and events. It is a pure state machine: it reads no clock, and the
-//! same calls give the same bits. What is where: `timeline` judges frames by their times,
+//! same calls give the same bits. What is where: `timeline` judges frames by their times, `gap` counts those
+//! that never came,
 //! `observation` carries detections into the world, `association` says which object each one is
 //! of, [`crate::track`] estimates, `life` tells new from trusted from lost, `merge` joins two
 //! tracks of one object, `vote` counts the codes that it was seen with, `identity` gives an object that returns its
@@ -21,6 +22,7 @@ mod comparison;
 mod count;
 mod floor;
 mod fusion;
+mod gap;
 mod gate;
 mod identity;
 mod landmark;

@@ -336,6 +336,11 @@ fn write_fusion_counts(page: &mut Page, counts: &FusionCounts) {
     }
     for (name, help, count) in [
         (
+            "roundel_fusion_missing_frames_total",
+            "Frames that never came, by their cameras' numbers and regular intervals.",
+            counts.missing_frames,
+        ),
+        (
             "roundel_fusion_out_of_order_total",
             "Detections used that came after newer ones of their object.",
             counts.out_of_order,

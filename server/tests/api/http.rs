@@ -276,6 +276,7 @@ async fn metrics_tell_of_cameras_objects_and_clients() {
     rig.hub.set_fusion_counts(FusionCounts {
         frames: 10,
         late_frames: 3,
+        missing_frames: 6,
         used: 70,
         gated: 2,
         contradicted: 1,
@@ -314,6 +315,7 @@ async fn metrics_tell_of_cameras_objects_and_clients() {
         "roundel_camera_rejects_total{camera=\"north\",reason=\"frame_edge\"} 44",
         "roundel_camera_rejects_total{camera=\"north\",reason=\"tilt\"} 0",
         "roundel_fusion_clock_steps_total 5",
+        "roundel_fusion_missing_frames_total 6",
         "roundel_objects{stage=\"tracked\"} 2",
         "roundel_objects{stage=\"predicted\"} 1",
         "roundel_objects{stage=\"lost\"} 0",
