@@ -309,8 +309,8 @@ impl Hypothesis {
         };
         let robust = model.robust_distance_squared;
         let noise = seen.noise(index, (&self.normal(), unread_rad2));
-        let (correction, _) = self.kernel.update(&turn, &noise, camera, robust);
-        self.orientation = turn_by(&correction) * self.orientation;
+        let correction = self.kernel.update(&turn, &noise, camera, robust);
+        self.orientation = turn_by(&correction.value) * self.orientation;
         (fit, index)
     }
 

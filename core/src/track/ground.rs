@@ -26,7 +26,8 @@ impl Ground {
             return Vector3::zeros();
         }
         let noise = noise(Vector3::z(), self.deviation_m);
-        kernel.update(&Vector3::new(0.0, 0.0, held_m - height_m), &noise, FLOOR, f64::INFINITY).0
+        let off_m = Vector3::new(0.0, 0.0, held_m - height_m);
+        kernel.update(&off_m, &noise, FLOOR, f64::INFINITY).value
     }
 
     /// Holds the normal; `turn` would turn it upright. Gives the rotation that corrects it.
@@ -36,7 +37,7 @@ impl Ground {
             return Vector3::zeros();
         }
         let noise = noise(Vector3::new(1.0, 1.0, 0.0), self.tilt_rad);
-        kernel.update(turn, &noise, FLOOR, f64::INFINITY).0
+        kernel.update(turn, &noise, FLOOR, f64::INFINITY).value
     }
 }
 

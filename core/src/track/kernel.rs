@@ -30,10 +30,14 @@
 //! An innovation longer than the robust limit k (Mahalanobis) is held back with Huber's weight
 //! w = k/d; the covariance is then that of the gain w K: P ← P - (2w - w²) K S Kᵀ.
 //!
+//! Two things are kept for who chooses the process noise: how value and rate depend on it
+//! ([`Correction::slope`], [`super::density`]), and how much of P it has made ([`Kernel::told_sharing`]).
+//!
 //! P stays positive definite: S ≥ R, R has a floor and P a ceiling (see `world::params`), so that
 //! the subtraction keeps more than six digits; a property test drives it through the extremes.
 
 mod block;
+mod disturbed;
 mod innovation;
 mod sources;
 
@@ -44,12 +48,28 @@ use nalgebra::{Matrix3, Vector3};
 use super::{MotionModel, Spread};
 use crate::id::CameraId;
 use block::{Block, Numbers};
+use disturbed::Disturbed;
 pub use innovation::{Innovation, Noise};
 pub(crate) use innovation::{invert_positive, positive_root};
 use sources::Sources;
 
 /// Cameras whose systematic error is carried at most; the one not heard of longest gives way.
 pub const MAX_SOURCES: usize = 8;
+
+/// Powers of q by which the steady state's gains of value and rate grow.
+const VALUE_ORDER: f64 = 0.25;
+const RATE_ORDER: f64 = 0.5;
+
+/// What a measurement does.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Correction {
+    /// Of the value.
+    pub value: Vector3<f64>,
+    /// What was not foreseen.
+    pub innovation: Innovation,
+    /// Of the log-likelihood over the logarithm of the process noise's density, along each axis.
+    pub slope: Vector3<f64>,
+}
 
 /// Rate, covariance and systematic correlations; the value itself lies with the caller, who knows
 /// whether it is a vector or a rotation.
@@ -59,6 +79,10 @@ pub struct Kernel {
     pub rate: Vector3<f64>,
     /// Covariance.
     pub spread: Spread,
+    /// By how much value and rate would be further with a larger density of the process noise, dp and dv.
+    value_slope: Vector3<f64>,
+    rate_slope: Vector3<f64>,
+    disturbed: Disturbed,
     sources: Sources,
 }
 
@@ -74,6 +98,9 @@ impl Kernel {
                 cross: Matrix3::zeros(),
                 rate: Matrix3::from_diagonal(rate_variance),
             },
+            value_slope: Vector3::zeros(),
+            rate_slope: Vector3::zeros(),
+            disturbed: Disturbed::default(),
             sources: Sources::begin(camera, &noise.systematic_root, noise.timing_s > 0.0),
         }
     }
@@ -81,6 +108,8 @@ impl Kernel {
     /// Moves the covariance on by `dt` seconds; the caller moves the value by `rate` · dt.
     pub fn predict(&mut self, dt: f64, density: &Vector3<f64>, systematic_time_s: f64) {
         self.spread.predict(dt, density);
+        self.disturbed.predict(dt, density);
+        self.value_slope += self.rate_slope * dt;
         self.sources.predict(dt, decayed(dt.abs() / systematic_time_s), systematic_time_s);
     }
 
@@ -152,6 +181,18 @@ impl Kernel {
         spread
     }
 
+    /// The same if the process noise had made only these shares of what it has in value and rate.
+    pub fn told_sharing(&self, of_value: &Vector3<f64>, of_rate: &Vector3<f64>) -> Spread {
+        let mut spread = self.disturbed.without(&self.spread, (of_value, of_rate));
+        self.sources.add_told(&mut spread);
+        spread
+    }
+
+    /// How quickly it follows along each axis, 1/s.
+    pub fn bandwidth_hz(&self) -> Vector3<f64> {
+        self.disturbed.bandwidth_hz()
+    }
+
     /// Traces of [`Kernel::told`]'s blocks: of value, of both, of rate.
     pub fn told_traces(&self) -> (f64, f64, f64) {
         let spread = &self.spread;
@@ -172,7 +213,7 @@ impl Kernel {
         noise: &Noise,
         camera: CameraId,
         robust_distance_squared: f64,
-    ) -> (Vector3<f64>, Innovation) {
+    ) -> Correction {
         dispatch!(Level::new(), simd => {
             self.update_with(simd, residual, noise, camera, robust_distance_squared)
         })
@@ -186,7 +227,7 @@ impl Kernel {
         noise: &Noise,
         camera: CameraId,
         robust_distance_squared: f64,
-    ) -> (Vector3<f64>, Innovation) {
+    ) -> Correction {
         let own = self.sources.find_or_new(camera);
         self.sources.set_timing(own, noise.timing_s);
         let (of_value, of_rate) = self.sources.with(simd, own);
@@ -205,10 +246,14 @@ impl Kernel {
             covariance += clocks.innovation;
         }
         let Some((inverse, determinant)) = invert_positive(&covariance) else {
-            return (Vector3::zeros(), Innovation::none());
+            let nothing = Vector3::zeros();
+            return Correction { value: nothing, innovation: Innovation::none(), slope: nothing };
         };
         let weighted = inverse * residual;
-        let innovation = Innovation::new(residual, &weighted, &inverse, determinant);
+        let innovation = Innovation { distance_squared: residual.dot(&weighted), determinant };
+        let surprise = weighted.component_mul(&weighted) - inverse.diagonal();
+        let slope = weighted.component_mul(&self.value_slope)
+            + self.disturbed.value.component_mul(&surprise) * 0.5;
         let distance_squared = innovation.distance_squared;
         let weight = if distance_squared > robust_distance_squared {
             (robust_distance_squared / distance_squared).sqrt()
@@ -234,8 +279,12 @@ impl Kernel {
         make_symmetric(&mut self.spread.value);
         make_symmetric(&mut self.spread.rate);
         self.sources.correct(simd, own, &gain, root, &self.rate);
+        self.disturbed.update(&-diagonal(&gain.0), &-diagonal(&gain.1));
+        let lag = self.value_slope;
+        self.value_slope -= value_gain.times_vector(&(residual * VALUE_ORDER - lag));
+        self.rate_slope -= rate_gain.times_vector(&(residual * RATE_ORDER - lag));
         self.rate -= rate_gain.times_vector(residual);
-        (-value_gain.times_vector(residual), innovation)
+        Correction { value: -value_gain.times_vector(residual), innovation, slope }
     }
 
     /// Adds to P the product of one with another transposed, each in parts of value and rate.
@@ -251,6 +300,11 @@ impl Kernel {
         Block::of(simd, &spread.cross).plus_by(value, by_rate).write(&mut spread.cross);
         Block::of(simd, &spread.rate).plus_by(rate, by_rate).write(&mut spread.rate);
     }
+}
+
+#[inline(always)]
+fn diagonal(of: &Numbers) -> Vector3<f64> {
+    Vector3::new(of[0][0], of[1][1], of[2][2])
 }
 
 /// S = A + Cp Lᵀ + L Cpᵀ + R, of A, `with` = A + Cp Lᵀ and R.

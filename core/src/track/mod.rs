@@ -10,6 +10,7 @@
 //! *Estimation with Applications to Tracking and Navigation*, 2001, section 6.2.2).
 
 mod attitude;
+mod density;
 mod ground;
 mod history;
 mod kernel;
@@ -19,7 +20,7 @@ mod spread;
 pub use attitude::{Attitude, AttitudeEstimate, AttitudeMeasurement};
 pub(crate) use attitude::{smallest_turn, without_yaw};
 pub use history::{History, Inserted};
-pub use kernel::{Innovation, Kernel, MAX_SOURCES, Noise};
+pub use kernel::{Correction, Innovation, Kernel, MAX_SOURCES, Noise};
 pub(crate) use kernel::{invert_positive, positive_root};
 pub use motion::{Filter, Motion, MotionEstimate};
 pub use spread::Spread;

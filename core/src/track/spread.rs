@@ -17,7 +17,6 @@ impl Spread {
     /// F P Fᵀ + Q over `dt` seconds (either sign; the noise grows with |dt|), with the noise's
     /// density along each axis.
     pub fn predict(&mut self, dt: f64, density: &Vector3<f64>) {
-        let span = dt.abs();
         let squared = dt * dt;
         for row in 0..3 {
             for column in 0..=row {
@@ -29,6 +28,12 @@ impl Spread {
             }
         }
         self.cross += self.rate * dt;
+        self.disturb(dt, density);
+    }
+
+    /// What process noise of this density adds over `dt` seconds.
+    pub fn disturb(&mut self, dt: f64, density: &Vector3<f64>) {
+        let span = dt.abs();
         for axis in 0..3 {
             let q = density[axis];
             self.value[(axis, axis)] += q * span * span * span / 3.0;

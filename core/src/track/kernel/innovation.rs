@@ -21,44 +21,19 @@ pub struct Innovation {
     pub distance_squared: f64,
     /// det S.
     pub determinant: f64,
-    /// Of each component given the two others: squared length over variance, (Λν)ᵢ²/Λᵢᵢ, Λ = S⁻¹.
-    pub conditional_squared: Vector3<f64>,
-    /// And the reciprocal of that variance, Λᵢᵢ.
-    pub conditional_precision: Vector3<f64>,
 }
 
 impl Innovation {
-    #[inline(always)]
-    pub(super) fn new(
-        residual: &Vector3<f64>,
-        weighted: &Vector3<f64>,
-        inverse: &Matrix3<f64>,
-        determinant: f64,
-    ) -> Self {
-        let precision = inverse.diagonal();
-        Self {
-            distance_squared: residual.dot(weighted),
-            determinant,
-            conditional_squared: weighted.component_mul(weighted).component_div(&precision),
-            conditional_precision: precision,
-        }
-    }
-
     /// `None` if the covariance is not positive definite.
     #[inline(always)]
     pub(super) fn of(residual: &Vector3<f64>, covariance: &Matrix3<f64>) -> Option<Self> {
         let (inverse, determinant) = invert_positive(covariance)?;
-        Some(Self::new(residual, &(inverse * residual), &inverse, determinant))
+        Some(Self { distance_squared: residual.dot(&(inverse * residual)), determinant })
     }
 
     /// Of a covariance that is none.
     pub(super) fn none() -> Self {
-        Self {
-            distance_squared: f64::INFINITY,
-            determinant: 1.0,
-            conditional_squared: Vector3::zeros(),
-            conditional_precision: Vector3::repeat(1.0),
-        }
+        Self { distance_squared: f64::INFINITY, determinant: 1.0 }
     }
 
     /// ln det S.

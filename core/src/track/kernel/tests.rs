@@ -126,7 +126,7 @@ proptest! {
             kernel.predict(*dt, &Vector3::repeat(0.2), 1.0);
             plain.predict(*dt, 0.2, 1.0);
             let camera_id = CameraId(*camera as u32);
-            value += kernel.update(&(seen - value), &noise, camera_id, f64::INFINITY).0;
+            value += kernel.update(&(seen - value), &noise, camera_id, f64::INFINITY).value;
             plain.update(seen, &noise, *camera);
         }
         let expected = plain.covariance.view((0, 0), (6, 6)).clone_owned();
@@ -158,7 +158,7 @@ proptest! {
             let noise = Noise { timing_s, ..noise };
             kernel.predict(*dt * 20.0, &Vector3::new(0.2, 0.2, 1e-6), 1.0);
             let camera = CameraId(*camera as u32);
-            let (_, innovation) = kernel.update(seen, &noise, camera, 16.3);
+            let Correction { innovation, .. } = kernel.update(seen, &noise, camera, 16.3);
             prop_assert!(innovation.distance_squared.is_finite());
             prop_assert!(kernel.spread.matrix().cholesky().is_some(), "{:?}", kernel.spread);
         }
