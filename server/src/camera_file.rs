@@ -203,26 +203,19 @@ fn lens(
     };
     const EXAMPLE: &str = "distortion_coefficients: {rows: 1, cols: 5, data: [k1, k2, p1, p2, k3]}";
     let (k, line) = data("distortion_coefficients", coefficients, EXAMPLE)?;
-    let lens = match (model.value.as_str(), k.as_slice()) {
-        ("plumb_bob", &[k1, k2, p1, p2]) => Lens::PlumbBob([k1, k2, p1, p2, 0.0]),
-        ("plumb_bob", &[k1, k2, p1, p2, k3]) => Lens::PlumbBob([k1, k2, p1, p2, k3]),
-        ("rational_polynomial", k) if k.len() == 8 => {
-            Lens::Rational([k[0], k[1], k[2], k[3], k[4], k[5], k[6], k[7]])
-        }
-        ("equidistant" | "fisheye", &[k1, k2, k3, k4]) => Lens::Equidistant([k1, k2, k3, k4]),
-        (name, k) => {
-            let counts: Vec<String> = wanted.iter().map(ToString::to_string).collect();
-            return Err(Wrong::at(
-                line,
-                format!(
-                    "`distortion_coefficients.data` of {name} must have {} numbers, found {}",
-                    counts.join(" or "),
-                    k.len()
-                ),
-                "write them in ROS' order, or correct `distortion_model`",
-            ));
-        }
-    };
+    let lens = Lens::from_ros(&model.value, &k).ok_or_else(|| {
+        let counts: Vec<String> = wanted.iter().map(ToString::to_string).collect();
+        Wrong::at(
+            line,
+            format!(
+                "`distortion_coefficients.data` of {} must have {} numbers, found {}",
+                model.value,
+                counts.join(" or "),
+                k.len()
+            ),
+            "write them in ROS' order, or correct `distortion_model`",
+        )
+    })?;
     Ok((lens, line))
 }
 

@@ -39,6 +39,18 @@ const MAX_STEPS: usize = 60;
 const STEP_TOLERANCE: f64 = 1e-9;
 
 impl Lens {
+    /// The model of that name with coefficients in ROS' order; `plumb_bob` may leave out k3. `None` for a name
+    /// or a number of coefficients that there is not.
+    pub fn from_ros(name: &str, coefficients: &[f64]) -> Option<Self> {
+        match (name, coefficients) {
+            ("plumb_bob", &[k1, k2, p1, p2]) => Some(Self::PlumbBob([k1, k2, p1, p2, 0.0])),
+            ("plumb_bob", k) => k.try_into().ok().map(Self::PlumbBob),
+            ("rational_polynomial", k) => k.try_into().ok().map(Self::Rational),
+            ("equidistant" | "fisheye", k) => k.try_into().ok().map(Self::Equidistant),
+            _ => None,
+        }
+    }
+
     /// ROS' name of the model.
     pub fn name(&self) -> &'static str {
         match self {

@@ -1,20 +1,45 @@
 //! What a person should know of a calibration: each finding says which camera or reference is meant and what
-//! to do. Indices count from 0 in the order given; the server says names instead.
+//! to do, by the [`Names`] that the installation has for them.
 
 use std::fmt;
-
-use thiserror::Error;
 
 use crate::{
     id::{CameraId, KindId},
     marker::Code,
 };
 
+/// What an installation calls its things, as parts of a sentence.
+pub trait Names {
+    /// "camera north".
+    fn camera(&self, id: CameraId) -> String;
+    /// "reference 2"; the index counts from 0 in the order given.
+    fn reference(&self, index: usize) -> String;
+    /// "kind robot".
+    fn kind(&self, id: KindId) -> String;
+}
+
+/// Names by number, all from 0, for who has no others.
+#[derive(Clone, Copy, Debug)]
+pub struct Numbers;
+
+impl Names for Numbers {
+    fn camera(&self, id: CameraId) -> String {
+        format!("camera {}", id.0)
+    }
+
+    fn reference(&self, index: usize) -> String {
+        format!("reference {index}")
+    }
+
+    fn kind(&self, id: KindId) -> String {
+        format!("kind {}", id.0)
+    }
+}
+
 /// Something that a person should know.
-#[derive(Clone, Debug, PartialEq, Error)]
+#[derive(Clone, Debug, PartialEq)]
 pub enum Finding {
     /// A camera saw no roundel.
-    #[error("camera {} saw no roundel of known identity in {frames} frames: check its picture, its lens file and the roundels' sizes", camera.0)]
     Unseen {
         /// Which.
         camera: CameraId,
@@ -22,13 +47,11 @@ pub enum Finding {
         frames: u64,
     },
     /// A camera shares roundels with none that is placed.
-    #[error("camera {} saw no roundel together with any placed camera, so its place is unknown: let robots drive where its view overlaps another's", camera.0)]
     Apart {
         /// Which.
         camera: CameraId,
     },
     /// What a camera shares with others moved too little.
-    #[error("camera {} and camera {} shared roundels within {:.2} m only, so how they stand to one another is unknown: let robots drive across the whole overlap", camera.0, other.0, spread_m)]
     TooLittleMotion {
         /// Which.
         camera: CameraId,
@@ -38,7 +61,6 @@ pub enum Finding {
         spread_m: f64,
     },
     /// A reference stands elsewhere than was said.
-    #[error("reference {reference} appears {:.1} mm from where it was said to be, seen from camera {}; it was left out: measure it again", off_m * 1e3, camera.0)]
     Misplaced {
         /// In the order given, from 0.
         reference: usize,
@@ -48,7 +70,6 @@ pub enum Finding {
         off_m: f64,
     },
     /// A reference was moved meanwhile.
-    #[error("reference {reference} moved by {:.1} mm while camera {} watched; it was left out: fix it and record again", moved_m * 1e3, camera.0)]
     Moved {
         /// In the order given, from 0.
         reference: usize,
@@ -58,13 +79,11 @@ pub enum Finding {
         moved_m: f64,
     },
     /// No camera saw a reference.
-    #[error("reference {reference} was seen by no camera: check its place and its code")]
     ReferenceUnseen {
         /// In the order given, from 0.
         reference: usize,
     },
     /// A camera saw two roundels of one code at once.
-    #[error("camera {} saw code {} of kind {} in two places at once, so it was left out: print each code once", camera.0, code.number, kind.0)]
     Twice {
         /// Which.
         camera: CameraId,
@@ -74,7 +93,6 @@ pub enum Finding {
         code: Code,
     },
     /// A camera saw a roundel where no other did.
-    #[error("camera {} saw code {} of kind {} elsewhere than others did in {:.0} % of {sightings} sightings: look for two roundels with this code", camera.0, code.number, kind.0, share * 100.0)]
     Elsewhere {
         /// Which.
         camera: CameraId,
@@ -88,7 +106,6 @@ pub enum Finding {
         share: f64,
     },
     /// A camera's errors are larger than detections can be.
-    #[error("camera {}: errors are {ratio:.1} times what its detections state ({rms_px:.2} px): its lens file or the roundels' diameters may be wrong", camera.0)]
     Doubtful {
         /// Which.
         camera: CameraId,
@@ -98,7 +115,6 @@ pub enum Finding {
         rms_px: f64,
     },
     /// A camera's place is known badly.
-    #[error("camera {} is weakly tied: its place is known to {:.1} mm and {:.3}°: {advice}", camera.0, deviation_m * 1e3, deviation_rad.to_degrees())]
     Weak {
         /// Which.
         camera: CameraId,
@@ -122,31 +138,96 @@ pub enum Advice {
     References,
 }
 
-impl fmt::Display for Advice {
-    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+impl Finding {
+    /// Whether the result should not be used before somebody has looked at it.
+    pub fn is_grave(&self) -> bool {
+        matches!(self, Self::Misplaced { .. } | Self::Doubtful { .. })
+    }
+
+    /// In a sentence.
+    pub fn told(&self, names: &dyn Names) -> String {
+        let camera = |id: &CameraId| names.camera(*id);
         match self {
-            Self::Overlap(other) => {
-                write!(f, "let robots drive longer where it overlaps camera {}", other.0)
-            }
-            Self::Cover(share) => write!(
-                f,
-                "roundels were seen in {:.0} % of its image: let robots drive through the rest",
+            Self::Unseen { camera: id, frames } => format!(
+                "{} saw no roundel of known identity in {frames} frames: check its picture, its lens file and \
+                 the roundels' sizes",
+                camera(id)
+            ),
+            Self::Apart { camera: id } => format!(
+                "{} saw no roundel together with any placed camera, so its place is unknown: let robots \
+                 drive where its view overlaps another's",
+                camera(id)
+            ),
+            Self::TooLittleMotion { camera: id, other, spread_m } => format!(
+                "{} and {} shared roundels within {spread_m:.2} m only, so how they stand to one another is \
+                 unknown: let robots drive across the whole overlap",
+                camera(id),
+                camera(other)
+            ),
+            Self::Misplaced { reference, camera: id, off_m } => format!(
+                "{} appears {:.1} mm from where it was said to be, seen from {}; it was left out: measure it \
+                 again",
+                names.reference(*reference),
+                off_m * 1e3,
+                camera(id)
+            ),
+            Self::Moved { reference, camera: id, moved_m } => format!(
+                "{} moved by {:.1} mm while {} watched; it was left out: fix it and record again",
+                names.reference(*reference),
+                moved_m * 1e3,
+                camera(id)
+            ),
+            Self::ReferenceUnseen { reference } => format!(
+                "{} was seen by no camera: check its place and its code",
+                names.reference(*reference)
+            ),
+            Self::Twice { camera: id, kind, code } => format!(
+                "{} saw code {} of {} in two places at once, so it was left out: print each code once",
+                camera(id),
+                code.number,
+                names.kind(*kind)
+            ),
+            Self::Elsewhere { camera: id, kind, code, sightings, share } => format!(
+                "{} saw code {} of {} elsewhere than others did in {:.0} % of {sightings} sightings: look for \
+                 two roundels with this code",
+                camera(id),
+                code.number,
+                names.kind(*kind),
                 share * 100.0
             ),
-            Self::References => f.write_str("spread the references further over its view"),
+            Self::Doubtful { camera: id, ratio, rms_px } => format!(
+                "{}: errors are {ratio:.1} times what its detections state ({rms_px:.2} px): its lens file or \
+                 the roundels' diameters may be wrong",
+                camera(id)
+            ),
+            Self::Weak { camera: id, deviation_m, deviation_rad, advice } => format!(
+                "{} is weakly tied: its place is known to {:.1} mm and {:.3}°: {}",
+                camera(id),
+                deviation_m * 1e3,
+                deviation_rad.to_degrees(),
+                advice.told(names)
+            ),
         }
     }
 }
 
-/// "camera 0 sees 2, camera 1 sees 0".
-pub(super) fn seen_references(seen: &[(CameraId, usize)]) -> String {
-    let say = |(camera, count): &(CameraId, usize)| format!("camera {} sees {count}", camera.0);
-    seen.iter().map(say).collect::<Vec<_>>().join(", ")
+impl fmt::Display for Finding {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.write_str(&self.told(&Numbers))
+    }
 }
 
-/// "reference 2 is 34.0 mm off".
-pub(super) fn offs(offs_m: &[(usize, f64)]) -> String {
-    let say =
-        |(index, off_m): &(usize, f64)| format!("reference {index} is {:.1} mm off", off_m * 1e3);
-    offs_m.iter().map(say).collect::<Vec<_>>().join(", ")
+impl Advice {
+    fn told(&self, names: &dyn Names) -> String {
+        match self {
+            Self::Overlap(other) => {
+                format!("let robots drive longer where it overlaps {}", names.camera(*other))
+            }
+            Self::Cover(share) => format!(
+                "roundels were seen in {:.0} % of its image: let robots drive through the rest",
+                share * 100.0
+            ),
+            Self::References => "spread the references further over its view".to_owned(),
+        }
+    }
 }

@@ -13,6 +13,7 @@
 mod band;
 mod bundle;
 mod course;
+mod error;
 mod finding;
 mod gather;
 mod reference;
@@ -24,17 +25,17 @@ mod subject;
 use std::collections::BTreeMap;
 
 use nalgebra::Matrix3;
-use thiserror::Error;
 
 use crate::{
     camera::Camera,
     id::CameraId,
     rigid::{Covariance6, Rigid},
-    world::{Landmark, reference::ReferenceError},
+    world::Landmark,
 };
 use bundle::{Bundle, Failed, Prior};
 use course::Course;
-pub use finding::{Advice, Finding};
+pub use error::ArenaError;
+pub use finding::{Advice, Finding, Names, Numbers};
 pub use gather::Recording;
 use gather::{Name, Sample};
 use reference::Standing;
@@ -84,15 +85,13 @@ impl Default for LensDeviation {
 pub struct ArenaParams {
     /// Control points of a roundel's course are this far apart, seconds.
     pub knot_s: f64,
-    /// Share of a detection's variance that stays from frame to frame …
+    /// Share of a detection's variance that is the same in every frame of what stands still.
     pub systematic_share: f64,
-    /// … and for how long.
-    pub systematic_time_s: f64,
 }
 
 impl Default for ArenaParams {
     fn default() -> Self {
-        Self { knot_s: 0.1, systematic_share: 0.5, systematic_time_s: 1.0 }
+        Self { knot_s: 0.1, systematic_share: 0.5 }
     }
 }
 
@@ -103,47 +102,6 @@ pub struct Progress {
     pub step: usize,
     /// Length of the last one in deviations of what it changed; below 0.001 is the end.
     pub length: f64,
-}
-
-/// Why there is no calibration. Indices count from 0 in the order given.
-#[derive(Clone, Debug, PartialEq, Error)]
-pub enum ArenaError {
-    /// No cameras, or the same twice.
-    #[error("expected each camera once, found {found:?}")]
-    Cameras {
-        /// Those given.
-        found: Vec<CameraId>,
-    },
-    /// No camera sees enough of the references.
-    #[error("no camera sees three references: {}", finding::seen_references(seen))]
-    References {
-        /// How many each camera sees.
-        seen: Vec<(CameraId, usize)>,
-    },
-    /// The references contradict one another as a camera sees them.
-    #[error("camera {}: {source}", camera.0)]
-    Placing {
-        /// Which camera.
-        camera: CameraId,
-        /// Why.
-        source: ReferenceError,
-    },
-    /// One reference or more is not where it was said to be, and which cannot be told.
-    #[error("camera {}: the references are not where they were said to be: {}; measure their places and diameters again, or say that the lens is not exact", camera.0, finding::offs(offs_m))]
-    Misplaced {
-        /// Which camera sees it.
-        camera: CameraId,
-        /// Each reference and how far off it appears, metres.
-        offs_m: Vec<(usize, f64)>,
-    },
-    /// Nothing ties any other camera to the ones that see references.
-    #[error(
-        "sightings do not determine the cameras' places; let robots drive where cameras overlap, for longer"
-    )]
-    Undetermined,
-    /// The caller wanted no more of it.
-    #[error("stopped on request")]
-    Cancelled,
 }
 
 /// Finds all cameras' places. `go_on` hears of every step and may end it by `false`.

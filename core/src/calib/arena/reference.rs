@@ -191,7 +191,7 @@ fn mean(samples: &[Sample], params: &ArenaParams) -> (Option<Sample>, Option<f64
 }
 
 fn average(samples: &[Sample], params: &ArenaParams) -> Option<Sample> {
-    let (first, last) = samples.first().zip(samples.last())?;
+    let first = samples.first()?;
     let count = samples.len() as f64;
     let mut information = Matrix3::zeros();
     let mut weighted = Vector3::zeros();
@@ -201,10 +201,9 @@ fn average(samples: &[Sample], params: &ArenaParams) -> Option<Sample> {
         weighted += weight * sample.place_m;
     }
     let inverse = information.cholesky()?.inverse();
-    let lasts_s = last.stamp_s - first.stamp_s;
-    let q = params.systematic_share.clamp(0.0, 1.0);
-    let stays = q * (2.0 * params.systematic_time_s / lasts_s.max(1e-9)).min(1.0);
-    let covariance = inverse * count * (stays + (1.0 - q) / count);
+    // Of what stands, each frame shows the same pixels: what is systematic stays.
+    let stays = params.systematic_share.clamp(0.0, 1.0);
+    let covariance = inverse * count * (stays + (1.0 - stays) / count);
     Some(Sample { stamp_s: first.stamp_s, place_m: inverse * weighted, covariance })
 }
 
