@@ -1,6 +1,10 @@
 //! The only place where core's types become proto's. What the fields mean stands in the `.proto`
 //! files and in core; here they only change their clothes.
 
+mod calibration;
+
+pub use calibration::calibration;
+
 use nalgebra::{UnitQuaternion, Vector3};
 use roundel_core::{
     camera::{Camera, PixelPoint},
@@ -204,13 +208,18 @@ pub fn object(installation: &Installation, record: &ObjectRecord) -> v1::Object 
 /// An event.
 pub fn event(installation: &Installation, event: &Event) -> v1::Event {
     let of_camera = |kind, id| (kind, 0, installation.camera_name(id).to_owned());
+    let of_none = |kind| (kind, 0, String::new());
     let (kind, object_id, camera) = match event.happening {
         Happening::Object(id, kind) => (object_event_kind(kind), id.0, String::new()),
         Happening::Camera(id, status) => of_camera(camera_event_kind(status), id),
         Happening::ClockSet(id) => of_camera(v1::EventKind::CameraClockSet, id),
         Happening::Placed(id) => of_camera(v1::EventKind::CameraPlaced, id),
         Happening::Unplaced(id) => of_camera(v1::EventKind::CameraUnplaced, id),
-        Happening::WrongHeight => (v1::EventKind::HeightContradicted, 0, String::new()),
+        Happening::WrongHeight => of_none(v1::EventKind::HeightContradicted),
+        Happening::CalibrationBegun => of_none(v1::EventKind::CalibrationBegun),
+        Happening::CalibrationDone => of_none(v1::EventKind::CalibrationDone),
+        Happening::CalibrationFailed => of_none(v1::EventKind::CalibrationFailed),
+        Happening::CalibrationApplied => of_none(v1::EventKind::CalibrationApplied),
     };
     v1::Event {
         sequence: event.sequence,
@@ -255,6 +264,7 @@ fn pose_status(status: PoseStatus) -> v1::PoseStatus {
     match status {
         PoseStatus::Configured => v1::PoseStatus::Configured,
         PoseStatus::Found => v1::PoseStatus::Found,
+        PoseStatus::Calibrated => v1::PoseStatus::Calibrated,
         PoseStatus::Riding => v1::PoseStatus::Riding,
         PoseStatus::Searching => v1::PoseStatus::Searching,
         PoseStatus::Without(Unplaced::Unknown | Unplaced::CarrierUnseen) => {

@@ -121,6 +121,14 @@ pub enum Happening {
     Unplaced(CameraId),
     /// What drives is not as high as was configured.
     WrongHeight,
+    /// A calibration of the arena records.
+    CalibrationBegun,
+    /// There is a result.
+    CalibrationDone,
+    /// There is none, and why.
+    CalibrationFailed,
+    /// Cameras take a result over, or a kept one is left out.
+    CalibrationApplied,
 }
 
 /// Something that happened once.

@@ -7,6 +7,7 @@
 //! | [`source`] | frames with capture times, from a URL | the worker |
 //! | [`worker`] | newest frame → detections → observations; supervised restarts | one OS thread a camera |
 //! | [`fusion`] | drives `core::world`'s state machine; snapshots at a fixed rate | one OS thread |
+//! | [`calibration`] | finds where cameras stand while they are served, and keeps it | one OS thread meanwhile |
 //! | [`hub`] | the newest of everything, for whoever asks | shared |
 //! | [`convert`] | the only place where core's types become proto's | – |
 //! | [`api`] | gRPC, REST, WebSocket, metrics and the dashboard on one port | async tasks |
@@ -14,6 +15,7 @@
 //! | [`cli`] | the commands of `roundel` | main thread |
 
 pub mod api;
+pub mod calibration;
 pub mod camera_file;
 pub mod cli;
 pub mod clock;

@@ -20,15 +20,19 @@ use tokio_util::sync::CancellationToken;
 
 use crate::{
     api,
+    calibration::{
+        Calibrated, Calibrator, CalibratorParts,
+        file::{CalibrationFile, CalibrationFileError, Configured},
+    },
     clock::Clock,
-    config::{CameraConfig, Config},
+    config::{CameraConfig, CameraPose, Config},
     fusion::{FusionTask, QUEUE_FRAMES},
-    hub::Hub,
+    hub::{Happening, Hub},
     source::{OpenSource, Playback, SourceOpener, TimesError},
     stop::Stop,
-    worker::{self, Sighted, Worker, WorkerParts, pipeline::Pipeline},
+    worker::{self, Sighted, Worker, WorkerParts, adoption::Inbox, pipeline::Pipeline},
 };
-use setup::{camera_id, fusion, installation, pipeline, place};
+use setup::{camera_id, fusion, installation, landmarks, pipeline, place};
 
 /// Time that shutdown may take in all.
 pub const GRACE: Duration = Duration::from_secs(5);
@@ -49,6 +53,9 @@ pub enum ServeError {
     /// The clock cannot follow a file of times.
     #[error(transparent)]
     Times(#[from] TimesError),
+    /// The calibration file cannot be used.
+    #[error(transparent)]
+    Calibration(#[from] CalibrationFileError),
     /// The kinds of roundel cannot be searched for.
     #[error("kinds of roundel: {0}")]
     Detector(#[from] DetectorError),
@@ -106,6 +113,7 @@ pub struct Server {
     hub: Arc<Hub>,
     clock: Clock,
     playback: Playback,
+    calibrator: Arc<Calibrator>,
     stop_cameras: Stop,
     stop_fusion: Stop,
     cancel_clients: CancellationToken,
@@ -131,7 +139,7 @@ impl Server {
     /// sources give frames of the size of the camera's calibration, with capture times on the
     /// setting's clock, and end their waits on its stop signal.
     pub async fn start_with_sources(
-        config: Config,
+        mut config: Config,
         mut source: impl FnMut(CameraSetting<'_>) -> Box<dyn OpenSource>,
     ) -> Result<Self, ServeError> {
         let address = config.server.listen;
@@ -140,11 +148,22 @@ impl Server {
         let address = listener.local_addr().map_err(listening)?;
         let (clock, playback) = Playback::begin(config.cameras.iter().map(|c| &c.address))?;
         let hub = Arc::new(Hub::new(installation(&config, clock.now())));
+        let calibrated = config.cameras.iter().map(calibrated).collect();
+        let file = kept_calibration(&mut config, &hub, clock)?;
+        let calibrator = Arc::new(Calibrator::new(CalibratorParts {
+            hub: hub.clone(),
+            clock,
+            cameras: calibrated,
+            landmarks: landmarks(&config),
+            path: config.server.calibration.clone(),
+            file,
+        }));
         let mut server = Self {
             address,
             hub: hub.clone(),
             clock,
             playback,
+            calibrator: calibrator.clone(),
             stop_cameras: Stop::default(),
             stop_fusion: Stop::default(),
             cancel_clients: CancellationToken::new(),
@@ -159,7 +178,12 @@ impl Server {
             ..api::Limits::default()
         };
         let cancel = server.cancel_clients.clone();
-        server.api = Some(tokio::spawn(api::serve(listener, hub, clock, limits, cancel)));
+        server.api = Some(tokio::spawn(api::serve(
+            listener,
+            api::Served { hub, clock, calibrator },
+            limits,
+            cancel,
+        )));
         Ok(server)
     }
 
@@ -181,6 +205,11 @@ impl Server {
     /// The time line of its recorded and simulated sources.
     pub fn playback(&self) -> Playback {
         self.playback
+    }
+
+    /// What calibrates its arena.
+    pub fn calibrator(&self) -> &Arc<Calibrator> {
+        &self.calibrator
     }
 
     fn start_threads(
@@ -207,6 +236,8 @@ impl Server {
                 }),
                 pipeline: Pipeline::new(pipeline(camera, config)?)?,
                 place: place(camera, config),
+                calibration_version: version_of(camera, &self.calibrator),
+                inbox: self.calibrator.inbox(camera_id(index)),
                 hub: self.hub.clone(),
                 fusion: to_fusion.clone(),
                 clock: self.clock,
@@ -223,6 +254,9 @@ impl Server {
     pub async fn shutdown(mut self) {
         let deadline = Instant::now() + (GRACE - CLIENT_GRACE);
         self.stop_cameras.stop();
+        if let Some(calibration) = self.calibrator.shut_down() {
+            join(calibration, deadline).await;
+        }
         for camera in std::mem::take(&mut self.cameras) {
             join(camera, deadline).await;
         }
@@ -242,9 +276,46 @@ impl Server {
 impl Drop for Server {
     fn drop(&mut self) {
         self.stop_cameras.stop();
+        self.calibrator.shut_down();
         self.stop_fusion.stop();
         self.cancel_clients.cancel();
     }
+}
+
+/// What the calibrator is told of a camera, before a kept calibration is merged.
+fn calibrated(camera: &CameraConfig) -> Calibrated {
+    let rides = matches!(camera.pose, CameraPose::Rides(_));
+    Calibrated {
+        name: camera.name.clone(),
+        configured: (!rides).then(|| Configured::of(camera)),
+        inbox: Inbox::default(),
+    }
+}
+
+/// Reads what is kept, and has the cameras stand where it says.
+fn kept_calibration(
+    config: &mut Config,
+    hub: &Hub,
+    clock: Clock,
+) -> Result<CalibrationFile, CalibrationFileError> {
+    let Some(path) = config.server.calibration.clone() else {
+        return Ok(CalibrationFile::default());
+    };
+    let Some(mut file) = CalibrationFile::load(&path)? else {
+        return Ok(CalibrationFile::default());
+    };
+    for why in file.merge_into(config) {
+        tracing::warn!("{why}");
+        hub.publish_event(clock.now(), Happening::CalibrationApplied, why);
+    }
+    let (version, cameras) = (file.version, file.cameras.len());
+    tracing::info!(version, cameras, file = %path.display(), "calibration of the arena");
+    Ok(file)
+}
+
+/// Of the calibration that a camera starts with.
+fn version_of(camera: &CameraConfig, calibrator: &Calibrator) -> u64 {
+    if matches!(camera.pose, CameraPose::Calibrated(_)) { calibrator.version() } else { 0 }
 }
 
 fn spawn(name: String, run: impl FnOnce() + Send + 'static) -> Result<JoinHandle<()>, ServeError> {

@@ -102,7 +102,8 @@ impl Survey {
         recording
     }
 
-    fn overlooked(&self, mut frame: FrameObservations) -> FrameObservations {
+    /// A frame as a camera gives it that cannot see the references, unless it is the first.
+    pub fn overlooked(&self, mut frame: FrameObservations) -> FrameObservations {
         if frame.camera != CameraId(0) {
             let is_reference = |code: Code| self.numbers.contains(&code.number);
             frame

@@ -100,7 +100,7 @@ impl Client {
     /// # Errors
     /// [`Error::Server`] before the first one.
     pub async fn snapshot(&self) -> Result<v1::Snapshot, Error> {
-        let answer = self.service.clone().get_snapshot(v1::GetSnapshotRequest {}).await;
+        let answer = self.service().get_snapshot(v1::GetSnapshotRequest {}).await;
         answer.map(tonic::Response::into_inner).map_err(|status| self.error(&status))
     }
 
@@ -109,7 +109,7 @@ impl Client {
     /// # Errors
     /// Of the connection.
     pub async fn objects(&self) -> Result<Vec<v1::Object>, Error> {
-        let answer = self.service.clone().list_objects(v1::ListObjectsRequest {}).await;
+        let answer = self.service().list_objects(v1::ListObjectsRequest {}).await;
         answer.map(|list| list.into_inner().objects).map_err(|status| self.error(&status))
     }
 
@@ -121,7 +121,7 @@ impl Client {
     /// # Errors
     /// Of the connection.
     pub async fn cameras(&self) -> Result<Vec<v1::Camera>, Error> {
-        let answer = self.service.clone().list_cameras(v1::ListCamerasRequest {}).await;
+        let answer = self.service().list_cameras(v1::ListCamerasRequest {}).await;
         answer.map(|list| list.into_inner().cameras).map_err(|status| self.error(&status))
     }
 
@@ -130,7 +130,7 @@ impl Client {
     /// # Errors
     /// Of the connection.
     pub async fn info(&self) -> Result<v1::ServerInfo, Error> {
-        let answer = self.service.clone().get_server_info(v1::GetServerInfoRequest {}).await;
+        let answer = self.service().get_server_info(v1::GetServerInfoRequest {}).await;
         answer.map(tonic::Response::into_inner).map_err(|status| self.error(&status))
     }
 
@@ -139,13 +139,13 @@ impl Client {
     ///
     /// [`v1::EventKind`] names them: an object appeared, is predicted, recovered, or lost; a camera is
     /// running, failed, finished, its clock was set, it is placed or unplaced; a configured height is
-    /// contradicted. `message` says it in a sentence.
+    /// contradicted; a calibration has begun, is done, failed, or is applied. `message` says it in a sentence.
     ///
     /// # Errors
     /// [`Error::Refused`] for too long a backlog, and those of the connection.
     pub async fn events(&self, backlog: u32) -> Result<Messages<v1::Event>, Error> {
         let request = v1::SubscribeEventsRequest { backlog };
-        let answer = self.service.clone().subscribe_events(request).await;
+        let answer = self.service().subscribe_events(request).await;
         Ok(self.messages(answer.map_err(|status| self.error(&status))?.into_inner()))
     }
 
@@ -160,7 +160,7 @@ impl Client {
     ) -> Result<Messages<v1::FrameObservations>, Error> {
         let cameras = cameras.iter().map(|&name| name.to_owned()).collect();
         let request = v1::SubscribeObservationsRequest { cameras };
-        let answer = self.service.clone().subscribe_observations(request).await;
+        let answer = self.service().subscribe_observations(request).await;
         Ok(self.messages(answer.map_err(|status| self.error(&status))?.into_inner()))
     }
 
@@ -168,15 +168,20 @@ impl Client {
         &self,
         request: v1::SubscribeSnapshotsRequest,
     ) -> Result<Streaming<v1::Snapshot>, Error> {
-        let answer = self.service.clone().subscribe_snapshots(request).await;
+        let answer = self.service().subscribe_snapshots(request).await;
         answer.map(tonic::Response::into_inner).map_err(|status| self.error(&status))
+    }
+
+    /// For one call: a handle on the connection.
+    pub(crate) fn service(&self) -> RoundelClient<Channel> {
+        self.service.clone()
     }
 
     pub(crate) fn error(&self, status: &Status) -> Error {
         Error::from_status(&self.address, status)
     }
 
-    fn messages<T>(&self, received: Streaming<T>) -> Messages<T> {
+    pub(crate) fn messages<T>(&self, received: Streaming<T>) -> Messages<T> {
         Messages { address: self.address.clone(), received }
     }
 }

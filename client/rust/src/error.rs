@@ -64,7 +64,10 @@ impl Error {
             return Self::Unreachable { address: address.to_owned(), reason: chain(status) };
         }
         match status.code() {
-            Code::InvalidArgument | Code::NotFound | Code::OutOfRange => Self::Refused { message },
+            Code::InvalidArgument
+            | Code::NotFound
+            | Code::OutOfRange
+            | Code::FailedPrecondition => Self::Refused { message },
             Code::Unimplemented => Self::NotRoundel {
                 address: address.to_owned(),
                 reason: format!("it does not know this call ({message})"),

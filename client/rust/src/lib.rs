@@ -25,6 +25,7 @@
 
 mod address;
 mod backoff;
+mod calibration;
 mod client;
 mod error;
 mod riding;

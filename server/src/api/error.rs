@@ -35,8 +35,11 @@ pub enum ApiError {
         /// What there is, or where to look.
         known: String,
     },
+    /// Not as things are now.
+    #[error("{0}")]
+    FailedPrecondition(String),
     /// The path exists, but not with this method.
-    #[error("this path answers to GET only")]
+    #[error("this path does not answer to this method: /openapi.json says to which it does")]
     MethodNotAllowed,
     /// The WebSocket's path was asked for without an upgrade.
     #[error("expected a WebSocket handshake (open it as ws://HOST:PORT/api/v1/stream): {0}")]
@@ -73,6 +76,9 @@ impl ApiError {
                 ("invalid_argument", Code::InvalidArgument, StatusCode::BAD_REQUEST)
             }
             Self::NotFound { .. } => ("not_found", Code::NotFound, StatusCode::NOT_FOUND),
+            Self::FailedPrecondition(_) => {
+                ("failed_precondition", Code::FailedPrecondition, StatusCode::CONFLICT)
+            }
             Self::MethodNotAllowed => {
                 ("method_not_allowed", Code::Unimplemented, StatusCode::METHOD_NOT_ALLOWED)
             }

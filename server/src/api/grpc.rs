@@ -15,7 +15,7 @@ use tonic::{Request, Response, Status, service::Routes};
 use tonic_health::server::HealthReporter;
 
 use super::{
-    Api,
+    Api, calibration,
     error::{ApiError, SHUTTING_DOWN},
     feed::Feed,
     selection::{MESSAGE_FIELDS, Selection},
@@ -139,6 +139,53 @@ impl v1::roundel_server::Roundel for Service {
         _: Request<v1::ListObjectsRequest>,
     ) -> Result<Response<v1::ListObjectsResponse>, Status> {
         Ok(Response::new(v1::ListObjectsResponse { objects: objects(&self.api) }))
+    }
+
+    type WatchCalibrationStream = Messages<v1::Calibration>;
+
+    async fn start_calibration(
+        &self,
+        request: Request<v1::StartCalibrationRequest>,
+    ) -> Result<Response<v1::Calibration>, Status> {
+        Ok(Response::new(calibration::begin(&self.api, &request.into_inner())?))
+    }
+
+    async fn get_calibration(
+        &self,
+        _: Request<v1::GetCalibrationRequest>,
+    ) -> Result<Response<v1::Calibration>, Status> {
+        Ok(Response::new(calibration::newest(&self.api)))
+    }
+
+    async fn watch_calibration(
+        &self,
+        _: Request<v1::WatchCalibrationRequest>,
+    ) -> Result<Response<Self::WatchCalibrationStream>, Status> {
+        let api = self.api.clone();
+        let mut status = api.calibrator.status();
+        status.mark_changed();
+        let messages = stream::unfold((api, status), |(api, mut status)| async move {
+            status.changed().await.ok()?;
+            let _ = status.borrow_and_update();
+            let message = calibration::newest(&api);
+            Some((message, (api, status)))
+        });
+        Ok(Response::new(until_shutdown(messages, self.api.cancel.clone())))
+    }
+
+    async fn cancel_calibration(
+        &self,
+        _: Request<v1::CancelCalibrationRequest>,
+    ) -> Result<Response<v1::Calibration>, Status> {
+        self.api.calibrator.cancel().map_err(ApiError::from)?;
+        Ok(Response::new(calibration::newest(&self.api)))
+    }
+
+    async fn apply_calibration(
+        &self,
+        _: Request<v1::ApplyCalibrationRequest>,
+    ) -> Result<Response<v1::Calibration>, Status> {
+        Ok(Response::new(calibration::take_over(&self.api).await?))
     }
 
     async fn get_server_info(

@@ -1,6 +1,6 @@
 //! gRPC, REST, WebSocket, metrics and the dashboard, on one port.
 //!
-//! In: the [`Hub`], read only (but for the wish for a picture). Out: bytes on sockets. Requests
+//! In: the [`Hub`], read only (but for the wish for a picture), and the [`Calibrator`]. Out: bytes on sockets. Requests
 //! whose content type is `application/grpc…` go to tonic, all others to axum; both speak HTTP/1.1
 //! or HTTP/2 without TLS, as the client likes.
 //!
@@ -8,7 +8,7 @@
 //! | --- | --- |
 //! | `port` | accepts connections up to the limit, and takes them apart on shutdown |
 //! | [`grpc`] | the service of `proto/roundel/v1/roundel.proto` |
-//! | [`rest`], [`openapi`] | `/api/v1/…` and its description |
+//! | [`rest`], [`calibration`], [`openapi`] | `/api/v1/…` and its description |
 //! | [`ws`] | `/api/v1/stream` |
 //! | [`metrics`] | `/metrics`, `/healthz`, `/readyz` |
 //! | [`page`] | the dashboard's files |
@@ -20,6 +20,7 @@
 //! snapshot and not a queue, sockets take little more than one message ahead, and whoever does not
 //! read at all is cut off.
 
+pub mod calibration;
 pub mod error;
 pub mod feed;
 pub mod grpc;
@@ -43,7 +44,7 @@ use tokio::net::TcpListener;
 use tokio_util::sync::CancellationToken;
 
 use self::error::ApiError;
-use crate::{clock::Clock, hub::Hub};
+use crate::{calibration::Calibrator, clock::Clock, hub::Hub};
 
 /// What the port allows.
 #[derive(Clone, Copy, Debug)]
@@ -81,12 +82,24 @@ pub struct Counters {
     pub snapshots_missed: AtomicU64,
 }
 
+/// What is served.
+pub struct Served {
+    /// The newest of everything.
+    pub hub: Arc<Hub>,
+    /// The server's clock.
+    pub clock: Clock,
+    /// Finds where cameras stand.
+    pub calibrator: Arc<Calibrator>,
+}
+
 /// What every handler of a request shares.
 pub struct Api {
     /// The newest of everything.
     pub hub: Arc<Hub>,
     /// The server's clock.
     pub clock: Clock,
+    /// Finds where cameras stand.
+    pub calibrator: Arc<Calibrator>,
     /// Set when the server goes down.
     pub cancel: CancellationToken,
     /// What the port allows.
@@ -103,14 +116,14 @@ pub struct Api {
 /// frame (1001), and no connection is taken any more.
 pub async fn serve(
     listener: TcpListener,
-    hub: Arc<Hub>,
-    clock: Clock,
+    served: Served,
     limits: Limits,
     cancel: CancellationToken,
 ) {
+    let Served { hub, clock, calibrator } = served;
     let pictures = picture::Gallery::new(hub.installation().cameras.len());
     let counters = Counters::default();
-    let api = Arc::new(Api { hub, clock, cancel, limits, counters, pictures });
+    let api = Arc::new(Api { hub, clock, calibrator, cancel, limits, counters, pictures });
     let (grpc_router, health) = grpc::router(&api);
     let http_router = http_router(api.clone());
     let readiness = tokio::spawn(metrics::report_readiness(api.clone(), health));

@@ -6,7 +6,7 @@ use axum::Json;
 use utoipa::{OpenApi, openapi};
 use utoipa_axum::{router::OpenApiRouter, routes};
 
-use super::{Api, metrics, rest, ws};
+use super::{Api, calibration, metrics, rest, ws};
 
 #[derive(OpenApi)]
 #[openapi(info(
@@ -28,6 +28,8 @@ pub fn described_routes() -> OpenApiRouter<Arc<Api>> {
         .routes(routes!(rest::frame))
         .routes(routes!(rest::events))
         .routes(routes!(rest::info))
+        .routes(routes!(calibration::show, calibration::start, calibration::cancel))
+        .routes(routes!(calibration::apply))
         .routes(routes!(ws::stream))
         .routes(routes!(document))
         .routes(routes!(metrics::metrics))

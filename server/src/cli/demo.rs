@@ -9,14 +9,19 @@ use std::{
 
 use anyhow::Context;
 use clap::{Args, ValueEnum};
-use roundel_core::{marker::Mode, sim::Scenario};
+use roundel_core::{
+    marker::Mode,
+    sim::{RobotTruth, Scenario},
+};
 
 use super::{
     serve::{Signals, announce, elapsed, seconds, shut_down},
     truth::Score,
 };
 use crate::{
-    config::{CameraConfig, CameraPose, Config, FusionConfig, LimitsConfig, ServerConfig},
+    config::{
+        CameraConfig, CameraPose, Config, FusionConfig, LimitsConfig, ReferenceConfig, ServerConfig,
+    },
     hub::CameraState,
     serve::Server,
     source::{SimAddress, SimPreset, SourceAddress, simulated_scenario},
@@ -121,15 +126,27 @@ fn config(scenario: &Scenario, address: &SimAddress, listen: SocketAddr) -> Conf
     });
     Config {
         name: "demo".to_owned(),
-        server: ServerConfig { listen, snapshot_rate_hz: 60.0 },
+        server: ServerConfig { listen, snapshot_rate_hz: 60.0, calibration: None },
         kinds: scenario.params().kinds.clone(),
         motions: Vec::new(),
         cameras: cameras.collect(),
-        references: Vec::new(),
+        references: references(scenario),
         objects: Vec::new(),
         fusion: FusionConfig::default(),
         limits: LimitsConfig::default(),
     }
+}
+
+/// Robots with codes that never move, so that this arena can be calibrated.
+fn references(scenario: &Scenario) -> Vec<ReferenceConfig> {
+    let reference = |truth: RobotTruth| ReferenceConfig {
+        kind: truth.kind,
+        code: truth.code,
+        position_m: truth.world_from_roundel.translation.vector,
+        orientation: Some(truth.world_from_roundel.rotation),
+    };
+    let robots = scenario.truth(0.0).into_iter();
+    robots.filter(|truth| truth.still && truth.code.is_some()).map(reference).collect()
 }
 
 /// Compares every snapshot with the truth and prints a line each second, until nobody reads them.

@@ -1,5 +1,6 @@
 //! The commands of `roundel`.
 
+mod calibrate;
 mod demo;
 mod detect;
 mod serve;
@@ -32,6 +33,7 @@ enum Command {
     Serve(serve::ServeArgs),
     Detect(detect::DetectArgs),
     Watch(watch::WatchArgs),
+    Calibrate(calibrate::CalibrateArgs),
 }
 
 /// Runs the command that the process was started with. Errors go to stderr; the code is 0 for
@@ -46,6 +48,7 @@ pub fn main() -> ExitCode {
         Command::Serve(arguments) => run_async(serve::run(arguments)),
         Command::Detect(arguments) => detect::run(&arguments),
         Command::Watch(arguments) => run_async(watch::run(arguments)),
+        Command::Calibrate(arguments) => run_async(calibrate::run(arguments)),
     };
     outcome.unwrap_or_else(|error| {
         eprintln!("error: {}", told(&error));

@@ -18,7 +18,7 @@ use super::{
 const ROOT_KEYS: [&str; 9] =
     ["name", "server", "detection", "roundel", "camera", "reference", "object", "fusion", "limits"];
 const DETECTION_KEYS: [&str; 1] = ["mode"];
-const SERVER_KEYS: [&str; 2] = ["listen", "snapshot_rate_hz"];
+const SERVER_KEYS: [&str; 3] = ["listen", "snapshot_rate_hz", "calibration"];
 const FUSION_KEYS: [&str; 4] =
     ["acceleration_m_s2", "late_window_ms", "predicted_after_ms", "lost_after_ms"];
 const LIMITS_KEYS: [&str; 3] = ["max_objects", "max_roundels_per_camera", "max_clients"];
@@ -50,7 +50,7 @@ fn root(document: &Spanned<DeTable<'_>>, folder: &Path, problems: &Problems<'_>)
     // What concerns the whole file points to its first line.
     let root = Table::new("", 0..0, document.get_ref(), &ROOT_KEYS, problems);
     let name = root.text("name").unwrap_or("roundel").to_owned();
-    let server = server(&root);
+    let server = server(&root, folder);
     let kinds = kinds(&root);
     let references = references(&root, &kinds);
     let objects = objects(&root, &kinds, &references.configs);
@@ -71,15 +71,17 @@ fn root(document: &Spanned<DeTable<'_>>, folder: &Path, problems: &Problems<'_>)
     })
 }
 
-fn server(root: &Table<'_, '_>) -> Option<ServerConfig> {
+fn server(root: &Table<'_, '_>, folder: &Path) -> Option<ServerConfig> {
     let table = root.table("server", "[server]", &SERVER_KEYS);
     let table = table.as_ref();
     let listen = table.and_then(|table| table.text("listen")).unwrap_or(DEFAULT_LISTEN);
     let snapshot_rate_hz = table.map_or(DEFAULT_RATE_HZ, |table| {
         table.number("snapshot_rate_hz", Allowed::PositiveUpTo(MAX_RATE_HZ), DEFAULT_RATE_HZ)
     });
+    let calibration = table.and_then(|table| table.text("calibration"));
+    let calibration = calibration.map(|file| folder.join(file));
     match listen.parse::<SocketAddr>() {
-        Ok(listen) => Some(ServerConfig { listen, snapshot_rate_hz }),
+        Ok(listen) => Some(ServerConfig { listen, snapshot_rate_hz, calibration }),
         Err(_) => {
             root.fail_with_help(
                 &table.map_or(0..0, |table| table.span_of("listen")),

@@ -16,7 +16,11 @@ mod reference;
 mod ride;
 mod roundel;
 
-use std::{fs, net::SocketAddr, path::Path};
+use std::{
+    fs,
+    net::SocketAddr,
+    path::{Path, PathBuf},
+};
 
 use nalgebra::{UnitQuaternion, Vector3};
 use roundel_core::{
@@ -24,7 +28,7 @@ use roundel_core::{
     id::KindId,
     marker::{Code, Kind, Mode},
     rigid::Rigid,
-    world::{Body, MotionClass},
+    world::{Body, CameraPlacement, MotionClass},
 };
 
 pub use error::{ConfigError, Place, Problem};
@@ -65,6 +69,8 @@ pub struct ServerConfig {
     pub listen: SocketAddr,
     /// Snapshots a second.
     pub snapshot_rate_hz: f64,
+    /// Where calibrations of the arena are kept. `None`: until the end of the process.
+    pub calibration: Option<PathBuf>,
 }
 
 /// `[[camera]]`.
@@ -96,6 +102,8 @@ pub struct CameraConfig {
 pub enum CameraPose {
     /// world_from_camera.
     Known(Rigid),
+    /// As a calibration of the arena found it, in place of what the configuration says.
+    Calibrated(Box<CameraPlacement>),
     /// To be found from the reference roundels.
     Unknown,
     /// On an object.
@@ -193,7 +201,8 @@ impl Default for LimitsConfig {
 }
 
 impl Config {
-    /// Reads a file and the camera files that it names; paths in it are relative to its folder.
+    /// Reads a file and the camera files that it names; paths in it are relative to its folder. Calibrations
+    /// are kept beside it, `lab.calibration.toml` for `lab.toml`, if it does not say where.
     ///
     /// Errors name every problem with its line, and the remedy.
     pub fn load(path: &Path) -> Result<Self, ConfigError> {
@@ -202,8 +211,11 @@ impl Config {
             problems: vec![Problem { message, help: Some(help.to_owned()), place: None }],
         })?;
         let folder = path.parent().unwrap_or(Path::new(""));
-        Self::parse(&text, folder)
-            .map_err(|problems| ConfigError { path: path.to_owned(), problems })
+        let mut config = Self::parse(&text, folder)
+            .map_err(|problems| ConfigError { path: path.to_owned(), problems })?;
+        let beside = || path.with_extension("calibration.toml");
+        config.server.calibration.get_or_insert_with(beside);
+        Ok(config)
     }
 
     /// Reads a configuration's text; paths in it are relative to `folder`.

@@ -131,7 +131,7 @@ pub(super) fn check(
     let rides = || {
         let ride = |camera: &CameraConfig| match camera.pose {
             CameraPose::Rides(ride) => Some(ride),
-            CameraPose::Known(_) | CameraPose::Unknown => None,
+            CameraPose::Known(_) | CameraPose::Calibrated(_) | CameraPose::Unknown => None,
         };
         cameras.iter().map(ride)
     };
@@ -178,7 +178,7 @@ pub(super) fn check_references(
                             (`yaw_deg`, or `right` and `top`), or three of them not in one line";
                 ("localizes = true", (!references.localize()).then_some(help))
             }
-            CameraPose::Rides(_) | CameraPose::Known(_) => continue,
+            _ => continue,
         };
         let Some(help) = missing else { continue };
         let found = if references.are_missing() {

@@ -53,6 +53,8 @@ pub enum PoseStatus {
     Configured,
     /// From the reference roundels.
     Found,
+    /// From an arena's calibration.
+    Calibrated,
     /// By the object that it rides on.
     Riding,
     /// Not yet seen the reference roundels as it must.
@@ -102,7 +104,7 @@ pub struct CameraState {
     pub place: CameraPlace,
     /// Lens and intrinsics, once known.
     pub camera: Option<Camera>,
-    /// Version of the calibration in use.
+    /// Version of the calibration in use; 0: as configured.
     pub calibration_version: u64,
     /// Frames processed.
     pub frames: u64,

@@ -19,7 +19,7 @@ use crate::{
     config::{
         CameraConfig, CameraPose, Carried, Config, ObjectConfig, ReferenceConfig, RideConfig,
     },
-    hub::{CameraInfo, Installation, RideInfo},
+    hub::{CameraInfo, Installation, PoseStatus, RideInfo},
     worker::{Place, pipeline::PipelineParts},
 };
 
@@ -105,11 +105,7 @@ pub(super) fn fusion(config: &Config) -> Result<Fusion, ServeError> {
             }
         });
     }
-    let landmark = |reference: &ReferenceConfig| Landmark {
-        orientation: reference.orientation,
-        ..Landmark::new(reference.kind, reference.code, reference.position_m)
-    };
-    fusion.set_landmarks(config.references.iter().map(landmark).collect());
+    fusion.set_landmarks(landmarks(config));
     for (index, camera) in config.cameras.iter().enumerate() {
         if camera.clock_uncertainty_s > 0.0 {
             let prior = ClockPrior { offset_s: camera.clock_uncertainty_s, skew: CLOCK_SKEW };
@@ -118,6 +114,15 @@ pub(super) fn fusion(config: &Config) -> Result<Fusion, ServeError> {
         place_camera(&mut fusion, camera_id(index), camera, &bodies);
     }
     Ok(fusion)
+}
+
+/// The reference roundels, in the order of the configuration.
+pub(super) fn landmarks(config: &Config) -> Vec<Landmark> {
+    let landmark = |reference: &ReferenceConfig| Landmark {
+        orientation: reference.orientation,
+        ..Landmark::new(reference.kind, reference.code, reference.position_m)
+    };
+    config.references.iter().map(landmark).collect()
 }
 
 /// Tells fusion what is known of a camera's place; `bodies` are those of the configured objects.
@@ -132,6 +137,7 @@ fn place_camera(
         CameraPose::Known(world_from_camera) => {
             fusion.set_camera(id, Some(CameraPlacement { world_from_camera, covariance }));
         }
+        CameraPose::Calibrated(ref placement) => fusion.set_camera(id, Some(**placement)),
         CameraPose::Unknown => {}
         CameraPose::Rides(RideConfig { object, object_from_camera, localizes }) => {
             let body = bodies.get(object).copied().flatten();
@@ -161,7 +167,14 @@ pub(super) fn pipeline(camera: &CameraConfig, config: &Config) -> Result<Pipelin
 /// What a camera's worker is told of its place.
 pub(super) fn place(camera: &CameraConfig, config: &Config) -> Place {
     match camera.pose {
-        CameraPose::Known(pose) => Place::Known(pose),
+        CameraPose::Known(world_from_camera) => {
+            let covariance = Covariance6::zeros();
+            let placement = CameraPlacement { world_from_camera, covariance };
+            Place::Standing(PoseStatus::Configured, Box::new(placement))
+        }
+        CameraPose::Calibrated(ref placement) => {
+            Place::Standing(PoseStatus::Calibrated, placement.clone())
+        }
         CameraPose::Unknown => Place::Unknown {
             references: config
                 .references

@@ -5,11 +5,13 @@
 //! | `supervisor` | runs the worker again after a failure, with growing pauses |
 //! | [`pipeline`] | pixels → detections with poses and times |
 //! | `placing` | finds the place of a camera whose pose is unknown |
+//! | [`adoption`] | a new lens and place, taken over between two frames |
 //! | [`meter`] | rates and medians over the newest frames |
 //!
 //! Nothing here waits for anybody but the source: the hub's publishing never blocks, and what
 //! fusion has no room for is dropped and counted.
 
+pub mod adoption;
 pub mod meter;
 pub mod pipeline;
 mod placing;
@@ -25,7 +27,6 @@ use std::{
 
 use roundel_core::{
     id::{CameraId, KindId},
-    rigid::{Covariance6, Rigid},
     time::Timestamp,
     world::{CameraPlacement, FrameObservations, reference::Reference},
 };
@@ -37,8 +38,9 @@ use crate::{
     hub::{CameraPlace, CameraStatus, Happening, Hub, Picture, PoseStatus},
     source::{FrameInfo, OpenSource, SourceError},
 };
+use adoption::{Adoption, Inbox};
 use meter::{Median, Rate};
-use pipeline::Pipeline;
+use pipeline::{Pipeline, Seen};
 use placing::{Placing, Progress};
 
 /// What workers hand to fusion.
@@ -46,15 +48,15 @@ use placing::{Placing, Progress};
 pub struct Sighted {
     /// What was seen in one frame.
     pub observations: Arc<FrameObservations>,
-    /// The camera's place, the first time that it is known.
+    /// The camera's place from this frame on, where it is new.
     pub placement: Option<CameraPlacement>,
 }
 
 /// Where a worker's camera stands.
 #[derive(Clone, Debug)]
 pub enum Place {
-    /// As configured.
-    Known(Rigid),
+    /// Known from the start, and how.
+    Standing(PoseStatus, Box<CameraPlacement>),
     /// To be found from roundels of these kinds at these places.
     Unknown {
         /// The references.
@@ -78,6 +80,10 @@ pub struct WorkerParts {
     pub pipeline: Pipeline,
     /// Where it stands.
     pub place: Place,
+    /// Of the calibration that `place` and the pipeline's lens are of; 0: of the configuration.
+    pub calibration_version: u64,
+    /// Where news of both arrive.
+    pub inbox: Inbox,
     /// Where the results go.
     pub hub: Arc<Hub>,
     /// To fusion; when it is full, the observations are dropped and counted.
@@ -117,16 +123,13 @@ impl Worker {
     /// A worker that has not begun.
     pub fn new(parts: WorkerParts) -> Self {
         let placing = match &parts.place {
-            Place::Known(_) | Place::Rides => None,
+            Place::Standing(..) | Place::Rides => None,
             Place::Unknown { references, kinds } => {
                 Some(Placing::new(references.clone(), kinds.clone()))
             }
         };
         let place = match &parts.place {
-            Place::Known(pose) => Some(CameraPlace::standing(
-                PoseStatus::Configured,
-                CameraPlacement { world_from_camera: *pose, covariance: Covariance6::zeros() },
-            )),
+            Place::Standing(status, placement) => Some(CameraPlace::standing(*status, **placement)),
             Place::Unknown { .. } => Some(CameraPlace::searching(
                 "it looks for the reference roundels, of which it must see three",
             )),
@@ -137,7 +140,7 @@ impl Worker {
         parts.hub.update_camera(parts.id, |state| {
             place.into_iter().for_each(|place| state.place = place);
             state.camera = Some(camera);
-            state.calibration_version = pipeline::CALIBRATION_VERSION;
+            state.calibration_version = parts.calibration_version;
         });
         Self {
             parts,
@@ -175,11 +178,19 @@ impl Worker {
 
     fn take(&mut self, info: &FrameInfo) {
         let received = self.parts.clock.now();
+        if let Some(adoption) = self.parts.inbox.take() {
+            self.adopt(adoption);
+        }
         self.frames += 1;
         self.dropped += info.skipped;
         let begun = Instant::now();
-        let result =
-            self.parts.pipeline.process(&self.pixels, info, self.frames, received, self.parts.id);
+        let by = Seen {
+            camera: self.parts.id,
+            calibration_version: self.parts.calibration_version,
+            frame: self.frames,
+            received_time: received,
+        };
+        let result = self.parts.pipeline.process(&self.pixels, info, &by);
         self.detect_ms.add(begun.elapsed().as_secs_f64() * 1e3);
         let times = self.parts.pipeline.times();
         self.find_ms.add(times.find_ms);
@@ -204,6 +215,19 @@ impl Worker {
         self.find_place(&observations, received);
         self.hand_to_fusion(observations.clone());
         self.publish(info, observations);
+    }
+
+    /// From this frame on. Fusion hears of the place with what is seen in it.
+    fn adopt(&mut self, Adoption { lens, placement, version }: Adoption) {
+        self.placing = None;
+        self.placement = Some(placement);
+        self.parts.calibration_version = version;
+        self.parts.pipeline.set_camera(&lens);
+        self.parts.hub.update_camera(self.parts.id, |state| {
+            state.place = CameraPlace::standing(PoseStatus::Calibrated, placement);
+            state.camera = Some(lens);
+            state.calibration_version = version;
+        });
     }
 
     fn report_running(&self, info: &FrameInfo, now: Timestamp) {

@@ -14,9 +14,6 @@ use roundel_core::{
 
 use crate::{hub::DetectionCounts, source::FrameInfo};
 
-/// Calibrations do not change while this version of the server runs: all are the first.
-pub const CALIBRATION_VERSION: u64 = 1;
-
 /// What a pipeline is made of.
 #[derive(Clone, Debug)]
 pub struct PipelineParts {
@@ -30,6 +27,19 @@ pub struct PipelineParts {
     pub camera: Camera,
     /// Time between the exposures of two image rows.
     pub line_time_s: f64,
+}
+
+/// Of what camera a frame is, and which of its frames.
+#[derive(Clone, Copy, Debug)]
+pub struct Seen {
+    /// Which camera.
+    pub camera: CameraId,
+    /// Of the calibration in use.
+    pub calibration_version: u64,
+    /// Counts the camera's frames.
+    pub frame: u64,
+    /// When it arrived.
+    pub received_time: Timestamp,
 }
 
 /// How long a frame took.
@@ -98,6 +108,14 @@ impl Pipeline {
         self.locator.camera()
     }
 
+    /// Another model from the next frame on; what is followed goes on being followed.
+    pub fn set_camera(&mut self, camera: &Camera) {
+        if camera.intrinsics() != self.locator.camera().intrinsics() {
+            let (kinds, mode) = (self.locator.kinds().to_vec(), self.locator.mode());
+            self.locator = Locator::new(camera.clone(), kinds, mode);
+        }
+    }
+
     /// Forgets all tracks, as after a gap in the frames.
     pub fn reset(&mut self) {
         self.tracker.reset();
@@ -111,9 +129,7 @@ impl Pipeline {
         &mut self,
         pixels: &[u8],
         info: &FrameInfo,
-        frame: u64,
-        received_time: Timestamp,
-        camera: CameraId,
+        by: &Seen,
     ) -> Result<FrameObservations, FrameError> {
         let view = Frame::new(pixels, info.width, info.height, info.width)?;
         let begun = Instant::now();
@@ -146,11 +162,11 @@ impl Pipeline {
             *total += u64::from(count);
         }
         Ok(FrameObservations {
-            camera,
-            frame,
+            camera: by.camera,
+            frame: by.frame,
             capture_time: info.capture_time,
-            received_time,
-            calibration_version: CALIBRATION_VERSION,
+            received_time: by.received_time,
+            calibration_version: by.calibration_version,
             detections,
         })
     }
@@ -204,8 +220,13 @@ mod tests {
     fn seen(pipeline: &mut Pipeline, pixels: &[u8]) -> Vec<Detection> {
         let capture_time = Timestamp::default();
         let info = FrameInfo { capture_time, width: WIDTH, height: HEIGHT, skipped: 0 };
-        let seen = pipeline.process(pixels, &info, 1, capture_time, CameraId(0));
-        seen.unwrap().detections
+        let by = Seen {
+            camera: CameraId(0),
+            calibration_version: 0,
+            frame: 1,
+            received_time: capture_time,
+        };
+        pipeline.process(pixels, &info, &by).unwrap().detections
     }
 
     #[test]

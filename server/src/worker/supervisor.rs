@@ -113,22 +113,28 @@ fn panic_message(panic: &(dyn Any + Send)) -> &str {
 mod tests {
     use std::{
         collections::{BTreeMap, VecDeque},
-        sync::{Arc, mpsc::sync_channel},
+        sync::{
+            Arc,
+            mpsc::{SyncSender, sync_channel},
+        },
     };
 
     use roundel_core::{
         camera::{Camera, Intrinsics, Lens},
         id::CameraId,
         marker::{Mask, Params},
+        rigid::{Covariance6, Rigid},
+        world::CameraPlacement,
     };
 
     use super::*;
     use crate::{
         clock::Clock,
-        hub::{CameraInfo, Hub, Installation},
+        hub::{CameraInfo, CameraPlace, Hub, Installation, PoseStatus},
         source::{FrameInfo, FrameSource, OpenSource, SourceError},
         worker::{
-            Place, WorkerParts,
+            Place, Sighted, WorkerParts,
+            adoption::{Adoption, Inbox},
             pipeline::{Pipeline, PipelineParts},
         },
     };
@@ -198,10 +204,8 @@ mod tests {
         .unwrap()
     }
 
-    #[test]
-    fn a_panic_and_a_failure_are_shown_and_the_camera_comes_back() {
-        let clock = Clock::anchored_now();
-        let hub = Arc::new(Hub::new(Installation {
+    fn hub(clock: &Clock) -> Arc<Hub> {
+        Arc::new(Hub::new(Installation {
             name: "lab".into(),
             source_id: "s".into(),
             started: clock.now(),
@@ -210,31 +214,51 @@ mod tests {
             kinds: Vec::new(),
             object_names: BTreeMap::new(),
             body_names: vec![],
-        }));
-        let actor = |acts| Actor { acts: VecDeque::from(acts), clock };
-        let stage = Stage(VecDeque::from([
-            actor(vec![Act::Frame, Act::Panic]),
-            actor(vec![Act::Fail]),
-            actor(vec![Act::Frame, Act::Frame, Act::Finish]),
-        ]));
-        let (fusion, from_worker) = sync_channel(1);
-        let worker = Worker::new(WorkerParts {
+        }))
+    }
+
+    fn actor<const N: usize>(clock: Clock, acts: [Act; N]) -> Actor {
+        Actor { acts: VecDeque::from(acts), clock }
+    }
+
+    fn worker(
+        stage: Stage,
+        place: Place,
+        hub: &Arc<Hub>,
+        (fusion, clock, inbox): (SyncSender<Sighted>, Clock, &Inbox),
+    ) -> Worker {
+        let pipeline = Pipeline::new(PipelineParts {
+            kinds: Vec::new(),
+            params: Params::default(),
+            mask: Mask::default(),
+            camera: camera(),
+            line_time_s: 0.0,
+        });
+        Worker::new(WorkerParts {
             id: CameraId(0),
             name: "north".into(),
             opener: Box::new(stage),
-            pipeline: Pipeline::new(PipelineParts {
-                kinds: Vec::new(),
-                params: Params::default(),
-                mask: Mask::default(),
-                camera: camera(),
-                line_time_s: 0.0,
-            })
-            .unwrap(),
-            place: Place::Rides,
+            pipeline: pipeline.unwrap(),
+            place,
+            calibration_version: 0,
+            inbox: inbox.clone(),
             hub: hub.clone(),
             fusion,
             clock,
-        });
+        })
+    }
+
+    #[test]
+    fn a_panic_and_a_failure_are_shown_and_the_camera_comes_back() {
+        let clock = Clock::anchored_now();
+        let hub = hub(&clock);
+        let stage = Stage(VecDeque::from([
+            actor(clock, [Act::Frame, Act::Panic]),
+            actor(clock, [Act::Fail]),
+            actor(clock, [Act::Frame, Act::Frame, Act::Finish]),
+        ]));
+        let (fusion, from_worker) = sync_channel(1);
+        let worker = worker(stage, Place::Rides, &hub, (fusion, clock, &Inbox::default()));
         run(worker, &Stop::default());
 
         let (events, _) = hub.events(10);
@@ -251,5 +275,44 @@ mod tests {
         // Two left out by the source before each frame, and two that fusion had no room for.
         assert_eq!(state.dropped, 3 * 2 + 2);
         assert_eq!(from_worker.try_iter().map(|sighted| sighted.observations.frame).max(), Some(1));
+    }
+
+    /// A lens and a place that come between two frames hold from the next frame on, for fusion too.
+    #[test]
+    fn a_calibration_is_taken_over_between_two_frames() {
+        let clock = Clock::anchored_now();
+        let hub = hub(&clock);
+        let (fusion, from_worker) = sync_channel(8);
+        let inbox = Inbox::default();
+        let stage = Stage(VecDeque::from([actor(
+            clock,
+            [Act::Frame, Act::Frame, Act::Frame, Act::Finish],
+        )]));
+        let place = Place::Unknown { references: Vec::new(), kinds: Vec::new() };
+        let worker = worker(stage, place, &hub, (fusion, clock, &inbox));
+        let longer = Intrinsics { fx_px: 61.0, ..camera().intrinsics().clone() };
+        let placement = CameraPlacement {
+            world_from_camera: Rigid::translation(1.0, 2.0, 3.0),
+            covariance: Covariance6::identity(),
+        };
+        inbox.put(Adoption { lens: camera(), placement, version: 6 });
+        let lens = Camera::new(longer.clone()).unwrap();
+        inbox.put(Adoption { lens, placement, version: 7 });
+        run(worker, &Stop::default());
+
+        let sighted: Vec<Sighted> = from_worker.try_iter().collect();
+        let versions: Vec<u64> =
+            sighted.iter().map(|it| it.observations.calibration_version).collect();
+        assert_eq!(versions, [7, 7, 7]);
+        let places: Vec<bool> = sighted.iter().map(|it| it.placement.is_some()).collect();
+        assert_eq!(
+            places,
+            [true, false, false],
+            "told once, with the first frame that it holds for"
+        );
+        let state = &hub.cameras()[0];
+        assert_eq!(state.calibration_version, 7);
+        assert_eq!(state.place, CameraPlace::standing(PoseStatus::Calibrated, placement));
+        assert_eq!(state.camera.as_ref().unwrap().intrinsics(), &longer);
     }
 }

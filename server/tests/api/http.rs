@@ -190,6 +190,8 @@ async fn every_route_is_described_and_every_description_answers() {
     let described: BTreeSet<&str> =
         document["paths"].as_object().unwrap().keys().map(String::as_str).collect();
     let expected = BTreeSet::from([
+        "/api/v1/calibration",
+        "/api/v1/calibration/applied",
         "/api/v1/cameras",
         "/api/v1/cameras/{name}",
         "/api/v1/cameras/{name}/frame.jpg",
@@ -214,6 +216,10 @@ async fn every_route_is_described_and_every_description_answers() {
         let answer = rig.get(&path.replace("{name}", "north").replace("{id}", "1")).await;
         let responses = &document["paths"][path]["get"]["responses"];
         let status = answer.status.as_u16().to_string();
+        if responses.is_null() {
+            assert_eq!(status, "405", "{path} is not described for GET");
+            continue;
+        }
         assert!(
             responses.get(&status).is_some(),
             "{path} answered {status}, which is not described"
@@ -372,5 +378,38 @@ async fn the_page_is_served_with_a_strict_policy_and_a_tag() {
     let known = ask(&tag).await;
     assert_eq!((known.status, known.body.len()), (StatusCode::NOT_MODIFIED, 0));
     assert_eq!(ask("\"other\"").await.status, StatusCode::OK);
+    rig.stop().await;
+}
+
+#[tokio::test]
+async fn a_calibration_is_begun_by_json_only() {
+    let rig = Rig::start().await;
+    let url = format!("{}/api/v1/calibration", rig.url());
+    let send = async |kind: &'static str, body: &'static str| {
+        let request = Request::post(&url).header("content-type", kind).body(Body::from(body));
+        rig.request(request.unwrap()).await
+    };
+    // What a page of another site could send without asking this server first.
+    let answer = send("text/plain", "{}").await;
+    assert_eq!(answer.status, StatusCode::BAD_REQUEST);
+    assert!(answer.error().1.starts_with("body: expected JSON"), "{:?}", answer.error());
+    for (body, expected) in [
+        ("{\"second\": 5}", "unknown field `second`"),
+        ("{\"apply\": \"perhaps\"}", "unknown calibration_apply"),
+        ("{\"seconds\": 5", "EOF"),
+    ] {
+        let answer = send("application/json", body).await;
+        assert_eq!(answer.status, StatusCode::BAD_REQUEST, "{body}");
+        assert!(answer.error().1.contains(expected), "{:?}", answer.error());
+    }
+    // This rig has no cameras.
+    let answer = send("application/json", "{}").await;
+    assert_eq!(
+        (answer.status, answer.error().0),
+        (StatusCode::CONFLICT, "failed_precondition".into())
+    );
+    assert!(answer.error().1.contains("no camera"), "{:?}", answer.error());
+    let shown = rig.get("/api/v1/calibration").await.json();
+    assert_eq!((&shown["stage"], &shown["version"]), (&"idle".into(), &0.into()));
     rig.stop().await;
 }

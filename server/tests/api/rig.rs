@@ -17,7 +17,8 @@ use roundel_core::{
     world::{LifeStage, ObjectState, ProcessNoise, Snapshot},
 };
 use roundel_server::{
-    api::{self, Limits},
+    api::{self, Limits, Served},
+    calibration::{Calibrator, CalibratorParts, file::CalibrationFile},
     clock::Clock,
     hub::{CameraInfo, CameraStatus, Hub, Installation},
 };
@@ -66,7 +67,16 @@ impl Rig {
         let listener = TcpListener::bind(listen).await.unwrap();
         let address = listener.local_addr().unwrap().to_string();
         let (clock, cancel) = (Clock::anchored_now(), CancellationToken::new());
-        let server = tokio::spawn(api::serve(listener, hub.clone(), clock, limits, cancel.clone()));
+        let calibrator = Arc::new(Calibrator::new(CalibratorParts {
+            hub: hub.clone(),
+            clock,
+            cameras: Vec::new(),
+            landmarks: Vec::new(),
+            path: None,
+            file: CalibrationFile::default(),
+        }));
+        let served = Served { hub: hub.clone(), clock, calibrator };
+        let server = tokio::spawn(api::serve(listener, served, limits, cancel.clone()));
         Self { hub, clock, address, cancel, server }
     }
 
