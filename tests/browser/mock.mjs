@@ -13,6 +13,7 @@ import { fileURLToPath, pathToFileURL } from "node:url";
 
 import { WebSocketServer } from "ws";
 
+import { Calibrator } from "./calibrator.mjs";
 import { World } from "./world.mjs";
 
 const DASHBOARD = join(dirname(fileURLToPath(import.meta.url)), "../../client/dashboard");
@@ -26,12 +27,13 @@ const TYPES = {
 };
 
 /**
- * @param {{port?: number, world?: World}} [options] port 0 takes a free one
+ * @param {{port?: number, world?: World, calibrator?: Calibrator}} [options] port 0 takes a free one
  * @returns {Promise<{url: string, world: World, close: () => Promise<void>}>}
  */
-export async function startMock({ port = 0, world = new World() } = {}) {
+export async function startMock({ port = 0, world = new World(), calibrator } = {}) {
+  calibrator ??= new Calibrator(world.cameras().map((camera) => camera.name));
   const server = createServer((request, response) => {
-    answer(world, request, response).catch((error) => {
+    answer({ world, calibrator }, request, response).catch((error) => {
       response.writeHead(500).end(String(error));
     });
   });
@@ -64,8 +66,17 @@ export async function startMock({ port = 0, world = new World() } = {}) {
   };
 }
 
-async function answer(world, request, response) {
+async function answer({ world, calibrator }, request, response) {
   const { pathname } = new URL(request.url, "http://mock");
+  if (pathname.startsWith("/api/v1/calibration")) {
+    const chunks = [];
+    for await (const chunk of request) chunks.push(chunk);
+    const body = chunks.length > 0 ? JSON.parse(Buffer.concat(chunks).toString()) : null;
+    const path = pathname.slice("/api/v1/calibration".length);
+    const [status, message] = calibrator.answer(request.method, path, body);
+    response.writeHead(status, { "content-type": "application/json" }).end(JSON.stringify(message));
+    return;
+  }
   const json = (value) => {
     response.writeHead(200, { "content-type": "application/json" }).end(JSON.stringify(value));
   };

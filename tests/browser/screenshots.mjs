@@ -37,6 +37,12 @@ await page.evaluate(() => scrollTo(0, 0));
 await shot(page, "phone-selected");
 await context.close();
 
+const calibrating = await openDashboard(browser, server.url, { viewport: WIDE, colorScheme: "light" });
+await calibrating.page.locator("#calibrate").click();
+await calibrating.page.waitForTimeout(500);
+await shot(calibrating.page, "wide-light-calibration");
+await calibrating.context.close();
+
 if (server.world) {
   const troubled = await openDashboard(browser, server.url, { viewport: WIDE, colorScheme: "light" });
   server.world.failCamera("north-west", "the folder frames/north-west has no images; put PNG or JPEG files there");

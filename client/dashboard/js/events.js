@@ -16,6 +16,10 @@ const SIGNS = new Map([
   ["camera_placed", "running"],
   ["camera_unplaced", "predicted"],
   ["height_contradicted", "failed"],
+  ["calibration_begun", "starting"],
+  ["calibration_done", "running"],
+  ["calibration_failed", "failed"],
+  ["calibration_applied", "running"],
 ]);
 
 /** @param {import("./store.js").Store} store */

@@ -1,6 +1,7 @@
 /** Starts the page: one store, the views that read it, the connection that fills it. */
 
 import { Arena } from "./arena.js";
+import { showCalibration } from "./calibration.js";
 import { showCameras } from "./cameras.js";
 import { connect } from "./connection.js";
 import { find } from "./dom.js";
@@ -19,6 +20,7 @@ const arena = new Arena(store);
 showList(store);
 showPanel(store);
 showCameras(store);
+showCalibration(store);
 showEvents(store);
 
 for (const input of document.querySelectorAll("input[name=exaggeration]")) {

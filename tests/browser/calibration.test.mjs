@@ -1,0 +1,127 @@
+/** The arena calibrated by click, on an invented server that goes one step further with each look. */
+
+import assert from "node:assert/strict";
+import { readFile } from "node:fs/promises";
+import { createRequire } from "node:module";
+import { after, before, describe, test } from "node:test";
+
+import { Calibrator } from "./calibrator.mjs";
+import { launch, openDashboard } from "./harness.mjs";
+import { startMock } from "./mock.mjs";
+import { World } from "./world.mjs";
+
+let browser;
+before(async () => {
+  browser = await launch();
+});
+after(() => browser?.close());
+
+/** The page with its calibration open. */
+async function withCalibrator(options, body, context = {}) {
+  const world = new World();
+  const calibrator = new Calibrator(world.cameras().map((camera) => camera.name), options);
+  const server = await startMock({ world, calibrator });
+  try {
+    const opened = await openDashboard(browser, server.url, context);
+    await opened.page.locator("#calibrate").click();
+    await opened.page.locator("#calibration[open]").waitFor();
+    await body(opened.page, calibrator, server);
+    await opened.context.close();
+  } finally {
+    await server.close();
+  }
+}
+
+const words = (page, text) => page.locator("#calibration-words", { hasText: text }).waitFor();
+
+describe("calibration of the arena", () => {
+  test("records, shows what is missing, solves, and is in use", async () => {
+    await withCalibrator({}, async (page, calibrator) => {
+      await words(page, "The cameras stand as configured.");
+      await page.locator("#calibration-seconds").fill("30");
+      await page.getByLabel("Refine lenses, too").check();
+      await page.locator("#calibration-start").click();
+      await words(page, "Recording, 0 of 30 s");
+      assert.equal(await page.locator("#calibration-form").isVisible(), false);
+      await page.locator("#calibration-results tr.bad", { hasText: "none yet" }).waitFor();
+      await words(page, "Working it out");
+      await words(page, "Done. The cameras use it as version 1.");
+      const { method, body } = calibrator.asked.find((asked) => asked.method === "POST");
+      assert.deepEqual([method, body], ["POST", { seconds: 30, refine_lenses: true }]);
+      const rows = await page.locator("#calibration-results tbody tr").allTextContents();
+      assert.equal(rows.length, 4);
+      assert.match(rows[0], /was unknown/);
+      assert.match(rows[1], /12\.3 mm, 0\.0573°.*0\.42 mm/);
+      await page.locator(".findings li", { hasText: "weakly tied" }).waitFor();
+      assert.equal(await page.locator("#calibration-apply").isVisible(), false);
+      assert.equal(await page.locator("#calibration-start").textContent(), "Calibrate again");
+    });
+  });
+
+  test("a grave finding waits for a person's word", async () => {
+    await withCalibrator({ isGrave: true }, async (page, calibrator) => {
+      await page.locator("#calibration-start").click();
+      await words(page, "The cameras have not taken it over");
+      await page.locator(".findings .grave", { hasText: "Grave: Reference 2 appears 50.1 mm" }).waitFor();
+      assert.equal(calibrator.version, 0);
+      await page.locator("#calibration-apply").click();
+      await words(page, "The cameras use it as version 1.");
+      assert.equal(await page.locator("#calibration-apply").isVisible(), false);
+    });
+  });
+
+  test("can be cancelled, and looked at again later", async () => {
+    await withCalibrator({}, async (page, calibrator) => {
+      await page.locator("#calibration-start").click();
+      await words(page, "Recording");
+      await page.locator("#calibration-cancel").click();
+      await words(page, "No result.");
+      await page.locator("#calibration-trouble", { hasText: "Cancelled." }).waitFor();
+      assert.equal(calibrator.stage, "failed");
+      await page.keyboard.press("Escape");
+      await page.locator("#calibration:not([open])").waitFor({ state: "attached" });
+      await page.locator("#calibrate").click();
+      await words(page, "No result.");
+    });
+  });
+
+  test("what the server refuses is said in its words", async () => {
+    const refuses = "the configuration has 0 reference roundels";
+    await withCalibrator({ refuses }, async (page) => {
+      await page.locator("#calibration-start").click();
+      await page.locator("#calibration-trouble", { hasText: refuses }).waitFor();
+      assert.equal(await page.locator("#calibration-form").isVisible(), true);
+    });
+  });
+
+  test("a lost server is said, too", async () => {
+    await withCalibrator({}, async (page, _, server) => {
+      await words(page, "The cameras stand as configured.");
+      await server.close();
+      await page.locator("#calibration-start").click();
+      await page.locator("#calibration-trouble", { hasText: "No answer from the server" }).waitFor();
+    });
+  });
+
+  for (const context of [{ colorScheme: "light" }, { colorScheme: "dark", viewport: { width: 390, height: 844 } }]) {
+    test(`axe finds nothing serious with ${JSON.stringify(context)}`, async () => {
+      const axe = await readFile(createRequire(import.meta.url).resolve("axe-core/axe.min.js"), "utf8");
+      await withCalibrator(
+        { isGrave: true },
+        async (page) => {
+          await page.locator("#calibration-start").click();
+          await page.locator(".findings .grave").waitFor();
+          await page.evaluate(axe);
+          const { violations, passes } = await page.evaluate(() => globalThis.axe.run("#calibration"));
+          assert.ok(passes.length > 0);
+          const grave = violations.filter(({ impact }) => impact === "serious" || impact === "critical");
+          assert.deepEqual(grave.map(({ help, nodes }) => [help, nodes.map((node) => node.html)]), []);
+          const wide = await page.evaluate(() => document.documentElement.scrollWidth > innerWidth);
+          assert.equal(wide, false, "scrolls sideways");
+          if (process.env.SHOTS) await page.screenshot({ path: `${process.env.SHOTS}-${context.colorScheme}.png` });
+        },
+        context,
+      );
+    });
+  }
+});
