@@ -30,7 +30,10 @@ fn the_example_is_a_configuration() {
             kept.push('\n');
         }
     }
-    let bare = Config::parse(&kept, folder.path()).unwrap();
+    // Where calibrations are kept follows from the file's name.
+    let file = folder.path().join("lab.toml");
+    std::fs::write(&file, kept).unwrap();
+    let bare = Config::load(&file).unwrap();
     assert_eq!(bare.server, config.server);
     assert_eq!(bare.fusion, config.fusion);
     assert_eq!(bare.limits, config.limits);
