@@ -23,6 +23,7 @@
 //! | [`scenario`] | what fusion has to hold: seeded worlds, their bars, one table |
 //! | [`score`] | snapshots against the truth: normalized errors, swaps, rms |
 //! | [`survey`] | recordings that an arena is calibrated from, and how far off the result is |
+//! | [`healing`] | cameras that are bumped and drift, and what the watch makes of it |
 //! | [`process`] | a real server process: built, started, read, ended |
 //! | [`layering`] | the house's rules of who may use whom, checked on source text |
 //! | [`timing`] | times of following and searching with poses |
@@ -36,6 +37,7 @@ pub mod coverage;
 pub mod decoy;
 pub mod elliptical;
 pub mod export;
+pub mod healing;
 pub mod layering;
 pub mod normal;
 pub mod optics;

@@ -1,0 +1,529 @@
+//! Whether cameras still stand where they were found to: who was bumped, where it stands now, and who drifts.
+//!
+//! In: where cameras stand, what they see ([`Watch::observe`], at any rate, late and out of order by up to
+//! [`WatchParams::delay_s`]) and the time ([`Watch::advance`]). Out: events that say which camera is to be left
+//! out ([`WatchEvent::Bumped`]), where it stands once that is known again ([`WatchEvent::Returned`]), and small
+//! corrections of those that drift ([`WatchEvent::Drifted`]). The caller puts them into effect; nothing here
+//! touches tracks.
+//!
+//! Time is cut into bins of [`BIN_S`]. In each, every camera's view of a roundel is averaged (`trail`), and
+//! views of the same roundel meet (`meeting`): one another's, and the places of reference roundels. The newest half
+//! second and two seconds are judged four times a second (`culprit`, by fits of `fit`); two verdicts in a row that
+//! name the same camera are believed. It is then left out of everything, and its place found afresh from what
+//! it sees from then on (`recovery`). What is slower than the two seconds shows in sums over a minute
+//! (`drift`).
+//!
+//! Errors of a view: half of a detection's variance ([`WatchParams::systematic_share`]) stays for
+//! [`WatchParams::systematic_time_s`], and of a roundel that stands for as long as it does, so that an hour of
+//! one that is parked says no more than one look. What covariances do not say (lenses, clocks) is seen as
+//! disagreement that no camera's move explains, and raises all limits alike.
+//!
+//! Reached on R4 (`cargo run --release -p roundel-tests --bin healing`, `tests/tests/healing.rs`): see the table
+//! there.
+//!
+//! Limits. Two cameras without references contradict each other, and nobody is moved. One roundel alone says
+//! nothing, since its code may be on show twice. Where there are no references, the common frame of all
+//! cameras may go where corrections of single cameras lead. A bump that takes a camera's view off everything
+//! that others see leaves it alone, or in quarantine, until a person comes. Of roundels without codes, a camera
+//! is recognized as long as they appear within 0.2 m of where they are.
+
+mod culprit;
+mod drift;
+mod fit;
+mod meeting;
+mod recovery;
+#[cfg(test)]
+mod tests;
+mod trail;
+
+use std::collections::{BTreeMap, VecDeque};
+
+use nalgebra::{Matrix6, Vector6};
+
+use crate::{
+    id::{CameraId, TrackNumber},
+    rigid::Rigid,
+    time::Timestamp,
+    world::{CameraPlacement, FrameObservations, Landmark},
+};
+use culprit::{Verdict, judge};
+use drift::Drift;
+use fit::{Round, moved};
+use meeting::{Meeting, Single, Stands, meet};
+use recovery::Recovery;
+use trail::Trail;
+
+/// Time is cut into bins of this.
+pub const BIN_S: f64 = 0.25;
+const BIN_NS: i64 = 250_000_000;
+/// Bins that are judged together; of the longest the oldest goes over to the slow sums.
+const WINDOWS: [usize; 2] = [2, 8];
+/// Verdicts in a row that are believed, on one who moved …
+const MOVED_STREAK: usize = 2;
+/// … on that one of several did …
+const UNCLEAR_STREAK: usize = 4;
+/// … and that this is over.
+const AGREED_STREAK: usize = 12;
+/// Drift is looked at every so many bins.
+const DRIFT_EVERY: i64 = 8;
+/// A camera that met no other for so many bins is alone.
+const ALONE_BINS: i64 = 20;
+/// Bins that are caught up on after a pause.
+const MOST_BEHIND: i64 = 40;
+/// Roundels followed by one camera.
+const MOST_TRAILS: usize = 1024;
+/// One that is not seen for so long is forgotten.
+const FORGOTTEN_NS: i64 = 2_000_000_000;
+/// Stamps that are so far ahead of the time are wrong.
+const AHEAD_NS: i64 = 5_000_000_000;
+
+/// What the watch can be told.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct WatchParams {
+    /// Frames arrive within this after their exposure, by their corrected stamps, seconds.
+    pub delay_s: f64,
+    /// How well clocks' offsets are known, seconds.
+    pub clock_deviation_s: f64,
+    /// Part of a detection's variance that stays from frame to frame, 0 to 1 …
+    pub systematic_share: f64,
+    /// … and for how long, seconds.
+    pub systematic_time_s: f64,
+    /// What covariances of detections do not say: each coordinate, stays, metres.
+    pub least_deviation_m: f64,
+    /// A camera whose view moved by more at once was bumped, metres, rms over what it sees.
+    pub least_bump_m: f64,
+    /// One whose view is off by more drifts.
+    pub least_drift_m: f64,
+    /// Time in which the sums over which that is seen fade, seconds.
+    pub drift_window_s: f64,
+    /// A camera returns once its place is known to this, metres and radians …
+    pub return_deviation_m: f64,
+    /// … about each.
+    pub return_deviation_rad: f64,
+    /// Or after so many seconds at rest if it is known to four times that.
+    pub return_after_s: f64,
+}
+
+impl Default for WatchParams {
+    fn default() -> Self {
+        Self {
+            delay_s: 0.15,
+            clock_deviation_s: 1e-4,
+            systematic_share: 0.5,
+            systematic_time_s: 1.0,
+            least_deviation_m: 1e-4,
+            least_bump_m: 0.004,
+            least_drift_m: 4e-4,
+            drift_window_s: 60.0,
+            return_deviation_m: 3e-4,
+            return_deviation_rad: 0.003 * std::f64::consts::PI / 180.0,
+            return_after_s: 15.0,
+        }
+    }
+}
+
+/// What became known of cameras' places.
+#[derive(Clone, Debug, PartialEq)]
+pub enum WatchEvent {
+    /// It does not stand where it did: it is to be left out.
+    Bumped {
+        /// Which.
+        camera: CameraId,
+        /// How far it moved, as far as is known at once, metres.
+        moved_m: f64,
+        /// And turned, radians.
+        turned_rad: f64,
+    },
+    /// It rests, and this is where: it is to be used again.
+    Returned {
+        /// Which.
+        camera: CameraId,
+        /// Where.
+        placement: CameraPlacement,
+    },
+    /// It drifted, and stands here now; it was good enough to be used all the time.
+    Drifted {
+        /// Which.
+        camera: CameraId,
+        /// Where.
+        placement: CameraPlacement,
+        /// By how much what it sees moves with that, rms, metres.
+        moved_m: f64,
+    },
+    /// One of these moved; which of them cannot be known.
+    Contradiction {
+        /// Ascending.
+        cameras: Vec<CameraId>,
+    },
+    /// They agree again, or it is known who moved.
+    Agreed {
+        /// As they were named before.
+        cameras: Vec<CameraId>,
+    },
+}
+
+/// How a camera stands to the others.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum WatchState {
+    /// Others see what it sees.
+    Watched,
+    /// Others see it elsewhere; who is right is not known yet, or cannot be.
+    Suspected,
+    /// It was bumped.
+    Quarantined,
+    /// Of late no other saw what it sees.
+    Alone,
+}
+
+/// What is known of how right a camera's place is.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct CameraHealth {
+    /// How it stands to the others.
+    pub state: WatchState,
+    /// By how much it would have to move to agree best with the others, metres …
+    pub error_m: f64,
+    /// … and to turn, radians.
+    pub error_rad: f64,
+    /// Standard deviations of both.
+    pub deviation_m: f64,
+    /// Radians.
+    pub deviation_rad: f64,
+    /// What it sees is off by so much, rms, metres.
+    pub seen_error_m: f64,
+}
+
+/// One camera.
+#[derive(Clone, Debug)]
+struct Post {
+    camera: CameraId,
+    placement: CameraPlacement,
+    trails: BTreeMap<TrackNumber, Trail>,
+    recovery: Option<Recovery>,
+    /// When it met another.
+    met: Option<i64>,
+}
+
+/// The verdicts on one window, in a row.
+#[derive(Clone, Debug, Default)]
+struct Streak {
+    posts: Vec<usize>,
+    is_unclear: bool,
+    count: usize,
+}
+
+/// All cameras of an installation.
+#[derive(Clone, Debug)]
+pub struct Watch {
+    params: WatchParams,
+    landmarks: Vec<Landmark>,
+    posts: Vec<Post>,
+    /// The newest is the last.
+    bins: VecDeque<Vec<Meeting>>,
+    next_bin: Option<i64>,
+    now: Option<Timestamp>,
+    stands: Stands,
+    streaks: [Streak; WINDOWS.len()],
+    drift: Drift,
+    /// Those of which one moved, ascending.
+    contradiction: Option<Vec<CameraId>>,
+    events: Vec<WatchEvent>,
+}
+
+impl Watch {
+    /// Watches nobody yet.
+    pub fn new(params: WatchParams) -> Self {
+        Self {
+            params,
+            landmarks: Vec::new(),
+            posts: Vec::new(),
+            bins: VecDeque::new(),
+            next_bin: None,
+            now: None,
+            stands: Stands::default(),
+            streaks: Default::default(),
+            drift: Drift::new(0),
+            contradiction: None,
+            events: Vec::new(),
+        }
+    }
+
+    /// Says where a camera stands: what was known of how it agrees is forgotten. The place that an event told
+    /// may be said again, which changes nothing.
+    pub fn set_camera(&mut self, camera: CameraId, placement: CameraPlacement) {
+        match self.post(camera) {
+            Some(post) if self.posts[post].placement == placement => return,
+            Some(post) => {
+                self.posts[post].placement = placement;
+                self.posts[post].recovery = None;
+            }
+            None => {
+                let trails = BTreeMap::new();
+                self.posts.push(Post { camera, placement, trails, recovery: None, met: None });
+            }
+        }
+        self.forget();
+    }
+
+    /// No longer watches a camera.
+    pub fn remove_camera(&mut self, camera: CameraId) {
+        if let Some(post) = self.post(camera) {
+            self.posts.remove(post);
+            self.forget();
+        }
+    }
+
+    /// Says where reference roundels are.
+    pub fn set_landmarks(&mut self, landmarks: &[Landmark]) {
+        if self.landmarks != landmarks {
+            self.landmarks = landmarks.to_vec();
+            self.forget();
+        }
+    }
+
+    /// Takes in what a camera saw; its stamps are late by `clock_offset_s`.
+    pub fn observe(&mut self, frame: &FrameObservations, clock_offset_s: f64) {
+        let (Some(post), now) = (self.post(frame.camera), self.now) else { return };
+        let trails = &mut self.posts[post].trails;
+        for seen in &frame.detections {
+            let (Some(pose), Some(kind)) = (&seen.pose, seen.ring.kind) else { continue };
+            let time = seen.capture_time.plus_seconds(-clock_offset_s);
+            let is_ahead = now.is_some_and(|now| time.ns_since(now) > AHEAD_NS);
+            if is_ahead || trails.len() >= MOST_TRAILS && !trails.contains_key(&seen.track) {
+                continue;
+            }
+            let trail = trails.entry(seen.track).or_insert_with(|| Trail::new(kind, time));
+            trail.add(time, seen, pose);
+        }
+    }
+
+    /// Lets time pass until `now`, by the corrected stamps; what became known.
+    pub fn advance(&mut self, now: Timestamp) -> Vec<WatchEvent> {
+        self.now = Some(now);
+        let newest = now.plus_seconds(-self.params.delay_s).as_ns().div_euclid(BIN_NS) - 1;
+        let next = self.next_bin.unwrap_or(newest).max(newest.saturating_sub(MOST_BEHIND));
+        for bin in next..=newest {
+            self.close(bin);
+        }
+        self.next_bin = Some(next.max(newest + 1));
+        std::mem::take(&mut self.events)
+    }
+
+    /// What is known of a camera; `None` if it is not watched.
+    pub fn health(&self, camera: CameraId) -> Option<CameraHealth> {
+        let post = self.post(camera)?;
+        let offset = self.drift.offset(post);
+        let (change, covariance) =
+            offset.map_or((Vector6::zeros(), Matrix6::zeros()), |it| (it.change, it.covariance));
+        let deviation =
+            |corner: usize| covariance.fixed_view::<3, 3>(corner, corner).trace().sqrt();
+        Some(CameraHealth {
+            state: self.state(post),
+            error_m: change.fixed_rows::<3>(0).norm(),
+            error_rad: change.fixed_rows::<3>(3).norm(),
+            deviation_m: deviation(0),
+            deviation_rad: deviation(3),
+            seen_error_m: offset.map_or(0.0, |it| it.moved_m),
+        })
+    }
+
+    fn state(&self, post: usize) -> WatchState {
+        let camera = &self.posts[post].camera;
+        let newest = self.next_bin.unwrap_or_default();
+        if self.posts[post].recovery.is_some() {
+            WatchState::Quarantined
+        } else if self.contradiction.as_ref().is_some_and(|cameras| cameras.contains(camera))
+            || self.streaks.iter().any(|streak| streak.posts.contains(&post))
+        {
+            WatchState::Suspected
+        } else if self.posts[post].met.is_none_or(|met| newest - met > ALONE_BINS) {
+            WatchState::Alone
+        } else {
+            WatchState::Watched
+        }
+    }
+
+    fn post(&self, camera: CameraId) -> Option<usize> {
+        self.posts.iter().position(|post| post.camera == camera)
+    }
+
+    /// Forgets all evidence: what it says of was changed.
+    fn forget(&mut self) {
+        self.bins.clear();
+        self.drift = Drift::new(self.posts.len());
+        self.streaks = Default::default();
+        self.stands = Stands::default();
+        for post in &mut self.posts {
+            post.met = None;
+            if let Some(recovery) = &mut post.recovery {
+                recovery.restart();
+            }
+        }
+        self.end_contradiction();
+    }
+
+    /// Places of cameras in service.
+    fn places(&self) -> Vec<Option<Rigid>> {
+        let place =
+            |post: &Post| post.recovery.is_none().then_some(post.placement.world_from_camera);
+        self.posts.iter().map(place).collect()
+    }
+
+    /// Takes in a bin that is over.
+    fn close(&mut self, bin: i64) {
+        let meetings = self.meetings(bin);
+        for post in meetings.iter().flat_map(|meeting| &meeting.sights).map(|(post, _)| *post) {
+            self.posts[post].met = Some(bin);
+        }
+        self.recover(&meetings);
+        self.bins.push_back(meetings);
+        let is_calm = self.judge();
+        if self.bins.len() > WINDOWS[1] {
+            let oldest = self.bins.pop_front().unwrap_or_default();
+            if is_calm {
+                self.follow(&oldest, bin);
+            }
+        }
+    }
+
+    /// Who met in a bin.
+    fn meetings(&mut self, bin: i64) -> Vec<Meeting> {
+        let middle = Timestamp::from_ns(bin * BIN_NS + BIN_NS / 2);
+        let mut singles = Vec::new();
+        for (index, post) in self.posts.iter_mut().enumerate() {
+            for (number, trail) in &mut post.trails {
+                let sight = trail.sight(middle, self.params.clock_deviation_s);
+                trail.forget(middle);
+                if let (Some(sight), Ok(code)) = (sight, trail.code()) {
+                    let kind = trail.kind;
+                    singles.push(Single { post: index, number: *number, kind, code, sight });
+                }
+            }
+            post.trails.retain(|_, trail| middle.ns_since(trail.newest) < FORGOTTEN_NS);
+        }
+        let place = |post: &Post| match &post.recovery {
+            Some(recovery) => recovery.place,
+            None => post.placement.world_from_camera,
+        };
+        let places: Vec<Rigid> = self.posts.iter().map(place).collect();
+        meet(&singles, &places, &self.landmarks, (&mut self.stands, bin))
+    }
+
+    /// Cameras out of service.
+    fn recover(&mut self, meetings: &[Meeting]) {
+        let others = self.places();
+        for index in 0..self.posts.len() {
+            let post = &mut self.posts[index];
+            let Some(recovery) = &mut post.recovery else { continue };
+            let Some(fit) = recovery.advance(index, meetings, &others, &self.params) else {
+                continue;
+            };
+            post.recovery = None;
+            // Found against others that err as it did before.
+            post.placement.world_from_camera = fit.place;
+            post.placement.covariance += fit.covariance;
+            let (camera, placement) = (post.camera, post.placement);
+            self.events.push(WatchEvent::Returned { camera, placement });
+        }
+    }
+
+    /// Whether cameras in service agree of late; who does not is named.
+    fn judge(&mut self) -> bool {
+        let mut is_calm = true;
+        for (index, window) in WINDOWS.into_iter().enumerate() {
+            let places = self.places();
+            let rounds = self.rounds(window, &places);
+            let verdict = judge(&rounds, &places, &self.params);
+            let (named, is_unclear) = match &verdict {
+                Verdict::Agreed => (Vec::new(), false),
+                Verdict::Moved(moved) => (moved.iter().map(|(post, _)| *post).collect(), false),
+                Verdict::Unclear(posts) => (posts.clone(), true),
+            };
+            is_calm &= named.is_empty();
+            let streak = &mut self.streaks[index];
+            if streak.posts == named && streak.is_unclear == is_unclear {
+                streak.count += 1;
+            } else {
+                *streak = Streak { posts: named, is_unclear, count: 1 };
+            }
+            let count = streak.count;
+            match verdict {
+                Verdict::Moved(moved) if count >= MOVED_STREAK => self.bumped(&moved),
+                Verdict::Unclear(posts) if count >= UNCLEAR_STREAK => self.contradict(&posts),
+                _ => {}
+            }
+        }
+        let is_over = |streak: &Streak| streak.posts.is_empty() && streak.count >= AGREED_STREAK;
+        if self.streaks.iter().all(is_over) {
+            self.end_contradiction();
+        }
+        is_calm && self.contradiction.is_none()
+    }
+
+    fn rounds(&self, window: usize, places: &[Option<Rigid>]) -> Vec<Round> {
+        let newest = self.bins.iter().rev().take(window).flatten();
+        newest.filter_map(|it| Round::of(it, places, window, &self.params)).collect()
+    }
+
+    fn bumped(&mut self, moved: &[(usize, Rigid)]) {
+        self.end_contradiction();
+        for (index, place) in moved {
+            let post = &mut self.posts[*index];
+            let before = &post.placement.world_from_camera;
+            self.events.push(WatchEvent::Bumped {
+                camera: post.camera,
+                moved_m: (place.translation.vector - before.translation.vector).norm(),
+                turned_rad: place.rotation.angle_to(&before.rotation),
+            });
+            post.recovery = Some(Recovery::new(*place));
+        }
+        // What was seen together with them says nothing of the others.
+        self.drift = Drift::new(self.posts.len());
+        self.streaks = Default::default();
+        for post in &mut self.posts {
+            if let Some(recovery) = &mut post.recovery {
+                recovery.restart();
+            }
+        }
+    }
+
+    fn contradict(&mut self, posts: &[usize]) {
+        let mut cameras: Vec<CameraId> =
+            posts.iter().map(|post| self.posts[*post].camera).collect();
+        cameras.sort_unstable();
+        if self.contradiction.as_ref() != Some(&cameras) {
+            self.end_contradiction();
+            self.events.push(WatchEvent::Contradiction { cameras: cameras.clone() });
+            self.contradiction = Some(cameras);
+            self.drift = Drift::new(self.posts.len());
+        }
+    }
+
+    fn end_contradiction(&mut self) {
+        if let Some(cameras) = self.contradiction.take() {
+            self.events.push(WatchEvent::Agreed { cameras });
+        }
+    }
+
+    /// Takes a bin into the slow sums, and corrects who drifted.
+    fn follow(&mut self, meetings: &[Meeting], bin: i64) {
+        let places = self.places();
+        // Over the sums' whole time, errors that stay count as often as there are bins in it.
+        let window = (self.params.drift_window_s / BIN_S) as usize;
+        let of = |meeting: &Meeting| Round::of(meeting, &places, window, &self.params);
+        let rounds: Vec<Round> = meetings.iter().filter_map(of).collect();
+        self.drift.add(&rounds, &places, &self.params);
+        if bin.rem_euclid(DRIFT_EVERY) != 0 {
+            return;
+        }
+        let Some((index, offset)) = self.drift.adrift(&self.params) else { return };
+        self.drift.change(index, &offset.change);
+        let post = &mut self.posts[index];
+        let place = &mut post.placement;
+        place.world_from_camera = moved(&place.world_from_camera, &offset.change);
+        self.events.push(WatchEvent::Drifted {
+            camera: post.camera,
+            placement: *place,
+            moved_m: offset.moved_m,
+        });
+    }
+}
