@@ -20,7 +20,7 @@ use crate::rigid::Rigid;
 const SURE_GAIN: f64 = 60.0;
 /// Others that cost no more than this above the best, and this share of its gain, may be at fault as well.
 const CLEAR_COST: f64 = 30.0;
-const CLEAR_SHARE: f64 = 0.03;
+const CLEAR_SHARE: f64 = 0.01;
 /// Roundels that have to say so: of one alone the code may be shown twice.
 const LEAST_ROUNDELS: usize = 2;
 /// Cameras taken first when pairs are tried.

@@ -61,7 +61,7 @@ const WINDOWS: [usize; 2] = [2, 8];
 /// Verdicts in a row that are believed, on one who moved …
 const MOVED_STREAK: usize = 2;
 /// … on that one of several did …
-const UNCLEAR_STREAK: usize = 4;
+const UNCLEAR_STREAK: usize = 8;
 /// … and that this is over.
 const AGREED_STREAK: usize = 12;
 /// Drift is looked at every so many bins.

@@ -28,7 +28,7 @@ const MOST_CODES: usize = 4;
 /// Fewer positions make no parabola.
 const LEAST_SAMPLES: usize = 3;
 /// Positions reach at least so far to either side of the bin's middle, as a share of its half.
-const LEAST_REACH: f64 = 0.45;
+const LEAST_REACH: f64 = 0.3;
 /// The parabola's variance in the middle is at most so many times that of one position.
 const MOST_VARIANCE: f64 = 1.5;
 /// A position is left out that is further off the parabola than this and so many deviations.

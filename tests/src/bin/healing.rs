@@ -1,0 +1,114 @@
+//! Bumps cameras of R4, lets one drift, and prints what the watch makes of it as one table:
+//! `cargo run --release -p roundel-tests --bin healing [-- HOURS]`; the long run takes 24 h of virtual time
+//! without it. Bumps that are not answered well are told on the standard error. Ends with 1 if a row misses
+//! its bar.
+
+use std::{process::ExitCode, time::Instant};
+
+use roundel_core::{calib::watch::WatchParams, id::CameraId};
+use roundel_tests::{
+    healing::{Answer, Healing, Move, Outcome},
+    normal::Random,
+};
+
+/// Errors of precise and of fast detections, pixels.
+const PRECISE_PX: f64 = 0.03;
+const FAST_PX: f64 = 0.1;
+/// Seeds of the short rows.
+const SEEDS: u64 = 10;
+/// A long run is of cameras with so many frames a second.
+const SLOW_HZ: f64 = 12.0;
+const BUMPS_A_DAY: f64 = 20.0;
+
+fn main() -> ExitCode {
+    let argument = std::env::args().nth(1);
+    let hours = match argument.as_deref().map(str::parse) {
+        None => 24.0,
+        Some(Ok(hours)) if hours > 0.0 => hours,
+        _ => {
+            eprintln!("expected hours above 0, found {}", argument.unwrap_or_default());
+            return ExitCode::from(2);
+        }
+    };
+    println!(
+        "| R4 | bumps | noticed, most | returned, most | off, most | imagined | corrections | else off, most | took | holds |"
+    );
+    println!("| --- | --- | --- | --- | --- | --- | --- | --- | --- | --- |");
+    let degree = 1f64.to_radians();
+    let held = [
+        bumped("2 cm", (0.02, 0.0), PRECISE_PX, 1),
+        bumped("1°", (0.0, degree), PRECISE_PX, 1),
+        bumped("2 cm, fast mode", (0.02, 0.0), FAST_PX, 1),
+        bumped("1°, fast mode", (0.0, degree), FAST_PX, 1),
+        bumped("two at once, 2 cm and 1°", (0.02, degree), PRECISE_PX, 2),
+        drifting(),
+        lasting(hours),
+    ];
+    if held.iter().all(|held| *held) { ExitCode::SUCCESS } else { ExitCode::FAILURE }
+}
+
+/// So many cameras of each seed bumped at once.
+fn bumped(name: &str, size: (f64, f64), noise_px: f64, count: u64) -> bool {
+    let begun = Instant::now();
+    let mut all = Outcome::default();
+    for seed in 1..=SEEDS {
+        let mut healing = Healing::r4(seed, 60.0, noise_px);
+        let mut random = Random::new(seed, 78);
+        for other in 0..count {
+            let camera = CameraId(((seed + other) % 4) as u32);
+            let at_s = 10.03 + 0.02 * other as f64;
+            healing.moves.push(Move::bump(camera, at_s, size, &mut random));
+        }
+        let outcome = healing.run(WatchParams::default(), 45.0);
+        all.answers.extend(outcome.answers);
+        all.imagined += outcome.imagined;
+        all.corrections += outcome.corrections;
+        all.worst_m = all.worst_m.max(outcome.worst_m);
+    }
+    row(name, &all, begun, all.is_healed())
+}
+
+/// One camera drifts by 1 cm an hour.
+fn drifting() -> bool {
+    let begun = Instant::now();
+    let mut healing = Healing::r4(1, SLOW_HZ, PRECISE_PX);
+    let size = (0.01, 0.02f64.to_radians());
+    let drift = Move::bump(CameraId(1), 60.0, size, &mut Random::new(1, 79));
+    healing.moves.push(Move { lasts_s: 3600.0, ..drift });
+    let outcome = healing.run(WatchParams::default(), 3660.0);
+    row("1 h of drift, 1 cm", &outcome, begun, outcome.is_healed() && outcome.worst_m <= 1e-3)
+}
+
+/// Hours with bumps now and then.
+fn lasting(hours: f64) -> bool {
+    let begun = Instant::now();
+    let seconds = hours * 3600.0;
+    let bumps = (hours / 24.0 * BUMPS_A_DAY).round() as usize;
+    let healing = Healing::r4(1, SLOW_HZ, PRECISE_PX).with_bumps(bumps, seconds);
+    let outcome = healing.run(WatchParams::default(), seconds);
+    for (bump, answer) in healing.moves.iter().zip(&outcome.answers) {
+        let is_well = answer.returned_s.is_some() && answer.off_m <= 1e-3;
+        if !is_well {
+            eprintln!("{bump:?}: {answer:?}");
+        }
+    }
+    row(&format!("{hours} h"), &outcome, begun, outcome.is_healed())
+}
+
+fn row(name: &str, outcome: &Outcome, begun: Instant, holds: bool) -> bool {
+    let most = |part: fn(&Answer) -> f64| outcome.answers.iter().map(part).fold(0.0, f64::max);
+    println!(
+        "| {name} | {} | {:.2} s | {:.1} s | {:.2} mm, {:.4}° | {} | {} | {:.2} mm | {:.0} s | {} |",
+        outcome.answers.len(),
+        most(|it| it.noticed_s.unwrap_or(f64::INFINITY)),
+        most(|it| it.returned_s.unwrap_or(f64::INFINITY)),
+        most(|it| it.off_m) * 1e3,
+        most(|it| it.off_rad).to_degrees(),
+        outcome.imagined,
+        outcome.corrections,
+        outcome.worst_m * 1e3,
+        begun.elapsed().as_secs_f64(),
+        if holds { "yes" } else { "**no**" },
+    );
+    holds
+}
