@@ -2,7 +2,7 @@
 //! speeds, which `--bin scenarios` tells.
 
 use roundel_tests::{
-    scenario::{BAND, Length, Row, Run, crossing, fault, moving, swarm},
+    scenario::{BAND, Length, Row, Run, crossing, fault, moving, plane, swarm},
     score::Score,
 };
 
@@ -59,6 +59,14 @@ fn streams_that_misbehave_do_no_harm_and_are_counted() {
     for run in counted {
         let row = sound(run, 24);
         assert!(row.holds(), "{:?}", row.parts);
+    }
+}
+
+#[test]
+fn robots_on_a_floor_are_as_well_located_as_by_a_homography() {
+    for row in plane::plane(Length::Short) {
+        println!("{}: {:?}", row.scenario, row.parts);
+        assert!(row.holds(), "{}: {:?}", row.scenario, row.parts);
     }
 }
 

@@ -11,6 +11,7 @@
 //! | `r16` | 200 coded objects, 16 cameras: speed | [`swarm`] |
 //! | `r4` | 24 coded robots as DESIGN's R4 moves them | [`swarm`] |
 //! | `static`, `walking`, `driving` | R4 from rendered frames | [`pixels`] |
+//! | `plane` | ground robots under one camera: homography or the plane in the filter | [`plane`] |
 //! | `clocks` | offsets and skews that nobody has set | [`clocks`] |
 //! | `crossing` | plain roundels that pass each other, occluded, for ten minutes | [`crossing`] |
 //! | `drone`, `docking` | cameras that ride, and that find their place from landmarks | [`moving`] |
@@ -25,6 +26,7 @@ pub mod crossing;
 pub mod fault;
 pub mod moving;
 pub mod pixels;
+pub mod plane;
 pub mod run;
 pub mod swarm;
 
@@ -147,7 +149,7 @@ pub fn shares(score: &Score) -> [f64; 3] {
 pub type Run = fn(Length) -> Vec<Row>;
 
 /// Every scenario by its name, in the order of the table.
-pub const ALL: [(&str, Run); 20] = [
+pub const ALL: [(&str, Run); 21] = [
     ("alone", swarm::alone),
     ("late", swarm::late),
     ("r16", swarm::r16),
@@ -155,6 +157,7 @@ pub const ALL: [(&str, Run); 20] = [
     ("static", pixels::still),
     ("walking", pixels::walking),
     ("driving", pixels::driving),
+    ("plane", plane::plane),
     ("clocks", clocks::unset),
     ("crossing", crossing::crossing),
     ("drone", moving::drone),

@@ -55,10 +55,15 @@ pub struct Outcome {
 impl<'a> Run<'a> {
     /// With fusion as a server has it without configuration, and cameras whose places are known.
     pub fn new(arena: &'a Arena, ticks: Ticks) -> Self {
+        Self::with(arena, ticks, fusion(arena, FusionParams::default()))
+    }
+
+    /// With fusion as the caller has it.
+    pub fn with(arena: &'a Arena, ticks: Ticks, fusion: Fusion) -> Self {
         Self {
             arena,
             ticks,
-            fusion: fusion(arena, FusionParams::default()),
+            fusion,
             judge: Judge::default(),
             done: 0,
             spent: vec![Duration::ZERO],
