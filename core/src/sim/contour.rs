@@ -48,20 +48,29 @@ impl Picture<'_> {
     }
 
     /// Largest distance, pixels, between the picture's rim and the true one as blurred, and their
-    /// mean signed distance (outwards positive). The roundel moves by `motion_m` while it is exposed.
+    /// mean signed distance (outwards positive). The roundel moves by `motion_m` while it is exposed, and by
+    /// `per_row_m` from one row's exposure to the next.
     fn rim_error_px(
         &self,
         camera: &Camera,
         camera_from_roundel: &Rigid,
         radii_m: [f64; 4],
-        motion_m: Vector3<f64>,
+        [motion_m, per_row_m]: [Vector3<f64>; 2],
     ) -> [f64; 2] {
         const DIRECTIONS: u32 = 64;
+        let center_m = camera_from_roundel.translation.vector;
+        let row_px = camera.project(&center_m).unwrap().v;
+        let imaged = |point_m: Vector3<f64>| {
+            let mut pixel = camera.project(&point_m).unwrap();
+            for _ in 0..5 {
+                pixel = camera.project(&(point_m + per_row_m * (pixel.v - row_px))).unwrap();
+            }
+            pixel
+        };
         let seen = |point_m: Vector3<f64>| {
-            let pixel = camera.project(&point_m).unwrap();
+            let pixel = imaged(point_m);
             Vector2::new(pixel.u, pixel.v)
         };
-        let center_m = camera_from_roundel.translation.vector;
         let motion_px = seen(center_m + 0.5 * motion_m) - seen(center_m - 0.5 * motion_m);
         let [inside_m, radius_m, outside_m, white_m] = radii_m;
         let (mut largest, mut sum) = (0f64, 0.0);
@@ -69,7 +78,7 @@ impl Picture<'_> {
             let angle = std::f64::consts::TAU * f64::from(i) / f64::from(DIRECTIONS);
             let pixel = |radius_m: f64| {
                 let point = Point3::new(radius_m * angle.cos(), radius_m * angle.sin(), 0.0);
-                camera.project(&(camera_from_roundel * point).coords).unwrap()
+                imaged((camera_from_roundel * point).coords)
             };
             let level = |radius_m: f64| {
                 let pixel = pixel(radius_m);
@@ -132,11 +141,17 @@ fn posed([x, y]: [f64; 2], depth_m: f64, tilt_rad: f64, axis_rad: f64) -> Rigid 
 
 /// Of the painted roundel while it is exposed.
 const MOTION_M: [f64; 3] = [0.003, -0.001, 0.0];
+/// From one row's exposure to the next: 1 m/s at 12 µs.
+const PER_ROW_M: [f64; 3] = [7e-6, -9e-6, 0.0];
 
 /// Paints a roundel on an even page; gives the working image.
 fn painted(camera: &Camera, camera_from_roundel: Rigid, sheet: Sheet) -> Canvas {
-    let setting =
-        Setting { light: [0.8, 0.05, -0.03], motion_m: Vector3::from(MOTION_M), blur_px: BLUR_PX };
+    let setting = Setting {
+        light: [0.8, 0.05, -0.03],
+        motion_m: Vector3::from(MOTION_M),
+        per_row_m: Vector3::from(PER_ROW_M),
+        blur_px: BLUR_PX,
+    };
     let (outer_radius_m, inner_radius_m) = (OUTER_M as f32, INNER_M as f32);
     let shape = Shape::Roundel { outer_radius_m, inner_radius_m, sheet };
     let patch = Patch::new(camera, camera_from_roundel, &setting).expect("seen from the front");
@@ -170,9 +185,9 @@ fn half_levels_lie_on_the_projected_rims() {
                 let level = |i: usize| f64::from(canvas.row(i / width)[i % width]);
                 let picture = Picture { width, level: &level };
                 for radii_m in rims_m(1.25 * OUTER_M) {
-                    let motion_m = Vector3::from(MOTION_M);
+                    let motions_m = [MOTION_M, PER_ROW_M].map(Vector3::from);
                     let [largest, mean] =
-                        picture.rim_error_px(camera, &camera_from_roundel, radii_m, motion_m);
+                        picture.rim_error_px(camera, &camera_from_roundel, radii_m, motions_m);
                     assert!(
                         largest < 0.03 && mean.abs() < 0.015,
                         "rim {} m at {depth_m} m, {place:?}, tilt {tilt_rad}: \
@@ -225,9 +240,11 @@ fn frames_show_robots_where_the_truth_has_them() {
                 camera.world_from_camera.inverse() * exposed.world_from_roundel;
             for radii_m in rims_m(0.0) {
                 // In the fraction of a frame that it is exposed it moves by too little to matter.
-                let motion_m = Vector3::zeros();
+                let turn = camera.world_from_camera.rotation.inverse();
+                let per_row_m = turn * exposed.velocity_m_s * camera.line_time_s;
+                let motions_m = [Vector3::zeros(), per_row_m];
                 let [largest, mean] =
-                    picture.rim_error_px(&camera.camera, &camera_from_roundel, radii_m, motion_m);
+                    picture.rim_error_px(&camera.camera, &camera_from_roundel, radii_m, motions_m);
                 assert!(
                     largest < 0.08 && mean.abs() < 0.02,
                     "{}: robot {} at {distance_m} m, rim {} m: {largest} px, mean {mean} px",

@@ -8,7 +8,8 @@
 //! exactly, so the outline itself is exact; only the edge's *width* is local: with the outline's
 //! signed distance s(X, Y) in the plane and its gradient g in the image, coverage is
 //! Φ(s / sqrt(σ² |g|² + (m · g)² / 12)), where σ² is the blur's variance plus 1/12 of the pixel's own
-//! square, and m the motion during the exposure in pixels. Blur moves a curved edge inwards: of a
+//! square, and m the motion during the exposure in pixels. Under a rolling shutter what is seen v rows below the
+//! origin's has moved on by s v, s its motion from row to row in pixels: its ray is that of the pixel less s v. Blur moves a curved edge inwards: of a
 //! circle of radius r by v / 2r, v the blur's variance along the edge, in the plane, which keeps the
 //! area that is covered as a real lens does. Straight edges stay where they are.
 
@@ -63,6 +64,9 @@ pub(super) struct Patch {
     by_pixel: [[f32; 2]; 3],
     /// Motion during the exposure, pixels.
     motion_px: [f32; 2],
+    /// Row of the origin, and motion from one row's exposure to the next one's, pixels.
+    row_px: f64,
+    px_per_row: Vector2<f64>,
     /// Light that reaches the image from the origin, and its slope along X and Y, per metre.
     light: [f32; 3],
     /// Blur's and pixel's variance, pixels².
@@ -79,6 +83,8 @@ pub(super) struct Setting {
     pub light: [f64; 3],
     /// Motion of the origin during the exposure, camera frame, metres.
     pub motion_m: Vector3<f64>,
+    /// The same from one row's exposure to the next one's.
+    pub per_row_m: Vector3<f64>,
     /// The lens' blur, standard deviation, pixels.
     pub blur_px: f64,
 }
@@ -100,10 +106,12 @@ impl Patch {
         let to_plane = Matrix3::from_columns(&columns).try_inverse()?;
         let origin = Vector2::new(center.x / center.z, center.y / center.z);
         let on_ray = Vector3::new(origin.x, origin.y, 1.0);
-        let (_, jacobian) = camera.project_with_jacobian(&on_ray).ok()?;
+        let (pixel, jacobian) = camera.project_with_jacobian(&on_ray).ok()?;
         let pixel_by_ray: Matrix2<f64> = jacobian.fixed_view::<2, 2>(0, 0).into_owned();
         let ray_by_pixel = pixel_by_ray.try_inverse()?;
-        let by_pixel = to_plane.fixed_view::<3, 2>(0, 0) * ray_by_pixel;
+        let px_per_row = jacobian * setting.per_row_m / center.z;
+        let straight = Matrix2::identity() - px_per_row * Vector2::y().transpose();
+        let by_pixel = to_plane.fixed_view::<3, 2>(0, 0) * ray_by_pixel * straight;
         let motion_px = {
             let half = setting.motion_m / 2.0;
             let (from, to) =
@@ -111,6 +119,7 @@ impl Patch {
             [(to.u - from.u) as f32, (to.v - from.v) as f32]
         };
         let mut relative = to_plane;
+        relative.fixed_view_mut::<3, 2>(0, 0).copy_from(&(by_pixel * pixel_by_ray));
         relative.set_column(2, &(to_plane * on_ray));
         let plane_by_pixel = by_pixel.fixed_view::<2, 2>(0, 0) * center.z;
         Some(Self {
@@ -118,6 +127,8 @@ impl Patch {
             to_plane: [0, 1, 2].map(|i| [0, 1, 2].map(|j| relative[(i, j)] as f32)),
             by_pixel: [0, 1, 2].map(|i| [0, 1].map(|j| by_pixel[(i, j)] as f32)),
             motion_px,
+            row_px: pixel.v,
+            px_per_row,
             light: dim(setting.light, &camera_from_plane).map(|x| x as f32),
             variance_px2: (setting.blur_px * setting.blur_px + 1.0 / 12.0) as f32,
             camera_from_plane,
@@ -185,7 +196,10 @@ impl Patch {
             .into_iter()
             .map(|[x, y]| {
                 let point = self.camera_from_plane * Point3::new(x, y, 0.0);
-                camera.project(&point.coords).ok()
+                let pixel = camera.project(&point.coords).ok()?;
+                let rows = (pixel.v - self.row_px) / (1.0 - self.px_per_row.y);
+                let moved = self.px_per_row * rows;
+                Some(PixelPoint { u: pixel.u + moved.x, v: pixel.v + moved.y })
             })
             .collect()
     }

@@ -2,8 +2,8 @@
 //!
 //! What never changes (floor, clutter, light) is painted once, through the lens. A frame then costs
 //! the windows of the robots in view and one pass that adds noise; see `benches/sim.rs`. Each robot
-//! is shown as it is in the middle of the exposure at the image row of its own centre; within one
-//! roundel the rolling shutter's shear (below 0.1 px for the reference installations) is left out.
+//! is shown as it is in the middle of the exposure at the image row of its own centre, and its other rows
+//! as far on as the rolling shutter exposes them later, all moving alike.
 
 use nalgebra::{Point3, Translation3, UnitQuaternion, Vector3};
 use thiserror::Error;
@@ -207,9 +207,11 @@ impl Renderer {
         shapes: &[Shape],
     ) {
         let camera_from_world = self.camera.world_from_camera.inverse();
+        let velocity_m_s = camera_from_world.rotation * velocity_m_s;
         let setting = Setting {
             light: self.light_on(world_from_plane),
-            motion_m: camera_from_world.rotation * velocity_m_s * self.camera.exposure_s,
+            motion_m: velocity_m_s * self.camera.exposure_s,
+            per_row_m: velocity_m_s * self.camera.line_time_s,
             blur_px: self.scenario.params().image.blur_px,
         };
         let camera = &self.camera.camera;
