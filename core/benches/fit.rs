@@ -138,6 +138,7 @@ fn coded_fits(criterion: &mut Criterion) {
             motion_px: Vector2::zeros(),
             moved_px: 1.0,
             is_still: true,
+            skew: None,
         };
         let first = fit(&frame, &camera, &kind, &ring, &start, &mut scratch).expect("it is drawn");
         start.blur_px = first.blur_px;
@@ -182,6 +183,7 @@ fn fits(criterion: &mut Criterion) {
             motion_px: Vector2::zeros(),
             moved_px: 1.0,
             is_still: true,
+            skew: None,
         };
         let first = fit(&frame, &camera, kind, &ring, &start, &mut scratch).expect("it is drawn");
         (start.blur_px, start.motion_px) = (first.blur_px, first.motion_px);

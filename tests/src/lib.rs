@@ -41,6 +41,7 @@ pub mod healing;
 pub mod layering;
 pub mod normal;
 pub mod optics;
+pub mod passing;
 pub mod pipeline;
 pub mod precision;
 pub mod process;

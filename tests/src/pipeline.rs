@@ -79,7 +79,8 @@ impl Observer {
         params: Params,
     ) -> anyhow::Result<Self> {
         let kinds = core_kinds(kinds);
-        let locator = Locator::new(core_camera(optics)?, kinds.clone(), params.mode);
+        let camera = core_camera(optics)?;
+        let locator = Locator::new(camera, kinds.clone(), params.mode).with_line_time(line_time_s);
         let tracker = Tracker::new(Detector::new(kinds, params)?);
         Ok(Self { tracker, locator, located: Vec::new(), line_time_s })
     }
@@ -90,11 +91,12 @@ impl Observer {
         let middle = (image.height as f64 - 1.0) / 2.0;
         let mut detections = Vec::new();
         let rings = self.tracker.process(&frame);
-        self.locator.locate_all(&frame, rings, &mut self.located);
+        let time = Timestamp::from_ns(capture_ns);
+        self.locator.locate_all_at(&frame, time, rings, &mut self.located);
         for (tracked, located) in rings.iter().zip(self.located.drain(..)) {
             let (ring, pose) = located.map_or((tracked.ring, None), |it| (it.ring, Some(it.pose)));
             let row_s = (tracked.ring.outer.center.v - middle) * self.line_time_s;
-            let capture_time = Timestamp::from_ns(capture_ns).plus_seconds(row_s);
+            let capture_time = time.plus_seconds(row_s);
             detections.push(Detection { track: tracked.track, ring, capture_time, pose });
         }
         Ok(detections)

@@ -37,7 +37,7 @@ pub const CHI2_95_5: f64 = 11.070;
 /// Side of the part of the image that is drawn, pixels.
 const SIDE_PX: usize = 256;
 /// Grey level of the floor.
-const FLOOR: f64 = 120.0;
+pub(crate) const FLOOR: f64 = 120.0;
 /// A margin whose edge is out of sight of whatever looks at the rims, as a share of the outer diameter.
 pub const WIDE_MARGIN: f64 = 1.0;
 /// A margin as prints have it: a small roundel's rim and the sheet's edge are blurred into each other.
@@ -91,6 +91,12 @@ pub struct Shot {
     pub seen: [Option<Errors>; 2],
 }
 
+/// The reference camera.
+pub(crate) fn reference() -> Pinhole {
+    let distortion = Distortion::PlumbBob([-0.12, 0.03, 4e-4, -3e-4, 0.0]);
+    Pinhole::centered(1920, 1080, 1100.0, distortion)
+}
+
 /// The modes compared.
 pub const MODES: [Mode; 2] = [Mode::Fast, Mode::Precise];
 
@@ -123,7 +129,7 @@ pub struct YawError {
 }
 
 impl Errors {
-    fn of(pose: &RoundelPose, truth: &Isometry3<f64>) -> Self {
+    pub(crate) fn of(pose: &RoundelPose, truth: &Isometry3<f64>) -> Self {
         let shift = pose.position_m - truth.translation.vector;
         let range_m = truth.translation.vector.norm();
         let position = pose.covariance.fixed_view::<3, 3>(0, 0).into();
@@ -205,8 +211,7 @@ fn trial(range: &Range, codes: Option<(u8, &[u16])>, seed: u64, index: u64) -> T
     let imaging = Imaging { blur_px, noise, exposure_s: 1.0, ..Imaging::default() };
     let (kind, print) = printed(range, codes, &mut random);
 
-    let distortion = Distortion::PlumbBob([-0.12, 0.03, 4e-4, -3e-4, 0.0]);
-    let whole = Pinhole::centered(1920, 1080, 1100.0, distortion);
+    let whole = reference();
     let mut first = pose(&whole, diameter_px, tilt_deg.to_radians(), &mut random);
     if codes.is_some() {
         let yaw_rad = random.uniform(0.0, std::f64::consts::TAU);
@@ -244,7 +249,11 @@ fn trial(range: &Range, codes: Option<(u8, &[u16])>, seed: u64, index: u64) -> T
 }
 
 /// What is shown.
-fn printed(range: &Range, codes: Option<(u8, &[u16])>, random: &mut Random) -> (Kind, Print) {
+pub(crate) fn printed(
+    range: &Range,
+    codes: Option<(u8, &[u16])>,
+    random: &mut Random,
+) -> (Kind, Print) {
     if let Some((bits, words)) = codes {
         let kind = Kind::coded(bits);
         let word = words[(random.next_u64() % words.len() as u64) as usize];
@@ -258,7 +267,12 @@ fn printed(range: &Range, codes: Option<(u8, &[u16])>, random: &mut Random) -> (
 }
 
 /// A roundel of this size and tilt, turned to a random side, at a random place of the image.
-fn pose(camera: &Pinhole, diameter_px: f64, tilt_rad: f64, random: &mut Random) -> Isometry3<f64> {
+pub(crate) fn pose(
+    camera: &Pinhole,
+    diameter_px: f64,
+    tilt_rad: f64,
+    random: &mut Random,
+) -> Isometry3<f64> {
     let z = camera.focal_px[0] * Kind::robot().outer_diameter_m / diameter_px;
     let at = [random.uniform(-0.75, 0.75), random.uniform(-0.4, 0.4)];
     let position = Vector3::new(at[0] * z, at[1] * z, z);
@@ -282,7 +296,7 @@ fn moved(pose: &Isometry3<f64>, share: f64, random: &mut Random) -> Isometry3<f6
 }
 
 /// The camera read out about a roundel only.
-fn window(whole: &Pinhole, pose: &Isometry3<f64>) -> Pinhole {
+pub(crate) fn window(whole: &Pinhole, pose: &Isometry3<f64>) -> Pinhole {
     let center = whole.project(&pose.translation.vector.into()).expect("a place in the image");
     let half = SIDE_PX as f64 / 2.0;
     let (left, top) = ((center.x - half).round(), (center.y - half).round());

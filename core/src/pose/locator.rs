@@ -5,25 +5,32 @@
 //! stands alone.
 //!
 //! Both modes begin with the rims' pose in closed form. [`Mode::Precise`] fits the grey levels from
-//! there (`photometry`); of a followed ring it starts from what is kept of the frames before (`memory`). Where the fit refuses the ring (a cover, white and black
-//! washed out), the closed form stands, with its own covariance, and [`Located::by`] says so.
+//! there (`photometry`); of a followed ring it starts from what is kept of the frames before (`memory`).
+//! Where the fit refuses the ring (a cover, white and black washed out), the closed form stands, with its own
+//! covariance, and [`Located::by`] says so.
 //!
-//! Memory of tracks is bounded without being told of their end: a ring that was none of the last
-//! [`REMEMBERED`] to be located is forgotten.
+//! Of a camera with a rolling shutter ([`Locator::with_line_time`]) the frames' times must be told
+//! ([`Locator::locate_all_at`]), so that what moves is located as it is at one instant (`shutter`); of all others
+//! they say nothing.
+//!
+//! Memory of tracks is bounded without being told of their end (`recall`).
 
 use super::{
     PoseError, RimNoise, RoundelPose,
     closed::LANES,
     locate, locate_each,
     memory::{Memory, start},
-    photometry::{self, FitScratch},
+    photometry::{self, FitScratch, Start},
+    recall::Recall,
+    shutter::{Shutter, Skew},
     yaw,
 };
 use crate::{
     camera::Camera,
     frame::Frame,
-    id::{KindId, TrackNumber},
+    id::KindId,
     marker::{Kind, Mode, Ring, TrackedRing},
+    time::Timestamp,
 };
 
 /// A ring with its pose, and how it was found.
@@ -56,22 +63,9 @@ pub struct Locator {
     mode: Mode,
     noise: RimNoise,
     scratch: FitScratch,
-    /// By the tracks' numbers.
-    warm: Vec<Warm>,
-    /// Rings located so far.
-    calls: u64,
-}
-
-/// So many rings, at least, are remembered; twice as many at most.
-const REMEMBERED: usize = 1024;
-
-/// What is kept of a track.
-#[derive(Clone, Copy, Debug)]
-struct Warm {
-    track: TrackNumber,
-    /// The call that located it last.
-    call: u64,
-    memory: Memory,
+    memories: Recall<Memory>,
+    /// If it is a rolling one.
+    shutter: Option<Shutter>,
 }
 
 impl Locator {
@@ -79,8 +73,12 @@ impl Locator {
     pub fn new(camera: Camera, kinds: Vec<Kind>, mode: Mode) -> Self {
         let noise = RimNoise::default();
         let scratch = FitScratch::default();
-        let warm = Vec::with_capacity(2 * REMEMBERED);
-        Self { camera, kinds, mode, noise, scratch, warm, calls: 0 }
+        Self { camera, kinds, mode, noise, scratch, memories: Recall::new(), shutter: None }
+    }
+
+    /// With a shutter that exposes each row so much later than the one above it; 0: all rows at once.
+    pub fn with_line_time(self, line_time_s: f64) -> Self {
+        Self { shutter: (line_time_s != 0.0).then(|| Shutter::new(line_time_s)), ..self }
     }
 
     /// The camera's model.
@@ -100,7 +98,8 @@ impl Locator {
 
     /// Forgets all tracks, as after a gap in the frames.
     pub fn reset(&mut self) {
-        self.warm.clear();
+        self.memories.clear();
+        self.shutter.iter_mut().for_each(Shutter::reset);
     }
 
     /// The poses of the rings that a tracker follows, in the frame that they were found in and in their
@@ -111,30 +110,64 @@ impl Locator {
         tracked: &[TrackedRing],
         located: &mut Vec<Result<Located, PoseError>>,
     ) {
+        self.locate_each(frame, None, tracked, located);
+    }
+
+    /// The same in a frame whose middle row was exposed at `time`, each pose as it is when the row of the
+    /// ring's centre is exposed, as that is in `tracked` ([`crate::time::row_time`]).
+    pub fn locate_all_at(
+        &mut self,
+        frame: &Frame,
+        time: Timestamp,
+        tracked: &[TrackedRing],
+        located: &mut Vec<Result<Located, PoseError>>,
+    ) {
+        self.locate_each(frame, Some(time), tracked, located);
+    }
+
+    fn locate_each(
+        &mut self,
+        frame: &Frame,
+        time: Option<Timestamp>,
+        tracked: &[TrackedRing],
+        located: &mut Vec<Result<Located, PoseError>>,
+    ) {
         located.clear();
+        self.expose(frame, time, tracked);
+        let skews = self.shutter.as_ref().map(Shutter::skews);
         let mut poses = [const { Err(PoseError::NoCircle) }; LANES];
-        for tracked in tracked.chunks(LANES) {
-            let rings =
-                tracked.iter().map(|one| Ok((kind_of(&self.kinds, one.ring.kind)?, &one.ring)));
+        for (chunk, tracked) in tracked.chunks(LANES).enumerate() {
+            let mut straight = [None; LANES];
+            let skews = skews.map_or(&[][..], |skews| &skews[chunk * LANES..]);
+            for ((straight, skew), one) in straight.iter_mut().zip(skews).zip(tracked) {
+                *straight = Some(skew.ring(&one.ring));
+            }
+            let rings = tracked.iter().zip(&straight).map(|(one, straight)| {
+                let ring = straight.as_ref().unwrap_or(&one.ring);
+                Ok((kind_of(&self.kinds, ring.kind)?, ring))
+            });
             locate_each(&self.camera, rings, &self.noise, &mut poses);
             located.extend(tracked.iter().zip(&mut poses).map(|(one, pose)| {
                 let pose = std::mem::replace(pose, Err(PoseError::NoCircle));
                 pose.map(|pose| Located::by_rims(&one.ring, pose))
             }));
         }
-        for (tracked, located) in tracked.iter().zip(located) {
+        for (index, (tracked, located)) in tracked.iter().zip(located).enumerate() {
             if let Ok(located) = located {
-                self.follow(frame, tracked, located);
+                self.follow(frame, tracked, index, located);
             }
         }
     }
 
     /// The pose of a ring that a tracker follows, in the frame that it was found in.
     pub fn locate(&mut self, frame: &Frame, tracked: &TrackedRing) -> Result<Located, PoseError> {
+        self.expose(frame, None, std::slice::from_ref(tracked));
         let kind = kind_of(&self.kinds, tracked.ring.kind)?;
-        let pose = locate(&self.camera, kind, &tracked.ring, &self.noise)?;
+        let straight = self.skew(0).map(|skew| skew.ring(&tracked.ring));
+        let ring = straight.as_ref().unwrap_or(&tracked.ring);
+        let pose = locate(&self.camera, kind, ring, &self.noise)?;
         let mut located = Located::by_rims(&tracked.ring, pose);
-        self.follow(frame, tracked, &mut located);
+        self.follow(frame, tracked, 0, &mut located);
         Ok(located)
     }
 
@@ -149,34 +182,40 @@ impl Locator {
         let pose = locate(&self.camera, kind, ring, &self.noise)?;
         let mut located = Located::by_rims(ring, pose);
         let with = (&self.camera, kind, self.mode);
-        located.improve(with, frame, None, &mut self.scratch);
+        located.improve(with, frame, (None, None), &mut self.scratch);
         Ok(located)
     }
 
-    /// From a followed ring's rims to what its mode makes of it.
-    fn follow(&mut self, frame: &Frame, tracked: &TrackedRing, located: &mut Located) {
-        let Ok(kind) = kind_of(&self.kinds, tracked.ring.kind) else { return };
-        self.calls += 1;
-        let place = self.warm.binary_search_by_key(&tracked.track, |warm| warm.track);
-        let before = place.ok().map(|index| self.warm[index].memory);
-        let with = (&self.camera, kind, self.mode);
-        if let Some(memory) = located.improve(with, frame, before, &mut self.scratch) {
-            let warm = Warm { track: tracked.track, call: self.calls, memory };
-            match place {
-                Ok(index) => self.warm[index] = warm,
-                Err(index) => self.remember(index, warm),
-            }
+    /// Takes the frame's rings in, if the shutter is a rolling one.
+    fn expose(&mut self, frame: &Frame, time: Option<Timestamp>, tracked: &[TrackedRing]) {
+        if let Some(shutter) = &mut self.shutter {
+            shutter.expose((time, frame.height()), tracked, (&self.kinds, &self.noise));
         }
     }
 
-    /// Keeps a new track, at its place in the order of numbers, and never more than there is room for:
-    /// each call remembers one, so that the last [`REMEMBERED`] calls' are no more than that.
-    fn remember(&mut self, index: usize, warm: Warm) {
-        self.warm.insert(index, warm);
-        if self.warm.len() >= 2 * REMEMBERED {
-            let oldest = self.calls.saturating_sub(REMEMBERED as u64);
-            self.warm.retain(|warm| warm.call > oldest);
-        }
+    /// Of the newest frame's ring of this number.
+    fn skew(&self, index: usize) -> Option<Skew> {
+        self.shutter.as_ref().map(|shutter| shutter.skews()[index])
+    }
+
+    /// From the straightened rims of a followed ring to what its mode makes of it.
+    fn follow(
+        &mut self,
+        frame: &Frame,
+        tracked: &TrackedRing,
+        index: usize,
+        located: &mut Located,
+    ) {
+        let Ok(kind) = kind_of(&self.kinds, tracked.ring.kind) else { return };
+        let skew = self.skew(index);
+        let with = (&self.camera, kind, self.mode);
+        self.memories.renew(tracked.track, |before| {
+            let memory = located.improve(with, frame, (before, skew), &mut self.scratch);
+            if let Some(skew) = skew {
+                skew.widen(&mut located.pose, &self.camera, kind);
+            }
+            memory
+        });
     }
 }
 
@@ -194,13 +233,14 @@ impl Located {
         &mut self,
         (camera, kind, mode): (&Camera, &Kind, Mode),
         frame: &Frame,
-        before: Option<Memory>,
+        (before, skew): (Option<Memory>, Option<Skew>),
         scratch: &mut FitScratch,
     ) -> Option<Memory> {
         let code = self.ring.code;
         let mut memory = None;
         if mode == Mode::Precise {
             let start = start(&self.pose, &self.ring.outer.center, before.as_ref());
+            let start = Start { skew, ..start };
             if let Ok(fit) = photometry::fit(frame, camera, kind, &self.ring, &start, scratch) {
                 memory = Some(Memory::of(&fit, &start, before.as_ref()));
                 *self = Self {
@@ -215,7 +255,8 @@ impl Located {
         if let Some(reading) = &code
             && self.pose.yaw_rad.is_none()
         {
-            yaw::add(&mut self.pose, camera, reading);
+            let reading = skew.map_or(*reading, |skew| skew.code(reading));
+            yaw::add(&mut self.pose, camera, &reading);
         }
         memory
     }
@@ -229,6 +270,7 @@ mod tests {
     use super::*;
     use crate::{
         camera::{Lens, PixelPoint},
+        id::TrackNumber,
         marker::{CodeLayout, Pattern},
         rigid::orientation_of_normal,
     };

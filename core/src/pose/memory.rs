@@ -59,6 +59,7 @@ pub fn start(pose: &RoundelPose, center: &PixelPoint, before: Option<&Memory>) -
             motion_px: Vector2::zeros(),
             moved_px: f64::INFINITY,
             is_still: false,
+            skew: None,
         };
     };
     if pose.other_normal.dot(&before.normal) > pose.normal.dot(&before.normal) {
@@ -72,6 +73,7 @@ pub fn start(pose: &RoundelPose, center: &PixelPoint, before: Option<&Memory>) -
         motion_px: before.motion_px,
         moved_px,
         is_still: before.stillness.holds(moved_px),
+        skew: None,
     }
 }
 

@@ -20,12 +20,16 @@
 //! Rims that contradict each other by more than their errors explain (a ring partly covered, a lens
 //! less sharp than thought) widen the covariance by as much.
 //!
+//! Under a rolling shutter a ring that moves is put back to where all of it was at the instant of its pose
+//! (`shutter`).
+//!
 //! Limits: a plain ring says which of two normals is right only by the difference of its rims' centres,
 //! a fraction of a pixel: `normal_likelihood` near 0.5 means just that.
 
 mod bend;
 mod closed;
 mod cone;
+mod course;
 mod elliptical;
 mod facing;
 mod information;
@@ -33,10 +37,13 @@ mod locator;
 mod memory;
 mod noise;
 pub mod photometry;
+mod recall;
 mod refine;
 mod rim;
 mod seen;
+mod shutter;
 mod smear;
+mod stretch;
 #[cfg(test)]
 mod tests;
 mod upright;
@@ -57,6 +64,7 @@ use crate::{
 pub use locator::{ImageQuality, Located, Locator};
 pub use noise::RimNoise;
 use seen::RingFound;
+pub use shutter::Skew;
 
 /// Pose of a roundel in the camera frame.
 #[derive(Clone, Debug, PartialEq)]

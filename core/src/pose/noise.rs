@@ -22,6 +22,11 @@ const THIN_BLACK_PX: f64 = 3.5;
 /// … if it were not this at most.
 const MAX_GROWTH_BY_BLACK: f64 = 0.7;
 
+/// What a rim's centre is off by from frame to frame, as it lies on the pixels, pixels.
+const CENTER_PX: f64 = 0.01;
+/// The same of a coded one's, which is found by other points where its teeth are read.
+const CODED_CENTER_PX: f64 = 0.025;
+
 /// Points of a coded outer rim, less what blur adds to their errors.
 const POINTS: f64 = 40.0;
 /// At this shorter semiaxis of it its errors have doubled, pixels.
@@ -97,6 +102,14 @@ impl RimNoise {
             of_inner.uneven_px = off_px.hypot(rim.uneven_px);
         }
         RingNoise { rims: [of_outer, of_inner], disc: Known::centre() }
+    }
+
+    /// Variance of either coordinate of the outer rim's centre, pixels²: of a circle's, by the same errors.
+    pub(super) fn center_variance_px2(&self, ring: &Ring, is_coded: bool) -> f64 {
+        let RimErrors { edge_px, floor_px, uneven_px } = self.of_rim(ring, 1.0);
+        let center_px = if is_coded { CODED_CENTER_PX } else { CENTER_PX };
+        let edge_px2 = edge_px * edge_px / (PI * ring.outer.mean_radius_px());
+        edge_px2 + (0.25 * floor_px).powi(2) + 2.0 * uneven_px * uneven_px + center_px * center_px
     }
 
     /// The noise of a rim that is found worse by this factor.

@@ -68,7 +68,7 @@ impl Pipeline {
     /// A pipeline that has not seen a frame.
     pub fn new(parts: PipelineParts) -> Result<Self, DetectorError> {
         let PipelineParts { kinds, params, mask, camera, line_time_s } = parts;
-        let locator = Locator::new(camera, kinds.clone(), params.mode);
+        let locator = Locator::new(camera, kinds.clone(), params.mode).with_line_time(line_time_s);
         let tracker = Tracker::new(Detector::new(kinds, params)?.with_mask(mask));
         let (counts, times) = (DetectionCounts::default(), StageTimes::default());
         Ok(Self {
@@ -135,7 +135,7 @@ impl Pipeline {
         let begun = Instant::now();
         let rings = self.tracker.process(&view);
         let found = Instant::now();
-        self.locator.locate_all(&view, rings, &mut self.located);
+        self.locator.locate_all_at(&view, info.capture_time, rings, &mut self.located);
         let mut detections = Vec::with_capacity(rings.len());
         self.qualities.clear();
         for (tracked, located) in rings.iter().zip(self.located.drain(..)) {

@@ -3,11 +3,15 @@
 //! In a frame whose z goes through the roundel's middle, a ray is (s t₁, s t₂, 1), |t| ≤ 1 within the
 //! roundel, and its pixel is a polynomial of fifth order in t, fitted to [`SAMPLES`] exact
 //! projections. The residual falls with the sixth power of the roundel's size in the image: below
-//! 1e-4 px up to 110 px at 45° off the axis (test `the_polynomial_is_the_lens`).
+//! 1e-4 px up to 110 px at 45° off the axis (test `the_polynomial_is_the_lens`). What a rolling shutter does to a
+//! ring that moves, as linear in the image as can be, is part of it.
 
 use nalgebra::{Matrix2, Matrix3, SMatrix, Vector3};
 
-use crate::camera::{Camera, LensError, PixelPoint};
+use crate::{
+    camera::{Camera, LensError, PixelPoint},
+    pose::Skew,
+};
 
 /// Coefficients of a polynomial of fifth order in two variables: of t₁ⁱ t₂ʲ, i rising last.
 pub const TERMS: usize = 21;
@@ -68,20 +72,25 @@ pub struct LocalLens {
 }
 
 impl LocalLens {
-    /// Asks the lens round the z axis of a frame.
+    /// Asks the lens, and what the shutter does of a moving ring, round the z axis of a frame.
     pub fn new(
         camera: &Camera,
         local_from_camera: Matrix3<f64>,
         spread: f64,
+        skew: Option<&Skew>,
         plan: &Plan,
     ) -> Result<Self, LensError> {
         let camera_from_local = local_from_camera.transpose();
-        let middle = camera.project(&camera_from_local.column(2).into_owned())?;
+        let image = |ray: &Vector3<f64>| {
+            let pixel = camera.project(ray)?;
+            Ok(skew.map_or(pixel, |skew| skew.image(pixel)))
+        };
+        let middle = image(&camera_from_local.column(2).into_owned())?;
         let origin = PixelPoint { u: middle.u.round(), v: middle.v.round() };
         let mut samples = SMatrix::<f64, SAMPLES, 2>::zeros();
         for (row, [x, y]) in plan.places.iter().enumerate() {
             let ray = camera_from_local * Vector3::new(spread * x, spread * y, 1.0);
-            let pixel = camera.project(&ray)?;
+            let pixel = image(&ray)?;
             samples[(row, 0)] = pixel.u - origin.u;
             samples[(row, 1)] = pixel.v - origin.v;
         }
@@ -139,7 +148,7 @@ mod tests {
                 (Vector3::new(0.2, -0.4, 1.0), 0.12),
             ] {
                 let frame = frame_along(&axis.normalize());
-                let local = LocalLens::new(&camera, frame, spread, &plan).unwrap();
+                let local = LocalLens::new(&camera, frame, spread, None, &plan).unwrap();
                 for i in 0..400 {
                     let radius = ((i % 20) as f64 / 19.0).sqrt();
                     let (sin, cos) = (f64::from(i) * 0.7).sin_cos();

@@ -75,7 +75,7 @@ use fearless_simd::Level;
 use nalgebra::{Matrix3, Vector2, Vector3};
 use thiserror::Error;
 
-use super::{RoundelPose, frame_along, yaw};
+use super::{RoundelPose, Skew, frame_along, yaw};
 use crate::{
     camera::{Camera, LensError},
     ellipse::{Chords, Ellipse},
@@ -112,6 +112,8 @@ pub struct Start {
     /// Whether the motion is held at none, which takes less time; where noise does not explain what is left
     /// then, it is free all the same.
     pub is_still: bool,
+    /// What a rolling shutter does to it.
+    pub skew: Option<Skew>,
 }
 
 /// The blur to start from where nothing is known, pixels.
@@ -246,7 +248,7 @@ pub fn fit(
         Pattern::Plain => (None, None),
         Pattern::Elliptical { .. } => (Some(start.pose.yaw_rad.ok_or(FitError::Pattern)?), None),
         Pattern::Coded(_) => {
-            let (yaw_rad, teeth) = read(&start.pose, camera, ring).ok_or(FitError::Pattern)?;
+            let (yaw_rad, teeth) = read(start, camera, ring).ok_or(FitError::Pattern)?;
             (Some(yaw_rad), Some(teeth))
         }
     };
@@ -254,7 +256,8 @@ pub fn fit(
     let radius_m = 0.5 * kind.outer_diameter_m;
     let local_from_camera = frame_along(&(start.pose.position_m / range_m));
     let spread = 1.05 * radius_m / range_m;
-    let lens = LocalLens::new(camera, local_from_camera, spread, &scratch.plan)?;
+    let skew = start.skew.as_ref();
+    let lens = LocalLens::new(camera, local_from_camera, spread, skew, &scratch.plan)?;
     let blur_px = start.blur_px.clamp(BLUR_LIMITS_PX.0, BLUR_LIMITS_PX.1);
     let margin_px = (MARGIN.0 * ring.outer.semi_minor_px - MARGIN.1).max(LEAST_REACH_PX);
     let most_px = if start.is_still { 0.0 } else { MOST_MOTION_PX };
@@ -280,9 +283,10 @@ pub fn fit(
 }
 
 /// The yaw and the teeth that a reading gives a start.
-fn read(pose: &RoundelPose, camera: &Camera, ring: &Ring) -> Option<(f64, Teeth)> {
-    let reading = ring.code?;
-    let mut turned = pose.clone();
+fn read(start: &Start, camera: &Camera, ring: &Ring) -> Option<(f64, Teeth)> {
+    let seen = ring.code?;
+    let reading = start.skew.map_or(seen, |skew| skew.code(&seen));
+    let mut turned = start.pose.clone();
     yaw::add(&mut turned, camera, &reading);
     Some((turned.yaw_rad?, Teeth { bits: reading.code.bits, word: reading.word? }))
 }

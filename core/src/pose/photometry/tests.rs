@@ -64,6 +64,7 @@ fn start(camera: &Camera, kind: &Kind, ring: &Ring) -> Start {
         motion_px: Vector2::zeros(),
         moved_px: 0.0,
         is_still: false,
+        skew: None,
     }
 }
 
@@ -167,8 +168,9 @@ fn the_mirrored_place_is_as_bad_as_it_promises() {
     let position_m = first.pose.position_m;
     let (range_m, radius_m) = (position_m.norm(), 0.5 * kind.outer_diameter_m);
     let local_from_camera = frame_along(&(position_m / range_m));
-    let lens = LocalLens::new(&camera, local_from_camera, 1.05 * radius_m / range_m, &scratch.plan)
-        .unwrap();
+    let lens =
+        LocalLens::new(&camera, local_from_camera, 1.05 * radius_m / range_m, None, &scratch.plan)
+            .unwrap();
     let counted = ring.outer.grown(3.0);
     let chords = Chords::new(&counted);
     scratch.window.lay(window_of(&counted), &frame, &chords);
