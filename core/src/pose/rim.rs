@@ -52,6 +52,8 @@ pub struct Rim<T> {
     pub shape: Mat2<T>,
     /// A⁻¹, but for perspective's second order.
     pub inverse: Mat2<T>,
+    /// Product of its semiaxes as seen, pixels².
+    pub area_px2: T,
     /// Of its five numbers.
     pub information: Information<T>,
 }
@@ -331,7 +333,10 @@ impl<T: Lane> Flat<T> {
             information = information.only(&seen.noise.disc);
         }
         let (inverse, regular) = semiaxes.inverse();
-        let rim = Rim { radius_m: seen.radii_m[number], center, shape, inverse, information };
+        let RimSeen { semi_major_px, semi_minor_px, .. } = seen.rims[number];
+        let area_px2 = semi_major_px * semi_minor_px;
+        let radius_m = seen.radii_m[number];
+        let rim = Rim { radius_m, center, shape, inverse, area_px2, information };
         (rim, is_ellipse & is_informed & regular)
     }
 
@@ -393,6 +398,7 @@ impl<T: Lane> Rim<T> {
             center: self.center.lane(lane),
             shape: self.shape.lane(lane),
             inverse: self.inverse.lane(lane),
+            area_px2: self.area_px2.lane(lane),
             information: self.information.lane(lane),
         }
     }

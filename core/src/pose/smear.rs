@@ -33,6 +33,8 @@ use crate::lanes::{Lane, Mat2, Vec3};
 pub const MISSED: f64 = 0.05;
 /// ν is free where its information's determinant is more than this share of what it would be with the pose known.
 const TOLD: f64 = 1e-5;
+/// What is more than a motion of so many pixels, of whose square |ν| is a sixth, is none.
+const MOST_PX: f64 = 8.0;
 
 /// What one rim says of ν: W s, of size, elongation and turn.
 pub type Weighted<T> = [Vec3<T>; 2];
@@ -44,6 +46,8 @@ pub struct Smear<T: Lane> {
     own: [T; 3],
     /// u, of ln d and w.
     with: [[T; 3]; 2],
+    /// Pixels² in the unit of ν, of the outer rim.
+    scale_px2: T,
     /// Where a rim has a shape of its own: that of an elliptical disc says nothing.
     known: T::Mask,
 }
@@ -65,7 +69,7 @@ fn shape<T: Lane>(i: &Mat2<T>) -> [Vec3<T>; 2] {
 }
 
 impl<T: Lane> Smear<T> {
-    /// Of one rim, whose size, elongation and turn follow the lean so.
+    /// Of one rim, the outer one first, whose size, elongation and turn follow the lean so.
     #[inline(always)]
     pub fn of(rim: &Rim<T>, by_lean: &[Vec3<T>; 2]) -> (Self, Weighted<T>) {
         let w = &rim.information;
@@ -84,7 +88,9 @@ impl<T: Lane> Smear<T> {
             [-one.x, by_lean[0].dot(one), by_lean[1].dot(one)],
             [-two.x, by_lean[0].dot(two), by_lean[1].dot(two)],
         ];
-        (Self { own, with, known: w.elongation.is_positive() }, weighted)
+        let i = &rim.inverse;
+        let scale_px2 = (i.m11 * i.m22 - i.m12 * i.m21).size() * rim.area_px2;
+        (Self { own, with, scale_px2, known: w.elongation.is_positive() }, weighted)
     }
 
     #[inline(always)]
@@ -123,7 +129,9 @@ impl<T: Lane> Smear<T> {
         let per = determinant.under(1.0);
         let found = [(g22 * g[0] - g12 * g[1]) * per, (g11 * g[1] - g12 * g[0]) * per];
         let square = found[0] * found[0] + found[1] * found[1];
-        let told = self.known & (self.own[0] * self.own[2] * TOLD).below(determinant);
+        let most_px2 = MOST_PX * MOST_PX / 6.0;
+        let moves = (square * self.scale_px2.squared()).below(square.splat(most_px2 * most_px2));
+        let told = self.known & moves & (self.own[0] * self.own[2] * TOLD).below(determinant);
         let prior = T::choose(told, square * 0.5, square.splat(0.0));
         // K = V (V G + 1)⁻¹, which is none where V is.
         let (a11, a12, a22) = (prior * g11 + 1.0, prior * g12, prior * g22 + 1.0);
