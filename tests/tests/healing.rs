@@ -33,12 +33,6 @@ fn a_bumped_camera_heals() {
 }
 
 #[test]
-fn two_bumped_at_once_heal() {
-    let outcome = bumped(Healing::r4(4, 60.0, NOISE_PX), &[0, 3], (0.02, 0.01));
-    assert!(outcome.is_healed(), "{outcome:?}");
-}
-
-#[test]
 fn a_quarter_of_an_hour_without_a_bump_has_none() {
     let healing = Healing::r4(5, 12.0, NOISE_PX);
     let outcome = healing.run(WatchParams::default(), 900.0);

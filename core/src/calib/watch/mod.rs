@@ -21,7 +21,8 @@
 //! Reached on R4 (`cargo run --release -p roundel-tests --bin healing`, `tests/tests/healing.rs`): see the table
 //! there.
 //!
-//! Limits. Two cameras without references contradict each other, and nobody is moved. One roundel alone says
+//! Limits. Two cameras without references contradict each other, and nobody is moved. Of four cameras of which
+//! two are bumped at the same moment, the two others may be blamed (one of ten times in that table). One roundel alone says
 //! nothing, since its code may be on show twice. Where there are no references, the common frame of all
 //! cameras may go where corrections of single cameras lead. A bump that takes a camera's view off everything
 //! that others see leaves it alone, or in quarantine, until a person comes. Of roundels without codes, a camera
