@@ -168,6 +168,7 @@ pub fn camera(installation: &Installation, id: CameraId, state: &CameraState) ->
         carrier: ride.map(|ride| ride.carrier.clone()).unwrap_or_default(),
         mount: ride.map(|ride| pose(&ride.object_from_camera)),
         localizes: ride.is_some_and(|ride| ride.localizes),
+        agreement: state.health.as_ref().map(calibration::agreement),
     }
 }
 
@@ -215,6 +216,11 @@ pub fn event(installation: &Installation, event: &Event) -> v1::Event {
         Happening::ClockSet(id) => of_camera(v1::EventKind::CameraClockSet, id),
         Happening::Placed(id) => of_camera(v1::EventKind::CameraPlaced, id),
         Happening::Unplaced(id) => of_camera(v1::EventKind::CameraUnplaced, id),
+        Happening::Bumped(id) => of_camera(v1::EventKind::CameraBumped, id),
+        Happening::Returned(id) => of_camera(v1::EventKind::CameraReturned, id),
+        Happening::Drifted(id) => of_camera(v1::EventKind::CameraDrifted, id),
+        Happening::Contradicted => of_none(v1::EventKind::CamerasContradict),
+        Happening::Agreed => of_none(v1::EventKind::CamerasAgree),
         Happening::WrongHeight => of_none(v1::EventKind::HeightContradicted),
         Happening::CalibrationBegun => of_none(v1::EventKind::CalibrationBegun),
         Happening::CalibrationDone => of_none(v1::EventKind::CalibrationDone),
@@ -266,6 +272,7 @@ fn pose_status(status: PoseStatus) -> v1::PoseStatus {
         PoseStatus::Found => v1::PoseStatus::Found,
         PoseStatus::Calibrated => v1::PoseStatus::Calibrated,
         PoseStatus::Riding => v1::PoseStatus::Riding,
+        PoseStatus::Quarantined => v1::PoseStatus::Quarantined,
         PoseStatus::Searching => v1::PoseStatus::Searching,
         PoseStatus::Without(Unplaced::Unknown | Unplaced::CarrierUnseen) => {
             v1::PoseStatus::CarrierUnseen

@@ -2,6 +2,7 @@
 //! of `core::world`, and publishes snapshots at steady ticks.
 
 mod riding;
+mod watching;
 
 use std::{
     collections::BTreeMap,
@@ -26,6 +27,8 @@ use crate::{
     worker::{Sighted, meter::Median},
 };
 use riding::Riding;
+pub use watching::Standing;
+use watching::Watching;
 
 /// Frames from all cameras that may wait for fusion; full: the newest is dropped and counted.
 pub const QUEUE_FRAMES: usize = 256;
@@ -40,6 +43,7 @@ pub struct FusionTask {
     /// What the newest snapshot says of each object, for messages about it.
     known: BTreeMap<ObjectId, Known>,
     riding: Riding,
+    watching: Option<Watching>,
 }
 
 /// Kind, body and code of an object.
@@ -50,7 +54,12 @@ impl FusionTask {
     pub fn new(fusion: Fusion, hub: Arc<Hub>, clock: Clock, received: Receiver<Sighted>) -> Self {
         let (latency_ms, known) = (BTreeMap::new(), BTreeMap::new());
         let riding = Riding::of(&hub);
-        Self { fusion, hub, clock, received, latency_ms, known, riding }
+        Self { fusion, hub, clock, received, latency_ms, known, riding, watching: None }
+    }
+
+    /// The same, which notices cameras that no longer stand where they did.
+    pub fn watching(self, standing: Standing) -> Self {
+        Self { watching: Some(Watching::new(standing)), ..self }
     }
 
     /// Publishes a snapshot each `period` until the signal comes, and a last one then.
@@ -94,11 +103,15 @@ impl FusionTask {
         let camera = sighted.observations.camera;
         if let Some(placement) = sighted.placement {
             self.fusion.set_camera(camera, Some(placement));
+            self.watching.iter_mut().for_each(|watching| watching.place(camera, placement));
         }
         let steps = self.fusion.counts().clock_steps;
         self.fusion.observe(&sighted.observations);
         if self.fusion.counts().clock_steps > steps {
             self.tell_clock_set(camera);
+        }
+        if let Some(watching) = &mut self.watching {
+            watching.observe(&sighted.observations, &self.fusion);
         }
         let latency_s = self.clock.now().seconds_since(sighted.observations.capture_time);
         let median = self.latency_ms.entry(camera).or_default();
@@ -125,6 +138,9 @@ impl FusionTask {
         let snapshot = self.fusion.snapshot(pose_time);
         let gives_frames = |camera| self.latency_ms.contains_key(&camera);
         self.riding.publish(&mut self.fusion, &self.hub, pose_time, gives_frames);
+        if let Some(watching) = &mut self.watching {
+            watching.advance(self.clock.now(), &mut self.fusion, &self.hub);
+        }
         let events: Vec<Event> = self.fusion.drain_events().collect();
         for wrong in self.fusion.drain_wrong_heights() {
             let message = height_sentence(self.hub.installation(), &wrong);

@@ -119,6 +119,16 @@ pub enum Happening {
     Placed(CameraId),
     /// Where a camera is has not been known for a while.
     Unplaced(CameraId),
+    /// A camera moved, and is left out.
+    Bumped(CameraId),
+    /// Where it stands now is known.
+    Returned(CameraId),
+    /// A camera's place was corrected a little.
+    Drifted(CameraId),
+    /// Cameras contradict one another, and which of them moved cannot be known.
+    Contradicted,
+    /// They agree again.
+    Agreed,
     /// What drives is not as high as was configured.
     WrongHeight,
     /// A calibration of the arena records.

@@ -26,13 +26,13 @@ use crate::{
     },
     clock::Clock,
     config::{CameraConfig, CameraPose, Config},
-    fusion::{FusionTask, QUEUE_FRAMES},
+    fusion::{FusionTask, QUEUE_FRAMES, Standing},
     hub::{Happening, Hub},
     source::{OpenSource, Playback, SourceOpener, TimesError},
     stop::Stop,
     worker::{self, Sighted, Worker, WorkerParts, adoption::Inbox, pipeline::Pipeline},
 };
-use setup::{camera_id, fusion, installation, landmarks, pipeline, place};
+use setup::{camera_id, fusion, installation, landmarks, pipeline, place, standing};
 
 /// Time that shutdown may take in all.
 pub const GRACE: Duration = Duration::from_secs(5);
@@ -219,7 +219,13 @@ impl Server {
     ) -> Result<(), ServeError> {
         // Full: observations are dropped and counted, see `worker`.
         let (to_fusion, from_workers) = sync_channel::<Sighted>(QUEUE_FRAMES);
-        let task = FusionTask::new(fusion(config)?, self.hub.clone(), self.clock, from_workers);
+        let standing = Standing {
+            cameras: standing(config),
+            landmarks: landmarks(config),
+            calibrator: self.calibrator.clone(),
+        };
+        let task = FusionTask::new(fusion(config)?, self.hub.clone(), self.clock, from_workers)
+            .watching(standing);
         let period = Duration::from_secs_f64(1.0 / config.server.snapshot_rate_hz);
         let stop = self.stop_fusion.clone();
         self.fusion = Some(spawn("fusion".to_owned(), move || task.run(period, &stop))?);

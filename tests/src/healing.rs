@@ -168,6 +168,11 @@ impl Healing {
         frame
     }
 
+    /// What cameras see in so many seconds, in the order in which it arrives.
+    pub fn frames(&self, seconds: f64) -> impl Iterator<Item = FrameObservations> {
+        Stream::new(&self.arena, self.sensing, seconds).map(|frame| self.seen(frame))
+    }
+
     /// So many seconds of it.
     pub fn run(&self, params: WatchParams, seconds: f64) -> Outcome {
         let mut watch = Watch::new(params);
@@ -186,9 +191,8 @@ impl Healing {
         std::thread::scope(|scope| {
             let (sender, frames) = mpsc::sync_channel(1000);
             scope.spawn(move || {
-                let stream = Stream::new(&self.arena, self.sensing, seconds);
                 // Nobody listens any more: the test has failed.
-                let _ = stream.map(|frame| self.seen(frame)).try_for_each(|it| sender.send(it));
+                let _ = self.frames(seconds).try_for_each(|frame| sender.send(frame));
             });
             for frame in frames {
                 let t = frame.received_time.seconds_since(start);

@@ -2,10 +2,12 @@
 
 use nalgebra::Vector3;
 use roundel_core::{
-    calib::watch::{WatchEvent, WatchParams},
+    calib::watch::{Watch, WatchEvent, WatchParams},
     id::{CameraId, KindId},
     marker::Code,
-    world::Landmark,
+    rigid::Covariance6,
+    time::Timestamp,
+    world::{CameraPlacement, Fusion, FusionParams, Landmark, LifeStage},
 };
 use roundel_tests::{
     arena::Path,
@@ -62,4 +64,65 @@ fn two_cameras_alone_contradict_and_a_reference_decides() {
     healing.landmarks.push(Landmark::new(KindId(0), code, place_m));
     let outcome = bumped(healing, &[1], (0.02, 0.0));
     assert!(outcome.is_healed(), "{outcome:?}");
+}
+
+/// Largest error of a tracked object after the first three seconds, metres; its cameras are watched, and
+/// those that are bumped left out.
+fn worst_track(healing: &Healing, seconds: f64) -> (f64, usize) {
+    let start = Timestamp::from_ns(healing.arena.start_ns);
+    let mut fusion = Fusion::new(FusionParams::default());
+    let mut watch = Watch::new(WatchParams::default());
+    for (index, site) in healing.arena.sites.iter().enumerate() {
+        let (id, world_from_camera) = (CameraId(index as u32), site.world_from_camera);
+        let placement = CameraPlacement { world_from_camera, covariance: Covariance6::zeros() };
+        fusion.set_camera(id, Some(placement));
+        watch.set_camera(id, placement);
+    }
+    let (mut next_s, mut worst_m, mut returned) = (3.0, 0.0f64, 0);
+    for frame in healing.frames(seconds) {
+        watch.observe(&frame, 0.0);
+        fusion.observe(&frame);
+        let now = frame.received_time;
+        for event in watch.advance(now) {
+            match event {
+                WatchEvent::Bumped { camera, .. } => fusion.set_camera(camera, None),
+                WatchEvent::Returned { camera, placement } => {
+                    returned += 1;
+                    fusion.set_camera(camera, Some(placement));
+                }
+                WatchEvent::Drifted { camera, placement, .. } => {
+                    fusion.set_camera(camera, Some(placement));
+                }
+                WatchEvent::Contradiction { .. } | WatchEvent::Agreed { .. } => {}
+            }
+        }
+        if now.seconds_since(start) < next_s {
+            continue;
+        }
+        next_s += 1.0 / 60.0;
+        let truth = healing.arena.truth(now.as_ns());
+        let snapshot = fusion.snapshot(now);
+        for object in snapshot.objects.iter().filter(|it| it.stage == LifeStage::Tracked) {
+            let number = object.code.map(|code| code.number);
+            let robot = truth.iter().find(|robot| number.is_some() && robot.code == number);
+            let Some(robot) = robot else { continue };
+            let off_m = (robot.pose.translation.vector - object.position_m).norm();
+            worst_m = worst_m.max(off_m);
+        }
+    }
+    (worst_m, returned)
+}
+
+#[test]
+fn no_track_is_off_while_a_camera_heals() {
+    for (camera, size) in [(1, (0.02, 0.0)), (2, (0.0, 1f64.to_radians()))] {
+        let mut healing = Healing::r4(7, 60.0, NOISE_PX);
+        let quiet_m = worst_track(&healing, 6.0).0;
+        let mut random = Random::new(camera, 79);
+        healing.moves.push(Move::bump(CameraId(camera as u32), 6.03, size, &mut random));
+        let (worst_m, returned) = worst_track(&healing, 30.0);
+        println!("{size:?}: worst {:.2} mm, {:.2} mm before", worst_m * 1e3, quiet_m * 1e3);
+        assert!(worst_m < 5e-3, "{size:?}: {worst_m} m, {quiet_m} m before the bump");
+        assert_eq!(returned, 1);
+    }
 }

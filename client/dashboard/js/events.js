@@ -20,6 +20,11 @@ const SIGNS = new Map([
   ["calibration_done", "running"],
   ["calibration_failed", "failed"],
   ["calibration_applied", "running"],
+  ["camera_bumped", "failed"],
+  ["camera_returned", "running"],
+  ["camera_drifted", "predicted"],
+  ["cameras_contradict", "failed"],
+  ["cameras_agree", "running"],
 ]);
 
 /** @param {import("./store.js").Store} store */

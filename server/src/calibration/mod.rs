@@ -5,6 +5,7 @@
 //! | --- | --- |
 //! | `recorder` | what cameras see for a minute, and what is missing meanwhile |
 //! | `task` | recording → solving → taking over, on a thread of its own |
+//! | `takeover` | cameras stand where they were found to, now and at the next start |
 //! | [`report`] | what came out, and what a person should know, by name |
 //! | [`file`] | the versioned file that keeps it |
 //!
@@ -15,6 +16,7 @@
 pub mod file;
 mod recorder;
 pub mod report;
+mod takeover;
 mod task;
 
 use std::{
@@ -24,7 +26,10 @@ use std::{
     thread::JoinHandle,
 };
 
-use roundel_core::{id::CameraId, world::Landmark};
+use roundel_core::{
+    id::CameraId,
+    world::{CameraPlacement, Landmark},
+};
 use thiserror::Error;
 use tokio::sync::watch;
 
@@ -225,6 +230,15 @@ impl Calibrator {
         let report = report.ok_or(CalibrateError::NothingToApply)?;
         self.shared.apply(&report);
         Ok(())
+    }
+
+    /// Has a camera take over a place that was found while it was being served. Does not wait for the disk.
+    pub fn adopt(&self, camera: CameraId, placement: CameraPlacement) {
+        let shared = self.shared.clone();
+        let builder = std::thread::Builder::new().name("keep calibration".to_owned());
+        if let Err(error) = builder.spawn(move || shared.adopt(camera, placement)) {
+            tracing::error!(%error, "a camera's new place is lost: the system gives no thread");
+        }
     }
 
     /// The newest status, and a wait for the next ones.

@@ -15,12 +15,10 @@ use tokio::sync::broadcast::error::TryRecvError;
 
 use super::{
     Apply, Shared, Stage, Status, Wanted,
-    file::{CalibratedCamera, CalibrationFile},
-    lock,
     recorder::Recorder,
     report::{Configured, Report, report},
 };
-use crate::{hub::Happening, stop::Stop, worker::adoption::Adoption};
+use crate::{hub::Happening, stop::Stop};
 
 /// Between two looks for new frames; the hub keeps those of a quarter of a second.
 const LOOK_EVERY: Duration = Duration::from_millis(5);
@@ -169,49 +167,7 @@ impl Shared {
         self.status.send_modify(|status| status.stage = Stage::Done);
     }
 
-    /// Has cameras take the result over, and keeps it.
-    pub(super) fn apply(&self, report: &Report) {
-        let mut file = lock(&self.file);
-        file.version += 1;
-        file.made_unix_s = self.clock.now().as_ns().div_euclid(1_000_000_000);
-        for found in &report.cameras {
-            let Some(camera) = self.cameras.get(found.result.camera.0 as usize) else { continue };
-            let Some(configured) = camera.configured.clone() else { continue };
-            let (placement, lens, version) = (found.placement(), found.lens.clone(), file.version);
-            let stored = CalibratedCamera::new(camera.name.clone(), &placement, &lens, configured);
-            file.set(stored);
-            camera.inbox.put(Adoption { lens, placement, version });
-        }
-        let kept = self.keep(&file);
-        let version = file.version;
-        drop(file);
-        self.status.send_modify(|status| {
-            status.applied_version = version;
-            status.error = kept.clone().err().unwrap_or_default();
-        });
-        let names: Vec<&str> = report
-            .cameras
-            .iter()
-            .map(|camera| self.hub.installation().camera_name(camera.result.camera))
-            .collect();
-        let where_kept = match kept {
-            Ok(where_kept) => where_kept,
-            Err(why) => why,
-        };
-        let cameras = names.join(", ");
-        let message = format!("Calibration {version} is in use by {cameras}; {where_kept}.");
-        self.tell(Happening::CalibrationApplied, message);
-    }
-
-    fn keep(&self, file: &CalibrationFile) -> Result<String, String> {
-        let Some(path) = &self.path else {
-            return Ok("it is kept until this server ends".to_owned());
-        };
-        let kept = format!("it is kept in {}", path.display());
-        file.save(path).map(|()| kept).map_err(|error| error.to_string())
-    }
-
-    fn tell(&self, happening: Happening, message: String) {
+    pub(super) fn tell(&self, happening: Happening, message: String) {
         tracing::info!("{message}");
         self.hub.publish_event(self.clock.now(), happening, message);
     }

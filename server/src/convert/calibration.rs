@@ -4,6 +4,7 @@ use std::collections::BTreeMap;
 
 use nalgebra::SVector;
 use roundel_core::{
+    calib::watch::{CameraHealth, WatchState},
     id::CameraId,
     rigid::{Covariance6, upper_triangle},
 };
@@ -116,6 +117,24 @@ fn calibrated(installation: &Installation, camera: &CameraReport) -> v1::Calibra
         neighbours: neighbours.collect(),
         intrinsics: refined.map(|_| intrinsics(lens)),
         intrinsics_deviations: refined.map(|it| it.deviations.to_vec()).unwrap_or_default(),
+    }
+}
+
+/// How a camera's place agrees with what others see.
+pub(super) fn agreement(health: &CameraHealth) -> v1::CameraAgreement {
+    let state = match health.state {
+        WatchState::Watched => v1::AgreementState::Agrees,
+        WatchState::Suspected => v1::AgreementState::Suspected,
+        WatchState::Quarantined => v1::AgreementState::Quarantined,
+        WatchState::Alone => v1::AgreementState::Alone,
+    };
+    v1::CameraAgreement {
+        state: state as i32,
+        position_error_m: health.error_m,
+        position_deviation_m: health.deviation_m,
+        rotation_error_rad: health.error_rad,
+        rotation_deviation_rad: health.deviation_rad,
+        seen_error_m: health.seen_error_m,
     }
 }
 

@@ -1,6 +1,7 @@
 //! What the hub holds of each camera: what is fixed, how it is doing, and where it is.
 
 use roundel_core::{
+    calib::watch::CameraHealth,
     camera::{Camera, PixelPoint},
     marker::Reject,
     rigid::Rigid,
@@ -57,6 +58,8 @@ pub enum PoseStatus {
     Calibrated,
     /// By the object that it rides on.
     Riding,
+    /// Not since it was bumped.
+    Quarantined,
     /// Not yet seen the reference roundels as it must.
     #[default]
     Searching,
@@ -132,6 +135,8 @@ pub struct CameraState {
     pub latency_ms: f64,
     /// What fusion knows of its clock.
     pub clock: Option<ClockEstimate>,
+    /// How its place agrees with what others see.
+    pub health: Option<CameraHealth>,
 }
 
 /// What became of a camera's rings and candidates since the start.

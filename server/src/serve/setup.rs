@@ -116,6 +116,17 @@ pub(super) fn fusion(config: &Config) -> Result<Fusion, ServeError> {
     Ok(fusion)
 }
 
+/// Cameras that stand where that is known.
+pub(super) fn standing(config: &Config) -> BTreeMap<CameraId, CameraPlacement> {
+    let known = config.cameras.iter().enumerate().filter_map(|(index, camera)| {
+        match place(camera, config) {
+            Place::Standing(_, placement) => Some((camera_id(index), *placement)),
+            Place::Unknown { .. } | Place::Rides => None,
+        }
+    });
+    known.collect()
+}
+
 /// The reference roundels, in the order of the configuration.
 pub(super) fn landmarks(config: &Config) -> Vec<Landmark> {
     let landmark = |reference: &ReferenceConfig| Landmark {

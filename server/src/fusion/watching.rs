@@ -1,0 +1,235 @@
+//! Cameras that no longer stand where they did: left out, found again, and told.
+//!
+//! `core::calib::watch` says who; here it is put into effect. A camera that was bumped is taken from fusion, so
+//! that it poisons nothing. Its new place goes the way of every calibration: through the calibrator, which
+//! keeps it, to its worker, which hands it to fusion with the next frame.
+
+use std::{collections::BTreeMap, sync::Arc};
+
+use roundel_core::{
+    calib::watch::{Watch, WatchEvent, WatchParams},
+    id::CameraId,
+    time::Timestamp,
+    world::{CameraPlacement, FrameObservations, Fusion, Landmark},
+};
+
+use crate::{
+    calibration::Calibrator,
+    hub::{CameraPlace, Happening, Hub, PoseStatus},
+};
+
+/// What is known of cameras from the start.
+pub struct Standing {
+    /// Those whose place is known.
+    pub cameras: BTreeMap<CameraId, CameraPlacement>,
+    /// The reference roundels.
+    pub landmarks: Vec<Landmark>,
+    /// Keeps what is found out.
+    pub calibrator: Arc<Calibrator>,
+}
+
+pub(super) struct Watching {
+    watch: Watch,
+    calibrator: Arc<Calibrator>,
+    cameras: Vec<CameraId>,
+}
+
+impl Watching {
+    pub(super) fn new(standing: Standing) -> Self {
+        let mut watch = Watch::new(WatchParams::default());
+        watch.set_landmarks(&standing.landmarks);
+        for (camera, placement) in &standing.cameras {
+            watch.set_camera(*camera, *placement);
+        }
+        let cameras = standing.cameras.into_keys().collect();
+        Self { watch, calibrator: standing.calibrator, cameras }
+    }
+
+    /// A camera's place is known anew.
+    pub(super) fn place(&mut self, camera: CameraId, placement: CameraPlacement) {
+        self.watch.set_camera(camera, placement);
+        if !self.cameras.contains(&camera) {
+            self.cameras.push(camera);
+        }
+    }
+
+    pub(super) fn observe(&mut self, frame: &FrameObservations, fusion: &Fusion) {
+        let offset_s = fusion.clock(frame.camera).map_or(0.0, |clock| clock.offset_s);
+        self.watch.observe(frame, offset_s);
+    }
+
+    /// Puts into effect what has become known until `now`.
+    pub(super) fn advance(&mut self, now: Timestamp, fusion: &mut Fusion, hub: &Hub) {
+        for event in self.watch.advance(now) {
+            let (happening, message) = self.effect(&event, fusion, hub);
+            tracing::warn!("{message}");
+            hub.publish_event(now, happening, message);
+        }
+        for &camera in &self.cameras {
+            let health = self.watch.health(camera);
+            hub.update_camera(camera, |state| state.health = health);
+        }
+    }
+
+    fn effect(&self, event: &WatchEvent, fusion: &mut Fusion, hub: &Hub) -> (Happening, String) {
+        let name = |camera: &CameraId| hub.installation().camera_name(*camera).to_owned();
+        match event {
+            WatchEvent::Bumped { camera, moved_m, turned_rad } => {
+                fusion.set_camera(*camera, None);
+                let reason = "it was bumped; it is left out until its new place is known, which others that see \
+                              the same roundels tell";
+                let place = CameraPlace {
+                    status: PoseStatus::Quarantined,
+                    ..CameraPlace::searching(reason)
+                };
+                hub.update_camera(*camera, |state| state.place = place);
+                let message = format!(
+                    "Camera {} was bumped, by about {:.0} mm and {:.1}°: it is left out until its new place is \
+                     known.",
+                    name(camera),
+                    moved_m * 1e3,
+                    turned_rad.to_degrees()
+                );
+                (Happening::Bumped(*camera), message)
+            }
+            WatchEvent::Returned { camera, placement } => {
+                self.calibrator.adopt(*camera, *placement);
+                let message =
+                    format!("Camera {} is used again: its new place is known.", name(camera));
+                (Happening::Returned(*camera), message)
+            }
+            WatchEvent::Drifted { camera, placement, moved_m } => {
+                self.calibrator.adopt(*camera, *placement);
+                let message = format!(
+                    "Camera {} has drifted: what it sees moves by {:.2} mm.",
+                    name(camera),
+                    moved_m * 1e3
+                );
+                (Happening::Drifted(*camera), message)
+            }
+            WatchEvent::Contradiction { cameras } => {
+                let names: Vec<String> = cameras.iter().map(name).collect();
+                let message = format!(
+                    "Cameras {} contradict one another, and nothing tells which of them has moved: a third \
+                     camera that sees the same, or a reference roundel, would. Places may be wrong until then.",
+                    names.join(" and ")
+                );
+                (Happening::Contradicted, message)
+            }
+            WatchEvent::Agreed { cameras } => {
+                let names: Vec<String> = cameras.iter().map(name).collect();
+                (Happening::Agreed, format!("Cameras {} agree again.", names.join(" and ")))
+            }
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use roundel_core::{
+        rigid::{Covariance6, Rigid},
+        world::FusionParams,
+    };
+
+    use super::*;
+    use crate::{
+        calibration::{Calibrated, CalibratorParts, file::CalibrationFile},
+        clock::Clock,
+        hub::{CameraInfo, Installation},
+        worker::adoption::Inbox,
+    };
+
+    const NORTH: CameraId = CameraId(0);
+    const SOUTH: CameraId = CameraId(1);
+
+    fn placement(x: f64) -> CameraPlacement {
+        CameraPlacement {
+            world_from_camera: Rigid::translation(x, 0.0, 5.0),
+            covariance: Covariance6::identity() * 1e-8,
+        }
+    }
+
+    fn hub(clock: &Clock) -> Arc<Hub> {
+        let camera = |name: &str| CameraInfo { name: name.into(), ..CameraInfo::default() };
+        Arc::new(Hub::new(Installation {
+            name: "lab".into(),
+            source_id: "s".into(),
+            started: clock.now(),
+            snapshot_rate_hz: 60.0,
+            cameras: vec![camera("north"), camera("south")],
+            kinds: Vec::new(),
+            object_names: BTreeMap::new(),
+            body_names: Vec::new(),
+        }))
+    }
+
+    fn watching(hub: &Arc<Hub>, clock: Clock) -> Watching {
+        let camera = |name: &str| Calibrated {
+            name: name.into(),
+            configured: None,
+            inbox: Inbox::default(),
+        };
+        let calibrator = Arc::new(Calibrator::new(CalibratorParts {
+            hub: hub.clone(),
+            clock,
+            cameras: vec![camera("north"), camera("south")],
+            landmarks: Vec::new(),
+            path: None,
+            file: CalibrationFile::default(),
+        }));
+        let cameras = [(NORTH, placement(0.0)), (SOUTH, placement(1.0))].into();
+        Watching::new(Standing { cameras, landmarks: Vec::new(), calibrator })
+    }
+
+    #[test]
+    fn a_bumped_camera_is_left_out_and_everybody_hears_of_it() {
+        let clock = Clock::anchored_now();
+        let hub = hub(&clock);
+        let watching = watching(&hub, clock);
+        let mut fusion = Fusion::new(FusionParams::default());
+        fusion.set_camera(NORTH, Some(placement(0.0)));
+        let bumped = WatchEvent::Bumped { camera: NORTH, moved_m: 0.0213, turned_rad: 0.02 };
+        let (happening, message) = watching.effect(&bumped, &mut fusion, &hub);
+        assert_eq!(happening, Happening::Bumped(NORTH));
+        assert!(
+            message.starts_with("Camera north was bumped, by about 21 mm and 1.1°"),
+            "{message}"
+        );
+        assert!(fusion.camera_place(NORTH, clock.now()).is_err(), "it is not used");
+        let place = hub.cameras().swap_remove(0).place;
+        assert_eq!((place.status, place.placement), (PoseStatus::Quarantined, None));
+        assert!(place.reason.contains("bumped"), "{}", place.reason);
+    }
+
+    #[test]
+    fn who_moved_is_not_guessed() {
+        let clock = Clock::anchored_now();
+        let hub = hub(&clock);
+        let watching = watching(&hub, clock);
+        let mut fusion = Fusion::new(FusionParams::default());
+        fusion.set_camera(NORTH, Some(placement(0.0)));
+        let cameras = vec![NORTH, SOUTH];
+        let contradiction = WatchEvent::Contradiction { cameras: cameras.clone() };
+        let (happening, message) = watching.effect(&contradiction, &mut fusion, &hub);
+        assert_eq!(happening, Happening::Contradicted);
+        assert!(message.starts_with("Cameras north and south contradict one another"), "{message}");
+        assert!(fusion.camera_place(NORTH, clock.now()).is_ok(), "nobody is left out");
+        let (happening, message) =
+            watching.effect(&WatchEvent::Agreed { cameras }, &mut fusion, &hub);
+        assert_eq!(
+            (happening, message.as_str()),
+            (Happening::Agreed, "Cameras north and south agree again.")
+        );
+    }
+
+    #[test]
+    fn health_is_shown() {
+        let clock = Clock::anchored_now();
+        let hub = hub(&clock);
+        let mut watching = watching(&hub, clock);
+        let mut fusion = Fusion::new(FusionParams::default());
+        watching.advance(clock.now(), &mut fusion, &hub);
+        let states = hub.cameras();
+        assert!(states.iter().all(|state| state.health.is_some()), "{states:?}");
+    }
+}
