@@ -11,13 +11,15 @@ use std::collections::BTreeSet;
 
 use super::{
     WatchParams,
-    fit::{Fit, Round, cost, excess, release},
+    fit::{Fit, Round, cost, excess, first_gain, release},
     meeting::Roundel,
 };
 use crate::rigid::Rigid;
 
 /// A gain below this is chance: χ² of 6 beyond 1 - 10⁻¹⁰.
 const SURE_GAIN: f64 = 60.0;
+/// Cameras whose first step would gain less than this are not looked at any further.
+const FIRST_GAIN: f64 = 30.0;
 /// Others that cost no more than this above the best, and this share of its gain, may be at fault as well.
 const CLEAR_COST: f64 = 30.0;
 const CLEAR_SHARE: f64 = 0.01;
@@ -56,8 +58,12 @@ impl Hypothesis {
 
 /// Judges rounds with cameras at these places.
 pub(super) fn judge(rounds: &[Round], places: &[Option<Rigid>], params: &WatchParams) -> Verdict {
+    let stirs = |post: &usize| {
+        places[*post].is_some_and(|place| first_gain(rounds, *post, &place) > FIRST_GAIN)
+            && is_backed(rounds, *post)
+    };
+    let posts: Vec<usize> = (0..places.len()).filter(stirs).collect();
     let base = cost(rounds);
-    let posts: Vec<usize> = (0..places.len()).filter(|post| is_backed(rounds, *post)).collect();
     let mut singles: Vec<Hypothesis> =
         posts.iter().filter_map(|post| free(rounds, places, &[*post])).collect();
     singles.sort_by(|one, other| one.cost.total_cmp(&other.cost));

@@ -214,22 +214,34 @@ pub(super) fn excess(rounds: &[Round]) -> f64 {
     (*median / MEDIAN_SHARE).max(1.0)
 }
 
+/// Information about a camera's change and its product with that, by all rounds as they count now.
+fn normal(rounds: &[Round], post: usize, place: &Rigid) -> (Matrix6<f64>, Vector6<f64>) {
+    let (mut information, mut score) = (prior(), Vector6::zeros());
+    for round in rounds {
+        let Some(look) = round.looks.iter().find(|look| look.post == post) else { continue };
+        let Some((middle_m, spread)) = round.middle(Some(post)) else { continue };
+        let Some(weight) = (look.covariance + spread).cholesky() else { continue };
+        let (_, trust) = robust(round.energy());
+        let jacobian = jacobian(&(place.rotation * look.position_m));
+        let weighted = weight.solve(&jacobian) * trust;
+        information += jacobian.transpose() * weighted;
+        score -= weighted.transpose() * (look.world_m - middle_m);
+    }
+    (information, score)
+}
+
+/// What a camera's first step would gain.
+pub(super) fn first_gain(rounds: &[Round], post: usize, place: &Rigid) -> f64 {
+    let (information, score) = normal(rounds, post, place);
+    information.cholesky().map_or(0.0, |factor| score.dot(&factor.solve(&score)))
+}
+
 /// Lets a camera stand where the rounds want it, with all others as they are; the rounds see it there.
 pub(super) fn release(rounds: &mut [Round], post: usize, from: &Rigid) -> Option<Fit> {
     let mut place_now = *from;
     let mut covariance = Matrix6::zeros();
     for _ in 0..STEPS {
-        let (mut information, mut score) = (prior(), Vector6::zeros());
-        for round in rounds.iter() {
-            let Some(look) = round.looks.iter().find(|look| look.post == post) else { continue };
-            let Some((middle_m, spread)) = round.middle(Some(post)) else { continue };
-            let Some(weight) = (look.covariance + spread).cholesky() else { continue };
-            let (_, trust) = robust(round.energy());
-            let jacobian = jacobian(&(place_now.rotation * look.position_m));
-            let weighted = weight.solve(&jacobian) * trust;
-            information += jacobian.transpose() * weighted;
-            score -= weighted.transpose() * (look.world_m - middle_m);
-        }
+        let (information, score) = normal(rounds, post, &place_now);
         let factor = information.cholesky()?;
         covariance = factor.inverse();
         let change = factor.solve(&score);
