@@ -60,6 +60,9 @@ fn bumped(name: &str, size: (f64, f64), noise_px: f64, count: u64) -> bool {
             healing.moves.push(Move::bump(camera, at_s, size, &mut random));
         }
         let outcome = healing.run(WatchParams::default(), 45.0);
+        if !outcome.is_healed() {
+            eprintln!("{name}, seed {seed}: {:?}", outcome.answers);
+        }
         all.answers.extend(outcome.answers);
         all.imagined += outcome.imagined;
         all.corrections += outcome.corrections;

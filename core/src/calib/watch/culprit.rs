@@ -28,7 +28,7 @@ const LEAST_ROUNDELS: usize = 2;
 /// Cameras taken first when pairs are tried.
 const TRIED_FIRST: usize = 4;
 /// Times that two cameras take turns.
-const TURNS: usize = 3;
+const TURNS: usize = 6;
 
 /// What disagreements say.
 #[derive(Clone, Debug, PartialEq)]
@@ -49,6 +49,10 @@ struct Hypothesis {
 }
 
 impl Hypothesis {
+    fn is_move(&self, params: &WatchParams) -> bool {
+        self.freed.iter().all(|(_, fit)| fit.moved_m > params.least_bump_m)
+    }
+
     fn posts(&self) -> Vec<usize> {
         let mut posts: Vec<usize> = self.freed.iter().map(|(post, _)| *post).collect();
         posts.sort_unstable();
@@ -68,9 +72,7 @@ pub(super) fn judge(rounds: &[Round], places: &[Option<Rigid>], params: &WatchPa
         posts.iter().filter_map(|post| free(rounds, places, &[*post])).collect();
     singles.sort_by(|one, other| one.cost.total_cmp(&other.cost));
     let Some(best) = singles.first() else { return Verdict::Agreed };
-    let scale = excess(&best.rounds);
-    let matters =
-        |gain: f64, fit: &Fit| gain > SURE_GAIN * scale && fit.moved_m > params.least_bump_m;
+    let matters = |gain: f64, fit: &Fit| gain > SURE_GAIN && fit.moved_m > params.least_bump_m;
     if !matters(base - best.cost, &best.freed[0].1) {
         return Verdict::Agreed;
     }
@@ -80,19 +82,25 @@ pub(super) fn judge(rounds: &[Round], places: &[Option<Rigid>], params: &WatchPa
         let fit = places[*post].and_then(|place| release(&mut rest, *post, &place));
         fit.is_none_or(|fit| !matters(best.cost - cost(&rest), &fit))
     });
-    if is_enough {
-        return verdict(&singles, base, scale);
-    }
     let mut pairs: Vec<Hypothesis> = Vec::new();
-    for (rank, first) in singles.iter().enumerate().take(TRIED_FIRST) {
-        for second in &singles[rank + 1..] {
-            pairs.extend(free(rounds, places, &[first.freed[0].0, second.freed[0].0]));
+    if !is_enough {
+        for (rank, first) in singles.iter().enumerate().take(TRIED_FIRST) {
+            for second in &singles[rank + 1..] {
+                pairs.extend(free(rounds, places, &[first.freed[0].0, second.freed[0].0]));
+            }
         }
+        pairs.sort_by(|one, other| one.cost.total_cmp(&other.cost));
     }
-    pairs.sort_by(|one, other| one.cost.total_cmp(&other.cost));
-    match pairs.first() {
-        Some(pair) if best.cost - pair.cost > SURE_GAIN * scale => verdict(&pairs, base, scale),
-        _ => verdict(&singles, base, scale),
+    // What no move explains is noise; while it is not known who moved, much of it is not.
+    let is_better = |pair: &&Hypothesis| {
+        best.cost - pair.cost > SURE_GAIN * excess(&pair.rounds) && pair.is_move(params)
+    };
+    let sorted = if pairs.first().filter(is_better).is_some() { &pairs } else { &singles };
+    let scale = excess(&sorted[0].rounds);
+    if base - sorted[0].cost > SURE_GAIN * scale {
+        verdict(sorted, base, scale)
+    } else {
+        Verdict::Agreed
     }
 }
 

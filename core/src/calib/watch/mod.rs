@@ -118,7 +118,7 @@ impl Default for WatchParams {
             drift_window_s: 60.0,
             return_deviation_m: 3e-4,
             return_deviation_rad: 0.003 * std::f64::consts::PI / 180.0,
-            return_after_s: 15.0,
+            return_after_s: 22.0,
         }
     }
 }
