@@ -3,8 +3,8 @@
 use std::collections::{BTreeMap, BTreeSet};
 
 use roundel_core::{
-    calib::arena::Recording,
-    camera::{Camera, PixelPoint},
+    calib::arena::{Coverage, Recording},
+    camera::Camera,
     id::{CameraId, KindId},
     marker::Code,
     time::Timestamp,
@@ -15,8 +15,6 @@ use roundel_core::{
 const MOST_HZ: f64 = 20.0;
 /// Two cameras that see one roundel within this time of each other see it together, seconds.
 const TOGETHER_S: f64 = 0.1;
-/// Fields of an image, across and down, as in the calibration's report.
-const FIELDS: (usize, usize) = (8, 6);
 
 /// What has been recorded of one camera.
 #[derive(Clone, Debug, Default, PartialEq)]
@@ -43,7 +41,7 @@ struct Heard {
     lens: Camera,
     frames: u64,
     codes: BTreeSet<(KindId, Code)>,
-    fields: [bool; FIELDS.0 * FIELDS.1],
+    coverage: Coverage,
     together: BTreeMap<CameraId, u64>,
 }
 
@@ -54,7 +52,7 @@ impl Recorder {
             lens,
             frames: 0,
             codes: BTreeSet::new(),
-            fields: [false; FIELDS.0 * FIELDS.1],
+            coverage: Coverage::default(),
             together: BTreeMap::new(),
         };
         Self {
@@ -70,7 +68,7 @@ impl Recorder {
         heard.frames += 1;
         let now = frame.received_time;
         for detection in frame.detections.iter().filter(|detection| detection.pose.is_some()) {
-            heard.mark(detection.ring.outer.center);
+            heard.coverage.add(&heard.lens, detection.ring.outer.center);
             let code = detection.ring.code.as_ref().map(|reading| reading.code);
             let Some(name) = detection.ring.kind.zip(code) else { continue };
             heard.codes.insert(name);
@@ -94,20 +92,11 @@ impl Recorder {
 }
 
 impl Heard {
-    fn mark(&mut self, at: PixelPoint) {
-        let field = |value: f64, size: usize, count: usize| {
-            ((value / size as f64 * count as f64).max(0.0) as usize).min(count - 1)
-        };
-        let column = field(at.u, self.lens.width(), FIELDS.0);
-        self.fields[field(at.v, self.lens.height(), FIELDS.1) * FIELDS.0 + column] = true;
-    }
-
     fn told(&self) -> RecordedCamera {
-        let seen = self.fields.iter().filter(|&&is_seen| is_seen).count();
         RecordedCamera {
             frames: self.frames,
             codes: self.codes.len(),
-            coverage: seen as f64 / self.fields.len() as f64,
+            coverage: self.coverage.share(),
             together: self.together.clone(),
         }
     }

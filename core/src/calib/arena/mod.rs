@@ -13,6 +13,7 @@
 mod band;
 mod bundle;
 mod course;
+mod coverage;
 mod error;
 mod finding;
 mod gather;
@@ -34,6 +35,7 @@ use crate::{
 };
 use bundle::{Bundle, Failed, Prior};
 use course::Course;
+pub use coverage::Coverage;
 pub use error::ArenaError;
 pub use finding::{Advice, Finding, Names, Numbers};
 pub use gather::Recording;

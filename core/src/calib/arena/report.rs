@@ -7,6 +7,7 @@
 use super::{
     ArenaCamera,
     bundle::{Bundle, Outcome, excess_squared, is_outlier},
+    coverage::Coverage,
     finding::{Advice, Finding},
     gather::{Name, Recording},
     place_covariance,
@@ -22,8 +23,6 @@ use crate::{
     rigid::{Covariance6, Rigid},
 };
 
-/// Fields of an image, across and down.
-const FIELDS: (usize, usize) = (8, 6);
 /// A place known worse than this, rms over the axes, is weak: metres and radians.
 const WEAK_M: f64 = 0.003;
 const WEAK_RAD: f64 = 0.0005;
@@ -168,18 +167,17 @@ fn before(found: &Found<'_>) -> Vec<Finding> {
 }
 
 /// One camera's sightings after the adjustment.
-#[derive(Clone, Debug)]
+#[derive(Clone, Debug, Default)]
 struct Seen {
     /// Squared errors of those that were used.
     squares: Vec<f64>,
     square_px: f64,
-    fields: [bool; FIELDS.0 * FIELDS.1],
+    coverage: Coverage,
 }
 
 /// What each camera saw, and who was seen elsewhere by one than by others.
 fn seen(found: &Found<'_>, bundle: &Bundle, outcome: &Outcome) -> (Vec<Seen>, Vec<Finding>) {
-    let fields = [false; FIELDS.0 * FIELDS.1];
-    let mut seen = vec![Seen { squares: Vec::new(), square_px: 0.0, fields }; found.kept.len()];
+    let mut seen = vec![Seen::default(); found.kept.len()];
     let mut findings = Vec::new();
     for subject in &bundle.subjects {
         // Sightings of each camera, and those that are off.
@@ -219,15 +217,7 @@ impl Seen {
         let pixels = [sight.place_m, explained_m].map(|place_m| lens.project(&place_m));
         let [Ok(one), Ok(other)] = pixels else { return };
         self.square_px += (one.u - other.u).powi(2) + (one.v - other.v).powi(2);
-        let field = |value: f64, size: usize, count: usize| {
-            ((value / size as f64 * count as f64).max(0.0) as usize).min(count - 1)
-        };
-        let column = field(one.u, lens.width(), FIELDS.0);
-        self.fields[field(one.v, lens.height(), FIELDS.1) * FIELDS.0 + column] = true;
-    }
-
-    fn coverage(&self) -> f64 {
-        self.fields.iter().filter(|&&is_seen| is_seen).count() as f64 / self.fields.len() as f64
+        self.coverage.add(lens, one);
     }
 }
 
@@ -261,7 +251,7 @@ fn calibrated(
         sightings: seen.squares.len(),
         reprojection_rms_px: (seen.square_px / seen.squares.len().max(1) as f64).sqrt(),
         error_ratio: excess_squared(&mut seen.squares).sqrt(),
-        coverage: seen.coverage(),
+        coverage: seen.coverage.share(),
         neighbours: neighbours
             .map(|tie| Neighbour {
                 camera: cameras[if tie.one == index { tie.other } else { tie.one }].id,

@@ -30,8 +30,10 @@
 
 mod culprit;
 mod drift;
+mod event;
 mod fit;
 mod meeting;
+mod param;
 mod recovery;
 #[cfg(test)]
 mod tests;
@@ -49,8 +51,10 @@ use crate::{
 };
 use culprit::{Verdict, judge};
 use drift::Drift;
+pub use event::{CameraHealth, WatchEvent, WatchState};
 use fit::{Round, moved};
 use meeting::{Meeting, Single, Stands, meet};
+pub use param::WatchParams;
 use recovery::Recovery;
 use trail::Trail;
 
@@ -77,121 +81,6 @@ const MOST_TRAILS: usize = 1024;
 const FORGOTTEN_NS: i64 = 2_000_000_000;
 /// Stamps that are so far ahead of the time are wrong.
 const AHEAD_NS: i64 = 5_000_000_000;
-
-/// What the watch can be told.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub struct WatchParams {
-    /// Frames arrive within this after their exposure, by their corrected stamps, seconds.
-    pub delay_s: f64,
-    /// How well clocks' offsets are known, seconds.
-    pub clock_deviation_s: f64,
-    /// Part of a detection's variance that stays from frame to frame, 0 to 1 …
-    pub systematic_share: f64,
-    /// … and for how long, seconds.
-    pub systematic_time_s: f64,
-    /// What covariances of detections do not say: each coordinate, stays, metres.
-    pub least_deviation_m: f64,
-    /// A camera whose view moved by more at once was bumped, metres, rms over what it sees.
-    pub least_bump_m: f64,
-    /// One whose view is off by more drifts.
-    pub least_drift_m: f64,
-    /// Time in which the sums over which that is seen fade, seconds.
-    pub drift_window_s: f64,
-    /// A camera returns once its place is known to this, metres and radians …
-    pub return_deviation_m: f64,
-    /// … about each.
-    pub return_deviation_rad: f64,
-    /// Or after so many seconds at rest if it is known to four times that.
-    pub return_after_s: f64,
-}
-
-impl Default for WatchParams {
-    fn default() -> Self {
-        Self {
-            delay_s: 0.15,
-            clock_deviation_s: 1e-4,
-            systematic_share: 0.5,
-            systematic_time_s: 1.0,
-            least_deviation_m: 1e-4,
-            least_bump_m: 0.004,
-            least_drift_m: 4e-4,
-            drift_window_s: 60.0,
-            return_deviation_m: 3e-4,
-            return_deviation_rad: 0.003 * std::f64::consts::PI / 180.0,
-            return_after_s: 22.0,
-        }
-    }
-}
-
-/// What became known of cameras' places.
-#[derive(Clone, Debug, PartialEq)]
-pub enum WatchEvent {
-    /// It does not stand where it did: it is to be left out.
-    Bumped {
-        /// Which.
-        camera: CameraId,
-        /// How far it moved, as far as is known at once, metres.
-        moved_m: f64,
-        /// And turned, radians.
-        turned_rad: f64,
-    },
-    /// It rests, and this is where: it is to be used again.
-    Returned {
-        /// Which.
-        camera: CameraId,
-        /// Where.
-        placement: CameraPlacement,
-    },
-    /// It drifted, and stands here now; it was good enough to be used all the time.
-    Drifted {
-        /// Which.
-        camera: CameraId,
-        /// Where.
-        placement: CameraPlacement,
-        /// By how much what it sees moves with that, rms, metres.
-        moved_m: f64,
-    },
-    /// One of these moved; which of them cannot be known.
-    Contradiction {
-        /// Ascending.
-        cameras: Vec<CameraId>,
-    },
-    /// They agree again, or it is known who moved.
-    Agreed {
-        /// As they were named before.
-        cameras: Vec<CameraId>,
-    },
-}
-
-/// How a camera stands to the others.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum WatchState {
-    /// Others see what it sees.
-    Watched,
-    /// Others see it elsewhere; who is right is not known yet, or cannot be.
-    Suspected,
-    /// It was bumped.
-    Quarantined,
-    /// Of late no other saw what it sees.
-    Alone,
-}
-
-/// What is known of how right a camera's place is.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub struct CameraHealth {
-    /// How it stands to the others.
-    pub state: WatchState,
-    /// By how much it would have to move to agree best with the others, metres …
-    pub error_m: f64,
-    /// … and to turn, radians.
-    pub error_rad: f64,
-    /// Standard deviations of both.
-    pub deviation_m: f64,
-    /// Radians.
-    pub deviation_rad: f64,
-    /// What it sees is off by so much, rms, metres.
-    pub seen_error_m: f64,
-}
 
 /// One camera.
 #[derive(Clone, Debug)]
