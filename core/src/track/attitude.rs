@@ -11,6 +11,10 @@
 //! An elliptical disc looks the same turned by half a turn about its normal. Of both orientations each
 //! measurement is the one nearer to the prediction, so that a heading once taken up is kept.
 //!
+//! How strongly a normal is turned is learned ([`super::density`]): most objects stay upright. A heading is not: it
+//! turns and stops within a second, and what is learned would follow too late (with it, the headings of bodies in
+//! `core/tests/fusion/body.rs` lie in 84 to 90 % of cases inside their 95 %, without it in 97 to 98 %).
+//!
 //! An ellipse allows two normals, mirrored at the line of sight. The wrong one changes with the
 //! view, the right one does not. So up to two hypotheses are filtered, each taking from every
 //! measurement the normal that suits it better; the log-odds between them gather
@@ -24,7 +28,7 @@ mod measurement;
 
 use nalgebra::{Matrix3, Matrix6, UnitQuaternion, Vector3};
 
-use super::{Ground, Kernel, MotionModel, Spread};
+use super::{Ground, Kernel, MotionModel, Spread, density::Densities};
 use crate::{
     id::CameraId,
     rigid::{
@@ -57,6 +61,15 @@ const UNREAD_VARIANCE_RAD2: f64 = 300.0;
 const KNOWN_YAW_RAD: f64 = 0.3;
 const KNOWN_YAW_S: f64 = 0.5;
 
+/// Unseen for so long, it may have begun to turn.
+const UNSEEN_S: f64 = 0.15;
+/// A manoeuvre has begun when innovations are as if their covariance were so many times as large …
+const SURPRISE: f64 = 4.0;
+/// … by evidence of e⁸ to one …
+const ALARM_LOG_RATIO: f64 = 8.0;
+/// … of which a single measurement says so much at most.
+const LOG_LIMIT: f64 = 6.0;
+
 #[derive(Clone, Copy, Debug, PartialEq)]
 struct Hypothesis {
     orientation: UnitQuaternion<f64>,
@@ -74,6 +87,10 @@ pub struct Attitude {
     yaw_symmetry: Option<u32>,
     /// … and how old it is, seconds.
     yaw_age_s: f64,
+    /// How strongly it is turned.
+    densities: Densities,
+    alarm: f64,
+    unseen_s: f64,
 }
 
 /// What is told about an orientation.
@@ -88,6 +105,8 @@ pub struct AttitudeEstimate {
     pub angular_velocity_rad_s: Vector3<f64>,
     /// Over (rotation, angular velocity), world frame, left perturbation.
     pub covariance: Matrix6<f64>,
+    /// Spectral density of the white angular acceleration that it grows by, rad²/s³.
+    pub density_rad2_s3: Vector3<f64>,
 }
 
 impl Attitude {
@@ -103,6 +122,9 @@ impl Attitude {
             log_odds: 0.0,
             yaw_symmetry: seen.yaw_symmetry,
             yaw_age_s: 0.0,
+            densities: Densities::begin(&model.angular_density_rad2_s3, 0.0),
+            alarm: 0.0,
+            unseen_s: 0.0,
         };
         attitude.log_odds = attitude.prior(model) + seen.log_likelihood(0) - seen.log_likelihood(1);
         attitude.settle();
@@ -111,22 +133,27 @@ impl Attitude {
 
     /// Becomes another, without the kilobytes of a rival that is not there.
     pub(super) fn copy_from(&mut self, other: &Self) {
-        let Self { best, rival, log_odds, yaw_symmetry, yaw_age_s } = other;
-        self.best = *best;
-        match rival {
+        self.best = other.best;
+        match &other.rival {
             Some(rival) => self.rival = Some(*rival),
             None => self.rival = None,
         }
-        (self.log_odds, self.yaw_symmetry, self.yaw_age_s) = (*log_odds, *yaw_symmetry, *yaw_age_s);
+        (self.log_odds, self.yaw_symmetry, self.yaw_age_s) =
+            (other.log_odds, other.yaw_symmetry, other.yaw_age_s);
+        (self.densities, self.alarm, self.unseen_s) =
+            (other.densities, other.alarm, other.unseen_s);
     }
 
     /// Moves on by `dt` seconds, either way.
     pub fn predict(&mut self, dt: f64, model: &MotionModel) {
+        let density = self.density(0.0, model);
         for hypothesis in std::iter::once(&mut self.best).chain(self.rival.as_mut()) {
             let turn = turn_by(&(hypothesis.kernel.rate * dt));
             hypothesis.orientation = turn * hypothesis.orientation;
-            hypothesis.kernel.predict(dt, &model.angular_density_rad2_s3, model.systematic_time_s);
+            hypothesis.kernel.predict(dt, &density, model.systematic_time_s);
         }
+        self.densities.forget(dt);
+        self.unseen_s += dt;
         self.yaw_age_s += dt;
         self.log_odds = faded(self.log_odds, dt, self.prior(model));
     }
@@ -144,7 +171,11 @@ impl Attitude {
             }
             (self.yaw_symmetry, self.yaw_age_s) = (seen.yaw_symmetry, 0.0);
         }
+        self.unseen_s = 0.0;
         let (fit, taken) = self.best.update((seen, unread_rad2), camera, model);
+        if self.rival.is_none() {
+            self.adapt(&fit, model);
+        }
         let other_fit = match &mut self.rival {
             Some(rival) => rival.update((seen, unread_rad2), camera, model).0,
             // No rival stands: the best one is held against a normal that would just fit.
@@ -162,7 +193,7 @@ impl Attitude {
     /// The estimate `dt` seconds from now, either way; both normals show in the covariance while both are
     /// possible.
     pub fn estimate(&self, dt: f64, model: &MotionModel) -> AttitudeEstimate {
-        let density = model.angular_density_rad2_s3;
+        let density = self.density(dt, model);
         let (orientation, mut spread) = self.best.told(dt, &density);
         if let Some(rival) = &self.rival {
             let (other, told) = rival.told(dt, &density);
@@ -182,6 +213,7 @@ impl Attitude {
             yaw_symmetry: self.yaw_symmetry.filter(|_| is_known),
             angular_velocity_rad_s: self.best.kernel.rate,
             covariance: spread.matrix(),
+            density_rad2_s3: density,
         };
         if estimate.yaw_symmetry.is_none() {
             estimate.orientation = orientation_of_normal(&normal);
@@ -207,6 +239,30 @@ impl Attitude {
             let turn = smallest_turn(&hypothesis.normal(), &Vector3::z());
             let correction = ground.hold_upright(&mut hypothesis.kernel, &turn);
             hypothesis.orientation = turn_by(&correction) * hypothesis.orientation;
+        }
+    }
+
+    /// Learns how strongly it is turned, from how a normal fits that nothing rivals.
+    fn adapt(&mut self, fit: &Fit, model: &MotionModel) {
+        self.densities.learn(&fit.slope);
+        self.alarm = (self.alarm + fit.surprise()).max(0.0);
+        if self.alarm > ALARM_LOG_RATIO {
+            self.alarm = 0.0;
+            self.densities = Densities::begin(&model.angular_density_rad2_s3, 0.0);
+        }
+    }
+
+    /// What it is turned by until `dt` seconds from now; unseen, it may have begun to turn, and of two normals one
+    /// is wrong, and moves as no object does.
+    fn density(&self, dt: f64, model: &MotionModel) -> Vector3<f64> {
+        let capability = &model.angular_density_rad2_s3;
+        let density = self.densities.expected();
+        if self.yaw_symmetry.is_some() {
+            *capability
+        } else if self.rival.is_some() || self.unseen_s + dt > UNSEEN_S {
+            density.sup(capability)
+        } else {
+            density
         }
     }
 
@@ -253,9 +309,17 @@ impl Attitude {
 struct Fit {
     evidence: f64,
     distance_squared: f64,
+    /// Of the log-likelihood over the logarithm of the density.
+    slope: Vector3<f64>,
 }
 
 impl Fit {
+    /// ln of the likelihood if all covariances were [`SURPRISE`] times as large, over that stated.
+    fn surprise(self) -> f64 {
+        let ratio = 0.5 * (self.distance_squared * (1.0 - 1.0 / SURPRISE) - 3.0 * SURPRISE.ln());
+        ratio.min(LOG_LIMIT)
+    }
+
     /// That of a normal which fits as it should at worst.
     fn fitting(self) -> Self {
         let excess = (self.distance_squared - FITTING_DISTANCE_SQUARED).max(0.0);
@@ -300,16 +364,21 @@ impl Hypothesis {
             let evidence = seen.log_likelihood(index)
                 - 0.5 * (innovation.distance_squared + innovation.log_det());
             if chosen.is_none_or(|(fit, ..)| evidence > fit.evidence) {
-                let fit = Fit { evidence, distance_squared: innovation.distance_squared };
+                let fit = Fit {
+                    evidence,
+                    distance_squared: innovation.distance_squared,
+                    slope: Vector3::zeros(),
+                };
                 chosen = Some((fit, index, turn));
             }
         }
-        let Some((fit, index, turn)) = chosen else {
-            return (Fit { evidence: 0.0, distance_squared: 0.0 }, 0);
+        let Some((mut fit, index, turn)) = chosen else {
+            return (Fit { evidence: 0.0, distance_squared: 0.0, slope: Vector3::zeros() }, 0);
         };
         let robust = model.robust_distance_squared;
         let noise = seen.noise(index, (&self.normal(), unread_rad2));
         let correction = self.kernel.update(&turn, &noise, camera, robust);
+        fit.slope = correction.slope;
         self.orientation = turn_by(&correction.value) * self.orientation;
         (fit, index)
     }

@@ -79,7 +79,7 @@ pub(super) fn state_of(track: &mut Track, time: Timestamp, offset_m: &Vector3<f6
         rotation_covariance: attitude.covariance,
         process_noise: ProcessNoise {
             acceleration_density_m2_s3: motion.density_m2_s3,
-            angular_density_rad2_s3: model.angular_density_rad2_s3,
+            angular_density_rad2_s3: attitude.density_rad2_s3,
         },
         cameras: contributing(track, time),
         newest_observation: track.newest,
