@@ -1,18 +1,15 @@
 //! Arenas that calibrate themselves: every camera's place from robots that drive about, and what is said
 //! where that cannot be.
 
-use nalgebra::{Point3, Vector3};
+use nalgebra::Vector3;
 use roundel_core::{
-    calib::arena::{
-        ArenaCalibration, ArenaCamera, ArenaError, ArenaParams, Finding, LensDeviation, calibrate,
-    },
-    camera::{Camera, Intrinsics},
+    calib::arena::{ArenaCalibration, ArenaError, ArenaParams, Finding, LensDeviation, calibrate},
     id::CameraId,
 };
 use roundel_tests::{
     arena::{Arena, Path, look_at},
     sensor::Sensing,
-    survey::Survey,
+    survey::{Mistaken, Survey, world_error_m},
 };
 
 /// Detections of the precise mode are about as good as this.
@@ -83,84 +80,18 @@ fn a_chain_of_cameras_hangs_on_the_first() {
 #[test]
 fn a_lens_that_is_off_is_refined() {
     let survey = r4(7);
-    let mut cameras = survey.cameras();
-    // Poses in the recording were made by true lenses: believing others is the same as having the lens off.
-    let wrong: Vec<Camera> = cameras
-        .iter()
-        .enumerate()
-        .map(|(index, camera)| {
-            let sign = if index % 2 == 0 { 1.0 } else { -1.0 };
-            let true_lens = camera.lens.intrinsics().clone();
-            let believed = Intrinsics {
-                fx_px: true_lens.fx_px * (1.0 + sign * 3e-3),
-                fy_px: true_lens.fy_px * (1.0 + sign * 3e-3),
-                cx_px: true_lens.cx_px + sign * 1.5,
-                cy_px: true_lens.cy_px - sign * 1.0,
-                ..true_lens
-            };
-            Camera::new(believed).unwrap()
-        })
-        .collect();
-    let seen = survey.record_through(SENSING, SECONDS, MOST_HZ, |camera, place_m| {
-        let index = camera.0 as usize;
-        believed(&cameras[index].lens, &wrong[index], place_m)
-    });
+    let mistaken = Mistaken::by(&survey, 3e-3, 1.5);
+    let seen = mistaken.record(&survey, SENSING, SECONDS, MOST_HZ);
     let params = ArenaParams::default();
-    let [as_believed, refined] = [false, true].map(|is_refined| {
-        for (camera, lens) in cameras.iter_mut().zip(&wrong) {
-            camera.lens = lens.clone();
-            camera.lens_deviation = is_refined.then(LensDeviation::default);
-        }
+    let [as_believed, refined] = [None, Some(LensDeviation::default())].map(|deviation| {
+        let cameras = mistaken.cameras(&survey, deviation);
         let found = calibrate(&seen, &cameras, &survey.references, &params, |_| true).ok()?;
-        Some(point_errors_mm(&survey, &found, &cameras))
+        world_error_m(&survey, &found, &cameras)
     });
     // Taken as exact such lenses make references contradict one another, or points that are far off.
     let refined = refined.unwrap();
     let as_believed = as_believed.unwrap_or(f64::INFINITY);
-    assert!(refined < 1.0 && refined < 0.5 * as_believed, "{as_believed} mm, {refined} mm");
-}
-
-/// Where a camera that believes another lens measures what is at `place_m`: along that lens' ray, and as far
-/// off as makes it as large there as it is seen.
-fn believed(lens: &Camera, believed: &Camera, place_m: &Vector3<f64>) -> Vector3<f64> {
-    let bearing = believed.bearing(lens.project(place_m).unwrap()).unwrap();
-    let seen_px = size_px(lens, place_m);
-    bearing * (size_px(believed, &bearing) / seen_px)
-}
-
-/// Root of the area that a small square across the line of sight has in the image, over its side.
-fn size_px(lens: &Camera, place_m: &Vector3<f64>) -> f64 {
-    let side_m = 1e-4 * place_m.norm();
-    let across = place_m.cross(&Vector3::y()).normalize();
-    let down = place_m.cross(&across).normalize();
-    let [u, v] = [across, down].map(|axis| {
-        let [one, other] =
-            [1.0, -1.0].map(|sign| lens.project(&(place_m + axis * (sign * side_m))).unwrap());
-        [(one.u - other.u) / (2.0 * side_m), (one.v - other.v) / (2.0 * side_m)]
-    });
-    (u[0] * v[1] - u[1] * v[0]).abs().sqrt()
-}
-
-/// By how much points of the arena are misplaced by what was found, rms over cameras and points, mm.
-fn point_errors_mm(survey: &Survey, found: &ArenaCalibration, cameras: &[ArenaCamera]) -> f64 {
-    let (mut square, mut count) = (0.0, 0.0);
-    for result in &found.cameras {
-        let index = result.camera.0 as usize;
-        let site = &survey.arena.sites[index];
-        let lens = result.lens.as_ref().map_or(&cameras[index].lens, |lens| &lens.camera);
-        for (x, y) in (-4..=4).flat_map(|x| (-3..=3).map(move |y| (f64::from(x), f64::from(y)))) {
-            let point = Point3::new(x, y, 0.5);
-            let Some([u, v]) = survey.arena.pixel(site, &point) else { continue };
-            let place = &result.world_from_camera;
-            let ray =
-                place.rotation * lens.bearing(roundel_core::camera::PixelPoint { u, v }).unwrap();
-            // What lies across the ray; along it others see.
-            let arm = point.coords - place.translation.vector;
-            square += (arm - ray * ray.dot(&arm)).norm_squared();
-            count += 1.0;
-        }
-    }
-    (square / count).sqrt() * 1e3
+    assert!(refined < 1e-3 && refined < 0.5 * as_believed, "{as_believed} m, {refined} m");
 }
 
 #[test]

@@ -58,6 +58,8 @@ pub struct Sensing {
     pub systematic_share: f64,
     /// … and for how long.
     pub systematic_time_s: f64,
+    /// Whether that of a roundel that stands still before a camera that does stays for good, as in pixels.
+    pub is_kept_while_still: bool,
     /// Share of roundels that a frame does not show.
     pub dropout: f64,
     /// False detections a frame, up to 1.
@@ -78,6 +80,7 @@ impl Sensing {
         yaw_rad: 0.01,
         systematic_share: 0.5,
         systematic_time_s: 1.0,
+        is_kept_while_still: false,
         dropout: 0.02,
         clutter: 0.0,
         unread: 0.02,
@@ -99,7 +102,8 @@ struct Sight {
     seen_s: Option<f64>,
     /// Of position and rotation, unit variance.
     bias: [Vector3<f64>; 2],
-    bias_s: Option<f64>,
+    /// When it was that, and where the robot was.
+    bias_at: Option<(f64, Vector3<f64>)>,
 }
 
 /// Where a robot is when its row is exposed.
@@ -216,16 +220,22 @@ impl<'a> Sensor<'a> {
     /// The errors that stay for a while, as they are by now.
     fn drift(&mut self, robot: usize, t: f64) -> [Vector3<f64>; 2] {
         let fresh = [self.gaussian(), self.gaussian()];
+        let place_m = match self.arena.robots.get(robot) {
+            Some(carrier) => carrier.path.pose(t).translation.vector,
+            None => Vector3::zeros(),
+        };
+        let keeps = self.sensing.is_kept_while_still && self.site().mount.is_none();
         let sight = &mut self.sights[robot];
-        sight.bias = match sight.bias_s {
+        sight.bias = match sight.bias_at {
             None => fresh,
-            Some(before_s) => {
+            Some((_, before_m)) if keeps && before_m == place_m => sight.bias,
+            Some((before_s, _)) => {
                 let kept = (-(t - before_s) / self.sensing.systematic_time_s).exp();
                 let new = (1.0 - kept * kept).sqrt();
                 [0, 1].map(|which| sight.bias[which] * kept + fresh[which] * new)
             }
         };
-        sight.bias_s = Some(t);
+        sight.bias_at = Some((t, place_m));
         sight.bias
     }
 

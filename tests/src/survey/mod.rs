@@ -4,11 +4,14 @@
 //! of its image; no other camera's sightings of them are kept, so that everything else hangs on robots that
 //! drive about.
 
-use nalgebra::{Isometry3, Vector2, Vector3, Vector6};
+mod lens;
+
+use nalgebra::{Isometry3, Point3, Vector2, Vector3, Vector6};
 use roundel_core::{
     calib::arena::{ArenaCamera, CalibratedCamera, Recording},
     id::{CameraId, KindId},
     marker::Code,
+    pose::RoundelPose,
     world::{FrameObservations, Landmark},
 };
 
@@ -19,11 +22,14 @@ use crate::{
     scenario::pixels,
     sensor::{Sensing, Stream},
 };
+pub use lens::{Mistaken, world_error_m};
 
 /// References' distance from the image's edges, as shares of its sides.
 const INSET: f64 = 0.12;
 /// How well a reference's place is said to be known: measured once and well, metres.
 const REFERENCE_SIGMA_M: f64 = 5e-5;
+/// What is so near to a reference is taken for it where it is to be overlooked, metres.
+const OVERLOOKED_M: f64 = 0.15;
 
 /// An arena whose cameras' places nobody knows.
 #[derive(Clone, Debug)]
@@ -32,8 +38,8 @@ pub struct Survey {
     pub arena: Arena,
     /// Where they were said to be.
     pub references: Vec<Landmark>,
-    /// Their codes' numbers, which other cameras than the first overlook.
-    numbers: Vec<u16>,
+    /// Where they truly are, which other cameras than the first overlook.
+    places_m: Vec<Vector3<f64>>,
 }
 
 impl Survey {
@@ -41,7 +47,7 @@ impl Survey {
     pub fn new(mut arena: Arena) -> Self {
         let (site, kind) = (arena.sites[0].clone(), arena.kinds[0].clone());
         let bits = kind.code_bits.expect("survey: the arena's roundels are coded");
-        let (mut references, mut numbers) = (Vec::new(), Vec::new());
+        let (mut references, mut places_m) = (Vec::new(), Vec::new());
         for (across, down) in [(0.0, 0.0), (1.0, 0.0), (1.0, 1.0), (0.0, 1.0)] {
             let along =
                 |share: f64, size: usize| size as f64 * (INSET + share * (1.0 - 2.0 * INSET));
@@ -50,13 +56,13 @@ impl Survey {
             let place_m = on_floor(&site.optics, &site.world_from_camera, &pixel);
             arena.add_robot(Path::still(place_m));
             let number = arena.robots[arena.robots.len() - 1].code.unwrap_or_default();
-            numbers.push(number);
+            places_m.push(place_m);
             references.push(Landmark {
                 position_deviation_m: REFERENCE_SIGMA_M,
                 ..Landmark::new(KindId(0), Some(Code { bits, number }), place_m)
             });
         }
-        Self { arena, references, numbers }
+        Self { arena, references, places_m }
     }
 
     /// Cameras as the arena has them.
@@ -102,13 +108,16 @@ impl Survey {
         recording
     }
 
-    /// A frame as a camera gives it that cannot see the references, unless it is the first.
+    /// A frame as a camera gives it that cannot see the references, unless it is the first. Whatever stands
+    /// where one does is left out, read, misread or not.
     pub fn overlooked(&self, mut frame: FrameObservations) -> FrameObservations {
         if frame.camera != CameraId(0) {
-            let is_reference = |code: Code| self.numbers.contains(&code.number);
-            frame
-                .detections
-                .retain(|it| !it.ring.code.as_ref().is_some_and(|read| is_reference(read.code)));
+            let place = self.arena.sites[frame.camera.0 as usize].world_from_camera;
+            let is_reference = |pose: &RoundelPose| {
+                let seen_m = place * Point3::from(pose.position_m);
+                self.places_m.iter().any(|at_m| (seen_m.coords - at_m).norm() < OVERLOOKED_M)
+            };
+            frame.detections.retain(|it| !it.pose.as_ref().is_some_and(is_reference));
         }
         frame
     }
