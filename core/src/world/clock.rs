@@ -71,6 +71,10 @@ const LATENCY_STEP: f64 = 3.0;
 /// What a clock that was set may be off by after its stamps were brought back.
 const STEPPED: ClockPrior = ClockPrior { offset_s: 0.03, skew: 1e-4 };
 
+/// A clock is doubtful beside another if its doubts are so many times as large. (Of clocks that are all known but
+/// one, its doubts are as many times theirs as there are of them.)
+const DOUBTFUL: f64 = 1.5;
+
 const NUMBERS: usize = 3;
 
 /// One camera's part.
@@ -80,6 +84,8 @@ struct Member {
     prior: ClockPrior,
     /// Of stamp less receiving time in this batch: count, sum and sum of squares.
     delay: (u32, f64, f64),
+    /// When it was set last.
+    set: Option<Timestamp>,
 }
 
 /// All clocks of an installation.
@@ -93,6 +99,8 @@ pub struct Clocks {
     covariance: DMatrix<f64>,
     /// Variances of the differences of any two offsets.
     apart: DMatrix<f64>,
+    /// Of each clock, the variances of its differences from all others, and its own, summed up.
+    doubts_s2: Vec<f64>,
     /// What the offsets are valid for.
     time: Option<Timestamp>,
     /// Σ uᵀ W u and Σ uᵀ W ν of this batch.
@@ -133,15 +141,20 @@ impl Clocks {
         }
     }
 
-    /// Whether what a camera sees may be compared.
-    pub(super) fn is_compared(&self, camera: CameraId) -> bool {
-        !self.aside.contains(&camera)
+    /// Whether what a camera saw at `time` may be compared.
+    pub(super) fn is_compared(&self, camera: CameraId, time: Timestamp) -> bool {
+        let set = self.index(camera).and_then(|index| self.members[index].set);
+        !self.aside.contains(&camera) && set.is_none_or(|set| time > set)
     }
 
-    /// Says that a camera's clock was set: what is known of its offset holds to a step's error only.
-    pub(super) fn doubt(&mut self, camera: CameraId) {
+    /// Says that a camera's clock was set before the frame of this time: what is known of its offset holds to
+    /// a step's error only, and what was seen before says nothing of what it is now.
+    pub(super) fn doubt(&mut self, camera: CameraId, frame: Timestamp) {
         let index = self.know(camera);
+        self.information.fill(0.0);
+        self.score.fill(0.0);
         let member = &mut self.members[index];
+        member.set = Some(frame.plus_seconds(-STEPPED.offset_s));
         if member.prior == ClockPrior::EXACT {
             return self.set_prior(camera, STEPPED);
         }
@@ -172,6 +185,14 @@ impl Clocks {
         match (self.index(one), self.index(other)) {
             (Some(one), Some(other)) => self.apart[(one, other)].sqrt(),
             _ => 0.0,
+        }
+    }
+
+    /// Whether a clock is far less sure than another: what they differ by is then its error.
+    pub(super) fn is_doubtful(&self, one: CameraId, other: CameraId) -> bool {
+        match (self.index(one), self.index(other)) {
+            (Some(one), Some(other)) => self.doubts_s2[one] > DOUBTFUL * self.doubts_s2[other],
+            _ => false,
         }
     }
 
@@ -251,7 +272,7 @@ impl Clocks {
         }
         self.fix_mean();
         let index = self.members.len();
-        let member = Member { camera, prior: ClockPrior::EXACT, delay: (0, 0.0, 0.0) };
+        let member = Member { camera, prior: ClockPrior::EXACT, delay: (0, 0.0, 0.0), set: None };
         self.members.push(member);
         let size = self.members.len();
         let old = std::mem::take(&mut self.covariance);
@@ -354,6 +375,10 @@ impl Clocks {
     fn compare(&mut self) {
         let size = self.members.len();
         self.apart = DMatrix::from_fn(size, size, |one, other| self.difference(one, other, 0));
+        self.doubts_s2.clear();
+        for (index, row) in self.apart.row_iter().enumerate() {
+            self.doubts_s2.push(row.sum() + self.covariance[(index * NUMBERS, index * NUMBERS)]);
+        }
     }
 
     fn difference(&self, one: usize, other: usize, number: usize) -> f64 {

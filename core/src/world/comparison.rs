@@ -98,7 +98,7 @@ impl Comparison {
         for seen in history.measurements() {
             let moved_s = seen.late_s - clocks.offset_now_s(seen.camera);
             let time = (seen.time.seconds_since(middle) + moved_s) / half_s;
-            if time.abs() > 1.0 || !clocks.is_compared(seen.camera) {
+            if time.abs() > 1.0 || !clocks.is_compared(seen.camera, seen.time) {
                 continue;
             }
             match sums.iter_mut().find(|sums| sums.camera == seen.camera) {

@@ -234,7 +234,9 @@ impl Fusion {
             Stamp::Good(base_ns) => base_ns,
             Stamp::Stepped(base_ns) => {
                 self.counts.clock_steps += 1;
-                self.clocks.doubt(frame.camera);
+                let offset_s = self.clocks.offset_s(frame.camera, received);
+                let late = Lateness { base_ns, offset_s };
+                self.clocks.doubt(frame.camera, late.corrected(stamp));
                 base_ns
             }
             Stamp::Refused => return None,

@@ -135,7 +135,8 @@ impl Track {
         agreed && !self.is_tentative() && self.views.iter().any(is_witness)
     }
 
-    /// How far the measurement's time may be off from those of the other cameras that see this, seconds.
+    /// How far the measurement's time may be off from those of the other cameras that see this, seconds. A
+    /// clock that was just set makes its own camera's times uncertain, not those of the others.
     pub(super) fn timing_s(&self, seen: &Measurement, clocks: &Clocks) -> f64 {
         if !clocks.is_estimating() {
             return 0.0;
@@ -143,6 +144,7 @@ impl Track {
         let is_other = |view: &&View| {
             view.camera != seen.camera
                 && seen.time.ns_since(view.time).saturating_abs() < COMPARED_NS
+                && !clocks.is_doubtful(view.camera, seen.camera)
         };
         let others = self.views.iter().filter(is_other);
         others.map(|view| clocks.deviation_s(seen.camera, view.camera)).fold(0.0, f64::max)

@@ -116,6 +116,41 @@ fn unknown_clocks_that_are_believed() {
     assert!(score.shares()[0] < 0.5 || score.ids.len() > 24, "{}", score.summary());
 }
 
+/// A clock that was set makes what its own camera sees uncertain until it is known again, and nothing else: four
+/// cameras see each robot, and three of them go on as before.
+#[test]
+fn a_clock_that_is_set_harms_no_other() {
+    let setting = Setting { rate_hz: 60.0, random: true, ..Setting::default() };
+    let arena = Arena::new(setting);
+    let frames = arena.frames(4.0);
+    let set = |frame: &FrameObservations, hours: f64| {
+        let mut frame = frame.clone();
+        frame.capture_time = frame.capture_time.plus_seconds(hours * 3600.0);
+        for seen in &mut frame.detections {
+            seen.capture_time = seen.capture_time.plus_seconds(hours * 3600.0);
+        }
+        frame
+    };
+    let when = |frame: &FrameObservations, span_s: std::ops::Range<f64>| {
+        frame.camera == CameraId(1) && span_s.contains(&frame.received_time.seconds_since(START))
+    };
+    // Ahead for a second, which is after a first and before a second step.
+    let stepped: Vec<_> = frames
+        .iter()
+        .map(|frame| if when(frame, 2.0..3.0) { set(frame, 1.0) } else { frame.clone() })
+        .collect();
+    let [stepped, clean] = [stepped, frames].map(|frames| {
+        let mut fusion = fusion_of(&arena, FusionParams::default());
+        run(&arena, &mut fusion, &frames, (2.0, 60.0))
+    });
+    println!("stepped {}\nnever {}", stepped.summary(), clean.summary());
+    // If all four became uncertain together, it would be 2.2 times.
+    assert!(stepped.rms_mm() < 1.5 * clean.rms_mm(), "{}", stepped.summary());
+    for (share, without) in stepped.shares().iter().zip(clean.shares()) {
+        assert!(*share > without - 0.02, "{}", stepped.summary());
+    }
+}
+
 /// Two cameras that share no object are told so by a deviation that stays what it was.
 #[test]
 fn clocks_that_nothing_compares() {
