@@ -3,6 +3,8 @@
 //! A camera that moves by M, in its own frame, has everything at M⁻¹ p that it had at p, so that sightings
 //! of cameras that stand ([`Stream`]) are carried over. What falls out of the image is kept.
 
+mod tracks;
+
 use std::sync::mpsc;
 
 use nalgebra::{Isometry3, Point3, UnitQuaternion, Vector3};
@@ -19,6 +21,7 @@ use crate::{
     normal::Random,
     sensor::{Sensing, Stream},
 };
+pub use tracks::{SURE_M, Tracks};
 
 /// A bump takes so long, seconds.
 pub const BUMP_S: f64 = 0.1;

@@ -14,7 +14,7 @@
 use std::collections::VecDeque;
 
 use super::{Estimate, Look, Measurement, MotionModel};
-use crate::time::Timestamp;
+use crate::{id::CameraId, time::Timestamp};
 
 /// Measurements from one kept estimate to the next at most. PERF: each kept estimate costs some kilobytes
 /// of copying, each one not kept a few filter steps when something is late; measure with
@@ -43,6 +43,15 @@ pub enum Inserted {
     TooLate,
     /// It was there already.
     Duplicate,
+}
+
+/// What became of a camera's measurements that were to be taken back.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum TakenBack {
+    /// So many, and all that they had done is undone.
+    All(usize),
+    /// There is nothing without them; they are still there.
+    NothingElse,
 }
 
 #[derive(Clone, Debug)]
@@ -103,7 +112,7 @@ impl History {
     }
 
     /// The measurements of the window, oldest first.
-    pub fn measurements(&self) -> impl Iterator<Item = &Measurement> {
+    pub fn measurements(&self) -> impl DoubleEndedIterator<Item = &Measurement> {
         self.entries.iter()
     }
 
@@ -162,6 +171,58 @@ impl History {
         if newer > 0 { Inserted::OutOfOrder } else { Inserted::InOrder }
     }
 
+    /// Takes back what a camera measured from `since` on, as if it had never been there. Where that reaches
+    /// beyond what is remembered, the estimate begins anew with what others measured within the window.
+    pub fn take_back(
+        &mut self,
+        camera: CameraId,
+        since: Timestamp,
+        model: &MotionModel,
+    ) -> TakenBack {
+        let is_gone = |entry: &Measurement| entry.camera == camera && entry.time >= since;
+        let Some(place) = self.entries.iter().position(is_gone) else { return TakenBack::All(0) };
+        let taken = self.entries.iter().filter(|entry| is_gone(entry)).count();
+        if taken == self.entries.len() && self.first == 0 {
+            return TakenBack::NothingElse;
+        }
+        let number = self.first + place as u64;
+        let is_before = |kept: &Checkpoint| kept.applied <= number;
+        if self.first > 0 && !self.checkpoints.front().is_some_and(is_before) {
+            return self.begin_without(camera, since, model);
+        }
+        while self.kept() > number {
+            self.spare.extend(self.checkpoints.pop_back().map(|kept| kept.estimate));
+        }
+        self.entries.retain(|entry| !is_gone(entry));
+        (self.waiting, self.oldest_waiting) = (0, u64::MAX);
+        // Who is left sees it worse, maybe: how quietly it moves is not known any more.
+        if let Some(kept) = self.checkpoints.back_mut() {
+            kept.estimate.motion.doubt(model);
+        }
+        self.rewind(model);
+        self.filter(model);
+        TakenBack::All(taken)
+    }
+
+    /// Begins anew with the measurements of the window, but for a camera's from `since` on.
+    fn begin_without(
+        &mut self,
+        camera: CameraId,
+        since: Timestamp,
+        model: &MotionModel,
+    ) -> TakenBack {
+        let stays = |entry: &&Measurement| entry.camera != camera || entry.time < since;
+        let mut staying = self.entries.iter().filter(stays);
+        let Some(first) = staying.next() else { return TakenBack::NothingElse };
+        let mut anew = Self::begin(*first, model);
+        staying.for_each(|entry| {
+            anew.insert(entry, model);
+        });
+        let taken = self.entries.len() - anew.entries.len();
+        *self = anew;
+        TakenBack::All(taken)
+    }
+
     /// Filters what waits, from the last checkpoint on.
     fn settle(&mut self, model: &MotionModel) {
         if self.waiting == 0 {
@@ -174,6 +235,12 @@ impl History {
             self.rewind(model);
         }
         (self.waiting, self.oldest_waiting) = (0, u64::MAX);
+        self.filter(model);
+    }
+
+    /// Takes into the newest estimate what comes after it.
+    fn filter(&mut self, model: &MotionModel) {
+        let count = self.count();
         while self.applied < count {
             self.newest.update(&self.entries[(self.applied - self.first) as usize], model);
             self.applied += 1;
@@ -257,5 +324,99 @@ impl History {
             done += 1;
         }
         estimate
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use nalgebra::{Matrix3, UnitQuaternion, Vector3};
+
+    use super::*;
+    use crate::{
+        id::TrackNumber,
+        track::{AttitudeMeasurement, Noise},
+    };
+
+    fn model() -> MotionModel {
+        MotionModel {
+            acceleration_density_m2_s3: Vector3::repeat(0.2),
+            angular_density_rad2_s3: Vector3::repeat(1.0),
+            speed_m_s: Vector3::repeat(3.0),
+            angular_speed_rad_s: Vector3::repeat(3.0),
+            systematic_time_s: 1.0,
+            robust_distance_squared: 16.0,
+            upright_log_odds: 3.0,
+            ground: None,
+        }
+    }
+
+    fn seen(camera: u32, frame: u64, off_m: f64) -> Measurement {
+        let total = Matrix3::identity() * 1e-6;
+        let noise = Noise { total, systematic_root: Matrix3::identity() * 5e-4, timing_s: 0.0 };
+        let time = Timestamp::from_ns(frame as i64 * 16_000_000 + i64::from(camera) * 5_000_000);
+        let turned = [UnitQuaternion::identity(); 2];
+        Measurement {
+            time,
+            late_s: 0.0,
+            camera: CameraId(camera),
+            frame,
+            number: TrackNumber(1),
+            position_m: Vector3::new(time.as_ns() as f64 * 1e-9 + off_m, 0.0, 1.0),
+            position_noise: noise,
+            attitude: AttitudeMeasurement::new(turned, 0.9, None, noise),
+        }
+    }
+
+    /// Two cameras' frames; the second's are off from a frame on, or left out from then on.
+    fn history(frames: u64, spoiled: u64, off_m: Option<f64>) -> History {
+        let model = model();
+        let mut history = History::begin(seen(0, 0, 0.0), &model);
+        for frame in 0..frames {
+            let own = if frame < spoiled { Some(0.0) } else { off_m };
+            let both =
+                [(frame > 0).then(|| seen(0, frame, 0.0)), own.map(|off| seen(1, frame, off))];
+            for measurement in both.into_iter().flatten() {
+                history.insert(&measurement, &model);
+            }
+            history.forget(Timestamp::from_ns(frame as i64 * 16_000_000 - 300_000_000));
+        }
+        history
+    }
+
+    #[test]
+    fn what_is_taken_back_was_never_there() {
+        let model = model();
+        let mut taken = history(60, 55, Some(0.02));
+        let since = seen(1, 55, 0.0).time;
+        assert_eq!(taken.take_back(CameraId(1), since, &model), TakenBack::All(5));
+        let mut without = history(60, 55, None);
+        let time = Timestamp::from_ns(61 * 16_000_000);
+        let [one, other] = [&mut taken, &mut without].map(|it| it.at(time, &model));
+        let agile = |it: &Estimate| (it.motion.agile().position_m, it.motion.agile().kernel.rate);
+        let apart_m = (agile(&one).0 - agile(&other).0).norm();
+        assert!(apart_m < 1e-12, "{apart_m}");
+        assert_eq!(taken.measurements().count(), without.measurements().count());
+    }
+
+    #[test]
+    fn what_lies_beyond_the_window_is_taken_back_too() {
+        let model = model();
+        let mut history = history(60, 10, Some(0.02));
+        let time = Timestamp::from_ns(60 * 16_000_000);
+        let before = history.at(time, &model).motion.agile().position_m;
+        assert!((before.x - 0.96).abs() > 2e-3, "it was spoiled: {before}");
+        let taken = history.take_back(CameraId(1), Timestamp::from_ns(0), &model);
+        assert!(matches!(taken, TakenBack::All(count) if count > 10), "{taken:?}");
+        let after = history.at(time, &model).motion.agile().position_m;
+        assert!((after.x - 0.96).abs() < 5e-4, "{after}");
+    }
+
+    #[test]
+    fn what_nobody_else_saw_stays() {
+        let mut history = history(60, 0, Some(0.0));
+        let model = model();
+        history.take_back(CameraId(0), Timestamp::from_ns(0), &model);
+        let left = history.take_back(CameraId(1), Timestamp::from_ns(0), &model);
+        assert_eq!(left, TakenBack::NothingElse);
     }
 }

@@ -19,7 +19,7 @@ mod spread;
 
 pub use attitude::{Attitude, AttitudeEstimate, AttitudeMeasurement};
 pub(crate) use attitude::{smallest_turn, without_yaw};
-pub use history::{History, Inserted};
+pub use history::{History, Inserted, TakenBack};
 pub use kernel::{Correction, Innovation, Kernel, MAX_SOURCES, Noise};
 pub(crate) use kernel::{invert_positive, positive_root};
 pub use motion::{Filter, Motion, MotionEstimate};

@@ -135,6 +135,13 @@ impl Motion {
         &self.agile
     }
 
+    /// What told how strongly it is disturbed was wrong: everything objects are capable of is to be expected.
+    pub fn doubt(&mut self, model: &MotionModel) {
+        self.alarm = 0.0;
+        self.adapted = self.agile;
+        self.densities = Densities::begin(&model.acceleration_density_m2_s3, LOG_CEILING);
+    }
+
     /// Moves on by `dt` seconds, either way.
     pub fn predict(&mut self, dt: f64, model: &MotionModel) {
         let density = self.densities.expected();
@@ -152,9 +159,7 @@ impl Motion {
         self.densities.learn(&slope);
         self.alarm = (self.alarm + agile.log_ratio(&innovation).min(LOG_LIMIT)).max(0.0);
         if self.alarm > ALARM_LOG_RATIO {
-            self.alarm = 0.0;
-            self.adapted = self.agile;
-            self.densities = Densities::begin(&model.acceleration_density_m2_s3, LOG_CEILING);
+            self.doubt(model);
         }
         innovation
     }

@@ -44,6 +44,12 @@ pub struct FusionCounts {
     pub of_landmarks: u64,
     /// Frames in which such a camera found its place.
     pub localized: u64,
+    /// Frames held back: their camera disagreed with all others as if it had moved.
+    pub held_frames: u64,
+    /// Detections in these.
+    pub held: u64,
+    /// Detections taken out of tracks again, since their camera had moved.
+    pub taken_back: u64,
     /// Detections without a pose.
     pub no_pose: u64,
     /// Detections with numbers that are not finite or no covariance.

@@ -1,6 +1,7 @@
 //! The fusion machine: frames in, snapshots and events out. How detections become sightings, by cameras
 //! that stand or ride, is in `place`, and those of several roundels of one object one sighting in `parts`.
 
+mod guarded;
 mod height;
 mod parts;
 mod place;
@@ -19,6 +20,7 @@ use super::{
     count::FusionCounts,
     floor::Floors,
     gap::Gaps,
+    guard::Guards,
     identity::{Claim, Identities, Mark, Subject},
     landmark::Landmark,
     life::Track,
@@ -66,6 +68,7 @@ pub struct Fusion {
     floors: Floors,
     timeline: Timeline,
     gaps: Gaps,
+    guards: Guards,
     /// In the order in which they began.
     tracks: Vec<Track>,
     /// To be named once more.
@@ -98,6 +101,7 @@ impl Fusion {
             floors: Floors::default(),
             timeline: Timeline::default(),
             gaps: Gaps::default(),
+            guards: Guards::default(),
             tracks: Vec::new(),
             lost: Vec::new(),
             next_id: 1,
@@ -117,6 +121,7 @@ impl Fusion {
             Some(placement) => self.cameras.insert(camera, placement),
             None => self.cameras.remove(&camera),
         };
+        self.guards.forget(camera);
     }
 
     /// Says how far a camera's stamps can be trusted; without it, they are exact.
@@ -193,6 +198,7 @@ impl Fusion {
             return;
         }
         self.apply(frame.camera, Some(capture_time), now);
+        self.clean();
         if self.next_merge.is_none_or(|time| now >= time) {
             self.next_merge = Some(now.plus_ns(MERGE_EVERY_NS));
             self.merge(now);
@@ -247,7 +253,6 @@ impl Fusion {
     /// Gives each sighting to its track, or to a new one. With the frame's time, they are all that its
     /// camera has seen in it.
     fn apply(&mut self, camera: CameraId, whole: Option<Timestamp>, now: Timestamp) {
-        self.check_heights();
         let rides = self.riders.has(camera);
         let decisions = associate(
             &self.tracks,
@@ -255,6 +260,14 @@ impl Fusion {
             (&self.params, &self.clocks),
             &mut self.scratch,
         );
+        if let Some(time) = whole.filter(|_| !rides)
+            && !self.lets_in((camera, time), &decisions)
+        {
+            self.counts.held_frames += 1;
+            self.counts.held += self.sightings.len() as u64;
+            return;
+        }
+        self.check_heights();
         let forgotten = now.plus_ns(-self.params.late_window_ns);
         let known = self.tracks.len();
         let mut claims = Vec::new();

@@ -19,7 +19,7 @@ use super::{
 use crate::{
     id::{CameraId, ObjectId, TrackNumber},
     time::Timestamp,
-    track::{Estimate, History, Innovation, Inserted, Measurement, MotionModel},
+    track::{Estimate, History, Innovation, Inserted, Measurement, MotionModel, TakenBack},
 };
 
 /// e¹⁰: twenty thousand to one that it is an object.
@@ -121,6 +121,21 @@ impl Track {
     /// Whether the camera saw it under this number last.
     pub(super) fn is_known_as(&self, camera: CameraId, number: TrackNumber) -> bool {
         self.view(camera).is_ok_and(|index| self.views[index].number == number)
+    }
+
+    /// When a camera saw it last.
+    pub(super) fn seen_by(&self, camera: CameraId) -> Option<Timestamp> {
+        self.view(camera).ok().map(|index| self.views[index].time)
+    }
+
+    /// Takes back what a camera measured from `since` on.
+    pub(super) fn take_back(&mut self, camera: CameraId, since: Timestamp) -> TakenBack {
+        let taken = self.history.take_back(camera, since, &self.model);
+        if matches!(taken, TakenBack::All(count) if count > 0) {
+            self.newest = self.history.newest_time();
+            self.refresh();
+        }
+        taken
     }
 
     /// Whether a measurement that its camera takes for this object, but that does not fit, is the

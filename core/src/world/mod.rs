@@ -9,7 +9,8 @@
 //! tracks of one object, `vote` counts the codes that it was seen with, `identity` gives an object that returns its
 //! id again, `snapshot` shows the result at an instant. `body` knows the objects that carry several
 //! roundels, and `assembly` makes one measurement of these. Cameras that move are placed by what carries them (`rider`), and place it by landmarks
-//! that they see (`landmark`, `localize`). `floor` tells when what drives is not as high as was said.
+//! that they see (`landmark`, `localize`). `floor` tells when what drives is not as high as was said; `guard` holds
+//! cameras back that suddenly disagree with all others.
 
 mod anchor;
 mod assembly;
@@ -24,6 +25,7 @@ mod floor;
 mod fusion;
 mod gap;
 mod gate;
+mod guard;
 mod identity;
 mod landmark;
 mod life;
@@ -41,6 +43,7 @@ pub use clock::{ClockEstimate, ClockPrior};
 pub use count::FusionCounts;
 pub use floor::WrongHeight;
 pub use fusion::{CameraPlacement, Fusion};
+pub use guard::{HeldBack, HeldStep};
 pub use landmark::{Landmark, TURN_SIGMA_RAD};
 pub use param::{FusionParams, MotionClass};
 pub use rider::{CameraMount, Carrier, Unplaced};

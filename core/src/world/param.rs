@@ -76,6 +76,9 @@ pub struct FusionParams {
     pub systematic_share: f64,
     /// Time in which that part forgets itself, s.
     pub systematic_time_s: f64,
+    /// A camera that suddenly disagrees with all others as if it had moved is held back, for so long at most:
+    /// until then who watches the cameras has judged it. 0: none is.
+    pub held_back_ns: i64,
 }
 
 impl Default for FusionParams {
@@ -95,6 +98,7 @@ impl Default for FusionParams {
             gate_distance_squared: 21.1,
             systematic_share: 0.5,
             systematic_time_s: 1.0,
+            held_back_ns: 3_000_000_000,
         }
     }
 }

@@ -208,6 +208,7 @@ fn write_fusion_counts(page: &mut Page, counts: &FusionCounts) {
         ("over_max_objects", counts.over_max_objects),
         ("joined", counts.joined),
         ("left_out", counts.left_out),
+        ("held_back", counts.held),
     ] {
         page.sample(name, &[("outcome", outcome)], count as f64);
     }
@@ -221,6 +222,16 @@ fn write_fusion_counts(page: &mut Page, counts: &FusionCounts) {
             "roundel_fusion_out_of_order_total",
             "Detections used that came after newer ones of their object.",
             counts.out_of_order,
+        ),
+        (
+            "roundel_fusion_held_frames_total",
+            "Frames not used since their camera seemed to have moved all of a sudden.",
+            counts.held_frames,
+        ),
+        (
+            "roundel_fusion_taken_back_total",
+            "Detections taken out of tracks again, since their camera had moved.",
+            counts.taken_back,
         ),
         ("roundel_fusion_tracks_begun_total", "Detections that began a track.", counts.begun),
         ("roundel_fusion_tracks_merged_total", "Tracks joined with another one.", counts.merged),

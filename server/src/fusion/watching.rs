@@ -10,12 +10,12 @@ use roundel_core::{
     calib::watch::{Watch, WatchEvent, WatchParams},
     id::CameraId,
     time::Timestamp,
-    world::{CameraPlacement, FrameObservations, Fusion, Landmark},
+    world::{CameraPlacement, FrameObservations, Fusion, HeldBack, HeldStep, Landmark},
 };
 
 use crate::{
     calibration::Calibrator,
-    hub::{CameraPlace, Happening, Hub, PoseStatus},
+    hub::{CameraPlace, Happening, Hub, Installation, PoseStatus},
 };
 
 /// What is known of cameras from the start.
@@ -60,6 +60,9 @@ impl Watching {
 
     /// Puts into effect what has become known until `now`.
     pub(super) fn advance(&mut self, now: Timestamp, fusion: &mut Fusion, hub: &Hub) {
+        for held in fusion.drain_held_back() {
+            log_held(&held, hub.installation());
+        }
         for event in self.watch.advance(now) {
             let (happening, message) = self.effect(&event, fusion, hub);
             tracing::warn!("{message}");
@@ -75,7 +78,7 @@ impl Watching {
         let name = |camera: &CameraId| hub.installation().camera_name(*camera).to_owned();
         match event {
             WatchEvent::Bumped { camera, moved_m, turned_rad } => {
-                fusion.set_camera(*camera, None);
+                fusion.quarantine(*camera);
                 let reason = "it was bumped; it is left out until its new place is known, which others that see \
                               the same roundels tell";
                 let place = CameraPlace {
@@ -124,6 +127,22 @@ impl Watching {
     }
 }
 
+/// Cameras are held back for moments; what matters of it becomes an event once the watch is sure.
+fn log_held(held: &HeldBack, installation: &Installation) {
+    let camera = installation.camera_name(held.camera);
+    match held.step {
+        HeldStep::Begun => tracing::info!(
+            camera,
+            "seems to have moved all of a sudden: it is held back until that is sure"
+        ),
+        HeldStep::Agreed => tracing::info!(camera, "agrees with the others again, and is used"),
+        HeldStep::InVain => tracing::warn!(
+            camera,
+            "still disagrees with the others, by too little to be taken for bumped: it is used again"
+        ),
+    }
+}
+
 #[cfg(test)]
 mod tests {
     use roundel_core::{
@@ -135,7 +154,7 @@ mod tests {
     use crate::{
         calibration::{Calibrated, CalibratorParts, file::CalibrationFile},
         clock::Clock,
-        hub::{CameraInfo, Installation},
+        hub::CameraInfo,
         worker::adoption::Inbox,
     };
 

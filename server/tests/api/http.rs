@@ -288,6 +288,9 @@ async fn metrics_tell_of_cameras_objects_and_clients() {
         contradicted: 1,
         joined: 40,
         left_out: 4,
+        held: 7,
+        held_frames: 2,
+        taken_back: 9,
         clock_steps: 5,
         ..Default::default()
     });
@@ -332,6 +335,9 @@ async fn metrics_tell_of_cameras_objects_and_clients() {
         "roundel_fusion_detections_total{outcome=\"contradicted\"} 1",
         "roundel_fusion_detections_total{outcome=\"joined\"} 40",
         "roundel_fusion_detections_total{outcome=\"left_out\"} 4",
+        "roundel_fusion_detections_total{outcome=\"held_back\"} 7",
+        "roundel_fusion_held_frames_total 2",
+        "roundel_fusion_taken_back_total 9",
         "roundel_snapshots_total 1",
         "roundel_subscribers 1",
         "roundel_snapshots_sent_total 1",

@@ -198,7 +198,8 @@ impl<'a> Case<'a> {
             + counts.contradicted
             + counts.over_max_objects
             + counts.joined
-            + counts.left_out;
+            + counts.left_out
+            + counts.held;
         let lost = counts.detections.abs_diff(known);
         if lost > 0 {
             row = row.check(format!("{lost} detections without account"), false);

@@ -21,8 +21,9 @@
 //! Reached on R4 (`cargo run --release -p roundel-tests --bin healing`, `tests/tests/healing.rs`): see the table
 //! there.
 //!
-//! Limits. Until a bump is noticed, about a second, tracks take in what the camera sees: an object that others
-//! hardly see goes with it (by 24 mm for 2 cm, one of 24 in `tests/tests/healing.rs`). Two cameras without references
+//! Until a bump is noticed, about a second, fusion guards itself ([`crate::world`], `guard`).
+//!
+//! Limits. Two cameras without references
 //! contradict each other, and nobody is moved. One roundel alone says nothing, since its code may be on show twice. Where there are no references, the common frame of all
 //! cameras may go where corrections of single cameras lead. A bump that takes a camera's view off everything
 //! that others see leaves it alone, or in quarantine, until a person comes. Of roundels without codes, a camera

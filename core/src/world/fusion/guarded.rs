@@ -1,0 +1,172 @@
+//! Cameras that moved, kept from spoiling tracks: held back at once, taken back once that is sure.
+
+use nalgebra::{Matrix3, Vector3};
+
+use super::Fusion;
+use crate::{
+    id::CameraId,
+    time::Timestamp,
+    track::{TakenBack, invert_positive},
+    world::{
+        HeldBack,
+        association::{Decision, Sighting},
+        guard::{MOST_OTHERS, MOST_SQUARED, Passage, Pull, Surprise},
+        life::Track,
+    },
+};
+
+/// Of a camera that was bumped, what it saw within this time is not used.
+const SPOILED_NS: i64 = 1_000_000_000;
+/// An object counts that another camera saw within this time.
+const CONFIRMED_S: f64 = 0.1;
+/// Measurements of an object that are looked at for that.
+const MOST_LOOKED_AT: usize = 24;
+/// a² over the density that the model has of it.
+const ACCELERATION_RATE_HZ: f64 = 10.0;
+/// Objects that a witness sees.
+const LEAST_WITNESSED: usize = 2;
+
+impl Fusion {
+    /// A camera has moved: it is not used any more until [`Self::set_camera`] says where it stands, and what it saw within
+    /// the last second is taken back.
+    pub fn quarantine(&mut self, camera: CameraId) {
+        // Held back since then, it spoiled nothing.
+        let is_held = self.guards.held_since(camera).is_some();
+        self.set_camera(camera, None);
+        if let Some(now) = self.timeline.newest().filter(|_| !is_held) {
+            self.take_back(camera, now.plus_ns(-SPOILED_NS));
+        }
+    }
+
+    /// Takes what became known since the last call of cameras that are held back.
+    pub fn drain_held_back(&mut self) -> impl Iterator<Item = HeldBack> + '_ {
+        self.guards.drain()
+    }
+
+    /// Whether the frame with these sightings is to be used.
+    pub(super) fn lets_in(
+        &mut self,
+        (camera, time): (CameraId, Timestamp),
+        decisions: &[Decision],
+    ) -> bool {
+        let most_held_ns = self.params.held_back_ns;
+        let Some(place) = self.cameras.get(&camera).filter(|_| most_held_ns > 0) else {
+            return true;
+        };
+        let mut surprise = Surprise::default();
+        for (sighting, decision) in self.sightings.iter().zip(decisions) {
+            let squared = match decision {
+                Some((_, innovation)) => innovation.distance_squared.min(MOST_SQUARED),
+                None if follows(&self.tracks, sighting).is_some() => MOST_SQUARED,
+                None => continue,
+            };
+            surprise.sum += squared;
+            surprise.count += 1;
+        }
+        let origin_m = place.world_from_camera.translation.vector;
+        let (tracks, sightings) = (&self.tracks, &self.sightings);
+        let gather = |by: Option<CameraId>, pulls: &mut Vec<Pull>| {
+            let each = sightings.iter().zip(decisions).filter_map(|(sighting, decision)| {
+                let index = decision.map(|(track, _)| track);
+                let track = &tracks[index.or_else(|| follows(tracks, sighting))?];
+                let pull = pull(track, sighting, by)?;
+                Some(Pull { arm_m: sighting.measurement.position_m - origin_m, ..pull })
+            });
+            pulls.clear();
+            pulls.extend(each);
+        };
+        let passage = self.guards.judge((camera, time), surprise, most_held_ns, gather);
+        if passage == Passage::Calm {
+            self.witness(decisions);
+        }
+        passage != Passage::Closed
+    }
+
+    /// Lets a frame that is as expected be witness against cameras that are held back.
+    fn witness(&mut self, decisions: &[Decision]) {
+        let sees = |camera: CameraId, since: Timestamp| {
+            let is_shared =
+                |index: usize| self.tracks[index].seen_by(camera).is_some_and(|time| time >= since);
+            let shared = decisions.iter().flatten().filter(|(track, _)| is_shared(*track));
+            shared.count() >= LEAST_WITNESSED
+        };
+        let sure = self.guards.unwitnessed().find(|(camera, since)| sees(*camera, *since));
+        if let Some((camera, _)) = sure {
+            self.guards.witness(camera);
+        }
+    }
+
+    /// Takes back what cameras saw shortly before they were held back.
+    pub(super) fn clean(&mut self) {
+        while let Some((camera, since)) = self.guards.take_spoiled() {
+            self.take_back(camera, since);
+        }
+    }
+
+    fn take_back(&mut self, camera: CameraId, since: Timestamp) {
+        let mut index = 0;
+        while index < self.tracks.len() {
+            let track = &mut self.tracks[index];
+            match track.take_back(camera, since) {
+                TakenBack::All(count) => {
+                    self.counts.taken_back += count as u64;
+                    index += 1;
+                }
+                TakenBack::NothingElse => {
+                    let mut gone = self.tracks.remove(index);
+                    let is_known = !gone.is_tentative();
+                    let event = gone.lose(gone.newest);
+                    self.end(gone, is_known.then_some(event));
+                }
+            }
+        }
+    }
+}
+
+/// The track that a sighting that lies nowhere near it is said to be of, by its camera or by its code.
+fn follows(tracks: &[Track], sighting: &Sighting) -> Option<usize> {
+    let is_it = |track: &Track| {
+        let agrees = sighting.code.and_then(|code| track.codes.agrees(code));
+        track.subject == sighting.subject
+            && !track.is_tentative()
+            && agrees.unwrap_or_else(|| track.is_continued_by(&sighting.measurement))
+    };
+    tracks.iter().position(is_it)
+}
+
+/// What a sighting says of its camera's motion: how far it lies from where others, or only one of them, saw the
+/// object a moment ago. The
+/// track's own place is not asked, since the camera may have led it astray already, only its velocity.
+fn pull(track: &Track, sighting: &Sighting, by: Option<CameraId>) -> Option<Pull> {
+    let seen = &sighting.measurement;
+    if track.is_tentative() {
+        return None;
+    }
+    let kernel = &track.history.newest().motion.agile().kernel;
+    let mut others = [None; MOST_OTHERS];
+    let (mut count, mut precision, mut pull) = (0, Matrix3::zeros(), Vector3::zeros());
+    for view in track.history.measurements().rev().take(MOST_LOOKED_AT) {
+        let dt = seen.time.seconds_since(view.time);
+        if dt > CONFIRMED_S || count == MOST_OTHERS {
+            break;
+        }
+        let is_new = view.camera != seen.camera && !others.contains(&Some(view.camera));
+        if !is_new || dt < -CONFIRMED_S || by.is_some_and(|by| by != view.camera) {
+            continue;
+        }
+        let bent =
+            track.model.acceleration_density_m2_s3 * (ACCELERATION_RATE_HZ * 0.25 * dt.powi(4));
+        let covariance = view.position_noise.total
+            + kernel.spread.rate * (dt * dt)
+            + Matrix3::from_diagonal(&bent);
+        let Some((weight, _)) = invert_positive(&covariance) else { continue };
+        precision += weight;
+        pull += weight * (view.position_m + kernel.rate * dt);
+        others[count] = Some(view.camera);
+        count += 1;
+    }
+    let (covariance, _) = invert_positive(&precision)?;
+    let (weight, _) = invert_positive(&(covariance + seen.position_noise.total))?;
+    let residual_m = seen.position_m - covariance * pull;
+    Some(Pull { arm_m: seen.position_m, residual_m, weight, others })
+}
