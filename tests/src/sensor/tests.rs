@@ -65,6 +65,7 @@ const READ: Sensing = Sensing {
     yaw_rad: 0.005,
     systematic_share: 0.0,
     systematic_time_s: 1.0,
+    is_kept_while_still: false,
     dropout: 0.1,
     clutter: 0.0,
     unread: 0.0,
@@ -119,6 +120,32 @@ fn a_share_of_the_errors_stays() {
     // Within a second, a process of 5 s keeps 94 % of its mean's variance.
     let stays = mean_square(0.5);
     assert!((0.37..0.57).contains(&stays), "{stays}");
+}
+
+/// Kept while still, all of the share is the same at any time; a robot that moves does not keep it.
+#[test]
+fn what_stands_keeps_its_error_and_what_moves_does_not() {
+    let mut arena = Arena::r4(3);
+    let sensing = Sensing { systematic_share: 1.0, is_kept_while_still: true, ..READ };
+    let mut errors = |path: Option<Path>| -> Vec<Vector3<f64>> {
+        arena.robots.truncate(1);
+        if let Some(path) = path {
+            arena.robots[0].path = path;
+        }
+        let mut sensor = Sensor::new(&arena, 0, sensing);
+        let camera_from_world = arena.sites[0].world_from_camera.inverse();
+        let seen = (0..1200).flat_map(|frame| sensor.frame(frame).detections);
+        let error = |seen: Detection| {
+            let truth = camera_from_world * arena.truth(seen.capture_time.as_ns())[0].pose;
+            seen.pose.unwrap().position_m - truth.translation.vector
+        };
+        seen.map(error).collect()
+    };
+    let spread = |errors: &[Vector3<f64>]| {
+        errors.iter().map(|error| (error - errors[0]).norm()).fold(0.0, f64::max)
+    };
+    assert!(spread(&errors(None)) > 1e-3);
+    assert!(spread(&errors(Some(Path::still(Vector3::new(0.3, 0.2, 0.3))))) < 1e-6);
 }
 
 #[test]
