@@ -78,6 +78,22 @@ fn a_chain_of_cameras_hangs_on_the_first() {
 }
 
 #[test]
+fn robots_without_codes_are_told_apart_by_how_they_move() {
+    for seed in 21..=23 {
+        let survey = r4(seed);
+        let recording = survey.record_plain(SENSING, 2.0 * SECONDS, MOST_HZ);
+        let params = ArenaParams::default();
+        let cameras = survey.cameras();
+        let found = calibrate(&recording, &cameras, &survey.references, &params, |_| true).unwrap();
+        assert_eq!(found.cameras.len(), 4, "{:?}", found.findings);
+        assert!(worst_m(&survey, &found) < 1e-3, "{}", worst_m(&survey, &found));
+        let square: f64 =
+            found.cameras.iter().map(|it| survey.error(it, 2.0 * SECONDS).square / 6.0).sum();
+        assert!(square / 4.0 < 3.0, "{square}");
+    }
+}
+
+#[test]
 fn a_lens_that_is_off_is_refined() {
     let survey = r4(7);
     let mistaken = Mistaken::by(&survey, 3e-3, 1.5);

@@ -131,7 +131,7 @@ function recordedTable(cameras) {
       camera.together.map((other) => other.camera).join(", ") || "none yet",
     ],
   }));
-  return table("What the cameras have seen so far", ["Camera", "Frames", "Codes", "Image covered", "Shares robots with"], rows);
+  return table("What the cameras have seen so far", ["Camera", "Frames", "Codes", "Image covered", "Shares codes with"], rows);
 }
 
 /** @param {Report} report */

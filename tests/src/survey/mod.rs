@@ -11,7 +11,7 @@ use roundel_core::{
     calib::arena::{ArenaCamera, CalibratedCamera, Recording},
     id::{CameraId, KindId},
     marker::Code,
-    pose::RoundelPose,
+    pose::{Detection, RoundelPose},
     world::{FrameObservations, Landmark},
 };
 
@@ -30,6 +30,8 @@ const INSET: f64 = 0.12;
 const REFERENCE_SIGMA_M: f64 = 5e-5;
 /// What is so near to a reference is taken for it where it is to be overlooked, metres.
 const OVERLOOKED_M: f64 = 0.15;
+/// Of robots whose prints have no codes.
+const PLAIN: KindId = KindId(1);
 
 /// An arena whose cameras' places nobody knows.
 #[derive(Clone, Debug)]
@@ -99,6 +101,21 @@ impl Survey {
         recording
     }
 
+    /// The same of robots whose prints have no codes; the references keep theirs, as a kind of their own.
+    pub fn record_plain(&self, sensing: Sensing, seconds: f64, most_hz: f64) -> Recording {
+        let mut recording = Recording::new(most_hz);
+        for mut frame in Stream::new(&self.arena, sensing, seconds) {
+            let place = self.arena.sites[frame.camera.0 as usize].world_from_camera;
+            for seen in &mut frame.detections {
+                if !seen.pose.as_ref().is_some_and(|pose| self.is_reference(&place, pose)) {
+                    (seen.ring.kind, seen.ring.code) = (Some(PLAIN), None);
+                }
+            }
+            recording.add(&self.overlooked(frame));
+        }
+        recording
+    }
+
     /// So many rendered frames of each camera.
     pub fn record_pixels(&self, frames: usize) -> Recording {
         let mut recording = Recording::new(1e3);
@@ -113,13 +130,18 @@ impl Survey {
     pub fn overlooked(&self, mut frame: FrameObservations) -> FrameObservations {
         if frame.camera != CameraId(0) {
             let place = self.arena.sites[frame.camera.0 as usize].world_from_camera;
-            let is_reference = |pose: &RoundelPose| {
-                let seen_m = place * Point3::from(pose.position_m);
-                self.places_m.iter().any(|at_m| (seen_m.coords - at_m).norm() < OVERLOOKED_M)
+            let is_reference = |it: &Detection| {
+                it.pose.as_ref().is_some_and(|pose| self.is_reference(&place, pose))
             };
-            frame.detections.retain(|it| !it.pose.as_ref().is_some_and(is_reference));
+            frame.detections.retain(|it| !is_reference(it));
         }
         frame
+    }
+
+    /// Whether what a camera at `place` sees there stands where a reference does.
+    fn is_reference(&self, place: &Isometry3<f64>, pose: &RoundelPose) -> bool {
+        let seen_m = place * Point3::from(pose.position_m);
+        self.places_m.iter().any(|at_m| (seen_m.coords - at_m).norm() < OVERLOOKED_M)
     }
 
     /// How far a camera's result is off: metres and radians in the world, and the square of both over the

@@ -149,13 +149,13 @@ impl Finding {
         let camera = |id: &CameraId| names.camera(*id);
         match self {
             Self::Unseen { camera: id, frames } => format!(
-                "{} saw no roundel of known identity in {frames} frames: check its picture, its lens file and \
-                 the roundels' sizes",
+                "{} saw no roundel in {frames} frames: check its picture, its lens file and the roundels' sizes",
                 camera(id)
             ),
             Self::Apart { camera: id } => format!(
                 "{} saw no roundel together with any placed camera, so its place is unknown: let robots \
-                 drive where its view overlaps another's",
+                 drive where its view overlaps another's, near enough for codes to be read; those without codes \
+                 must not all move alike",
                 camera(id)
             ),
             Self::TooLittleMotion { camera: id, other, spread_m } => format!(

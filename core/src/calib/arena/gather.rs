@@ -2,8 +2,8 @@
 //!
 //! A camera's tracker follows a roundel under one number and reads its code now and then; the reading that
 //! most frames agree on names all sightings of that number, and roundels of one kind and code are one
-//! subject in all cameras. What has no code is a reference if it stands where one is, else it is left out:
-//! nothing tells it from its like in another camera.
+//! subject in all cameras. What has no code is a reference if it stands where one is; else how it moves tells it
+//! from its like in another camera ([`super::alike`]).
 
 use std::collections::BTreeMap;
 
@@ -66,7 +66,7 @@ struct Heard {
 pub(super) enum Name {
     /// The same in all cameras.
     Coded(KindId, Code),
-    /// Known to one camera only.
+    /// Without a code: a camera's number of it, the first of those that move alike.
     Nameless(CameraId, TrackNumber),
 }
 
@@ -141,9 +141,9 @@ impl Recording {
         self.cameras.get(&camera).map_or(0, |heard| heard.frames)
     }
 
-    /// Whether a camera saw any roundel of known identity.
-    pub(super) fn names_any(&self, camera: CameraId) -> bool {
-        self.followed.iter().any(|((of, _), followed)| *of == camera && followed.name().is_some())
+    /// Whether a camera saw any roundel.
+    pub(super) fn has_seen(&self, camera: CameraId) -> bool {
+        self.followed.keys().any(|(of, _)| *of == camera)
     }
 
     /// All sightings by roundel and camera, in the order of time, stamps since the recording's middle and on
@@ -188,7 +188,7 @@ impl Recording {
 }
 
 /// How long two sightings of one name go on beside one another, seconds.
-fn overlap(ones: &[Sample], others: &[Sample]) -> f64 {
+pub(super) fn overlap(ones: &[Sample], others: &[Sample]) -> f64 {
     let span = |samples: &[Sample]| Some((samples.first()?.stamp_s, samples.last()?.stamp_s));
     let Some((one, other)) = span(ones).zip(span(others)) else { return 0.0 };
     let (from_s, to_s) = (one.0.max(other.0), one.1.min(other.1));

@@ -6,10 +6,11 @@
 //! ([`ArenaCalibration`]). Cameras need not see the references, nor all of one another: chains of cameras
 //! that overlap with their neighbours will do.
 //!
-//! Sightings are sorted by roundel (`gather`), references found among them (`reference`), cameras tied to one
-//! another two by two (`start`), and all of it adjusted at once (`bundle`, with `station`, `subject`, `course`
+//! Sightings are sorted by roundel (`gather`), references found among them (`reference`), roundels without codes
+//! told apart by how they move (`alike`), cameras tied to one another two by two (`start`), and all of it adjusted at once (`bundle`, with `station`, `subject`, `course`
 //! and `band`). `report` judges what came out.
 
+mod alike;
 mod band;
 mod bundle;
 mod course;
@@ -122,6 +123,7 @@ pub fn calibrate(
     }
     let (mut sorted, twice) = recording.sorted();
     let standing = reference::take(&mut sorted, cameras, references, params)?;
+    alike::join(&mut sorted);
     let roundels = moving(sorted, &ids);
     let sights: Vec<start::Sights<'_>> =
         (0..cameras.len()).map(|camera| seen_by(&roundels, camera)).collect();

@@ -157,7 +157,7 @@ fn before(found: &Found<'_>) -> Vec<Finding> {
                 let other = id(if tie.one == index { tie.other } else { tie.one });
                 Finding::TooLittleMotion { camera, other, spread_m: tie.spread_m }
             }
-            None if !recording.names_any(camera) => {
+            None if !recording.has_seen(camera) => {
                 Finding::Unseen { camera, frames: recording.frames(camera) }
             }
             _ => Finding::Apart { camera },

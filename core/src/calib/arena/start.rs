@@ -98,13 +98,42 @@ fn strongest<'a>(ties: &'a [Tie], is_known: &[bool]) -> Option<&'a Tie> {
 }
 
 fn tie(cameras: &[Sights<'_>], one: usize, other: usize) -> Option<Tie> {
-    let shared: Vec<(&[Sample], &[Sample])> = cameras[one]
+    let shared: Vec<Courses<'_>> = cameras[one]
         .iter()
         .filter_map(|(subject, samples)| Some((*samples, *cameras[other].get(subject)?)))
         .collect();
+    let Aligned { fit: Fit { one_from_other, spread_m, left_m, pairs }, ahead_s } = align(&shared)?;
+    Some(Tie { one, other, one_from_other, ahead_s, pairs, spread_m, left_m })
+}
+
+/// What two cameras saw of the same, laid upon one another.
+pub(super) struct Aligned {
+    pub(super) fit: Fit,
+    /// What the other's stamps are ahead of the one's.
+    pub(super) ahead_s: f64,
+}
+
+impl Aligned {
+    /// Median distance of two courses so laid, metres; `None` if they have too little in common.
+    pub(super) fn apart_m(&self, courses: &Courses<'_>) -> Option<f64> {
+        let stride = (courses.0.len() / MOST_PAIRS).max(1);
+        let pairs = pairs(std::slice::from_ref(courses), stride, self.ahead_s);
+        let mut distances: Vec<f64> =
+            pairs.iter().map(|pair| apart_m(&self.fit.one_from_other, pair)).collect();
+        let middle = distances.len() / 2;
+        (distances.len() >= LEAST_PAIRS)
+            .then(|| *distances.select_nth_unstable_by(middle, f64::total_cmp).1)
+    }
+}
+
+/// Sightings of one roundel by one camera and by the other.
+pub(super) type Courses<'a> = (&'a [Sample], &'a [Sample]);
+
+/// The rigid motion and the clocks' difference that fit best.
+pub(super) fn align(shared: &[Courses<'_>]) -> Option<Aligned> {
     let total: usize = shared.iter().map(|(samples, _)| samples.len()).sum();
     let stride = (total / MOST_PAIRS).max(1);
-    let left = |ahead_s: f64| fit(&pairs(&shared, stride, ahead_s));
+    let left = |ahead_s: f64| fit(&pairs(shared, stride, ahead_s));
     let steps = (FARTHEST_S / GRID_S).round() as i32;
     let grid = (-steps..=steps).map(|step| f64::from(step) * GRID_S);
     let score = |ahead_s: f64| left(ahead_s).map_or(f64::INFINITY, |fit| fit.left_m);
@@ -116,36 +145,43 @@ fn tie(cameras: &[Sights<'_>], one: usize, other: usize) -> Option<Tie> {
             .min_by(|a, b| score(*a).total_cmp(&score(*b)))?;
         step_s /= 2.0;
     }
-    let Fit { one_from_other, spread_m, left_m, pairs } = left(best_s)?;
-    Some(Tie { one, other, one_from_other, ahead_s: best_s, pairs, spread_m, left_m })
+    Some(Aligned { fit: left(best_s)?, ahead_s: best_s })
 }
 
 /// Where both saw the same at the same time, if the other's stamps are so far ahead.
-fn pairs(shared: &[(&[Sample], &[Sample])], stride: usize, ahead_s: f64) -> Vec<[Vector3<f64>; 2]> {
+fn pairs(shared: &[Courses<'_>], stride: usize, ahead_s: f64) -> Vec<[Vector3<f64>; 2]> {
     let mut pairs = Vec::new();
     for (ones, others) in shared {
         for one in ones.iter().step_by(stride) {
-            let stamp_s = one.stamp_s + ahead_s;
-            let after = others.partition_point(|other| other.stamp_s < stamp_s);
-            if after == 0 || after == others.len() {
-                continue;
-            }
-            let (before, after) = (&others[after - 1], &others[after]);
-            let gap_s = after.stamp_s - before.stamp_s;
-            if gap_s < GAP_S {
-                let share = if gap_s > 0.0 { (stamp_s - before.stamp_s) / gap_s } else { 0.0 };
-                pairs.push([one.place_m, before.place_m.lerp(&after.place_m, share)]);
+            if let Some(other_m) = at_once(others, one.stamp_s + ahead_s) {
+                pairs.push([one.place_m, other_m]);
             }
         }
     }
     pairs
 }
 
-struct Fit {
-    one_from_other: Rigid,
-    spread_m: f64,
-    left_m: f64,
-    pairs: usize,
+/// Where it was between two sightings.
+pub(super) fn at_once(samples: &[Sample], stamp_s: f64) -> Option<Vector3<f64>> {
+    let after = samples.partition_point(|sample| sample.stamp_s < stamp_s);
+    let (before, after) = (samples.get(after.checked_sub(1)?)?, samples.get(after)?);
+    let gap_s = after.stamp_s - before.stamp_s;
+    let share = if gap_s > 0.0 { (stamp_s - before.stamp_s) / gap_s } else { 0.0 };
+    (gap_s < GAP_S).then(|| before.place_m.lerp(&after.place_m, share))
+}
+
+/// A rigid motion with what speaks for it.
+pub(super) struct Fit {
+    pub(super) one_from_other: Rigid,
+    /// Across two directions, rms, metres.
+    pub(super) spread_m: f64,
+    /// Median distance left, metres.
+    pub(super) left_m: f64,
+    pub(super) pairs: usize,
+}
+
+fn apart_m(one_from_other: &Rigid, [one, other]: &[Vector3<f64>; 2]) -> f64 {
+    (one - one_from_other.transform_point(&(*other).into()).coords).norm()
 }
 
 /// The rigid motion, wrong pairs left out.
@@ -160,12 +196,7 @@ fn fit(pairs: &[[Vector3<f64>; 2]]) -> Option<Fit> {
         let (rotation, origin_m, _) = kabsch(pairs, &weights);
         let one_from_other = Rigid::from_parts(origin_m.into(), rotation.into());
         let [_, spread_m] = spread(&others, &weights);
-        let distances: Vec<f64> = pairs
-            .iter()
-            .map(|[one, other]| {
-                (one - one_from_other.transform_point(&(*other).into()).coords).norm()
-            })
-            .collect();
+        let distances: Vec<f64> = pairs.iter().map(|pair| apart_m(&one_from_other, pair)).collect();
         let mut sorted = distances.clone();
         let middle = sorted.len() / 2;
         let left_m = *sorted.select_nth_unstable_by(middle, f64::total_cmp).1;

@@ -81,7 +81,9 @@ pub(super) fn recorded(calibration: &v1::Calibration) -> String {
         Some(camera) if camera.frames == 0 => {
             format!("{seconds}, {} gives no frames", camera.camera)
         }
-        Some(camera) => format!("{seconds}, {} shares no robot with any other yet", camera.camera),
+        // Those without codes are told apart once all is recorded.
+        Some(_) if calibration.recorded.iter().all(|camera| camera.codes == 0) => seconds,
+        Some(camera) => format!("{seconds}, {} shares no code with any other yet", camera.camera),
     }
 }
 
