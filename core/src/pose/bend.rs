@@ -181,7 +181,7 @@ impl<T: Lane> Bend<T> {
         // At w = 1 and w = i.
         let (first, second) = (p + r, p - r);
         let own = Mat2::new(first.re, -second.im, first.im, second.re);
-        Flat { center, semiaxes: self.semiaxes.times(own) }
+        Flat { center, semiaxes: self.semiaxes.times(own), left_out: m.re.splat(0.0) }
     }
 }
 

@@ -71,7 +71,9 @@ pub fn estimate(about: &Circle<f64>, rims: &[Rim<f64>; 2]) -> Estimates<f64> {
     };
     let shapes = [0, 1].map(|k| Matrix2::from(rims[k].shape) / r2[k]);
     let squares = shapes.map(|m| Vector2::new(m.m22 - m.m11, -2.0 * m.m12));
-    let smear = Smeared::of(&squares, &weights);
+    let outer = &rims[0];
+    let bent = outer.left_out * Matrix2::from(outer.shape).determinant();
+    let smear = Smeared::of(&squares, &weights, bent);
     let squared = mean2(squares, &smear.weights);
     let squared_sigma = smear.sigma;
     let size_weight = rims.map(|rim| rim.information.size);
@@ -119,7 +121,8 @@ struct Smeared {
 }
 
 impl Smeared {
-    fn of(squares: &[Vector2<f64>; 2], weights: &Weights<f64>) -> Self {
+    /// `bent`: of |ν̂|², what the lens explains.
+    fn of(squares: &[Vector2<f64>; 2], weights: &Weights<f64>, bent: f64) -> Self {
         let sigma = weights.squared_sigma;
         // An elliptical disc's rim has no say.
         if weights.squared[1] <= 0.0 {
@@ -129,7 +132,7 @@ impl Smeared {
         let [by_outer, by_inner] = weights.r2.map(|r2| 1.0 / r2);
         let per_apart = 1.0 / (by_inner - by_outer).powi(2);
         let found = (squares[1] - squares[0]).norm_squared() * per_apart;
-        let prior = 0.5 * found;
+        let prior = 0.5 * (found - bent).max(0.0);
         let missed = MISSED * prior;
         let (outer, inner) = (outer + missed * by_outer.powi(2), inner + missed * by_inner.powi(2));
         let both = prior * by_outer * by_inner;
