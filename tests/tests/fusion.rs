@@ -38,7 +38,7 @@ fn score(arena: &Arena, frames: &[FrameObservations], params: FusionParams) -> S
 /// Too large shows in the mean of the normalized squares, 3 where all is Gaussian. Precise poses leave
 /// errors that are those of the motion model more than of the pixels: a path whose accelerations are
 /// bounded strays less than white acceleration may, so that almost none lie outside the ellipsoid
-/// though it is hardly too large. What a rolling shutter leaves unknown of a moving ring is stated with care, too.
+/// though it is hardly too large.
 #[test]
 fn errors_of_a_crowd_are_those_stated() {
     for seed in [2, 3] {
@@ -50,7 +50,7 @@ fn errors_of_a_crowd_are_those_stated() {
         let share = score.position.share_within(CHI2_95_3);
         assert!(share >= 0.92, "seed {seed}: {share}");
         let normalized = score.position.mean_normalized();
-        assert!((1.7..=4.0).contains(&normalized), "seed {seed}: {normalized}");
+        assert!((1.9..=4.0).contains(&normalized), "seed {seed}: {normalized}");
         assert!(score.velocity.share_within(CHI2_95_3) >= 0.92);
         assert!(score.position.rms() < 0.001, "{}", score.position.rms());
     }

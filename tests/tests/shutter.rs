@@ -70,6 +70,30 @@ fn check(name: &str, subject: Subject) {
     }
 }
 
+/// What hardly moves is soon known not to: its errors, which are the same, are stated as they are under a global shutter.
+#[test]
+fn what_stands_is_stated_no_wider() {
+    for (name, subject) in [("plain", Subject::Plain), ("8 bits", Subject::Coded(8))] {
+        let drive =
+            Drive { subject, speed_m_s: 0.0, line_time_s: LINE_TIME_S, told_s: LINE_TIME_S };
+        let global = Drive { line_time_s: 0.0, told_s: 0.0, ..drive };
+        let [rolling, global] = [drive, global].map(|drive| passings(&range(), &drive, COUNT, 4));
+        for (index, mode) in MODES.into_iter().enumerate() {
+            let mean = |all: &[[Shot; FRAMES]]| {
+                let shots = all.iter().flat_map(|frames| &frames[SETTLED..]);
+                let squares = shots.filter_map(|shot| Some(shot.seen[index]?.position_square));
+                let squares: Vec<_> = squares.collect();
+                squares.iter().sum::<f64>() / squares.len() as f64
+            };
+            let (rolling, global) = (mean(&rolling), mean(&global));
+            println!(
+                "{name}, {mode:?}: normalized squares of {rolling:.2}, {global:.2} under a global shutter"
+            );
+            assert!(rolling >= 0.9 * global, "{name}, {mode:?}: {rolling} of {global}");
+        }
+    }
+}
+
 #[test]
 fn plain_roundels() {
     check("plain", Subject::Plain);

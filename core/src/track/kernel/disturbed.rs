@@ -8,12 +8,25 @@ use nalgebra::Vector3;
 
 use crate::track::Spread;
 
+/// A filter follows no quicker than by this times the ratio of its gains of rate and value, which is ω/√2 in the
+/// steady state.
+const QUICKEST: f64 = 2.0;
+
 /// Along each axis, of value, between value and rate, and of rate.
-#[derive(Clone, Copy, Debug, Default, PartialEq)]
+#[derive(Clone, Copy, Debug, PartialEq)]
 pub(super) struct Disturbed {
     pub(super) value: Vector3<f64>,
     cross: Vector3<f64>,
     rate: Vector3<f64>,
+    /// The newest gains' ratio, rate by value, 1/s.
+    gains_hz: Vector3<f64>,
+}
+
+impl Default for Disturbed {
+    fn default() -> Self {
+        let none = Vector3::zeros();
+        Self { value: none, cross: none, rate: none, gains_hz: Vector3::repeat(f64::INFINITY) }
+    }
 }
 
 impl Disturbed {
@@ -37,6 +50,9 @@ impl Disturbed {
     /// By a measurement with the gains of value and rate.
     #[inline]
     pub(super) fn update(&mut self, value_gain: &Vector3<f64>, rate_gain: &Vector3<f64>) {
+        self.gains_hz = value_gain.zip_map(rate_gain, |value, rate| {
+            if value > 0.0 && rate > 0.0 { rate / value } else { f64::INFINITY }
+        });
         let kept = value_gain.map(|gain| 1.0 - gain);
         let from_value = rate_gain.component_mul(&self.value);
         self.rate += rate_gain.component_mul(&(from_value - self.cross * 2.0));
@@ -64,9 +80,14 @@ impl Disturbed {
     }
 
     /// How quickly the filter follows, 1/s: in the steady state M is [¼√2 ω r, …; …, ¾√2 ω³ r].
+    ///
+    /// That is so while ω is small against the measurements' rate. Of a value that each measurement tells exactly M has
+    /// nothing left, and ω would have no end; but what has happened since the one before, dt ago, is not known, so that
+    /// it is 2 to 4/dt, and the gains are 1 and 1.27/dt (the discrete filter's steady state as R → 0).
     pub(super) fn bandwidth_hz(&self) -> Vector3<f64> {
-        self.rate.zip_map(&self.value, |rate, value| {
+        let followed = self.rate.zip_map(&self.value, |rate, value| {
             if value > 0.0 { (rate / (3.0 * value)).sqrt() } else { 0.0 }
-        })
+        });
+        followed.inf(&(self.gains_hz * QUICKEST))
     }
 }
