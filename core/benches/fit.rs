@@ -139,6 +139,7 @@ fn coded_fits(criterion: &mut Criterion) {
             moved_px: 1.0,
             is_still: true,
             skew: None,
+            teeth: None,
         };
         let first = fit(&frame, &camera, &kind, &ring, &start, &mut scratch).expect("it is drawn");
         start.blur_px = first.blur_px;
@@ -184,6 +185,7 @@ fn fits(criterion: &mut Criterion) {
             moved_px: 1.0,
             is_still: true,
             skew: None,
+            teeth: None,
         };
         let first = fit(&frame, &camera, kind, &ring, &start, &mut scratch).expect("it is drawn");
         (start.blur_px, start.motion_px) = (first.blur_px, first.motion_px);

@@ -7,7 +7,7 @@ use roundel_core::{
     camera::{Camera, Intrinsics, Lens},
     frame::Frame,
     id::{CameraId, KindId},
-    marker::{Code, CodeLayout, Detector, Kind, Params, Pattern, Tracker},
+    marker::{Code, CodeLayout, Detector, Kind, Params, Pattern, Ring, TrackedRing, Tracker},
     pose::{Detection, Located, Locator, PoseError},
     rigid::{self, Covariance6},
     time::Timestamp,
@@ -87,10 +87,31 @@ impl Observer {
 
     /// What is seen in the next frame, whose middle row was exposed at `capture_ns`.
     pub fn observe(&mut self, image: &Image, capture_ns: i64) -> anyhow::Result<Vec<Detection>> {
+        self.observe_with(image, capture_ns, true)
+    }
+
+    /// The same of a frame in which no code can be read.
+    pub fn observe_unread(&mut self, image: &Image) -> anyhow::Result<Vec<Detection>> {
+        self.observe_with(image, 0, false)
+    }
+
+    fn observe_with(
+        &mut self,
+        image: &Image,
+        capture_ns: i64,
+        reads: bool,
+    ) -> anyhow::Result<Vec<Detection>> {
         let frame = Frame::new(&image.pixels, image.width, image.height, image.width)?;
         let middle = (image.height as f64 - 1.0) / 2.0;
         let mut detections = Vec::new();
-        let rings = self.tracker.process(&frame);
+        let mut rings = self.tracker.process(&frame);
+        let without_codes: Vec<TrackedRing>;
+        if !reads {
+            let unread = |ring: Ring| Ring { code: None, ..ring };
+            without_codes =
+                rings.iter().map(|one| TrackedRing { ring: unread(one.ring), ..*one }).collect();
+            rings = &without_codes;
+        }
         let time = Timestamp::from_ns(capture_ns);
         self.locator.locate_all_at(&frame, time, rings, &mut self.located);
         for (tracked, located) in rings.iter().zip(self.located.drain(..)) {

@@ -189,27 +189,41 @@ pub fn trials(range: &Range, count: usize, seed: u64) -> Vec<Trial> {
 
 /// The same of roundels with codes of `bits` bits, any of them, turned anywhere; their ratio is the codes'.
 pub fn coded_trials(range: &Range, bits: u8, count: usize, seed: u64) -> Vec<Trial> {
-    let words = words(bits);
-    let of = |index| trial(range, Some((bits, &words)), seed, index);
-    (0..count as u64).into_par_iter().map(of).collect()
+    trials_of(range, &Codes { bits, words: &words(bits), read: [true; 2] }, count, seed)
+}
+
+/// The same of which no code is read in the second frame.
+pub fn once_read_trials(range: &Range, bits: u8, count: usize, seed: u64) -> Vec<Trial> {
+    trials_of(range, &Codes { bits, words: &words(bits), read: [true, false] }, count, seed)
 }
 
 /// The same of roundels whose teeth are no code: they look alike after half a turn.
 pub fn uncoded_trials(range: &Range, bits: u8, count: usize, seed: u64) -> Vec<Trial> {
     let half = u32::from(bits / 2);
     let words: Vec<u16> = (1..(1 << half) - 1).map(|part: u16| part << half | part).collect();
-    let of = |index| trial(range, Some((bits, &words)), seed, index);
-    (0..count as u64).into_par_iter().map(of).collect()
+    trials_of(range, &Codes { bits, words: &words, read: [true; 2] }, count, seed)
 }
 
-fn trial(range: &Range, codes: Option<(u8, &[u16])>, seed: u64, index: u64) -> Trial {
+fn trials_of(range: &Range, codes: &Codes, count: usize, seed: u64) -> Vec<Trial> {
+    (0..count as u64).into_par_iter().map(|index| trial(range, Some(codes), seed, index)).collect()
+}
+
+/// Codes to be shown.
+struct Codes<'a> {
+    bits: u8,
+    words: &'a [u16],
+    /// Whether what can be read is, by frame.
+    read: [bool; 2],
+}
+
+fn trial(range: &Range, codes: Option<&Codes>, seed: u64, index: u64) -> Trial {
     let mut random = Random::new(index, seed);
     let mut draw = |(low, high): (f64, f64)| random.uniform(low, high);
     let (diameter_px, tilt_deg) = (draw(range.diameter_px), draw(range.tilt_deg));
     let (blur_px, noise) = (draw(range.blur_px), draw(range.noise));
     let motion_px = if range.motion_px.1 > 0.0 { draw(range.motion_px) } else { 0.0 };
     let imaging = Imaging { blur_px, noise, exposure_s: 1.0, ..Imaging::default() };
-    let (kind, print) = printed(range, codes, &mut random);
+    let (kind, print) = printed(range, codes.map(|codes| (codes.bits, codes.words)), &mut random);
 
     let whole = reference();
     let mut first = pose(&whole, diameter_px, tilt_deg.to_radians(), &mut random);
@@ -228,14 +242,17 @@ fn trial(range: &Range, codes: Option<(u8, &[u16])>, seed: u64, index: u64) -> T
     });
     let side = if motion_px > 0.0 { random.uniform(0.0, std::f64::consts::TAU) } else { 0.0 };
     let motion_px_of = [motion_px * side.cos(), motion_px * side.sin()];
-    let frames = [first, second].map(|truth| {
+    let read = codes.map_or([true; 2], |codes| codes.read);
+    let frames = [(first, read[0]), (second, read[1])].map(|(truth, read)| {
         let per_px = truth.translation.z / whole.focal_px[0];
         let [x_m, y_m] = motion_px_of.map(|px| px * per_px);
         let motion = |time_s: f64| Translation3::new(x_m * time_s, y_m * time_s, 0.0) * truth;
         let seen = [Seen { print: &print, motion: &motion }];
         let image = renderer.frame(&floor, &seen, &mut random);
         let seen = observers.each_mut().map(|observer| {
-            let found = observer.observe(&image, 0).expect("a frame of the camera's size");
+            let found =
+                if read { observer.observe(&image, 0) } else { observer.observe_unread(&image) };
+            let found = found.expect("a frame of the camera's size");
             let pose = found.into_iter().find_map(|detection| detection.pose)?;
             Some(Errors::of(&pose, &truth))
         });

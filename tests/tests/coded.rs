@@ -4,7 +4,7 @@
 
 use roundel_core::marker::Mode;
 use roundel_tests::precision::{
-    MODES, RATIO, Range, Shot, Summary, WIDE_MARGIN, coded_trials, uncoded_trials,
+    MODES, RATIO, Range, Shot, Summary, WIDE_MARGIN, coded_trials, once_read_trials, uncoded_trials,
 };
 
 /// Bits and diameters, pixels.
@@ -14,6 +14,8 @@ const CASES: [(u8, (f64, f64)); 4] =
 const UNREAD: [(u8, (f64, f64)); 3] = [(8, (30.0, 50.0)), (8, (50.0, 110.0)), (16, (60.0, 110.0))];
 /// Share of those found that have a yaw, by mode: in fast mode the rims alone say which normal is right.
 const LEAST_TURNED: [f64; 2] = [0.95, 0.98];
+/// The same of frames whose teeth are known from the one before.
+const LEAST_PRESUMED: f64 = 0.97;
 /// Of each, two frames each.
 const TRIALS: usize = 120;
 
@@ -52,6 +54,22 @@ fn coded_roundels_that_are_not_read_are_located_by_their_outer_rims() {
             assert!(summary.depth_over_bound() < 4.5, "{name}");
             assert_honest(&name, &summary);
         }
+    }
+}
+
+/// A track knows the teeth: a frame that cannot be read is fitted all the same.
+#[test]
+fn coded_roundels_are_fitted_in_frames_that_are_not_read() {
+    for (index, (bits, diameter_px)) in CASES.into_iter().enumerate() {
+        let trials = once_read_trials(&range(diameter_px), bits, TRIALS, 700 + index as u64);
+        let summary = Summary::of(trials.iter().map(|trial| &trial.frames[1]), 1);
+        let name = format!("{bits} bits, {diameter_px:?} px, read before, {:?}", MODES[1]);
+        print(&name, &summary);
+        assert_eq!(summary.missed, 0, "{name}");
+        assert_honest(&name, &summary);
+        assert!(summary.turned() as f64 >= LEAST_PRESUMED * summary.found() as f64, "{name}");
+        let (depth, yaw) = (summary.depth_over_bound(), summary.yaw_over_bound());
+        assert!(depth <= 1.3 && yaw <= 1.3, "{name}: depth {depth}, yaw {yaw} of the bound");
     }
 }
 

@@ -68,6 +68,9 @@ pub struct Locator {
     shutter: Option<Shutter>,
 }
 
+/// From this confidence of a track's code on a frame that does not read it has the teeth of those before.
+const CERTAIN: f64 = 0.99;
+
 impl Locator {
     /// For rings of these kinds, in the order that [`KindId`] counts them.
     pub fn new(camera: Camera, kinds: Vec<Kind>, mode: Mode) -> Self {
@@ -209,7 +212,9 @@ impl Locator {
         let Ok(kind) = kind_of(&self.kinds, tracked.ring.kind) else { return };
         let skew = self.skew(index);
         let with = (&self.camera, kind, self.mode);
+        let is_certain = tracked.code.is_some_and(|code| code.confidence >= CERTAIN);
         self.memories.renew(tracked.track, |before| {
+            let before = if is_certain { before } else { before.map(Memory::without_teeth) };
             let memory = located.improve(with, frame, (before, skew), &mut self.scratch);
             if let Some(skew) = skew {
                 skew.widen(&mut located.pose, &self.camera, kind);

@@ -12,14 +12,21 @@
 //! frame that looks for it, at the latest, or sooner by the residual (`photometry`), and from then on it
 //! stays free as long as it is there.
 //!
+//! **Teeth.** A coded ring that is not read in a frame has the teeth that it had in the frame before, where its
+//! track's vote is certain, and goes on turning as it did. The fit refuses them where the pixels contradict
+//! them, or do not tell how they are turned.
+//!
 //! PERF: 30 px followed, 11.8 µs instead of 14.4 µs with the motion free in all frames
 //! (`cargo bench -p roundel-tests --bench time`).
+
+use std::f64::consts::{PI, TAU};
 
 use nalgebra::{Vector2, Vector3};
 
 use super::{
     RoundelPose,
-    photometry::{DEFAULT_BLUR_PX, Fit, Start},
+    photometry::{DEFAULT_BLUR_PX, Fit, Start, Teeth},
+    yaw,
 };
 use crate::camera::PixelPoint;
 
@@ -31,6 +38,16 @@ pub struct Memory {
     motion_px: Vector2<f64>,
     center: PixelPoint,
     stillness: Stillness,
+    code: Option<Turning>,
+}
+
+/// How a coded ring is turned.
+#[derive(Clone, Copy, Debug)]
+struct Turning {
+    teeth: Teeth,
+    yaw_rad: f64,
+    /// Since the frame before.
+    turned_rad: f64,
 }
 
 impl Memory {
@@ -39,14 +56,39 @@ impl Memory {
         let mut stillness = before.map_or(Stillness::default(), |before| before.stillness);
         let motion_px2 = fit.motion_px.norm_squared();
         stillness.note(motion_px2, fit.motion_variance_px4, start.moved_px);
+        let code = fit.teeth.zip(fit.pose.yaw_rad).map(|(teeth, yaw_rad)| {
+            let carried_rad = before.and_then(|before| before.carried(&fit.pose));
+            let turned_rad =
+                carried_rad.map_or(0.0, |(_, carried_rad)| wrapped(yaw_rad - carried_rad));
+            Turning { teeth, yaw_rad, turned_rad }
+        });
         Self {
             normal: fit.pose.normal,
             blur_px: fit.blur_px,
             motion_px: fit.motion_px,
             center: fit.ring.outer.center,
             stillness,
+            code,
         }
     }
+
+    /// The same without its teeth.
+    pub fn without_teeth(self) -> Self {
+        Self { code: None, ..self }
+    }
+
+    /// What it has of a code, with the yaw that a ring of this pose has if it has not turned.
+    fn carried(&self, pose: &RoundelPose) -> Option<(Turning, f64)> {
+        let code = self.code?;
+        let before = yaw::axes(&self.normal, code.yaw_rad);
+        let axes = yaw::axes_for(&before, &pose.position_m, &pose.normal);
+        Some((code, yaw::of_axes_rad(&axes)))
+    }
+}
+
+/// Into [-π, π).
+fn wrapped(angle_rad: f64) -> f64 {
+    (angle_rad + PI).rem_euclid(TAU) - PI
 }
 
 /// Where a fit starts: of the rims' normals, from the one that the frame before says.
@@ -60,11 +102,16 @@ pub fn start(pose: &RoundelPose, center: &PixelPoint, before: Option<&Memory>) -
             moved_px: f64::INFINITY,
             is_still: false,
             skew: None,
+            teeth: None,
         };
     };
     if pose.other_normal.dot(&before.normal) > pose.normal.dot(&before.normal) {
         pose.yaw_rad = pose.other_yaw_rad();
         std::mem::swap(&mut pose.normal, &mut pose.other_normal);
+    }
+    let code = before.carried(&pose);
+    if let Some((Turning { turned_rad, .. }, carried_rad)) = code {
+        pose.yaw_rad = Some(carried_rad + turned_rad);
     }
     let moved_px = (center.u - before.center.u).hypot(center.v - before.center.v);
     Start {
@@ -74,6 +121,7 @@ pub fn start(pose: &RoundelPose, center: &PixelPoint, before: Option<&Memory>) -
         moved_px,
         is_still: before.stillness.holds(moved_px),
         skew: None,
+        teeth: code.map(|(code, _)| code.teeth),
     }
 }
 

@@ -60,6 +60,8 @@ const LIGHT_PRIOR: f64 = 0.1;
 /// [`patches::share`] of noise exceeds 1 by no more than this over the root of the number of pixels: three
 /// deviations, since a clean ring that is taken for a disturbed one costs as much as a hundred others.
 const EVEN: f64 = 15.0;
+/// By so many times as much it is neither noise nor what the model leaves out of a clean ring.
+const FAR: f64 = 2.0;
 
 impl Linear {
     /// From the products of all columns, or of those without the motion's.
@@ -148,6 +150,11 @@ impl Linear {
     /// Whether noise explains the residual.
     pub fn is_even(&self) -> bool {
         self.together < 1.0 + EVEN / self.pixels.sqrt()
+    }
+
+    /// Whether what is left is far more than noise would ever leave.
+    pub fn is_of_another(&self) -> bool {
+        self.together > 1.0 + FAR * EVEN / self.pixels.sqrt()
     }
 
     /// Carries what depends on the residual over a change that leaves this misfit.

@@ -42,9 +42,10 @@
 //!
 //! **Teeth.** Where a coded print has been read, its contour is known whole: arcs and radial edges (`teeth`),
 //! from the reading's yaw, which is fitted along (`turn`): depth 1.0 to 1.1 times the bound from 36 to 110 px and
-//! the yaw 1.0 times (`tests/coded.rs`).
+//! the yaw 1.0 times (`tests/coded.rs`). A frame that does not read it has the teeth of those before (`memory`), and
+//! is as exact.
 //!
-//! **Limits.** Refused are coded prints that have not been read, and elliptical discs of whose rim a part is
+//! **Limits.** Refused are coded prints whose teeth no frame has read, and elliptical discs of whose rim a part is
 //! covered. Paper is expected to go on for 3 px, or 3.5 blurs, round the outer rim.
 
 mod blur;
@@ -93,7 +94,7 @@ use mirror::{Glance, glance};
 use normal::Sums;
 use solution::Solution;
 use state::{Problem, State};
-use teeth::Teeth;
+pub use teeth::Teeth;
 use upright::{Leaning, Upright};
 use view::{Nodes, Place};
 
@@ -114,6 +115,9 @@ pub struct Start {
     pub is_still: bool,
     /// What a rolling shutter does to it.
     pub skew: Option<Skew>,
+    /// The teeth that a coded print had in earlier frames, for one that is not read in this one; with them the
+    /// pose has a yaw, right to a part of a slot.
+    pub teeth: Option<Teeth>,
 }
 
 /// The blur to start from where nothing is known, pixels.
@@ -135,6 +139,8 @@ pub struct Fit {
     pub motion_variance_px4: Option<f64>,
     /// Deviation of what the model leaves, grey levels: the image's noise, if the model is right.
     pub noise: f64,
+    /// Of a coded print.
+    pub teeth: Option<Teeth>,
     /// Iterations that were needed.
     pub iterations: usize,
 }
@@ -147,7 +153,7 @@ pub enum FitError {
     Start,
     /// What is printed is not known.
     #[error(
-        "expected a coded ring whose teeth were read, and the start of an elliptical one with a yaw"
+        "expected a coded ring whose teeth are known, and the start of an elliptical one with a yaw"
     )]
     Pattern,
     /// The lens gives no pixels there.
@@ -244,11 +250,15 @@ pub fn fit(
     if !(facing && range_m.is_finite() && ring.outer.is_valid() && start.blur_px.is_finite()) {
         return Err(FitError::Start);
     }
+    let mut is_presumed = false;
     let (heading_rad, teeth) = match kind.pattern {
         Pattern::Plain => (None, None),
         Pattern::Elliptical { .. } => (Some(start.pose.yaw_rad.ok_or(FitError::Pattern)?), None),
         Pattern::Coded(_) => {
-            let (yaw_rad, teeth) = read(start, camera, ring).ok_or(FitError::Pattern)?;
+            let read = read(start, camera, ring);
+            let (yaw_rad, teeth) =
+                read.or(start.pose.yaw_rad.zip(start.teeth)).ok_or(FitError::Pattern)?;
+            is_presumed = read.is_none();
             (Some(yaw_rad), Some(teeth))
         }
     };
@@ -268,8 +278,17 @@ pub fn fit(
     scratch.window.lay(window_of(&counted), frame, &chords);
     let motion_prior = motion::prior(start.moved_px);
     let is_still = start.is_still;
-    let problem =
-        Problem { frame, kind, teeth, radius_m, lens: &lens, chords, motion_prior, is_still };
+    let problem = Problem {
+        frame,
+        kind,
+        teeth,
+        is_presumed,
+        radius_m,
+        lens: &lens,
+        chords,
+        motion_prior,
+        is_still,
+    };
     let normal = &start.pose.normal;
     let axes = match heading_rad {
         None => axes_of(&(local_from_camera * normal).normalize()),
@@ -279,7 +298,23 @@ pub fn fit(
     let first = State::new(place, ring, blur_px, &motion_px);
     let deviation_rad = heading_rad.map(|_| yaw::deviation_rad(&start.pose));
     let placed = placed(&problem, first, deviation_rad, &counted, scratch)?;
-    Ok(finish(&problem, ring, &placed, scratch))
+    let fit = finish(&problem, ring, &placed, scratch);
+    match problem.teeth {
+        Some(teeth) if is_presumed && !fit.tells(teeth) => Err(FitError::Flat),
+        _ => Ok(fit),
+    }
+}
+
+/// Teeth that are not read are seen where the yaw's deviation is no more than this share of a slot: else the
+/// fit may as well have settled at other ones.
+const SEEN_SHARE: f64 = 1.0 / 6.0;
+
+impl Fit {
+    /// Whether the pixels tell how these teeth are turned.
+    fn tells(&self, teeth: Teeth) -> bool {
+        let slot_rad = std::f64::consts::PI / f64::from(teeth.bits);
+        yaw::deviation_rad(&self.pose) < SEEN_SHARE * slot_rad
+    }
 }
 
 /// The yaw and the teeth that a reading gives a start.
@@ -403,6 +438,10 @@ fn tilted(
         solution = if better { found } else { solution };
     }
     if !solution.is_plain() {
+        // Other teeth than presumed, or another yaw, would pass for a cover.
+        if problem.is_presumed && solution.linear.is_of_another() {
+            return Err(FitError::Disturbed);
+        }
         // What disturbs the ring may have passed for motion, and taken the pose along.
         let still = Problem { is_still: true, ..*problem };
         let stopped = solution.state.stopped();
@@ -482,6 +521,7 @@ fn finish(problem: &Problem, ring: &Ring, placed: &Placed, scratch: &mut FitScra
         motion_px: motion::of_square(&state.motion2),
         motion_variance_px4: placed.motion_variance,
         noise: placed.noise2.sqrt(),
+        teeth: problem.teeth,
         iterations: placed.iterations,
     }
 }

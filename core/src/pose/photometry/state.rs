@@ -17,8 +17,10 @@ use crate::{
 pub struct Problem<'a> {
     pub frame: &'a Frame<'a>,
     pub kind: &'a Kind,
-    /// Of a coded print, as read.
+    /// Of a coded print.
     pub teeth: Option<Teeth>,
+    /// Whether these teeth are those of earlier frames.
+    pub is_presumed: bool,
     pub radius_m: f64,
     pub lens: &'a LocalLens,
     /// Pixels that count.

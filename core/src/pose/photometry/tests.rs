@@ -65,6 +65,7 @@ fn start(camera: &Camera, kind: &Kind, ring: &Ring) -> Start {
         moved_px: 0.0,
         is_still: false,
         skew: None,
+        teeth: None,
     }
 }
 
@@ -183,6 +184,7 @@ fn the_mirrored_place_is_as_bad_as_it_promises() {
         chords,
         motion_prior: 1.0,
         is_still: false,
+        is_presumed: false,
     };
     let axes = axes_of(&(local_from_camera * first.pose.normal));
     let place = Place { position_m: Vector3::z() * range_m, axes };

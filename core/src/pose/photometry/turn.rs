@@ -9,6 +9,9 @@
 //! which is what Gauss and Newton's step over all unknowns needs, yaw included, and its covariance:
 //! that of the yaw is Schur's complement, and position and normal follow it by -(JᵀJ)⁻¹ Jᵀm′.
 //!
+//! A yaw that is not read in this frame but carried on from the one before is off by much more. From there the
+//! yaw is turned alone first, by m′·r/|m′|².
+//!
 //! Time: 23 µs for 8 bits at 36 px, 38 µs at 60 (`benches/fit.rs`). Accuracy: `tests/coded.rs` of the tests crate.
 
 use nalgebra::Vector3;
@@ -30,6 +33,10 @@ const APART_PX: f64 = 0.1;
 const BEYOND: f64 = 1.5;
 /// Such steps at most.
 const TURNS: usize = 4;
+/// Steps of the yaw alone are no longer than so many of these, …
+const LONGEST: f64 = 5.0;
+/// … and at most so many.
+const TURNS_ALONE: usize = 4;
 
 /// Finds all unknowns and the yaw, from a start that has about the right one.
 pub fn solve(
@@ -37,7 +44,8 @@ pub fn solve(
     start: State,
     scratch: &mut FitScratch,
 ) -> Result<(Solution, Heading), FitError> {
-    let mut start = start;
+    let mut start =
+        if problem.is_presumed { turned_alone(problem, start, scratch)? } else { start };
     for _ in 0..TURNS {
         let solution = descend::solve(problem, start, scratch)?;
         let radius_px = problem.kind.ratio() * look::radius_px(problem, &solution.state);
@@ -54,6 +62,38 @@ pub fn solve(
         start = solution.state.headed(turn.by_rad);
     }
     Err(FitError::Restless)
+}
+
+/// The start with the yaw that fits best there.
+///
+/// Steps over all unknowns from a yaw that is off by far more than its deviation put up with a lean, near face-on, that
+/// makes the best of it, and stay there.
+fn turned_alone(
+    problem: &Problem,
+    mut start: State,
+    scratch: &mut FitScratch,
+) -> Result<State, FitError> {
+    for _ in 0..TURNS_ALONE {
+        let linear = look::linearize(problem, &start, None, scratch)?;
+        let radius_px = problem.kind.ratio() * look::radius_px(problem, &start);
+        let apart_rad = APART_PX / radius_px;
+        let mut misfit = |by_rad: f64| -> Result<f64, FitError> {
+            let turned = start.headed(by_rad);
+            Ok(look::linearize(problem, &turned, Some(&linear), scratch)?.misfit)
+        };
+        let (ahead, behind) = (misfit(apart_rad)?, misfit(-apart_rad)?);
+        let own = 0.25 * (behind - ahead) / apart_rad;
+        let square = 0.5 * (ahead + behind - 2.0 * linear.misfit) / (apart_rad * apart_rad);
+        if square.is_nan() || square <= 0.0 {
+            break;
+        }
+        let by_rad = (own / square).clamp(-LONGEST * apart_rad, LONGEST * apart_rad);
+        start = start.headed(by_rad);
+        if by_rad.abs() <= BEYOND * apart_rad {
+            break;
+        }
+    }
+    Ok(start)
 }
 
 /// The solution with the residual that it really leaves.
