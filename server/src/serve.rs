@@ -32,7 +32,7 @@ use crate::{
     stop::Stop,
     worker::{self, Sighted, Worker, WorkerParts, adoption::Inbox, pipeline::Pipeline},
 };
-use setup::{camera_id, fusion, installation, landmarks, pipeline, place, standing};
+use setup::{camera_id, configured, fusion, installation, landmarks, pipeline, place, standing};
 
 /// Time that shutdown may take in all.
 pub const GRACE: Duration = Duration::from_secs(5);
@@ -219,13 +219,19 @@ impl Server {
     ) -> Result<(), ServeError> {
         // Full: observations are dropped and counted, see `worker`.
         let (to_fusion, from_workers) = sync_channel::<Sighted>(QUEUE_FRAMES);
-        let standing = Standing {
-            cameras: standing(config),
-            landmarks: landmarks(config),
-            calibrator: self.calibrator.clone(),
-        };
-        let task = FusionTask::new(fusion(config)?, self.hub.clone(), self.clock, from_workers)
-            .watching(standing);
+        let mut task = FusionTask::new(fusion(config)?, self.hub.clone(), self.clock, from_workers);
+        if config.server.watches {
+            task = task.watching(Standing {
+                cameras: standing(config),
+                configured: configured(config),
+                landmarks: landmarks(config),
+                calibrator: self.calibrator.clone(),
+            });
+        } else {
+            tracing::warn!(
+                "cameras are not watched (`watch = false` in [server]): one that is bumped goes on to be used"
+            );
+        }
         let period = Duration::from_secs_f64(1.0 / config.server.snapshot_rate_hz);
         let stop = self.stop_fusion.clone();
         self.fusion = Some(spawn("fusion".to_owned(), move || task.run(period, &stop))?);

@@ -76,6 +76,10 @@ pub struct Healing {
     pub moves: Vec<Move>,
     /// What the watch is told of.
     pub landmarks: Vec<Landmark>,
+    /// Where cameras are said to stand.
+    pub believed: Vec<Isometry3<f64>>,
+    /// How wrong lenses are, by camera: share of the focal length, and of the centre in focal lengths. None: not at all.
+    pub lenses: Vec<[f64; 3]>,
 }
 
 /// What became of a bump.
@@ -131,7 +135,29 @@ impl Healing {
             site.rate_hz = rate_hz;
         }
         let sensing = Sensing { noise_px, ..Sensing::USUAL };
-        Self { arena, sensing, moves: Vec::new(), landmarks: Vec::new() }
+        let believed = arena.sites.iter().map(|site| site.world_from_camera).collect();
+        let (moves, landmarks, lenses) = (Vec::new(), Vec::new(), Vec::new());
+        Self { arena, sensing, moves, landmarks, believed, lenses }
+    }
+
+    /// With lenses that are off by 0.05 % and 0.5 px of a focal length of 1000, at random.
+    pub fn with_wrong_lenses(mut self) -> Self {
+        let mut random = Random::new(self.arena.seed, 90);
+        let mut off = || f64::from(random.normal()) * 5e-4;
+        self.lenses = self.arena.sites.iter().map(|_| [off(), off(), off()]).collect();
+        self
+    }
+
+    /// Cameras stand where the watch has come to believe that they do.
+    pub fn as_found(mut self, outcome: &Outcome) -> Self {
+        for (_, event) in &outcome.events {
+            if let WatchEvent::Returned { camera, placement }
+            | WatchEvent::Drifted { camera, placement, .. } = event
+            {
+                self.believed[camera.0 as usize] = placement.world_from_camera;
+            }
+        }
+        self
     }
 
     /// Bumps of 1 to 3 cm, 0.5° to 2° or both, of random cameras, spread over so many seconds.
@@ -164,6 +190,12 @@ impl Healing {
         let back = self.moved(frame.camera, t).inverse();
         for pose in frame.detections.iter_mut().filter_map(|it| it.pose.as_mut()) {
             pose.position_m = (back * Point3::from(pose.position_m)).coords;
+            if let Some([scale, right, down]) = self.lenses.get(frame.camera.0 as usize) {
+                let depth_m = pose.position_m.z * (1.0 + scale);
+                pose.position_m.z = depth_m;
+                pose.position_m.x += right * depth_m;
+                pose.position_m.y += down * depth_m;
+            }
             pose.normal = back * pose.normal;
             pose.other_normal = back * pose.other_normal;
             pose.covariance = rotate_covariance(&back.rotation, &pose.covariance);
@@ -181,8 +213,7 @@ impl Healing {
         let mut watch = Watch::new(params);
         let start = Timestamp::from_ns(self.arena.start_ns);
         let mut places: Vec<Option<Isometry3<f64>>> = Vec::new();
-        for (index, site) in self.arena.sites.iter().enumerate() {
-            let world_from_camera = site.world_from_camera;
+        for (index, &world_from_camera) in self.believed.iter().enumerate() {
             let placement = CameraPlacement { world_from_camera, covariance: Covariance6::zeros() };
             watch.set_camera(CameraId(index as u32), placement);
             places.push(Some(world_from_camera));
@@ -250,7 +281,9 @@ impl Healing {
                 places[camera.0 as usize] = Some(placement.world_from_camera);
                 outcome.corrections += 1;
             }
-            WatchEvent::Contradiction { .. } | WatchEvent::Agreed { .. } => {}
+            WatchEvent::Contradiction { .. }
+            | WatchEvent::Misplaced { .. }
+            | WatchEvent::Agreed { .. } => {}
         }
     }
 

@@ -126,7 +126,7 @@ fn config(scenario: &Scenario, address: &SimAddress, listen: SocketAddr) -> Conf
     });
     Config {
         name: "demo".to_owned(),
-        server: ServerConfig { listen, snapshot_rate_hz: 60.0, calibration: None },
+        server: ServerConfig { listen, snapshot_rate_hz: 60.0, calibration: None, watches: true },
         kinds: scenario.params().kinds.clone(),
         motions: Vec::new(),
         cameras: cameras.collect(),
@@ -143,6 +143,7 @@ fn references(scenario: &Scenario) -> Vec<ReferenceConfig> {
         kind: truth.kind,
         code: truth.code,
         position_m: truth.world_from_roundel.translation.vector,
+        deviation_m: 1e-3,
         orientation: Some(truth.world_from_roundel.rotation),
     };
     let robots = scenario.truth(0.0).into_iter();

@@ -18,7 +18,7 @@ use super::{
 const ROOT_KEYS: [&str; 9] =
     ["name", "server", "detection", "roundel", "camera", "reference", "object", "fusion", "limits"];
 const DETECTION_KEYS: [&str; 1] = ["mode"];
-const SERVER_KEYS: [&str; 3] = ["listen", "snapshot_rate_hz", "calibration"];
+const SERVER_KEYS: [&str; 4] = ["listen", "snapshot_rate_hz", "calibration", "watch"];
 const FUSION_KEYS: [&str; 4] =
     ["acceleration_m_s2", "late_window_ms", "predicted_after_ms", "lost_after_ms"];
 const LIMITS_KEYS: [&str; 3] = ["max_objects", "max_roundels_per_camera", "max_clients"];
@@ -80,8 +80,9 @@ fn server(root: &Table<'_, '_>, folder: &Path) -> Option<ServerConfig> {
     });
     let calibration = table.and_then(|table| table.text("calibration"));
     let calibration = calibration.map(|file| folder.join(file));
+    let watches = table.and_then(|table| table.flag("watch")).unwrap_or(true);
     match listen.parse::<SocketAddr>() {
-        Ok(listen) => Some(ServerConfig { listen, snapshot_rate_hz, calibration }),
+        Ok(listen) => Some(ServerConfig { listen, snapshot_rate_hz, calibration, watches }),
         Err(_) => {
             root.fail_with_help(
                 &table.map_or(0..0, |table| table.span_of("listen")),

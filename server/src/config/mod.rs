@@ -71,6 +71,8 @@ pub struct ServerConfig {
     pub snapshot_rate_hz: f64,
     /// Where calibrations of the arena are kept. `None`: until the end of the process.
     pub calibration: Option<PathBuf>,
+    /// Whether cameras that were bumped are noticed, left out and found again.
+    pub watches: bool,
 }
 
 /// `[[camera]]`.
@@ -130,6 +132,8 @@ pub struct ReferenceConfig {
     pub code: Option<Code>,
     /// Its centre, world frame, metres.
     pub position_m: Vector3<f64>,
+    /// Standard deviation of each coordinate, metres.
+    pub deviation_m: f64,
     /// world_from_roundel, if that is known.
     pub orientation: Option<UnitQuaternion<f64>>,
 }

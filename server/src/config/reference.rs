@@ -7,11 +7,16 @@ use nalgebra::Vector3;
 use super::{
     ReferenceConfig, geometry,
     object::code,
-    reader::Table,
+    reader::{Allowed, Table},
     roundel::{NamedKinds, kind_named},
 };
 
-const REFERENCE_KEYS: [&str; 6] = ["roundel", "code", "position_m", "yaw_deg", "right", "top"];
+const REFERENCE_KEYS: [&str; 7] =
+    ["roundel", "code", "position_m", "uncertainty_mm", "yaw_deg", "right", "top"];
+/// Who surveys by hand reaches this, millimetres …
+const DEFAULT_UNCERTAINTY_MM: f64 = 1.0;
+/// … and what is worse than this is no reference.
+const MOST_UNCERTAINTY_MM: f64 = 1000.0;
 const TURN_KEYS: [&str; 3] = ["yaw_deg", "right", "top"];
 
 /// The references that could be read.
@@ -36,9 +41,12 @@ fn reference(table: &Table<'_, '_>, kinds: &NamedKinds) -> Option<ReferenceConfi
     let position = table.required_numbers::<3>("position_m", "[0.0, 0.0, 0.0]");
     let is_turned = TURN_KEYS.iter().any(|key| table.value(key).is_some());
     let orientation = if is_turned { Some(geometry::rotation(table, "the world")?) } else { None };
+    let allowed = Allowed::PositiveUpTo(MOST_UNCERTAINTY_MM);
+    let deviation_m = table.number("uncertainty_mm", allowed, DEFAULT_UNCERTAINTY_MM) * 1e-3;
     let kind = kind?;
     let code = if table.value("code").is_some() { code(table, kind, kinds)? } else { None };
-    Some(ReferenceConfig { kind, code, position_m: Vector3::from(position?), orientation })
+    let position_m = Vector3::from(position?);
+    Some(ReferenceConfig { kind, code, position_m, deviation_m, orientation })
 }
 
 impl References<'_, '_> {

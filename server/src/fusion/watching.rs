@@ -22,6 +22,8 @@ use crate::{
 pub struct Standing {
     /// Those whose place is known.
     pub cameras: BTreeMap<CameraId, CameraPlacement>,
+    /// Those of them whose place a person has written, which may be rough.
+    pub configured: Vec<CameraId>,
     /// The reference roundels.
     pub landmarks: Vec<Landmark>,
     /// Keeps what is found out.
@@ -41,6 +43,7 @@ impl Watching {
         for (camera, placement) in &standing.cameras {
             watch.set_camera(*camera, *placement);
         }
+        standing.configured.iter().for_each(|camera| watch.distrust(*camera));
         let cameras = standing.cameras.into_keys().collect();
         Self { watch, calibrator: standing.calibrator, cameras }
     }
@@ -115,6 +118,16 @@ impl Watching {
                 let message = format!(
                     "Cameras {} contradict one another, and nothing tells which of them has moved: a third \
                      camera that sees the same, or a reference roundel, would. Places may be wrong until then.",
+                    names.join(" and ")
+                );
+                (Happening::Contradicted, message)
+            }
+            WatchEvent::Misplaced { cameras } => {
+                let names: Vec<String> = cameras.iter().map(name).collect();
+                let message = format!(
+                    "Cameras {} have not agreed since the start about where roundels are: their poses in the \
+                     configuration are not exact enough. Run `roundel calibrate arena`. Until then objects are \
+                     not where they are said to be, and a camera that is bumped is not noticed.",
                     names.join(" and ")
                 );
                 (Happening::Contradicted, message)
@@ -197,7 +210,12 @@ mod tests {
             file: CalibrationFile::default(),
         }));
         let cameras = [(NORTH, placement(0.0)), (SOUTH, placement(1.0))].into();
-        Watching::new(Standing { cameras, landmarks: Vec::new(), calibrator })
+        Watching::new(Standing {
+            cameras,
+            configured: vec![NORTH],
+            landmarks: Vec::new(),
+            calibrator,
+        })
     }
 
     #[test]
@@ -239,6 +257,21 @@ mod tests {
             (happening, message.as_str()),
             (Happening::Agreed, "Cameras north and south agree again.")
         );
+    }
+
+    #[test]
+    fn rough_places_ask_for_a_calibration() {
+        let clock = Clock::anchored_now();
+        let hub = hub(&clock);
+        let watching = watching(&hub, clock);
+        let mut fusion = Fusion::new(FusionParams::default());
+        fusion.set_camera(NORTH, Some(placement(0.0)));
+        let misplaced = WatchEvent::Misplaced { cameras: vec![NORTH, SOUTH] };
+        let (happening, message) = watching.effect(&misplaced, &mut fusion, &hub);
+        assert_eq!(happening, Happening::Contradicted);
+        assert!(message.starts_with("Cameras north and south have not agreed"), "{message}");
+        assert!(message.contains("`roundel calibrate arena`"), "{message}");
+        assert!(fusion.camera_place(NORTH, clock.now()).is_ok(), "nobody is left out");
     }
 
     #[test]

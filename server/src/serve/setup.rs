@@ -80,13 +80,16 @@ fn ride(camera: &CameraConfig, config: &Config) -> Option<RideInfo> {
 /// A fusion machine that knows objects, motions, landmarks, clocks and cameras.
 pub(super) fn fusion(config: &Config) -> Result<Fusion, ServeError> {
     let ns = |seconds: f64| (seconds * 1e9).round() as i64;
+    let defaults = FusionParams::default();
     let mut fusion = Fusion::new(FusionParams {
         acceleration_m_s2: config.fusion.acceleration_m_s2,
         late_window_ns: ns(config.fusion.late_window_s),
         predicted_after_ns: ns(config.fusion.predicted_after_s),
         lost_after_ns: ns(config.fusion.lost_after_s),
         max_objects: config.limits.max_objects,
-        ..FusionParams::default()
+        // Nobody would judge who is held back.
+        held_back_ns: if config.server.watches { defaults.held_back_ns } else { 0 },
+        ..defaults
     });
     for (index, class) in config.motions.iter().enumerate() {
         fusion.set_motion(KindId(u16::try_from(index).unwrap_or(u16::MAX)), *class);
@@ -127,10 +130,18 @@ pub(super) fn standing(config: &Config) -> BTreeMap<CameraId, CameraPlacement> {
     known.collect()
 }
 
+/// Of these, cameras whose place a person has written.
+pub(super) fn configured(config: &Config) -> Vec<CameraId> {
+    let cameras = config.cameras.iter().enumerate();
+    let written = cameras.filter(|(_, camera)| matches!(camera.pose, CameraPose::Known(_)));
+    written.map(|(index, _)| camera_id(index)).collect()
+}
+
 /// The reference roundels, in the order of the configuration.
 pub(super) fn landmarks(config: &Config) -> Vec<Landmark> {
     let landmark = |reference: &ReferenceConfig| Landmark {
         orientation: reference.orientation,
+        position_deviation_m: reference.deviation_m,
         ..Landmark::new(reference.kind, reference.code, reference.position_m)
     };
     config.references.iter().map(landmark).collect()

@@ -380,6 +380,12 @@ fn wrong_values_are_named_with_their_line() {
             "snapshot_rate_hz = 1e6",
             "`snapshot_rate_hz` must be a number above 0, at most 1000",
         ),
+        ("watch = true", "watch = \"yes\"", "`watch` must be"),
+        (
+            "uncertainty_mm = 0.5",
+            "uncertainty_mm = 0.0",
+            "`uncertainty_mm` must be a number above 0, at most 1000",
+        ),
         (
             "acceleration_m_s2 = 1.5",
             "acceleration_m_s2 = 0",

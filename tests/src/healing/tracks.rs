@@ -43,8 +43,8 @@ impl Healing {
     pub fn follow(&self, params: FusionParams, seconds: f64) -> Tracks {
         let start = Timestamp::from_ns(self.arena.start_ns);
         let (mut fusion, mut watch) = (Fusion::new(params), Watch::new(WatchParams::default()));
-        for (index, site) in self.arena.sites.iter().enumerate() {
-            let (id, world_from_camera) = (CameraId(index as u32), site.world_from_camera);
+        for (index, &world_from_camera) in self.believed.iter().enumerate() {
+            let id = CameraId(index as u32);
             let placement = CameraPlacement { world_from_camera, covariance: Covariance6::zeros() };
             fusion.set_camera(id, Some(placement));
             watch.set_camera(id, placement);
@@ -64,7 +64,9 @@ impl Healing {
                     WatchEvent::Drifted { camera, placement, .. } => {
                         fusion.set_camera(camera, Some(placement));
                     }
-                    WatchEvent::Contradiction { .. } | WatchEvent::Agreed { .. } => {}
+                    WatchEvent::Contradiction { .. }
+                    | WatchEvent::Misplaced { .. }
+                    | WatchEvent::Agreed { .. } => {}
                 }
             }
             let t = now.seconds_since(start);

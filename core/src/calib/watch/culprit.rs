@@ -105,7 +105,7 @@ pub(super) fn judge(rounds: &[Round], places: &[Option<Rigid>], params: &WatchPa
 }
 
 /// Whether enough roundels tell of a camera.
-fn is_backed(rounds: &[Round], post: usize) -> bool {
+pub(super) fn is_backed(rounds: &[Round], post: usize) -> bool {
     let met = rounds.iter().filter(|round| round.posts().any(|it| it == post));
     let roundels: BTreeSet<Roundel> = met.map(|round| round.roundel).collect();
     roundels.len() >= LEAST_ROUNDELS

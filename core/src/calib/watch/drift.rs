@@ -128,6 +128,31 @@ impl Drift {
         (is_sure && best.moved_m > params.least_drift_m).then_some((post, best))
     }
 
+    /// Takes in one more camera.
+    pub(super) fn grow(&mut self) {
+        self.arms.push((Matrix6::zeros(), 0.0));
+        let numbers = self.arms.len() * NUMBERS;
+        self.information.resize_mut(numbers, numbers, 0.0);
+        self.score.resize_vertically_mut(numbers, 0.0);
+    }
+
+    /// Forgets where a camera stands: what the others' sums owe to that is taken out, Λ ← Λ - Λ_·c Λ_cc⁻¹ Λ_c·,
+    /// η ← η - Λ_·c Λ_cc⁻¹ η_c, and what they know of one another stays.
+    pub(super) fn forget(&mut self, post: usize) {
+        let at = post * NUMBERS;
+        let own = self.information.fixed_view::<NUMBERS, NUMBERS>(at, at) + prior();
+        if let Some(factor) = own.cholesky() {
+            let column = self.information.fixed_columns::<NUMBERS>(at).into_owned();
+            let score = self.score.fixed_rows::<NUMBERS>(at).into_owned();
+            self.score -= &column * factor.solve(&score);
+            self.information -= &column * factor.inverse() * column.transpose();
+        }
+        self.information.fixed_columns_mut::<NUMBERS>(at).fill(0.0);
+        self.information.fixed_rows_mut::<NUMBERS>(at).fill(0.0);
+        self.score.fixed_rows_mut::<NUMBERS>(at).fill(0.0);
+        self.arms[post] = (Matrix6::zeros(), 0.0);
+    }
+
     /// Says that a camera's place was changed.
     pub(super) fn change(&mut self, post: usize, change: &Vector6<f64>) {
         let column = self.information.fixed_columns::<NUMBERS>(post * NUMBERS);

@@ -35,6 +35,12 @@ pub enum WatchEvent {
         /// Ascending.
         cameras: Vec<CameraId>,
     },
+    /// These stand where somebody said, have not agreed with others since, and nobody can tell who is wrong: they were
+    /// not bumped, but never measured well. Told once.
+    Misplaced {
+        /// Ascending.
+        cameras: Vec<CameraId>,
+    },
     /// They agree again, or it is known who moved.
     Agreed {
         /// As they were named before.

@@ -13,7 +13,7 @@ use super::{
     BIN_S, WatchParams,
     meeting::{Meeting, Roundel, place},
 };
-use crate::rigid::Rigid;
+use crate::{rigid::Rigid, track::invert_positive};
 
 /// √e beyond which a meeting's cost grows linearly.
 const ROBUST: f64 = 5.0;
@@ -44,6 +44,8 @@ struct Look {
 pub(super) struct Round {
     pub(super) roundel: Roundel,
     looks: Vec<Look>,
+    /// e, of the looks as they are.
+    energy: f64,
 }
 
 /// Where a camera would have to stand.
@@ -117,7 +119,9 @@ impl Round {
             let known = Matrix3::from_diagonal_element(variance_m2 * bins.max(1) as f64);
             looks.push(look(KNOWN, Vector3::zeros(), world_m, known)?);
         }
-        (looks.len() > 1).then_some(Self { roundel: meeting.roundel, looks })
+        let mut round = Self { roundel: meeting.roundel, looks, energy: 0.0 };
+        round.energy = round.disagreement();
+        (round.looks.len() > 1).then_some(round)
     }
 
     /// Cameras in it, by post.
@@ -132,12 +136,16 @@ impl Round {
             weight += look.weight;
             pull += look.weight * look.world_m;
         }
-        let covariance = weight.cholesky()?.inverse();
+        let (covariance, _) = invert_positive(&weight)?;
         Some((covariance * pull, covariance))
     }
 
     /// e.
     pub(super) fn energy(&self) -> f64 {
+        self.energy
+    }
+
+    fn disagreement(&self) -> f64 {
         let Some((middle_m, _)) = self.middle(None) else { return 0.0 };
         let own = |look: &Look| {
             let apart_m = look.world_m - middle_m;
@@ -192,7 +200,7 @@ fn look(
     world_m: Vector3<f64>,
     covariance: Matrix3<f64>,
 ) -> Option<Look> {
-    let weight = covariance.cholesky()?.inverse();
+    let (weight, _) = invert_positive(&covariance)?;
     Some(Look { post, position_m, world_m, covariance, weight })
 }
 
@@ -220,10 +228,10 @@ fn normal(rounds: &[Round], post: usize, place: &Rigid) -> (Matrix6<f64>, Vector
     for round in rounds {
         let Some(look) = round.looks.iter().find(|look| look.post == post) else { continue };
         let Some((middle_m, spread)) = round.middle(Some(post)) else { continue };
-        let Some(weight) = (look.covariance + spread).cholesky() else { continue };
+        let Some((weight, _)) = invert_positive(&(look.covariance + spread)) else { continue };
         let (_, trust) = robust(round.energy());
         let jacobian = jacobian(&(place.rotation * look.position_m));
-        let weighted = weight.solve(&jacobian) * trust;
+        let weighted = weight * jacobian * trust;
         information += jacobian.transpose() * weighted;
         score -= weighted.transpose() * (look.world_m - middle_m);
     }
@@ -246,9 +254,10 @@ pub(super) fn release(rounds: &mut [Round], post: usize, from: &Rigid) -> Option
         covariance = factor.inverse();
         let change = factor.solve(&score);
         place_now = moved(&place_now, &change);
-        for look in rounds.iter_mut().flat_map(|round| &mut round.looks) {
-            if look.post == post {
+        for round in rounds.iter_mut() {
+            if let Some(look) = round.looks.iter_mut().find(|look| look.post == post) {
                 look.world_m = place(&place_now, &look.position_m);
+                round.energy = round.disagreement();
             }
         }
         if change.amax() < SHORT {

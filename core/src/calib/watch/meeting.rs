@@ -58,6 +58,13 @@ pub(super) struct Meeting {
     pub(super) stood_s: f64,
 }
 
+impl Meeting {
+    /// As if that camera had not been there.
+    pub(super) fn forget(&mut self, post: usize) {
+        self.sights.retain(|(it, _)| *it != post);
+    }
+}
+
 /// How long roundels stood.
 #[derive(Clone, Debug, Default)]
 pub(super) struct Stands {

@@ -23,6 +23,9 @@
 //!
 //! Until a bump is noticed, about a second, fusion guards itself ([`crate::world`], `guard`).
 //!
+//! Whose place was written by hand ([`Watch::distrust`]) is not called bumped before it has agreed with others: it may
+//! never have stood there, and then a calibration is wanted, not healing.
+//!
 //! Limits. Two cameras without references
 //! contradict each other, and nobody is moved. One roundel alone says nothing, since its code may be on show twice. Where there are no references, the common frame of all
 //! cameras may go where corrections of single cameras lead. A bump that takes a camera's view off everything
@@ -40,17 +43,17 @@ mod recovery;
 mod tests;
 mod trail;
 
-use std::collections::{BTreeMap, VecDeque};
+use std::collections::{BTreeMap, BTreeSet, VecDeque};
 
 use nalgebra::{Matrix6, Vector6};
 
 use crate::{
     id::{CameraId, TrackNumber},
-    rigid::Rigid,
+    rigid::{Covariance6, Rigid},
     time::Timestamp,
     world::{CameraPlacement, FrameObservations, Landmark},
 };
-use culprit::{Verdict, judge};
+use culprit::{Verdict, is_backed, judge};
 use drift::Drift;
 pub use event::{CameraHealth, WatchEvent, WatchState};
 use fit::{Round, moved};
@@ -70,6 +73,8 @@ const MOVED_STREAK: usize = 2;
 const UNCLEAR_STREAK: usize = 8;
 /// … and that this is over.
 const AGREED_STREAK: usize = 12;
+/// Landmarks that tie a camera to the world by themselves.
+const LEAST_FIXED: usize = 3;
 /// Drift is looked at every so many bins.
 const DRIFT_EVERY: i64 = 8;
 /// A camera that met no other for so many bins is alone.
@@ -88,6 +93,8 @@ const AHEAD_NS: i64 = 5_000_000_000;
 struct Post {
     camera: CameraId,
     placement: CameraPlacement,
+    /// Measured, or found to agree with others: that it does not any more has a cause.
+    is_trusted: bool,
     trails: BTreeMap<TrackNumber, Trail>,
     recovery: Option<Recovery>,
     /// When it met another.
@@ -117,6 +124,8 @@ pub struct Watch {
     drift: Drift,
     /// Those of which one moved, ascending.
     contradiction: Option<Vec<CameraId>>,
+    /// Those who were said to stand elsewhere than others see, ascending.
+    misplaced: Vec<CameraId>,
     events: Vec<WatchEvent>,
 }
 
@@ -134,25 +143,43 @@ impl Watch {
             streaks: Default::default(),
             drift: Drift::new(0),
             contradiction: None,
+            misplaced: Vec::new(),
             events: Vec::new(),
         }
     }
 
-    /// Says where a camera stands: what was known of how it agrees is forgotten. The place that an event told
-    /// may be said again, which changes nothing.
+    /// Says where a camera stands: what was known of how it agrees with others is forgotten. The place that an
+    /// event told may be said again, which changes nothing.
     pub fn set_camera(&mut self, camera: CameraId, placement: CameraPlacement) {
         match self.post(camera) {
-            Some(post) if self.posts[post].placement == placement => return,
+            Some(post) if self.posts[post].placement == placement => {}
             Some(post) => {
                 self.posts[post].placement = placement;
                 self.posts[post].recovery = None;
+                self.posts[post].is_trusted = true;
+                self.forget_camera(post);
             }
             None => {
                 let trails = BTreeMap::new();
-                self.posts.push(Post { camera, placement, trails, recovery: None, met: None });
+                self.posts.push(Post {
+                    camera,
+                    placement,
+                    is_trusted: true,
+                    trails,
+                    recovery: None,
+                    met: None,
+                });
+                self.drift.grow();
             }
         }
-        self.forget();
+    }
+
+    /// Says that where a camera stands was written by a person, and may be rough: until it has agreed with others once,
+    /// nobody who disagrees with it is called bumped, nor is it.
+    pub fn distrust(&mut self, camera: CameraId) {
+        if let Some(post) = self.post(camera) {
+            self.posts[post].is_trusted = false;
+        }
     }
 
     /// No longer watches a camera.
@@ -237,6 +264,23 @@ impl Watch {
         self.posts.iter().position(|post| post.camera == camera)
     }
 
+    /// Forgets what was seen of a camera together with others.
+    fn forget_camera(&mut self, post: usize) {
+        self.bins.iter_mut().flatten().for_each(|meeting| meeting.forget(post));
+        self.drift.forget(post);
+        self.posts[post].met = None;
+        // It may have stood elsewhere while it saw that.
+        self.posts[post].trails.values_mut().for_each(Trail::restart);
+        self.posts.iter_mut().filter_map(|it| it.recovery.as_mut()).for_each(|it| it.forget(post));
+        if self.streaks.iter().any(|streak| streak.posts.contains(&post)) {
+            self.streaks = Default::default();
+        }
+        let camera = self.posts[post].camera;
+        if self.contradiction.as_ref().is_some_and(|cameras| cameras.contains(&camera)) {
+            self.end_contradiction();
+        }
+    }
+
     /// Forgets all evidence: what it says of was changed.
     fn forget(&mut self) {
         self.bins.clear();
@@ -308,13 +352,27 @@ impl Watch {
             let Some(fit) = recovery.advance(index, meetings, &others, &self.params) else {
                 continue;
             };
+            let (fixed, met) = recovery.met(index);
             post.recovery = None;
-            // Found against others that err as it did before.
             post.placement.world_from_camera = fit.place;
-            post.placement.covariance += fit.covariance;
-            let (camera, placement) = (post.camera, post.placement);
+            post.placement.covariance = fit.covariance;
+            if fixed.len() < LEAST_FIXED {
+                // Found against others, it errs with them.
+                let best = self.best_of(&met);
+                self.posts[index].placement.covariance += best;
+            }
+            let (camera, placement) = (self.posts[index].camera, self.posts[index].placement);
             self.events.push(WatchEvent::Returned { camera, placement });
         }
+    }
+
+    /// The covariance of the place that is known best among these cameras.
+    fn best_of(&self, posts: &BTreeSet<usize>) -> Covariance6 {
+        let covariances = posts.iter().map(|post| self.posts[*post].placement.covariance);
+        let spread = |it: &Covariance6| it.fixed_view::<3, 3>(0, 0).trace();
+        covariances
+            .min_by(|one, other| spread(one).total_cmp(&spread(other)))
+            .unwrap_or_else(Covariance6::zeros)
     }
 
     /// Whether cameras in service agree of late; who does not is named.
@@ -337,7 +395,12 @@ impl Watch {
                 *streak = Streak { posts: named, is_unclear, count: 1 };
             }
             let count = streak.count;
+            if index + 1 == WINDOWS.len() && is_calm && self.bins.len() >= window {
+                self.trust(&rounds);
+            }
+            let is_doubtful = verdict != Verdict::Agreed && self.doubt(&rounds, count);
             match verdict {
+                _ if is_doubtful => {}
                 Verdict::Moved(moved) if count >= MOVED_STREAK => self.bumped(&moved),
                 Verdict::Unclear(posts) if count >= UNCLEAR_STREAK => self.contradict(&posts),
                 _ => {}
@@ -348,6 +411,33 @@ impl Watch {
             self.end_contradiction();
         }
         is_calm && self.contradiction.is_none()
+    }
+
+    /// Trusts who agrees with others.
+    fn trust(&mut self, rounds: &[Round]) {
+        for index in 0..self.posts.len() {
+            if !self.posts[index].is_trusted && is_backed(rounds, index) {
+                self.posts[index].is_trusted = true;
+                let camera = self.posts[index].camera;
+                self.misplaced.retain(|it| *it != camera);
+            }
+        }
+    }
+
+    /// Whether somebody among those who disagree may never have stood where he was said to; told once.
+    fn doubt(&mut self, rounds: &[Round], count: usize) -> bool {
+        let seen = rounds.iter().flat_map(Round::posts);
+        let doubtful: BTreeSet<CameraId> = seen
+            .filter(|post| !self.posts[*post].is_trusted)
+            .map(|post| self.posts[post].camera)
+            .collect();
+        let is_known = doubtful.iter().all(|camera| self.misplaced.contains(camera));
+        if count >= UNCLEAR_STREAK && !is_known {
+            self.misplaced = doubtful.iter().copied().collect();
+            let cameras = self.misplaced.clone();
+            self.events.push(WatchEvent::Misplaced { cameras });
+        }
+        !doubtful.is_empty()
     }
 
     fn rounds(&self, window: usize, places: &[Option<Rigid>]) -> Vec<Round> {

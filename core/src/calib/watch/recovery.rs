@@ -4,14 +4,14 @@
 //! From then on its place is taken over all that was seen since it rests, until that is known well enough, and
 //! held against what is seen in the second after, which it was not made from.
 
-use std::collections::VecDeque;
+use std::collections::{BTreeSet, VecDeque};
 
 use nalgebra::{Point3, Vector6};
 
 use super::{
     BIN_S, WatchParams,
     fit::{Fit, Round, cost, excess, release},
-    meeting::Meeting,
+    meeting::{Meeting, Roundel},
 };
 use crate::rigid::{Rigid, mahalanobis_squared};
 
@@ -42,6 +42,23 @@ pub(super) struct Recovery {
 impl Recovery {
     pub(super) fn new(place: Rigid) -> Self {
         Self { place, bins: VecDeque::new(), idle_bins: 0, candidate: None, checked: 0 }
+    }
+
+    /// What it saw together with that camera is not to be used.
+    pub(super) fn forget(&mut self, post: usize) {
+        self.bins.iter_mut().flatten().for_each(|meeting| meeting.forget(post));
+        self.candidate = None;
+    }
+
+    /// With whom it met: landmarks, and other cameras by post.
+    pub(super) fn met(&self, post: usize) -> (BTreeSet<Roundel>, BTreeSet<usize>) {
+        let met = || {
+            let meetings = self.bins.iter().flatten();
+            meetings.filter(|meeting| meeting.sights.iter().any(|(it, _)| *it == post))
+        };
+        let fixed = met().filter(|meeting| meeting.fixed.is_some());
+        let others = met().flat_map(|meeting| meeting.sights.iter().map(|(other, _)| *other));
+        (fixed.map(|meeting| meeting.roundel).collect(), others.filter(|it| *it != post).collect())
     }
 
     /// What was seen so far is not to be used.

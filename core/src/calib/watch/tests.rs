@@ -254,3 +254,72 @@ fn drift_is_followed() {
     assert!(error_m < 1e-3 && way_m > 2.9e-3, "{error_m}");
     assert_eq!(watch.posts[0].placement.world_from_camera, still[0]);
 }
+
+#[test]
+fn what_is_told_of_a_place_does_not_grow_with_every_recovery() {
+    let mut world = World::new(4);
+    let mut watch = world.watch();
+    let mut spread = Vec::new();
+    for turn in 0..6 {
+        let from_s = 40.0 * f64::from(turn);
+        let events = world.run(&mut watch, (from_s, from_s + 5.0), |_, _| ());
+        assert_eq!(events, []);
+        world.bump(1);
+        for event in world.run(&mut watch, (from_s + 5.0, from_s + 40.0), |_, _| ()) {
+            if let WatchEvent::Returned { placement, .. } = event {
+                spread.push(placement.covariance.fixed_view::<3, 3>(0, 0).trace());
+            }
+        }
+    }
+    assert_eq!(spread.len(), 6);
+    assert!(spread[5] < 1.5 * spread[0] && spread[0] > 0.0, "{spread:?}");
+}
+
+#[test]
+fn a_new_place_of_one_camera_leaves_what_is_known_of_others() {
+    let mut world = World::new(4);
+    let mut watch = world.watch();
+    assert_eq!(world.run(&mut watch, (0.0, 30.0), |_, _| ()), []);
+    let before = watch.health(CameraId(2)).unwrap();
+    let camera = CameraId(0);
+    world.bump(0);
+    watch.set_camera(camera, placement(&world.truth[0]));
+    let states = [0, 2].map(|camera| watch.health(CameraId(camera)).unwrap().state);
+    assert_eq!(states, [WatchState::Alone, WatchState::Watched]);
+    let after = watch.health(CameraId(2)).unwrap();
+    let growth = after.deviation_m / before.deviation_m;
+    assert!((1.0..3.0).contains(&growth), "{before:?} {after:?}");
+    assert_eq!(world.run(&mut watch, (30.0, 40.0), |_, _| ()), []);
+    assert_eq!(watch.health(camera).unwrap().state, WatchState::Watched);
+}
+
+fn is_noticed(world: &mut World, watch: &mut Watch, from_s: f64) -> bool {
+    world.bump(2);
+    let events = world.run(watch, (from_s, from_s + 2.0), |_, _| ());
+    matches!(events[..], [WatchEvent::Bumped { camera: CameraId(2), .. }])
+}
+
+#[test]
+fn a_place_that_was_only_written_is_not_healed_but_told() {
+    let mut world = World::new(4);
+    let mut watch = world.watch();
+    let rough = Rigid::translation(0.07, -0.03, 0.1);
+    watch.set_camera(CameraId(1), placement(&(rough * world.truth[1])));
+    (0..4).for_each(|camera| watch.distrust(CameraId(camera)));
+    let cameras = (0..4).map(CameraId).collect();
+    let events = world.run(&mut watch, (0.0, 20.0), |_, _| ());
+    assert_eq!(events, [WatchEvent::Misplaced { cameras }]);
+    // A calibration puts it right.
+    watch.set_camera(CameraId(1), placement(&world.truth[1]));
+    assert_eq!(world.run(&mut watch, (20.0, 30.0), |_, _| ()), []);
+    assert!(is_noticed(&mut world, &mut watch, 30.0));
+}
+
+#[test]
+fn a_place_that_was_written_and_right_is_healed() {
+    let mut world = World::new(4);
+    let mut watch = world.watch();
+    (0..4).for_each(|camera| watch.distrust(CameraId(camera)));
+    assert_eq!(world.run(&mut watch, (0.0, 10.0), |_, _| ()), []);
+    assert!(is_noticed(&mut world, &mut watch, 10.0));
+}

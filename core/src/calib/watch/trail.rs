@@ -120,6 +120,11 @@ impl Trail {
         }
     }
 
+    /// Forgets where it was seen, not its code.
+    pub(super) fn restart(&mut self) {
+        self.samples.clear();
+    }
+
     /// Forgets what is older than the end of the bin with this middle.
     pub(super) fn forget(&mut self, middle: Timestamp) {
         let end = middle.plus_seconds(0.5 * BIN_S);
