@@ -76,7 +76,7 @@ pub struct Healing {
     pub moves: Vec<Move>,
     /// What the watch is told of.
     pub landmarks: Vec<Landmark>,
-    /// Where cameras are said to stand.
+    /// Where cameras are said to stand, of those that there are.
     pub believed: Vec<Isometry3<f64>>,
     /// How wrong lenses are, by camera: share of the focal length, and of the centre in focal lengths. None: not at all.
     pub lenses: Vec<[f64; 3]>,
@@ -213,7 +213,9 @@ impl Healing {
         let mut watch = Watch::new(params);
         let start = Timestamp::from_ns(self.arena.start_ns);
         let mut places: Vec<Option<Isometry3<f64>>> = Vec::new();
-        for (index, &world_from_camera) in self.believed.iter().enumerate() {
+        for (index, (&world_from_camera, _)) in
+            self.believed.iter().zip(&self.arena.sites).enumerate()
+        {
             let placement = CameraPlacement { world_from_camera, covariance: Covariance6::zeros() };
             watch.set_camera(CameraId(index as u32), placement);
             places.push(Some(world_from_camera));

@@ -43,7 +43,9 @@ impl Healing {
     pub fn follow(&self, params: FusionParams, seconds: f64) -> Tracks {
         let start = Timestamp::from_ns(self.arena.start_ns);
         let (mut fusion, mut watch) = (Fusion::new(params), Watch::new(WatchParams::default()));
-        for (index, &world_from_camera) in self.believed.iter().enumerate() {
+        for (index, (&world_from_camera, _)) in
+            self.believed.iter().zip(&self.arena.sites).enumerate()
+        {
             let id = CameraId(index as u32);
             let placement = CameraPlacement { world_from_camera, covariance: Covariance6::zeros() };
             fusion.set_camera(id, Some(placement));

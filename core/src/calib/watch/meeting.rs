@@ -117,12 +117,16 @@ pub(super) fn meet(
             (None, None) => plain.push((single, world_m)),
         }
     }
-    for (index, (single, _)) in plain.iter().enumerate() {
-        if let Some(first) = first_of(&plain, index) {
-            let (first, _) = plain[first];
-            join(Roundel::Plain(first.post, first.number), single);
-        }
-    }
+    // So that who is near stands near in the list.
+    plain.sort_by(|one, other| one.1.x.total_cmp(&other.1.x));
+    let mut met: Vec<(&Single, Roundel)> = (0..plain.len())
+        .filter_map(|index| {
+            let (first, _) = plain[first_of(&plain, index)?];
+            Some((plain[index].0, Roundel::Plain(first.post, first.number)))
+        })
+        .collect();
+    met.sort_by_key(|(single, _)| (single.post, single.number));
+    met.into_iter().for_each(|(single, roundel)| join(roundel, single));
     stands.forget(bin);
     let meeting = |(roundel, sights): (Roundel, Option<Vec<(usize, Sight)>>)| {
         let sights = sights?;
@@ -153,26 +157,43 @@ fn is_landmark(landmark: &Landmark, single: &Single, world_m: &Vector3<f64>) -> 
         && (landmark.code.is_some() || is_near())
 }
 
+/// Views without a code, by their x.
+type Plain<'a> = [(&'a Single, Vector3<f64>)];
+
 /// The first of all views without a code that are of the same roundel as this one; `None` if that is in doubt.
-fn first_of(plain: &[(&Single, Vector3<f64>)], index: usize) -> Option<usize> {
+fn first_of(plain: &Plain<'_>, index: usize) -> Option<usize> {
     let (of, world_m) = &plain[index];
     let mut first = index;
-    for (other, (single, other_m)) in plain.iter().enumerate() {
+    for other in around(plain, world_m) {
+        let (single, other_m) = &plain[other];
         let is_mate =
             single.post != of.post && single.kind == of.kind && (other_m - world_m).norm() < NEAR_M;
         if is_mate {
             let is_alone = is_alone(plain, index, single.post) && is_alone(plain, other, of.post);
-            first = if is_alone { first.min(other) } else { return None };
+            if !is_alone {
+                return None;
+            }
+            let order = |index: usize| (plain[index].0.post, plain[index].0.number);
+            first = if order(other) < order(first) { other } else { first };
         }
     }
     Some(first)
 }
 
 /// Whether a camera has one view at most near that of another.
-fn is_alone(plain: &[(&Single, Vector3<f64>)], index: usize, post: usize) -> bool {
+fn is_alone(plain: &Plain<'_>, index: usize, post: usize) -> bool {
     let (of, world_m) = &plain[index];
-    let is_near = |(single, other_m): &&(&Single, Vector3<f64>)| {
+    let is_near = |other: &usize| {
+        let (single, other_m) = &plain[*other];
         single.post == post && single.kind == of.kind && (other_m - world_m).norm() < 2.0 * NEAR_M
     };
-    plain.iter().filter(is_near).count() <= 1
+    around(plain, world_m).filter(is_near).count() <= 1
+}
+
+/// All views that may be within twice [`NEAR_M`] of a place.
+fn around(plain: &Plain<'_>, world_m: &Vector3<f64>) -> std::ops::Range<usize> {
+    let reach_m = 2.0 * NEAR_M;
+    let from = plain.partition_point(|(_, other_m)| other_m.x < world_m.x - reach_m);
+    let count = plain[from..].partition_point(|(_, other_m)| other_m.x <= world_m.x + reach_m);
+    from..from + count
 }

@@ -19,7 +19,11 @@
 //! disagreement that no camera's move explains, and raises all limits alike.
 //!
 //! Reached on R4 (`cargo run --release -p roundel-tests --bin healing`, `tests/tests/healing.rs`): see the table
-//! there.
+//! there. Lenses that are off by 0.05 % and 0.5 px are taken up by places within minutes, and nothing wanders from then on.
+//!
+//! PERF: 16 cameras with 60 frames a second and 50 objects in each cost 1.1 to 1.6 % of a core with codes, 1.9 % without
+//! (5.8 before those that are near were looked for by place, and before more than 30 views a second were left out); `cargo
+//! bench -p roundel-core --bench watch`, on a busy machine.
 //!
 //! Until a bump is noticed, about a second, fusion guards itself ([`crate::world`], `guard`).
 //!

@@ -15,8 +15,11 @@ use crate::{
     time::Timestamp,
 };
 
-/// Positions kept of a roundel: two bins of a camera with 120 Hz.
+/// Positions kept of a roundel: more than a second of them.
 const MOST_SAMPLES: usize = 64;
+/// Positions that follow one another sooner are left out, nanoseconds: half of the error stays from frame to frame, so that
+/// more than thirty a second say little and only cost time.
+const LEAST_APART_NS: i64 = 18_000_000;
 /// A code is believed when it was read so often …
 const LEAST_VOTES: u32 = 2;
 /// … and so many times as often as any other.
@@ -79,6 +82,12 @@ impl Trail {
         if let Some(reading) = &seen.ring.code {
             self.vote(reading.code);
         }
+        self.newest = self.newest.max(time);
+        let is_near =
+            |sample: &Sample| time.ns_since(sample.time).saturating_abs() < LEAST_APART_NS;
+        if self.samples.last().is_some_and(is_near) {
+            return;
+        }
         let covariance = pose.covariance.fixed_view::<3, 3>(0, 0).into_owned();
         let is_sound = pose.position_m.iter().chain(covariance.iter()).all(|it| it.is_finite())
             && (0..3).all(|axis| covariance[(axis, axis)] > 0.0)
@@ -86,7 +95,6 @@ impl Trail {
         if is_sound && self.samples.len() < MOST_SAMPLES {
             self.samples.push(Sample { time, position_m: pose.position_m, covariance });
         }
-        self.newest = self.newest.max(time);
     }
 
     fn vote(&mut self, code: Code) {
