@@ -154,7 +154,7 @@ mod tests {
             turn_rad in -1.5..1.5f64,
             about_rad in -1.5..1.5f64,
             cos_tilt in 0.5..1.0f64,
-            shift_px in -0.3..0.3f64,
+            shift in -1.0..1.0f64,
             drawn in 0..4usize,
         ) {
             let kind = |major: f64, minor_diameter_m: f64| Kind {
@@ -163,6 +163,8 @@ mod tests {
             };
             let kinds = [kind(0.6, 0.4), Kind::plain("", 1.0, 0.5), kind(0.7, 0.45), kind(0.6, 0.5)];
             let (least, most) = kinds[drawn].ratios();
+            // A disc of 3 px whose rims are moved by more is as much another of these kinds with less.
+            let shift_px = shift * (radius_px / 75.0).min(0.3);
             let tilt = (cos_tilt, about_rad);
             let (outer, inner) = rims(radius_px, (most, least), turn_rad, tilt, shift_px);
             let found = nearest_kind(&kinds, Polarity::BlackRing, true, (&outer, &inner));
