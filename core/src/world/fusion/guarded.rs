@@ -10,6 +10,7 @@ use crate::{
     world::{
         HeldBack,
         association::{Decision, Sighting},
+        clock::Clocks,
         guard::{MOST_OTHERS, MOST_SQUARED, Passage, Pull, Surprise},
         life::Track,
     },
@@ -64,12 +65,12 @@ impl Fusion {
             surprise.count += 1;
         }
         let origin_m = place.world_from_camera.translation.vector;
-        let (tracks, sightings) = (&self.tracks, &self.sightings);
+        let (tracks, sightings, clocks) = (&self.tracks, &self.sightings, &self.clocks);
         let gather = |by: Option<CameraId>, pulls: &mut Vec<Pull>| {
             let each = sightings.iter().zip(decisions).filter_map(|(sighting, decision)| {
                 let index = decision.map(|(track, _)| track);
                 let track = &tracks[index.or_else(|| follows(tracks, sighting))?];
-                let pull = pull(track, sighting, by)?;
+                let pull = pull(track, sighting, by, clocks)?;
                 Some(Pull { arm_m: sighting.measurement.position_m - origin_m, ..pull })
             });
             pulls.clear();
@@ -135,9 +136,9 @@ fn follows(tracks: &[Track], sighting: &Sighting) -> Option<usize> {
 }
 
 /// What a sighting says of its camera's motion: how far it lies from where others, or only one of them, saw the
-/// object a moment ago. The
-/// track's own place is not asked, since the camera may have led it astray already, only its velocity.
-fn pull(track: &Track, sighting: &Sighting, by: Option<CameraId>) -> Option<Pull> {
+/// object a moment ago, which is known the worse the less is known of both cameras' clocks. The track's own place is
+/// not asked, since the camera may have led it astray already, only its velocity.
+fn pull(track: &Track, sighting: &Sighting, by: Option<CameraId>, clocks: &Clocks) -> Option<Pull> {
     let seen = &sighting.measurement;
     if track.is_tentative() {
         return None;
@@ -156,8 +157,10 @@ fn pull(track: &Track, sighting: &Sighting, by: Option<CameraId>) -> Option<Pull
         }
         let bent =
             track.model.acceleration_density_m2_s3 * (ACCELERATION_RATE_HZ * 0.25 * dt.powi(4));
+        let timing_s = clocks.deviation_s(seen.camera, view.camera);
         let covariance = view.position_noise.total
             + kernel.spread.rate * (dt * dt)
+            + kernel.rate * kernel.rate.transpose() * (timing_s * timing_s)
             + Matrix3::from_diagonal(&bent);
         let Some((weight, _)) = invert_positive(&covariance) else { continue };
         precision += weight;
