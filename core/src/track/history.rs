@@ -346,6 +346,7 @@ mod tests {
             systematic_time_s: 1.0,
             robust_distance_squared: 16.0,
             upright_log_odds: 3.0,
+            learns_turning: true,
             ground: None,
         }
     }

@@ -49,6 +49,8 @@ pub struct MotionModel {
     pub robust_distance_squared: f64,
     /// Log-odds by which a normal straight up is preferred to a level one before any evidence.
     pub upright_log_odds: f64,
+    /// Whether the density of what turns its normal is learned while its yaw is observed.
+    pub learns_turning: bool,
     /// The floor that it keeps to.
     pub ground: Option<Ground>,
 }

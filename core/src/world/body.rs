@@ -152,7 +152,7 @@ impl Bodies {
         if let MotionClass::Ground { height_m: Some(height_m) } = &mut class {
             *height_m += self.middles_m[body.0 as usize].z;
         }
-        params.motion_model(&class)
+        MotionModel { learns_turning: false, ..params.motion_model(&class) }
     }
 
     /// The height that it is held at by the middle of its roundels, and what was said of its origin.

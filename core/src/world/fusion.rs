@@ -391,10 +391,12 @@ impl Fusion {
         self.newest_used = self.newest_used.max(Some(sighting.measurement.time));
         let subject = sighting.subject;
         let class = subject.kind.and_then(|kind| self.classes.get(&kind)).copied();
-        let model = match subject.body {
+        let mut model = match subject.body {
             Some(body) => self.bodies.model(body, &self.params),
             None => self.params.motion_model(&class.unwrap_or_default()),
         };
+        // Where its own camera is its place hangs on its orientation, whose errors last.
+        model.learns_turning &= sighting.measurement.number != OWN_NUMBER;
         let mut track = Track::begin(id, subject, sighting.measurement, model);
         sighting.code.into_iter().for_each(|code| track.codes.add(code));
         self.tracks.push(track);
