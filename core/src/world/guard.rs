@@ -21,7 +21,7 @@
 //! never held back. What moves so slowly that each frame follows from the one before is known later: 2 cm in 0.3 s let one
 //! track of 8 × 24 go by 6.7 mm.
 //!
-//! PERF: a frame whose innovations are as large as usual costs an addition for each; the fit is made three times a
+//! PERF: a frame whose innovations are as large as usual costs an addition for each; the fit is made ten times a
 //! second for the baseline, and when something is unusual.
 
 mod shift;
@@ -54,7 +54,7 @@ const USUAL_SHARE: f64 = 0.05;
 /// Time in which the baseline forgets itself, seconds, …
 const BASELINE_S: f64 = 2.0;
 /// … and how often something is added to it.
-const LEARN_NS: i64 = 300_000_000;
+const LEARN_NS: i64 = 100_000_000;
 /// So much has to be known of a camera, from its first frame or its release on.
 const WARM_NS: i64 = 500_000_000;
 /// Without a witness within this, nobody is held back.
