@@ -56,7 +56,7 @@ pub fn linearize(
 /// What carrying the contour into the window needs of the scratch.
 pub struct Parts<'a> {
     pub level: fearless_simd::Level,
-    pub contours: &'a mut super::Contours,
+    pub contours: &'a mut super::contour::Contours,
     pub nodes: &'a mut Nodes,
     pub window: (i64, i64),
 }

@@ -62,6 +62,8 @@ mod mirror;
 mod motion;
 mod normal;
 mod patches;
+mod placed;
+mod scratch;
 mod solution;
 mod solve;
 mod state;
@@ -72,7 +74,6 @@ mod turn;
 mod upright;
 mod view;
 
-use fearless_simd::Level;
 use nalgebra::{Matrix3, Vector2, Vector3};
 use thiserror::Error;
 
@@ -82,21 +83,14 @@ use crate::{
     ellipse::{Chords, Ellipse},
     frame::Frame,
     marker::{Kind, Pattern, Ring},
-    rigid::Covariance6,
 };
-use blur::{BLUR_LIMITS_PX, Kernels};
-use careful::Careful;
-use contour::Contours;
-use heading::Heading;
-use image::Window;
-use lens::{LocalLens, Plan};
-use mirror::{Glance, glance};
-use normal::Sums;
-use solution::Solution;
+use blur::BLUR_LIMITS_PX;
+use lens::LocalLens;
+use placed::{Placed, placed};
+pub use scratch::FitScratch;
 use state::{Problem, State};
 pub use teeth::Teeth;
-use upright::{Leaning, Upright};
-use view::{Nodes, Place};
+use view::Place;
 
 /// Where a fit starts.
 #[derive(Clone, Debug, PartialEq)]
@@ -171,55 +165,6 @@ pub enum FitError {
     /// Too much of the rims is covered or otherwise not as printed.
     #[error("expected rims that agree with each other, found too many stretches that do not")]
     Disturbed,
-}
-
-/// Memory of the fit, to be used again and again: from the first fit on there is room for rings as large as
-/// the frame, so that none is taken later (`tests/allocation.rs`).
-#[derive(Clone, Debug)]
-pub struct FitScratch {
-    level: Level,
-    /// Of the frames that there is room for.
-    size: (usize, usize),
-    plan: Plan,
-    kernels: Kernels,
-    contours: Contours,
-    nodes: Nodes,
-    window: Window,
-    sums: Sums,
-    careful: Careful,
-}
-
-impl Default for FitScratch {
-    fn default() -> Self {
-        Self {
-            level: Level::new(),
-            size: (0, 0),
-            plan: Plan::default(),
-            kernels: Kernels::default(),
-            contours: Contours::default(),
-            nodes: Nodes::default(),
-            window: Window::default(),
-            sums: Sums::default(),
-            careful: Careful::default(),
-        }
-    }
-}
-
-/// By so many pixels the window of a ring as large as the frame may be wider than the frame.
-const BEYOND_PX: usize = 64;
-
-impl FitScratch {
-    /// Room for what a frame can show. Memory that no ring comes to use is asked for, but not touched.
-    fn make_room(&mut self, frame: &Frame) {
-        let size = (frame.width(), frame.height());
-        if self.size == size {
-            return;
-        }
-        self.size = size;
-        let (columns, rows) = (size.0 + BEYOND_PX, size.1 + BEYOND_PX);
-        self.window.make_room((columns, rows));
-        self.careful.make_room(columns * rows);
-    }
 }
 
 /// How far outside the outer rim pixels count: pixels, and in blurs.
@@ -324,151 +269,6 @@ fn read(start: &Start, camera: &Camera, ring: &Ring) -> Option<(f64, Teeth)> {
     let mut turned = start.pose.clone();
     yaw::add(&mut turned, camera, &reading);
     Some((turned.yaw_rad?, Teeth { bits: reading.code.bits, word: reading.word? }))
-}
-
-/// The place that the pixels within `counted` tell, from a start; of an elliptical disc its heading's
-/// deviation is that of the start.
-fn placed(
-    problem: &Problem,
-    first: State,
-    deviation_rad: Option<f64>,
-    counted: &Ellipse,
-    scratch: &mut FitScratch,
-) -> Result<Placed, FitError> {
-    let (mut solution, heading) = match (problem.teeth, deviation_rad) {
-        (Some(_), _) => turn::solve(problem, first, scratch).map(with_heading)?,
-        (None, Some(deviation_rad)) => {
-            heading::solve(problem, first, deviation_rad, scratch).map(with_heading)?
-        }
-        (None, None) => (descend::solve(problem, first, scratch)?, None),
-    };
-    if problem.is_still && !solution.is_plain() {
-        let moving = Problem { is_still: false, ..*problem };
-        return placed(&moving, solution.state, deviation_rad, counted, scratch);
-    }
-    let mut found = upright::estimate(problem, &solution, scratch);
-    if let Upright::Further(state) = found {
-        solution = descend::solve(problem, state, scratch)?;
-        found = upright::estimate(problem, &solution, scratch);
-    }
-    let (mut placed, heading) = match found {
-        Upright::Facing(first, other, likelihood) if solution.is_plain() => {
-            let placed = upright(problem, &solution, (first, other, likelihood));
-            (placed, heading.map(Heading::alone))
-        }
-        _ => {
-            let heading = match heading {
-                Some(heading) if !solution.is_plain() => Some(heading.disturbed(&solution)),
-                _ => heading,
-            };
-            (tilted(problem, solution, counted, scratch)?, heading)
-        }
-    };
-    if let Some(heading) = heading {
-        heading.add_to(problem, &mut placed);
-    }
-    Ok(placed)
-}
-
-fn with_heading((solution, heading): (Solution, Heading)) -> (Solution, Option<Heading>) {
-    (solution, Some(heading))
-}
-
-/// What a fit comes to, in the local frame but for the covariance, which is the camera's.
-struct Placed {
-    state: State,
-    other_normal: Vector3<f64>,
-    likelihood: f64,
-    /// From this position to that of the other normal.
-    apart_m: Vector3<f64>,
-    /// With this normal.
-    covariance: Covariance6,
-    noise2: f64,
-    /// Of either part of the motion's square by noise, px⁴.
-    motion_variance: Option<f64>,
-    iterations: usize,
-}
-
-/// One lean, or two, of a roundel that nearly faces the camera.
-fn upright(
-    problem: &Problem,
-    solution: &Solution,
-    (first, other, likelihood): (Leaning, Option<Leaning>, f64),
-) -> Placed {
-    let Leaning { state, covariance, turns } = first;
-    let covariance = solution.carried(problem, &state, &covariance, &turns);
-    let second = other.map_or(state.place, |other| other.state.place);
-    Placed {
-        other_normal: second.axes.column(2).into_owned(),
-        likelihood,
-        apart_m: second.position_m - state.place.position_m,
-        covariance,
-        noise2: solution.noise2,
-        motion_variance: solution.motion_variance(),
-        iterations: solution.iterations,
-        state,
-    }
-}
-
-/// The solution, or that of the mirrored place if it is nearer to the pixels; the careful one where
-/// noise explains neither.
-fn tilted(
-    problem: &Problem,
-    mut solution: Solution,
-    counted: &Ellipse,
-    scratch: &mut FitScratch,
-) -> Result<Placed, FitError> {
-    let at = (&solution.linear, solution.noise2);
-    let mut other = glance(problem, &solution.state, at, scratch);
-    if let Some(better) = &other
-        && better.misfit < solution.misfit
-        && let Ok(found) = descend::solve(problem, better.state.clone(), scratch)
-    {
-        let normal = |solution: &Solution| solution.state.place.axes.column(2).into_owned();
-        let back = normal(&found).dot(&normal(&solution));
-        // Near face-on the mirrored place may have no minimum of its own; then it counts as it is.
-        let own = back < normal(&found).dot(&solution.state.mirrored().place.axes.column(2));
-        let apart_m = found.state.place.position_m - solution.state.place.position_m;
-        let misfit = match &other {
-            Some(other) if !own => other.unmoved,
-            _ => found.misfit.max(solution.misfit),
-        };
-        let better = found.misfit < solution.misfit;
-        other = Some(Glance { misfit, unmoved: misfit, apart_m, state: found.state.clone() });
-        solution = if better { found } else { solution };
-    }
-    if !solution.is_plain() {
-        // Other teeth than presumed, or another yaw, would pass for a cover.
-        if problem.is_presumed && solution.linear.is_of_another() {
-            return Err(FitError::Disturbed);
-        }
-        // What disturbs the ring may have passed for motion, and taken the pose along.
-        let still = Problem { is_still: true, ..*problem };
-        let stopped = solution.state.stopped();
-        let start = descend::solve(&still, stopped.clone(), scratch);
-        let start = start.map_or(stopped, |solution| solution.state);
-        let placed = careful::solve(&still, &start, counted, scratch)?;
-        // With part of it covered, the disc's rim would be turned.
-        let is_elliptical = matches!(problem.kind.pattern, Pattern::Elliptical { .. });
-        if is_elliptical && !scratch.careful.keeps_disc() {
-            return Err(FitError::Disturbed);
-        }
-        return Ok(placed);
-    }
-    let likelihood = other.as_ref().map_or(1.0, |other| {
-        let worse = (other.misfit - solution.misfit).max(0.0) / solution.noise2;
-        1.0 / (1.0 + (-0.5 * worse).exp())
-    });
-    Ok(Placed {
-        other_normal: solution.state.mirrored().place.axes.column(2).into_owned(),
-        likelihood,
-        apart_m: other.map_or(Vector3::zeros(), |other| other.apart_m),
-        covariance: solution.covariance(problem).ok_or(FitError::Flat)?,
-        noise2: solution.noise2,
-        motion_variance: solution.motion_variance(),
-        iterations: solution.iterations,
-        state: solution.state,
-    })
 }
 
 /// Columns and rows of the window round the pixels that count.

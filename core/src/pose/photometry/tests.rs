@@ -1,4 +1,6 @@
-use super::*;
+use fearless_simd::Level;
+
+use super::{mirror::glance, *};
 use crate::{
     camera::{Intrinsics, Lens},
     marker::{Code, CodeLayout, CodeReading},
