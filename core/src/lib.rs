@@ -35,6 +35,7 @@ mod lanes;
 pub mod marker;
 pub mod pose;
 pub mod rigid;
+mod room;
 pub mod segment;
 pub mod sim;
 pub mod time;

@@ -20,7 +20,7 @@ use fearless_simd_macros::simd;
 
 use crate::{
     ellipse::{Ellipse, Moments, Shape},
-    marker::{belt::WIDE_PX, thin::Depths, weigh::Grey},
+    marker::{belt::WIDE_PX, oval::Rim, thin::Depths, weigh::Grey},
 };
 
 /// Deviation of the blurred edge, pixels, where the measured one is out of this range: pixels behind a
@@ -53,6 +53,11 @@ impl Weighed {
     pub fn new(sums: &Moments, origin: (usize, usize), cuts: Cuts) -> Option<Self> {
         let shape = sums.shape(origin)?;
         Some(Self { shape, rim: shape.ellipse(), cuts })
+    }
+
+    /// With its matrix.
+    pub fn oval(&self) -> Rim {
+        Rim { ellipse: self.rim, matrix: self.shape.matrix_of(&self.rim) }
     }
 }
 

@@ -22,6 +22,7 @@ use crate::{
         reject::{Reject, RejectCounts, Rejected, Rejects},
         search::{SearchRules, SearchScratch},
     },
+    room::make_room,
     segment::Window,
 };
 
@@ -87,11 +88,6 @@ impl Scratch {
     pub fn rejected(&self) -> &[Rejected] {
         self.rejects.list.as_deref().unwrap_or_default()
     }
-}
-
-/// Makes room for so many items in all.
-pub(crate) fn make_room<T>(items: &mut Vec<T>, most: usize) {
-    items.reserve_exact(most.saturating_sub(items.len()));
 }
 
 impl Detector {

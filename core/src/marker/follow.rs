@@ -20,9 +20,8 @@ use crate::{
     ellipse::Ellipse,
     marker::{
         belt::{BeltScratch, Belts, CROSS_PX, LEAST_BLACK, LEAST_WHITE, WIDE_PX, pixels_in},
-        oval::{LANES, Oval, Placed, Rim, Rows},
+        oval::{Area, LANES, Oval, Placed, Rim, Rows},
         patch::{Patch, WORD_PX},
-        weigh::Area,
     },
 };
 

@@ -39,20 +39,21 @@ use crate::{
         Ring,
         belt::{self, BELT_PX, BeltScratch, Belts, THIN_PX, WIDE_PX, pixels_in},
         blur::{Cuts, Taken, Unblurred, Weighed, unblur},
-        detector::make_room,
         elliptical,
         examine::{Counted, Probe, Rules, check_boxes, check_levels, check_shapes},
         follow::{Expected, Followed, belts_about, motion},
         kind::{Kind, Polarity, RATIO_LIMITS, nearest_kind},
         levels::Levels,
         outline::unevenness,
+        oval::Area,
         patch::{Patch, WORD_PX},
         reject::Reject,
         segments::{Segments, Spans},
         spans::Extent,
         thin::Depths,
-        weigh::{Area, Weights, moments},
+        weigh::{Weights, moments},
     },
+    room::make_room,
 };
 
 /// A ring is measured anew at its own threshold, eq. (3), if that is further from the first one than
@@ -329,7 +330,7 @@ fn weigh<S: Simd>(
     loop {
         if thin {
             let sets = (grey, belts.whole, belts.white);
-            Depths::measure(simd, depths, sets, words, origin, (&outer, &inner));
+            Depths::measure(simd, depths, sets, words, origin, (&outer.oval(), &inner.oval()));
         }
         let levels = (&of_black, &of_white, of_margin.as_ref());
         found = unblur(simd, (&outer, &inner), levels, thin.then_some(&*depths));

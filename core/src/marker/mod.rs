@@ -71,7 +71,6 @@ mod weigh;
 pub use code::{
     Code, CodeError, CodeLayout, CodeReader, CodeReading, Dictionary, Tooth, VotedCode,
 };
-pub(crate) use detector::make_room;
 pub use detector::{Detector, Scratch};
 pub use elliptical::AXIS_RATIO_LIMIT;
 pub use kind::{Kind, Pattern, Polarity, RATIO_LIMITS};

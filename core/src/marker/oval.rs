@@ -11,10 +11,7 @@ use fearless_simd::{Simd, f32x16, i32x16, prelude::*, u32x16, u64x8};
 
 use crate::{
     ellipse::{Ellipse, Symmetric2},
-    marker::{
-        patch::{PADDING_ROWS, Patch, WORD_PX},
-        weigh::Area,
-    },
+    marker::patch::{PADDING_ROWS, Patch, WORD_PX},
 };
 
 /// Rows that are found together.
@@ -22,6 +19,13 @@ pub(crate) const LANES: usize = PADDING_ROWS;
 /// Their numbers.
 pub(crate) const LANE: [f32; LANES] =
     [0.0, 1.0, 2.0, 3.0, 4.0, 5.0, 6.0, 7.0, 8.0, 9.0, 10.0, 11.0, 12.0, 13.0, 14.0, 15.0];
+
+/// Rows and columns (first, end).
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(crate) struct Area {
+    pub rows: (usize, usize),
+    pub columns: (usize, usize),
+}
 
 /// A rim, with [`Ellipse::matrix`], which costs a sine.
 #[derive(Clone, Copy, Debug)]

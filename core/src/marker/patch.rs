@@ -12,11 +12,7 @@
 use fearless_simd::{Simd, prelude::*, u8x64};
 use fearless_simd_macros::simd;
 
-use crate::{
-    frame::Frame,
-    marker::{detector::make_room, kind::Polarity},
-    segment::Window,
-};
+use crate::{frame::Frame, marker::kind::Polarity, room::make_room, segment::Window};
 
 /// Columns of a word.
 pub(crate) const WORD_PX: usize = 64;

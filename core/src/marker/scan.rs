@@ -9,7 +9,10 @@
 //! A row of edges costs a few instructions for each 64 pixels ([`crate::marker::edge`]), and a few
 //! for each edge; grey levels are looked at only where the widths agree.
 
-use crate::marker::{chord::Evenness, detector::make_room, edge::RowEdges, kind::Polarity};
+use crate::{
+    marker::{chord::Evenness, edge::RowEdges, kind::Polarity},
+    room::make_room,
+};
 
 /// Least steps of the edges that are looked at together, in least steps of all. Waves are up to a fifth
 /// of the contrast and edges at least half of it, so one of these lies between them.

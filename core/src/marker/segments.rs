@@ -9,12 +9,12 @@ use fearless_simd_macros::simd;
 use crate::{
     frame::Frame,
     marker::{
-        detector::make_room,
         examine::{Counted, Rules, check_counts},
         patch::Patch,
         reject::Reject,
         spans::{Bits, Extent, Span, Spill, follow_disc, follow_ring},
     },
+    room::make_room,
 };
 
 /// Rows of both segments, by the patch's rows.

@@ -10,7 +10,10 @@
 use fearless_simd::Simd;
 use fearless_simd_macros::simd;
 
-use crate::marker::{blur::Weighed, detector::make_room, patch::WORD_PX};
+use crate::{
+    marker::{oval, patch::WORD_PX},
+    room::make_room,
+};
 
 /// h: how far from the middle pixels count, pixels.
 const HALF_WIDTH_PX: f32 = 1.0;
@@ -54,7 +57,7 @@ impl Depths {
         (grey, whole, white): (&[[u8; WORD_PX]], &[u64], &[u64]),
         words: usize,
         first: (usize, usize),
-        (outer, inner): (&Weighed, &Weighed),
+        (outer, inner): (&oval::Rim, &oval::Rim),
     ) {
         let _ = simd;
         depths.clear();
@@ -147,12 +150,11 @@ struct Rim {
 }
 
 impl Rim {
-    fn new(rim: &Weighed, first: (usize, usize)) -> Self {
-        let matrix = rim.shape.matrix_of(&rim.rim);
+    fn new(oval::Rim { ellipse, matrix }: &oval::Rim, first: (usize, usize)) -> Self {
         let scale = 1.0 / matrix.determinant();
         Self {
-            u: (rim.shape.center.u - first.0 as f64) as f32,
-            v: (rim.shape.center.v - first.1 as f64) as f32,
+            u: (ellipse.center.u - first.0 as f64) as f32,
+            v: (ellipse.center.v - first.1 as f64) as f32,
             uu: (scale * matrix.vv) as f32,
             uv: (-scale * matrix.uv) as f32,
             vv: (scale * matrix.uu) as f32,

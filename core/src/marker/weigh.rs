@@ -11,7 +11,10 @@ use fearless_simd_macros::simd;
 
 use crate::{
     ellipse::Moments,
-    marker::{oval::LANE, patch::WORD_PX},
+    marker::{
+        oval::{Area, LANE},
+        patch::WORD_PX,
+    },
 };
 
 /// Columns summed at a time.
@@ -179,13 +182,6 @@ pub(crate) fn moments<S: Simd>(
         uv: f64::from(uv.reduce_sum()),
         vv: f64::from(vv.reduce_sum()),
     }
-}
-
-/// Rows and columns (first, end).
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(crate) struct Area {
-    pub rows: (usize, usize),
-    pub columns: (usize, usize),
 }
 
 /// Σ w, Σ w v, Σ w v² of sixteen columns.

@@ -26,12 +26,9 @@ use super::{
     cone::{Circle, PER_ROOT},
     facing,
     rim::Rim,
-    smear::{self, Smear},
+    smear::{self, Covariance5, Smear},
 };
 use crate::lanes::{Lane, Mat2, Vec2, Vec3};
-
-/// Over (α, ln d, w).
-pub type Covariance5<T> = [[T; 5]; 5];
 
 /// A circle, and what is known of it.
 #[derive(Clone, Copy, Debug)]

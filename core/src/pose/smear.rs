@@ -27,7 +27,7 @@
 //!
 //! **Limits.** Turns within the exposure are not modelled; those of coded and elliptical discs neither.
 
-use super::{cone::PER_ROOT, refine::Covariance5, rim::Rim};
+use super::{cone::PER_ROOT, rim::Rim};
 use crate::lanes::{Lane, Mat2, Vec3};
 
 /// What is missed of ν, squared and as a share, in variances.
@@ -36,6 +36,9 @@ pub const MISSED: f64 = 0.05;
 const TOLD: f64 = 1e-5;
 /// What is more than a motion of so many pixels, of whose square |ν| is a sixth, is none.
 const MOST_PX: f64 = 8.0;
+
+/// Over the pose's (α, ln d, w).
+pub type Covariance5<T> = [[T; 5]; 5];
 
 /// What one rim says of ν: W s, of size, elongation and turn.
 pub type Weighted<T> = [Vec3<T>; 2];

@@ -10,8 +10,9 @@ use nalgebra::{Matrix2, Vector2};
 use super::{
     cone::Circle,
     facing::{self, Evidence, Lean},
-    refine::{Covariance5, Estimate, Estimates},
+    refine::{Estimate, Estimates},
     rim::Rim,
+    smear::Covariance5,
     smear::MISSED,
 };
 use crate::lanes::{Lane, Vec2};

@@ -17,6 +17,8 @@ use crate::{
     marker::{blur::normal_share, reject::Reject},
 };
 
+/// A rim more uneven than this is partly covered, or none.
+const MOST_UNEVEN: f64 = 0.25;
 /// Points of the outer rim.
 const POINTS: usize = 48;
 /// Where ring and margin have their levels, pixels from the rim, at least and at most, and between those a
@@ -94,7 +96,7 @@ pub(crate) fn outer_rim(light: &Light, outline: &Ellipse, threshold: f64) -> Res
             break;
         }
     }
-    if rim.unevenness > super::measure::MOST_UNEVEN { Err(Reject::Covered) } else { Ok(rim) }
+    if rim.unevenness > MOST_UNEVEN { Err(Reject::Covered) } else { Ok(rim) }
 }
 
 /// A point of a rim.

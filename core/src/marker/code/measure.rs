@@ -27,8 +27,6 @@ use crate::{
     },
 };
 
-/// A rim more uneven than this is partly covered, or none.
-pub(super) const MOST_UNEVEN: f64 = 0.25;
 /// Pixels beyond the outer rim that the frame must hold.
 const EDGE_PX: f64 = 1.5;
 /// Points of the white core, and their distance from its middle as a share of the outer radius.

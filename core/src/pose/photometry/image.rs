@@ -25,7 +25,7 @@ use super::{
     patches::Patches,
     view::Nodes,
 };
-use crate::{ellipse::Chords, frame::Frame, marker::make_room};
+use crate::{ellipse::Chords, frame::Frame, room::make_room};
 
 /// Rows are padded to whole vectors of any width.
 const LANES: usize = 16;

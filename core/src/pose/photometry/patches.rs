@@ -10,7 +10,7 @@
 
 use fearless_simd::prelude::*;
 
-use crate::marker::make_room;
+use crate::room::make_room;
 
 /// Rows and columns of a patch.
 const SIDE: usize = 4;
