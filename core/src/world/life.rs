@@ -128,6 +128,11 @@ impl Track {
         self.view(camera).ok().map(|index| self.views[index].time)
     }
 
+    /// Cameras that saw it at or after `since`; whoever measured it then is among them.
+    pub(super) fn seen_since(&self, since: Timestamp) -> impl Iterator<Item = CameraId> {
+        self.views.iter().filter(move |view| view.time >= since).map(|view| view.camera)
+    }
+
     /// Takes back what a camera measured from `since` on.
     pub(super) fn take_back(&mut self, camera: CameraId, since: Timestamp) -> TakenBack {
         let taken = self.history.take_back(camera, since, &self.model);

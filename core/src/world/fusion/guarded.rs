@@ -20,7 +20,7 @@ use crate::{
 const SPOILED_NS: i64 = 1_000_000_000;
 /// An object counts that another camera saw within this time.
 const CONFIRMED_S: f64 = 0.1;
-/// Measurements of an object that are looked at for that.
+/// Measurements of an object that are looked at for that at most.
 const MOST_LOOKED_AT: usize = 24;
 /// a² over the density that the model has of it.
 const ACCELERATION_RATE_HZ: f64 = 10.0;
@@ -143,16 +143,21 @@ fn pull(track: &Track, sighting: &Sighting, by: Option<CameraId>, clocks: &Clock
     if track.is_tentative() {
         return None;
     }
+    // PERF: a measurement is most of a kilobyte away from the next, so who is not there is not looked for.
+    let since = seen.time.plus_seconds(-CONFIRMED_S);
+    let is_asked = |camera: CameraId| camera != seen.camera && by.is_none_or(|by| by == camera);
+    let expected = track.seen_since(since).filter(|&camera| is_asked(camera)).count();
+    let expected = expected.min(MOST_OTHERS);
     let kernel = &track.history.newest().motion.agile().kernel;
     let mut others = [None; MOST_OTHERS];
     let (mut count, mut precision, mut pull) = (0, Matrix3::zeros(), Vector3::zeros());
     for view in track.history.measurements().rev().take(MOST_LOOKED_AT) {
         let dt = seen.time.seconds_since(view.time);
-        if dt > CONFIRMED_S || count == MOST_OTHERS {
+        if dt > CONFIRMED_S || count == expected {
             break;
         }
-        let is_new = view.camera != seen.camera && !others.contains(&Some(view.camera));
-        if !is_new || dt < -CONFIRMED_S || by.is_some_and(|by| by != view.camera) {
+        let is_new = is_asked(view.camera) && !others.contains(&Some(view.camera));
+        if !is_new || dt < -CONFIRMED_S {
             continue;
         }
         let bent =

@@ -87,45 +87,76 @@ impl Baseline {
 impl Shift {
     /// What other pulls gain by the same motion.
     pub(super) fn gain_of(&self, pulls: &[Pull]) -> f64 {
-        cost(pulls, &self.usual) - cost(pulls, &self.change)
+        cost(pulls, &self.usual).0 - cost(pulls, &self.change).0
     }
 }
 
 /// `None` if the pulls have no covariance.
+///
+/// PERF: where no object's cost is beyond [`ROBUST`], before a step and after it, all is linear, and that step was the
+/// last one there is.
 pub(super) fn fit(pulls: &[Pull], baseline: &Baseline) -> Option<Shift> {
     let usual = baseline.change();
+    let mut step = Step::at(pulls, &usual);
+    let before = step.cost;
     let mut change = usual;
-    let mut information = prior();
-    for _ in 0..STEPS {
-        let mut score = Vector6::zeros();
-        information = prior();
-        for pull in pulls {
-            let (left_m, squared) = pull.left(&change);
-            let weight = pull.weight * (ROBUST / squared.sqrt()).min(1.0);
-            let force = weight * left_m;
-            let mut rows = score.fixed_rows_mut::<3>(0);
-            rows -= force;
-            let mut rows = score.fixed_rows_mut::<3>(3);
-            rows -= pull.arm_m.cross(&force);
-            add_information(&mut information, &weight, &pull.arm_m);
+    let mut left = before;
+    for number in 1..=STEPS {
+        change += step.information.cholesky()?.solve(&(step.score - prior() * change));
+        let (cost, is_linear) = cost(pulls, &change);
+        left = cost;
+        if step.is_linear && is_linear || number == STEPS {
+            break;
         }
-        change += information.cholesky()?.solve(&(score - prior() * change));
+        step = Step::at(pulls, &change);
     }
-    let left = cost(pulls, &change);
     let freedom = (3 * pulls.len()).saturating_sub(NUMBERS).max(1) as f64;
     let apart = change - usual;
     let moved = pulls.iter().map(|pull| pull.by(&apart).norm_squared()).sum::<f64>();
     Some(Shift {
-        information: information - prior(),
+        information: step.information - prior(),
         usual,
         change,
-        gain: (cost(pulls, &usual) - left) / (left / freedom).max(1.0),
+        gain: (before - left) / (left / freedom).max(1.0),
         moved_m: (moved / pulls.len() as f64).sqrt(),
     })
 }
 
-fn cost(pulls: &[Pull], change: &Vector6<f64>) -> f64 {
-    pulls.iter().map(|pull| robust(pull.left(change).1)).sum()
+/// What a step of Gauss and Newton starts from.
+struct Step {
+    information: Matrix6<f64>,
+    score: Vector6<f64>,
+    cost: f64,
+    /// No object's cost is beyond [`ROBUST`].
+    is_linear: bool,
+}
+
+impl Step {
+    fn at(pulls: &[Pull], change: &Vector6<f64>) -> Self {
+        let mut step =
+            Self { information: prior(), score: Vector6::zeros(), cost: 0.0, is_linear: true };
+        for pull in pulls {
+            let (left_m, squared) = pull.left(change);
+            let weight = pull.weight * (ROBUST / squared.sqrt()).min(1.0);
+            let force = weight * left_m;
+            let mut rows = step.score.fixed_rows_mut::<3>(0);
+            rows -= force;
+            let mut rows = step.score.fixed_rows_mut::<3>(3);
+            rows -= pull.arm_m.cross(&force);
+            add_information(&mut step.information, &weight, &pull.arm_m);
+            step.cost += robust(squared);
+            step.is_linear &= squared <= ROBUST * ROBUST;
+        }
+        step
+    }
+}
+
+/// And whether no object's is beyond [`ROBUST`].
+fn cost(pulls: &[Pull], change: &Vector6<f64>) -> (f64, bool) {
+    pulls.iter().fold((0.0, true), |(cost, is_linear), pull| {
+        let squared = pull.left(change).1;
+        (cost + robust(squared), is_linear && squared <= ROBUST * ROBUST)
+    })
 }
 
 /// Adds Jᵀ W J.
