@@ -25,13 +25,14 @@ const NANOSECONDS: [&str; 13] = [
 ];
 
 /// Enumerations are integers on the wire and lower-case words in JSON.
-const ENUMERATIONS: [(&str, &str); 8] = [
+const ENUMERATIONS: [(&str, &str); 9] = [
     ("ObjectState.stage", "life_stage"),
     ("Object.stage", "life_stage"),
     ("Camera.status", "camera_status"),
     ("Camera.pose_status", "pose_status"),
     ("Event.kind", "event_kind"),
     ("CameraAgreement.state", "agreement_state"),
+    ("CaptureClock.base", "time_base"),
     ("Calibration.stage", "calibration_stage"),
     ("StartCalibrationRequest.apply", "calibration_apply"),
 ];

@@ -17,6 +17,7 @@ use std::{
 
 use criterion::{Criterion, criterion_group, criterion_main};
 use roundel_core::{
+    frame::Frame,
     sim::{Renderer, Scenario},
     time::Timestamp,
 };
@@ -24,7 +25,7 @@ use roundel_proto::v1::{Snapshot, SubscribeSnapshotsRequest, roundel_client::Rou
 use roundel_server::{
     config::Config,
     serve::Server,
-    source::{FrameInfo, FrameSource, OpenSource, SourceError},
+    source::{FrameInfo, FrameSource, LentFrame, OpenSource, SourceError},
     stop::Stop,
 };
 use tonic::{Streaming, transport::Endpoint};
@@ -34,6 +35,7 @@ type Pixels = Arc<Vec<u8>>;
 /// Frames from the benchmark instead of a camera.
 struct Fed {
     frames: Option<Receiver<(Pixels, Timestamp)>>,
+    newest: Pixels,
     size: (usize, usize),
     stop: Stop,
 }
@@ -41,19 +43,22 @@ struct Fed {
 impl OpenSource for Fed {
     fn open(&mut self) -> Result<Box<dyn FrameSource>, SourceError> {
         let frames = self.frames.take().ok_or(SourceError::Finished)?;
-        Ok(Box::new(Fed { frames: Some(frames), size: self.size, stop: self.stop.clone() }))
+        let (newest, stop) = (self.newest.clone(), self.stop.clone());
+        Ok(Box::new(Fed { frames: Some(frames), newest, size: self.size, stop }))
     }
 }
 
 impl FrameSource for Fed {
-    fn next_frame(&mut self, pixels: &mut Vec<u8>) -> Result<FrameInfo, SourceError> {
+    fn next_frame(&mut self) -> Result<LentFrame<'_>, SourceError> {
         let frames = self.frames.as_ref().ok_or(SourceError::Finished)?;
         while !self.stop.is_stopped() {
             match frames.recv_timeout(Duration::from_millis(50)) {
                 Ok((frame, capture_time)) => {
-                    pixels.clone_from(&frame);
+                    self.newest = frame;
                     let (width, height) = self.size;
-                    return Ok(FrameInfo { capture_time, width, height, skipped: 0 });
+                    let frame = Frame::new(&self.newest, width, height, width)
+                        .map_err(|error| SourceError::Failed(error.to_string()))?;
+                    return Ok(LentFrame { frame, info: FrameInfo::at(capture_time) });
                 }
                 Err(RecvTimeoutError::Timeout) => {}
                 Err(RecvTimeoutError::Disconnected) => return Err(SourceError::Finished),
@@ -93,7 +98,8 @@ impl Bench {
                 .expect("a buffer of its size");
             let (sender, frames) = sync_channel(1);
             senders.push((sender, Arc::new(pixels)));
-            Box::new(Fed { frames: Some(frames), size, stop: setting.stop })
+            let newest = Pixels::default();
+            Box::new(Fed { frames: Some(frames), newest, size, stop: setting.stop })
         })
         .await
         .expect("a server");

@@ -22,6 +22,7 @@ use crate::hub::{
     CameraPlace, CameraState, CameraStatus, Event, FusedSnapshot, Happening, Installation,
     ObjectRecord, PoseStatus,
 };
+use crate::source::{CaptureClock, TimeBase};
 
 /// A snapshot of `objects` (those that the subscriber chose out of `fused`).
 pub fn snapshot(
@@ -169,6 +170,9 @@ pub fn camera(installation: &Installation, id: CameraId, state: &CameraState) ->
         mount: ride.map(|ride| pose(&ride.object_from_camera)),
         localizes: ride.is_some_and(|ride| ride.localizes),
         agreement: state.health.as_ref().map(calibration::agreement),
+        capture_clock: state.capture_clock.map(capture_clock),
+        broken: state.broken,
+        decode_ms: state.decode_ms,
     }
 }
 
@@ -178,6 +182,17 @@ fn camera_clock(clock: &ClockEstimate) -> v1::CameraClock {
         skew_ppm: clock.skew * 1e6,
         deviation_ms: clock.deviation_s * 1e3,
     }
+}
+
+fn capture_clock(clock: CaptureClock) -> v1::CaptureClock {
+    let base = match clock.base {
+        TimeBase::Server => v1::TimeBase::Server,
+        TimeBase::Arrival => v1::TimeBase::Arrival,
+        TimeBase::Camera => v1::TimeBase::Camera,
+        TimeBase::Driver => v1::TimeBase::Driver,
+        TimeBase::Synchronized => v1::TimeBase::Synchronized,
+    };
+    v1::CaptureClock { base: base as i32, deviation_ms: clock.deviation_s * 1e3 }
 }
 
 fn intrinsics(camera: &Camera) -> v1::Intrinsics {

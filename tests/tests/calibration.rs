@@ -10,10 +10,11 @@ use roundel_client::{
     Client, Error,
     v1::{self, CalibrationApply, CalibrationStage, PoseStatus, StartCalibrationRequest},
 };
+use roundel_core::frame::Frame;
 use roundel_server::{
     config::Config,
     serve::{CameraSetting, Server},
-    source::{FrameInfo, FrameSource, OpenSource, SourceError},
+    source::{FrameInfo, FrameSource, LentFrame, OpenSource, SourceError},
 };
 use roundel_tests::{
     arena::Arena, export::Export, sensor::Sensing, sensor::Stream, survey::Survey,
@@ -29,7 +30,7 @@ const AT_ONCE: usize = 60;
 const HANG: Duration = Duration::from_secs(120);
 
 /// Gives black frames, twenty a second.
-struct Black(CameraPace);
+struct Black(CameraPace, Vec<u8>);
 
 #[derive(Clone)]
 struct CameraPace {
@@ -40,18 +41,18 @@ struct CameraPace {
 
 impl OpenSource for Black {
     fn open(&mut self) -> Result<Box<dyn FrameSource>, SourceError> {
-        Ok(Box::new(Black(self.0.clone())))
+        Ok(Box::new(Black(self.0.clone(), self.1.clone())))
     }
 }
 
 impl FrameSource for Black {
-    fn next_frame(&mut self, pixels: &mut Vec<u8>) -> Result<FrameInfo, SourceError> {
+    fn next_frame(&mut self) -> Result<LentFrame<'_>, SourceError> {
         if self.0.stop.wait(Duration::from_millis(50)) {
             return Err(SourceError::Stopped);
         }
         let (width, height) = self.0.size;
-        pixels.resize(width * height, 0);
-        Ok(FrameInfo { capture_time: self.0.clock.now(), width, height, skipped: 0 })
+        let frame = Frame::new(&self.1, width, height, width).unwrap();
+        Ok(LentFrame { frame, info: FrameInfo::at(self.0.clock.now()) })
     }
 }
 
@@ -61,7 +62,7 @@ async fn serve(config: &Path) -> anyhow::Result<(Server, Client)> {
     let server = Server::start_with_sources(config, |setting: CameraSetting<'_>| {
         let CameraSetting { camera, clock, stop, .. } = setting;
         let size = (camera.calibration.width(), camera.calibration.height());
-        Box::new(Black(CameraPace { size, clock, stop }))
+        Box::new(Black(CameraPace { size, clock, stop }, vec![0; size.0 * size.1]))
     })
     .await?;
     let client = Client::connect(&format!("http://{}", server.local_addr())).await?;

@@ -18,12 +18,30 @@ const STATUS_WORDS = {
 const FIGURES = [
   { key: "rate", name: "Rate", unit: "Hz", title: "Frames processed a second", value: (c) => fixed(c.rateHz, 1) },
   { key: "latency", name: "Latency", unit: "ms", title: "From capture to fused, median", value: (c) => fixed(c.latencyMs, 1) },
+  { key: "times", name: "Times", unit: "", title: "Where its capture times come from, and what they may be off by together before anything is found", value: (c) => timesText(c.captureClock) },
   { key: "clock", name: "Clock", unit: "", title: "By how much its clock is late against the others, give or take; times are corrected by it", value: (c) => clockText(c.clock) },
   { key: "detect", name: "Detect", unit: "ms", title: "Time to find the roundels in a frame, median", value: (c) => fixed(c.detectMs, 2) },
   { key: "detections", name: "Roundels", unit: "", title: "Found in the newest frame", value: (c) => whole(c.detections) },
   { key: "dropped", name: "Dropped", unit: "", title: "Frames that gave way to newer ones because the worker was busy", value: (c) => whole(c.dropped) },
+  { key: "broken", name: "Broken", unit: "", title: "Frames that arrived broken and were left out", value: (c) => whole(c.broken) },
   { key: "restarts", name: "Restarts", unit: "", title: "Times that the source was opened again after a failure", value: (c) => whole(c.restarts) },
 ];
+
+/** @type {Record<string, string>} */
+const BASE_WORDS = {
+  server: "server's clock",
+  arrival: "arrival",
+  camera: "camera's counter",
+  driver: "driver's stamp",
+  synchronized: "synchronized",
+};
+
+/** @param {import("./message.js").CaptureClock | null} clock */
+function timesText(clock) {
+  if (!clock) return "–";
+  const words = BASE_WORDS[clock.base] ?? clock.base;
+  return clock.deviationMs > 0 ? `${words} ± ${whole(clock.deviationMs)} ms` : words;
+}
 
 /** @param {import("./message.js").Clock | null} clock */
 function clockText(clock) {

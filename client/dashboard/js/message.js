@@ -65,7 +65,9 @@ import { errorEllipse, headingRad, sigmasM, tiltRad } from "./geometry.js";
  * @property {Intrinsics | null} intrinsics
  * @property {number} frames
  * @property {number} dropped
+ * @property {number} broken frames that arrived broken
  * @property {number} restarts
+ * @property {CaptureClock | null} captureClock null before its first frame
  * @property {number} rateHz
  * @property {number} detections
  * @property {number} detectMs
@@ -75,6 +77,7 @@ import { errorEllipse, headingRad, sigmasM, tiltRad } from "./geometry.js";
  */
 
 /** @typedef {{position: Vector3, orientation: Quaternion}} Pose */
+/** @typedef {{base: string, deviationMs: number}} CaptureClock which clock its capture times come from */
 /** @typedef {{offsetMs: number, skewPpm: number, deviationMs: number}} Clock how late its stamps are */
 /** @typedef {{sequence: number, timeMs: number, kind: string, objectId: number, camera: string, message: string}} Event */
 /** @typedef {{version: string, sourceId: string, name: string, startedTimeMs: number | null, snapshotRateHz: number}} ServerInfo */
@@ -168,7 +171,9 @@ function readCamera(raw) {
     intrinsics: readIntrinsics(raw?.intrinsics),
     frames: count(raw?.frames),
     dropped: count(raw?.dropped),
+    broken: count(raw?.broken),
     restarts: count(raw?.restarts),
+    captureClock: readCaptureClock(raw?.capture_clock),
     rateHz: count(raw?.rate_hz),
     detections: count(raw?.detections),
     detectMs: count(raw?.detect_ms),
@@ -177,6 +182,12 @@ function readCamera(raw) {
     // 0 is "not fitted".
     blurPx: number(raw?.blur_px) || null,
   };
+}
+
+/** @param {any} raw @returns {CaptureClock | null} */
+function readCaptureClock(raw) {
+  const base = text(raw?.base);
+  return base ? { base, deviationMs: count(raw?.deviation_ms) } : null;
 }
 
 /** @param {any} raw @returns {Pose | null} */

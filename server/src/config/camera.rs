@@ -15,7 +15,7 @@ use super::{
 };
 use crate::{
     camera_file,
-    source::{SourceAddress, simulated_camera},
+    source::{SourceAddress, simulated_camera, without_credentials},
 };
 
 const CAMERA_KEYS: [&str; 8] = [
@@ -116,7 +116,10 @@ fn camera(
         _ => table.number("line_time_us", Allowed::ZeroUpTo(MAX_LINE_TIME_US), 0.0) * 1e-6,
     };
     let uncertainty = Allowed::ZeroUpTo(MAX_CLOCK_UNCERTAINTY_MS);
-    let clock_uncertainty_s = table.number("clock_uncertainty_ms", uncertainty, 0.0) * 1e-3;
+    // Of a camera of which nothing is said, its source knows how far its times may be off.
+    let usual_s = address.as_ref().map_or(0.0, |it| it.capture_clock().deviation_s);
+    let clock_uncertainty_s =
+        table.number("clock_uncertainty_ms", uncertainty, usual_s * 1e3) * 1e-3;
     let mode = table.choice("mode", &MODES).unwrap_or(mode);
     let mask = calibration.as_ref().map(|camera| mask(table, camera));
     if table.is_broken() {
@@ -124,7 +127,7 @@ fn camera(
     }
     Some(CameraConfig {
         name: name?.to_owned(),
-        source: source?.to_owned(),
+        source: without_credentials(source?),
         address: address?,
         calibration: calibration?,
         pose: pose?,

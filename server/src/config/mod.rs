@@ -80,7 +80,7 @@ pub struct ServerConfig {
 pub struct CameraConfig {
     /// Unique.
     pub name: String,
-    /// As written.
+    /// As written, without user and password.
     pub source: String,
     /// The same, read.
     pub address: SourceAddress,
@@ -90,7 +90,8 @@ pub struct CameraConfig {
     pub pose: CameraPose,
     /// Time from one image row's exposure to the next, seconds.
     pub line_time_s: f64,
-    /// How far its stamps may be off; 0: they are right, and nothing is estimated.
+    /// How far its stamps may be off, as written or as is usual of its source; 0: they are right, and nothing
+    /// is estimated.
     pub clock_uncertainty_s: f64,
     /// Its own, or that of `[detection]`.
     pub mode: Mode,

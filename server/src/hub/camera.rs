@@ -9,6 +9,8 @@ use roundel_core::{
     world::{CameraPlacement, ClockEstimate, Unplaced},
 };
 
+use crate::source::CaptureClock;
+
 /// What is fixed about a camera.
 #[derive(Clone, Debug, Default)]
 pub struct CameraInfo {
@@ -113,6 +115,8 @@ pub struct CameraState {
     pub frames: u64,
     /// Frames that gave way to newer ones.
     pub dropped: u64,
+    /// Frames that arrived broken.
+    pub broken: u64,
     /// Times that the source was opened again.
     pub restarts: u64,
     /// Mean over the last seconds.
@@ -121,6 +125,8 @@ pub struct CameraState {
     pub detections: usize,
     /// Median of the newest frames' detection times, milliseconds.
     pub detect_ms: f64,
+    /// Time that decoding a frame takes, before that, median, milliseconds.
+    pub decode_ms: f64,
     /// The part of it that finding takes, median, milliseconds.
     pub find_ms: f64,
     /// The part of it that locating takes, median, milliseconds.
@@ -133,6 +139,8 @@ pub struct CameraState {
     pub counts: DetectionCounts,
     /// Median from capture to fused, milliseconds.
     pub latency_ms: f64,
+    /// Which clock the newest frame's capture time comes from.
+    pub capture_clock: Option<CaptureClock>,
     /// What fusion knows of its clock.
     pub clock: Option<ClockEstimate>,
     /// How its place agrees with what others see.

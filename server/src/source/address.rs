@@ -1,4 +1,6 @@
-//! Where frames come from, as a URL: `images:GLOB-OR-FOLDER?…` or `sim:?…`.
+//! Where frames come from, as a URL: `images:GLOB-OR-FOLDER?…`, `sim:?…` or `http://…`.
+
+mod network;
 
 use std::{
     fmt,
@@ -8,10 +10,12 @@ use std::{
 
 use thiserror::Error;
 
+use super::timing::CaptureClock;
 use crate::suggestion::{list, nearest};
+pub use network::{HttpAddress, without_credentials};
 
 /// The schemes that this version plays, as people write them.
-const SCHEMES: [&str; 2] = ["images:", "sim:"];
+const SCHEMES: [&str; 3] = ["images:", "sim:", "http:"];
 const IMAGES_KEYS: [&str; 4] = ["fps", "times", "clock", "loop"];
 const SIM_KEYS: [&str; 4] = ["preset", "seed", "robots", "camera"];
 /// Frames a second that an address may ask for.
@@ -24,6 +28,8 @@ pub enum SourceAddress {
     Images(ImagesAddress),
     /// One camera of a simulated arena.
     Sim(SimAddress),
+    /// A network camera that sends JPEGs.
+    Http(HttpAddress),
 }
 
 /// `images:GLOB-OR-FOLDER?fps=30&times=FILE&clock=file&loop=true`.
@@ -107,6 +113,16 @@ pub enum AddressError {
     /// Two options that exclude each other, or one that needs another.
     #[error("{0}")]
     Options(&'static str),
+    /// A network address that is none.
+    #[error("`{found}` is no address of a camera: {reason}; write it as {example}")]
+    Network {
+        /// As written, without user and password.
+        found: String,
+        /// What is wrong.
+        reason: String,
+        /// One that is right.
+        example: &'static str,
+    },
 }
 
 fn meant(found: &str) -> String {
@@ -127,7 +143,16 @@ impl SourceAddress {
         match scheme {
             "images" => images(path, query, folder).map(Self::Images),
             "sim" => sim(path, query).map(Self::Sim),
+            "http" => network::http(url).map(Self::Http),
             _ => Err(AddressError::Scheme { found: format!("{scheme}:") }),
+        }
+    }
+
+    /// Which clock the capture times of its frames come from, as far as is known before the first one.
+    pub fn capture_clock(&self) -> CaptureClock {
+        match self {
+            Self::Images(_) | Self::Sim(_) => CaptureClock::EXACT,
+            Self::Http(_) => CaptureClock::ARRIVAL,
         }
     }
 
@@ -296,7 +321,7 @@ mod tests {
         for (url, expected) in [
             (
                 "image:x",
-                "no source begins with `image:`: expected `images:`, `sim:`; did you mean `images:`?",
+                "no source begins with `image:`: expected `images:`, `sim:`, `http:`; did you mean `images:`?",
             ),
             ("frames/*.png", "no source begins with `frames/*.png`"),
             ("images:", "needs a folder or a pattern"),

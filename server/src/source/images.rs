@@ -1,14 +1,22 @@
 //! `images:` – image files, played in real time.
 
-use std::path::{Path, PathBuf};
+use std::{
+    path::{Path, PathBuf},
+    time::Instant,
+};
 
 use roundel_core::time::Timestamp;
 
 use super::{
-    FrameInfo, FrameSource, ImagesAddress, Playback, SourceError, natural,
+    FrameInfo, FrameSource, ImagesAddress, LentFrame, Playback, SourceError, bad_frame, natural,
     playback::{mean_interval_ns, read_times},
+    wrong_size,
 };
-use crate::{clock::Clock, image_file, stop::Stop};
+use crate::{
+    clock::Clock,
+    image_file::{self, GreyImage},
+    stop::Stop,
+};
 
 /// Endings of the files that are played of a folder.
 const ENDINGS: [&str; 5] = ["png", "jpg", "jpeg", "pgm", "bmp"];
@@ -105,6 +113,7 @@ pub(super) struct ImageSource {
     size: (usize, usize),
     clock: Clock,
     stop: Stop,
+    image: GreyImage,
     next: u64,
     /// The first frame of an opening is not late: nobody could have taken it earlier.
     first: bool,
@@ -112,35 +121,32 @@ pub(super) struct ImageSource {
 
 impl ImageSource {
     pub(super) fn new(schedule: Schedule, size: (usize, usize), clock: Clock, stop: Stop) -> Self {
-        Self { schedule, size, clock, stop, next: 0, first: true }
+        let image = GreyImage::default();
+        Self { schedule, size, clock, stop, image, next: 0, first: true }
     }
 }
 
 impl FrameSource for ImageSource {
-    fn next_frame(&mut self, pixels: &mut Vec<u8>) -> Result<FrameInfo, SourceError> {
+    fn next_frame(&mut self) -> Result<LentFrame<'_>, SourceError> {
         let frame = self.schedule.newest_due(self.next, self.clock.now());
         let due = self.schedule.due(frame).ok_or(SourceError::Finished)?;
         let skipped = if self.first { 0 } else { frame - self.next };
         // Decoded before it is due, so that decoding costs no latency.
         let path = self.schedule.file(frame);
-        let image =
+        let begun = Instant::now();
+        self.image =
             image_file::load(path).map_err(|error| SourceError::Failed(error.to_string()))?;
-        if (image.width, image.height) != self.size {
-            let (width, height) = self.size;
-            return Err(SourceError::Failed(format!(
-                "{}: expected an image of {width} x {height} pixels as the camera file says, found \
-                 {} x {}",
-                path.display(),
-                image.width,
-                image.height
-            )));
+        let decoding = begun.elapsed();
+        let found = (self.image.width, self.image.height);
+        if found != self.size {
+            return Err(wrong_size(&path.display().to_string(), self.size, found));
         }
         if self.stop.wait(self.clock.until(due)) {
             return Err(SourceError::Stopped);
         }
         (self.next, self.first) = (frame + 1, false);
-        *pixels = image.pixels;
-        Ok(FrameInfo { capture_time: due, width: image.width, height: image.height, skipped })
+        let info = FrameInfo { skipped, decoding, ..FrameInfo::at(due) };
+        Ok(LentFrame { frame: self.image.frame().map_err(bad_frame)?, info })
     }
 }
 

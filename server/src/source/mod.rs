@@ -5,36 +5,77 @@
 //! | `images` | `images:` – files played in real time |
 //! | `sim` | `sim:` – a simulated camera, rendered while it is watched |
 //! | `playback` | when each of their frames is due |
+//! | `http` | `http://…` – MJPEG of network cameras, or their snapshots |
+//!
+//! What they are made of:
+//!
+//! | module | what it does |
+//! | --- | --- |
+//! | `timing` | which clock capture times come from, and a camera's own counter on the server's clock |
+//! | [`pixels`] | what cameras send → 8-bit grey |
+//! | `jpeg` | JPEG → luma |
+//! | `feed` | a thread that receives; the newest frame wins, and a stall is an error |
 //!
 //! A paced source that is asked too late skips to the newest frame that is due and says how many it
-//! left out: frames never queue.
+//! left out; one that comes by itself keeps the newest: frames never queue. What arrives broken is counted and
+//! left out. An error ends a source, and the worker's supervisor opens it again after a pause.
 
 mod address;
+mod feed;
+mod http;
 mod images;
+mod jpeg;
 mod natural;
+pub mod pixels;
 mod playback;
 mod sim;
+mod timing;
 
-use roundel_core::time::Timestamp;
+use std::time::Duration;
+
+use roundel_core::{frame::Frame, time::Timestamp};
 use thiserror::Error;
 
-pub use address::{AddressError, ImagesAddress, SimAddress, SimPreset, SourceAddress};
+pub use address::{
+    AddressError, HttpAddress, ImagesAddress, SimAddress, SimPreset, SourceAddress,
+    without_credentials,
+};
 pub use playback::{Playback, TimesError};
 pub use sim::{SIM_LATENCY_S, simulated_camera, simulated_scenario};
+pub use timing::{CaptureClock, TimeBase};
 
 use crate::{clock::Clock, stop::Stop};
 
 /// What is known about a frame apart from its pixels.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[derive(Clone, Copy, Debug, PartialEq)]
 pub struct FrameInfo {
     /// Middle of the exposure at the middle row, on the server's clock.
     pub capture_time: Timestamp,
-    /// Columns, pixels.
-    pub width: usize,
-    /// Rows, pixels.
-    pub height: usize,
+    /// Where that comes from, and how far off it may be.
+    pub clock: CaptureClock,
     /// Frames left out since the one before, because they came too fast.
     pub skipped: u64,
+    /// Frames left out since the one before, because they arrived broken.
+    pub broken: u64,
+    /// Time that decoding took.
+    pub decoding: Duration,
+}
+
+impl FrameInfo {
+    /// Of a frame that needed no decoding, after none that was left out.
+    pub fn at(capture_time: Timestamp) -> Self {
+        let (clock, decoding) = (CaptureClock::EXACT, Duration::ZERO);
+        Self { capture_time, clock, skipped: 0, broken: 0, decoding }
+    }
+}
+
+/// A frame, as long as the source does not make the next one.
+#[derive(Clone, Copy, Debug)]
+pub struct LentFrame<'a> {
+    /// Its pixels.
+    pub frame: Frame<'a>,
+    /// What else is known of it.
+    pub info: FrameInfo,
 }
 
 /// Why there is no further frame.
@@ -53,9 +94,9 @@ pub enum SourceError {
 
 /// A stream of 8-bit grey frames.
 pub trait FrameSource: Send {
-    /// Waits for the next frame and puts it into `pixels`, row by row without gaps. A stop signal
+    /// Waits for the next frame and lends it, of the size of the camera's calibration. A stop signal
     /// ends the wait at once.
-    fn next_frame(&mut self, pixels: &mut Vec<u8>) -> Result<FrameInfo, SourceError>;
+    fn next_frame(&mut self) -> Result<LentFrame<'_>, SourceError>;
 }
 
 /// What a worker opens its source with, and opens it again after a failure.
@@ -111,6 +152,23 @@ impl OpenSource for SourceOpener {
                 self.clock,
                 self.stop.clone(),
             )?)),
+            SourceAddress::Http(address) => {
+                let parts = http::HttpParts { size: self.size, clock: self.clock };
+                Ok(Box::new(http::HttpSource::open(address, parts, self.stop.clone())?))
+            }
         }
     }
+}
+
+/// The error of a frame of another size than the camera file's.
+fn wrong_size(what: &str, expected: (usize, usize), found: (usize, usize)) -> SourceError {
+    SourceError::Failed(format!(
+        "{what}: expected an image of {} x {} pixels as the camera file says, found {} x {}",
+        expected.0, expected.1, found.0, found.1
+    ))
+}
+
+/// The error of bytes that a source promised to be a picture, which is a bug of it.
+fn bad_frame(error: impl std::fmt::Display) -> SourceError {
+    SourceError::Failed(format!("internal error, please report it: {error}"))
 }

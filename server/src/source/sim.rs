@@ -3,11 +3,12 @@
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 use roundel_core::{
+    frame::Frame,
     sim::{Renderer, Scenario, ScenarioError, ScenarioParams, SimCamera},
     time::Timestamp,
 };
 
-use super::{FrameInfo, FrameSource, SimAddress, SimPreset, SourceError};
+use super::{FrameInfo, FrameSource, LentFrame, SimAddress, SimPreset, SourceError, bad_frame};
 use crate::{clock::Clock, stop::Stop};
 
 /// From the middle of the exposure until the worker has the frame: at least and at most.
@@ -48,6 +49,7 @@ pub(super) struct SimSource {
     stop: Stop,
     latency: ChaCha8Rng,
     next: Option<u64>,
+    pixels: Vec<u8>,
 }
 
 impl SimSource {
@@ -63,7 +65,7 @@ impl SimSource {
         let renderer = Renderer::new(&scenario, address.camera).map_err(failed)?;
         let camera = renderer.camera().clone();
         let latency = ChaCha8Rng::seed_from_u64(address.seed ^ address.camera as u64);
-        Ok(Self { renderer, camera, origin, clock, stop, latency, next: None })
+        Ok(Self { renderer, camera, origin, clock, stop, latency, next: None, pixels: Vec::new() })
     }
 
     /// The newest frame that was taken by now; 0 before the first.
@@ -74,15 +76,15 @@ impl SimSource {
 }
 
 impl FrameSource for SimSource {
-    fn next_frame(&mut self, pixels: &mut Vec<u8>) -> Result<FrameInfo, SourceError> {
+    fn next_frame(&mut self) -> Result<LentFrame<'_>, SourceError> {
         let newest = self.newest_taken();
         let frame = self.next.map_or(newest, |next| next.max(newest));
         let skipped = self.next.map_or(0, |next| frame - next);
         let (width, height) = (self.camera.camera.width(), self.camera.camera.height());
-        pixels.resize(width * height, 0);
+        self.pixels.resize(width * height, 0);
         let time_s = self
             .renderer
-            .render(frame, pixels)
+            .render(frame, &mut self.pixels)
             .map_err(|error| SourceError::Failed(error.to_string()))?;
         let capture_time = self.origin.plus_seconds(time_s);
         let latency_s = self.latency.random_range(SIM_LATENCY_S[0]..SIM_LATENCY_S[1]);
@@ -90,6 +92,8 @@ impl FrameSource for SimSource {
             return Err(SourceError::Stopped);
         }
         self.next = Some(frame + 1);
-        Ok(FrameInfo { capture_time, width, height, skipped })
+        let info = FrameInfo { skipped, ..FrameInfo::at(capture_time) };
+        let frame = Frame::new(&self.pixels, width, height, width).map_err(bad_frame)?;
+        Ok(LentFrame { frame, info })
     }
 }

@@ -36,7 +36,7 @@ pub use supervisor::{Pauses, run};
 use crate::{
     clock::Clock,
     hub::{CameraPlace, CameraStatus, Happening, Hub, Picture, PoseStatus},
-    source::{FrameInfo, OpenSource, SourceError},
+    source::{LentFrame, OpenSource, SourceError},
 };
 use adoption::{Adoption, Inbox};
 use meter::{Median, Rate};
@@ -106,7 +106,8 @@ pub struct Worker {
     locate_ms: Median,
     blur_px: Median,
     noise: Median,
-    pixels: Vec<u8>,
+    decode_ms: Median,
+    broken: u64,
     /// Since when frames arrive.
     running_since: Option<Instant>,
 }
@@ -154,7 +155,8 @@ impl Worker {
             locate_ms: Median::default(),
             blur_px: Median::default(),
             noise: Median::default(),
-            pixels: Vec::new(),
+            decode_ms: Median::default(),
+            broken: 0,
             running_since: None,
         }
     }
@@ -169,28 +171,32 @@ impl Worker {
             Err(error) => return end(error),
         };
         loop {
-            match source.next_frame(&mut self.pixels) {
-                Ok(info) => self.take(&info),
+            match source.next_frame() {
+                Ok(lent) => self.take(&lent),
                 Err(error) => return end(error),
             }
         }
     }
 
-    fn take(&mut self, info: &FrameInfo) {
+    fn take(&mut self, lent: &LentFrame<'_>) {
+        let info = &lent.info;
         let received = self.parts.clock.now();
         if let Some(adoption) = self.parts.inbox.take() {
             self.adopt(adoption);
         }
         self.frames += 1;
         self.dropped += info.skipped;
+        self.broken += info.broken;
+        self.decode_ms.add(info.decoding.as_secs_f64() * 1e3);
         let begun = Instant::now();
         let by = Seen {
             camera: self.parts.id,
             calibration_version: self.parts.calibration_version,
             frame: self.frames,
+            capture_time: info.capture_time,
             received_time: received,
         };
-        let result = self.parts.pipeline.process(&self.pixels, info, &by);
+        let observations = Arc::new(self.parts.pipeline.process(&lent.frame, &by));
         self.detect_ms.add(begun.elapsed().as_secs_f64() * 1e3);
         let times = self.parts.pipeline.times();
         self.find_ms.add(times.find_ms);
@@ -199,22 +205,14 @@ impl Worker {
             self.blur_px.add(quality.blur_px);
             self.noise.add(quality.noise);
         }
-        let observations = match result {
-            Ok(observations) => Arc::new(observations),
-            Err(error) => {
-                // Sources promise the size of their frames, so this is a bug of theirs.
-                tracing::error!(camera = self.parts.name, %error, "frame refused");
-                return;
-            }
-        };
         self.rate.add(received);
         if self.running_since.is_none() {
             self.running_since = Some(begun);
-            self.report_running(info, received);
+            self.report_running(lent, received);
         }
         self.find_place(&observations, received);
         self.hand_to_fusion(observations.clone());
-        self.publish(info, observations);
+        self.publish(lent, observations);
     }
 
     /// From this frame on. Fusion hears of the place with what is seen in it.
@@ -230,13 +228,14 @@ impl Worker {
         });
     }
 
-    fn report_running(&self, info: &FrameInfo, now: Timestamp) {
+    fn report_running(&self, lent: &LentFrame<'_>, now: Timestamp) {
         let (id, name) = (self.parts.id, &self.parts.name);
-        tracing::info!(camera = name, width = info.width, height = info.height, "frames arrive");
+        let (width, height) = (lent.frame.width(), lent.frame.height());
+        tracing::info!(camera = name, width, height, "frames arrive");
         self.parts.hub.update_camera(id, |state| {
             state.status = CameraStatus::Running;
             state.error.clear();
-            (state.width, state.height) = (info.width, info.height);
+            (state.width, state.height) = (width, height);
         });
         let happening = Happening::Camera(id, CameraStatus::Running);
         self.parts.hub.publish_event(now, happening, format!("Camera {name} is running."));
@@ -275,16 +274,20 @@ impl Worker {
         }
     }
 
-    fn publish(&mut self, info: &FrameInfo, observations: Arc<FrameObservations>) {
+    fn publish(&mut self, lent: &LentFrame<'_>, observations: Arc<FrameObservations>) {
         let (id, hub) = (self.parts.id, &self.parts.hub);
         if hub.take_picture_request(id) {
-            let (width, height) = (info.width, info.height);
-            let (pixels, observations) = (self.pixels.clone(), observations.clone());
+            let (width, height) = (lent.frame.width(), lent.frame.height());
+            let pixels = (0..height).flat_map(|v| lent.frame.row(v)).copied().collect();
+            let observations = observations.clone();
             hub.publish_picture(id, Picture { width, height, pixels, observations });
         }
         hub.update_camera(id, |state| {
             state.frames = self.frames;
             state.dropped = self.dropped;
+            state.broken = self.broken;
+            state.capture_clock = Some(lent.info.clock);
+            state.decode_ms = self.decode_ms.value();
             state.rate_hz = self.rate.hz();
             state.detections = observations.detections.len();
             state.detect_ms = self.detect_ms.value();

@@ -4,7 +4,7 @@ use std::time::{Duration, Instant};
 
 use roundel_core::{
     camera::Camera,
-    frame::{Frame, FrameError},
+    frame::Frame,
     id::CameraId,
     marker::{Detector, DetectorError, Kind, Mask, Mode, Params, Tracker},
     pose::{Detection, ImageQuality, Located, Locator, PoseError},
@@ -12,7 +12,7 @@ use roundel_core::{
     world::FrameObservations,
 };
 
-use crate::{hub::DetectionCounts, source::FrameInfo};
+use crate::hub::DetectionCounts;
 
 /// What a pipeline is made of.
 #[derive(Clone, Debug)]
@@ -38,6 +38,8 @@ pub struct Seen {
     pub calibration_version: u64,
     /// Counts the camera's frames.
     pub frame: u64,
+    /// When its middle row was exposed.
+    pub capture_time: Timestamp,
     /// When it arrived.
     pub received_time: Timestamp,
 }
@@ -122,20 +124,13 @@ impl Pipeline {
         self.locator.reset();
     }
 
-    /// What is seen in one frame, each detection with the capture time of its own row. Pixels are
-    /// row by row without gaps; too few of them are an error. A ring whose pose cannot be computed
-    /// is a detection without a pose.
-    pub fn process(
-        &mut self,
-        pixels: &[u8],
-        info: &FrameInfo,
-        by: &Seen,
-    ) -> Result<FrameObservations, FrameError> {
-        let view = Frame::new(pixels, info.width, info.height, info.width)?;
+    /// What is seen in one frame, each detection with the capture time of its own row. A ring whose
+    /// pose cannot be computed is a detection without a pose.
+    pub fn process(&mut self, view: &Frame<'_>, by: &Seen) -> FrameObservations {
         let begun = Instant::now();
-        let rings = self.tracker.process(&view);
+        let rings = self.tracker.process(view);
         let found = Instant::now();
-        self.locator.locate_all_at(&view, info.capture_time, rings, &mut self.located);
+        self.locator.locate_all_at(view, by.capture_time, rings, &mut self.located);
         let mut detections = Vec::with_capacity(rings.len());
         self.qualities.clear();
         for (tracked, located) in rings.iter().zip(self.located.drain(..)) {
@@ -149,7 +144,7 @@ impl Pipeline {
             *counted += 1;
             self.qualities.extend(located.as_ref().and_then(|located| located.image));
             let (ring, pose) = located.map_or((tracked.ring, None), |it| (it.ring, Some(it.pose)));
-            let capture_time = row_time(info.capture_time, row_px, info.height, self.line_time_s);
+            let capture_time = row_time(by.capture_time, row_px, view.height(), self.line_time_s);
             detections.push(Detection { track: tracked.track, ring, capture_time, pose });
         }
         let milliseconds = |time: Duration| time.as_secs_f64() * 1e3;
@@ -161,14 +156,14 @@ impl Pipeline {
         for (total, (_, count)) in self.counts.rejects.iter_mut().zip(rejects) {
             *total += u64::from(count);
         }
-        Ok(FrameObservations {
+        FrameObservations {
             camera: by.camera,
             frame: by.frame,
-            capture_time: info.capture_time,
+            capture_time: by.capture_time,
             received_time: by.received_time,
             calibration_version: by.calibration_version,
             detections,
-        })
+        }
     }
 }
 
@@ -219,14 +214,15 @@ mod tests {
 
     fn seen(pipeline: &mut Pipeline, pixels: &[u8]) -> Vec<Detection> {
         let capture_time = Timestamp::default();
-        let info = FrameInfo { capture_time, width: WIDTH, height: HEIGHT, skipped: 0 };
         let by = Seen {
             camera: CameraId(0),
             calibration_version: 0,
             frame: 1,
+            capture_time,
             received_time: capture_time,
         };
-        pipeline.process(pixels, &info, &by).unwrap().detections
+        let view = Frame::new(pixels, WIDTH, HEIGHT, WIDTH).unwrap();
+        pipeline.process(&view, &by).detections
     }
 
     #[test]

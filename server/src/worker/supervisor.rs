@@ -121,6 +121,7 @@ mod tests {
 
     use roundel_core::{
         camera::{Camera, Intrinsics, Lens},
+        frame::Frame,
         id::CameraId,
         marker::{Mask, Params},
         rigid::{Covariance6, Rigid},
@@ -131,7 +132,7 @@ mod tests {
     use crate::{
         clock::Clock,
         hub::{CameraInfo, CameraPlace, Hub, Installation, PoseStatus},
-        source::{FrameInfo, FrameSource, OpenSource, SourceError},
+        source::{FrameInfo, FrameSource, LentFrame, OpenSource, SourceError},
         worker::{
             Place, Sighted, WorkerParts,
             adoption::{Adoption, Inbox},
@@ -166,13 +167,12 @@ mod tests {
     }
 
     impl FrameSource for Actor {
-        fn next_frame(&mut self, pixels: &mut Vec<u8>) -> Result<FrameInfo, SourceError> {
+        fn next_frame(&mut self) -> Result<LentFrame<'_>, SourceError> {
             match self.acts.pop_front() {
                 Some(Act::Frame) => {
-                    pixels.clear();
-                    pixels.resize(64 * 48, 200);
-                    let capture_time = self.clock.now();
-                    Ok(FrameInfo { capture_time, width: 64, height: 48, skipped: 2 })
+                    let frame = Frame::new(&[200; 64 * 48], 64, 48, 64).unwrap();
+                    let info = FrameInfo { skipped: 2, ..FrameInfo::at(self.clock.now()) };
+                    Ok(LentFrame { frame, info })
                 }
                 Some(Act::Panic) => panic!("the cable bit me"),
                 Some(Act::Fail) => Err(SourceError::Failed("unplugged".into())),

@@ -12,7 +12,10 @@ use roundel_core::{
     world::{ClockEstimate, EventKind, FrameObservations},
 };
 use roundel_proto::v1::{self, roundel_client::RoundelClient};
-use roundel_server::hub::{CameraStatus, Happening};
+use roundel_server::{
+    hub::{CameraStatus, Happening},
+    source::CaptureClock,
+};
 use tokio::time::{sleep, timeout};
 use tonic::{
     Code, Streaming,
@@ -392,7 +395,8 @@ async fn lists_name_cameras_objects_and_the_server() {
     rig.hub.update_camera(CameraId(1), |camera| {
         camera.status = CameraStatus::Failed;
         camera.error = "no such file".into();
-        camera.restarts = 4;
+        (camera.restarts, camera.broken) = (4, 9);
+        camera.capture_clock = Some(CaptureClock::ARRIVAL);
         camera.clock = Some(ClockEstimate {
             offset_s: -0.0125,
             skew: 2e-5,
@@ -410,6 +414,9 @@ async fn lists_name_cameras_objects_and_the_server() {
     );
     assert_eq!(cameras[1].status(), v1::CameraStatus::Failed);
     assert_eq!((cameras[1].error.as_str(), cameras[1].restarts), ("no such file", 4));
+    assert_eq!((cameras[1].broken, cameras[0].capture_clock), (9, None));
+    let arrival = v1::CaptureClock { base: v1::TimeBase::Arrival as i32, deviation_ms: 50.0 };
+    assert_eq!(cameras[1].capture_clock, Some(arrival));
     assert_eq!(cameras[0].clock, None);
     let clock = v1::CameraClock { offset_ms: -12.5, skew_ppm: 20.0, deviation_ms: 0.05 };
     assert_eq!(cameras[1].clock, Some(clock));

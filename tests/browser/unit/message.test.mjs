@@ -32,6 +32,17 @@ const SNAPSHOT = {
   ],
 };
 
+test("a camera says where its times come from, and one of an older server does not", () => {
+  const [camera, older] = readCameras([
+    { name: "north", broken: 3, capture_clock: { base: "arrival", deviation_ms: 50 } },
+    { name: "south" },
+  ]);
+  assert.deepEqual(camera.captureClock, { base: "arrival", deviationMs: 50 });
+  assert.equal(camera.broken, 3);
+  assert.equal(older.captureClock, null);
+  assert.equal(older.broken, 0);
+});
+
 test("a snapshot's times are taken exactly", () => {
   const snapshot = readSnapshot(SNAPSHOT);
   assert.equal(snapshot.poseTimeMs, 1700000000123.456);

@@ -11,7 +11,7 @@ use crate::{
 /// A number of each camera: name, type, help, and where it stands.
 type CameraFamily = (&'static str, &'static str, &'static str, fn(&CameraState) -> f64);
 
-const CAMERA_FAMILIES: [CameraFamily; 18] = [
+const CAMERA_FAMILIES: [CameraFamily; 21] = [
     ("roundel_camera_up", "gauge", "1 while frames arrive.", |camera| {
         f64::from(u8::from(camera.status == CameraStatus::Running))
     }),
@@ -24,6 +24,12 @@ const CAMERA_FAMILIES: [CameraFamily; 18] = [
         "counter",
         "Frames that gave way to newer ones because the worker was busy.",
         |camera| camera.dropped as f64,
+    ),
+    (
+        "roundel_camera_frames_broken_total",
+        "counter",
+        "Frames that arrived broken and were left out.",
+        |camera| camera.broken as f64,
     ),
     (
         "roundel_camera_restarts_total",
@@ -44,6 +50,12 @@ const CAMERA_FAMILIES: [CameraFamily; 18] = [
         |camera| camera.detect_ms * 1e-3,
     ),
     (
+        "roundel_camera_decode_seconds",
+        "gauge",
+        "Time that decoding a frame takes, before that, median of the newest ones.",
+        |camera| camera.decode_ms * 1e-3,
+    ),
+    (
         "roundel_camera_latency_seconds",
         "gauge",
         "From capture to fused, median of the newest frames.",
@@ -60,6 +72,12 @@ const CAMERA_FAMILIES: [CameraFamily; 18] = [
         "gauge",
         "Standard deviation of the noise, grey levels of 255, likewise.",
         |camera| camera.noise,
+    ),
+    (
+        "roundel_camera_capture_clock_deviation_seconds",
+        "gauge",
+        "What its capture times may be off by together before anything is found; 0: they are right.",
+        |camera| camera.capture_clock.map_or(0.0, |clock| clock.deviation_s),
     ),
     (
         "roundel_camera_clock_offset_seconds",

@@ -1,0 +1,360 @@
+//! A stream of bytes → the JPEGs in it, each with what stood before it.
+//!
+//! Cameras differ in the boundaries that they announce and in those that they send, leave Content-Length out, or
+//! send a wrong one. A JPEG tells by itself where it ends: its segments say their lengths, and in what is coded no
+//! byte FF stands without a 00 or a restart marker. So pictures are found by walking them, and what lies between is
+//! only looked through for a time stamp. A walk that meets the beginning of another picture, or what no picture
+//! holds, gives the broken one up and goes on from there.
+
+use std::collections::VecDeque;
+
+use roundel_core::time::Timestamp;
+
+/// Longer pictures are broken.
+const MAX_JPEG: usize = 16 << 20;
+/// What lies between two pictures is a few lines; of more the end counts, and more than so much is no part's
+/// header.
+const MAX_HEADER: usize = 4096;
+/// How a picture begins: its first marker, and the beginning of the second.
+const START: [u8; 3] = [0xFF, 0xD8, 0xFF];
+const STAMP: &str = "x-timestamp";
+
+/// A picture, as it came.
+#[derive(Clone, Debug, Default, PartialEq, Eq)]
+pub(super) struct Part {
+    /// From its first marker to its last one.
+    pub(super) jpeg: Vec<u8>,
+    /// When its first byte arrived.
+    pub(super) arrival: Timestamp,
+    /// The camera's own time, ns of whatever epoch.
+    pub(super) stamp_ns: Option<i64>,
+}
+
+/// Where the walk through a picture is.
+#[derive(Clone, Copy, Debug)]
+enum Walk {
+    /// A marker begins at this byte.
+    Marker(usize),
+    /// Coded data go on at this byte.
+    Coded(usize),
+}
+
+/// What a step of the walk comes to.
+enum Step {
+    On(Walk),
+    Wait,
+    /// The picture ends before this byte.
+    Whole(usize),
+    /// It is none; another one may begin at this byte.
+    Broken(usize),
+}
+
+/// Finds the pictures of a stream.
+#[derive(Debug, Default)]
+pub(super) struct Parts {
+    bytes: Vec<u8>,
+    /// Of the picture at the beginning of `bytes`; `None`: what lies there is no picture.
+    walk: Option<Walk>,
+    /// Bytes that were looked through for a beginning and what stands before it.
+    searched: usize,
+    arrival: Timestamp,
+    stamp_ns: Option<i64>,
+    found: VecDeque<Part>,
+    /// Bytes since the last picture, and whether they were counted as a broken one.
+    between: usize,
+    is_counted: bool,
+    broken: u64,
+}
+
+impl Parts {
+    /// Takes what has arrived.
+    pub(super) fn push(&mut self, arrived: &[u8], now: Timestamp) {
+        self.bytes.extend_from_slice(arrived);
+        while self.advance(now) {}
+    }
+
+    /// The next whole picture.
+    pub(super) fn pop(&mut self) -> Option<Part> {
+        self.found.pop_front()
+    }
+
+    /// What was broken since this was asked last.
+    pub(super) fn take_broken(&mut self) -> u64 {
+        std::mem::take(&mut self.broken)
+    }
+
+    /// Whether it goes on: false when more bytes are needed.
+    fn advance(&mut self, now: Timestamp) -> bool {
+        let Some(walk) = self.walk else { return self.search(now) };
+        match step(&self.bytes, walk) {
+            Step::On(next) => self.walk = Some(next),
+            Step::Wait if self.bytes.len() > MAX_JPEG => self.give_up(START.len()),
+            Step::Wait => {
+                // Not to be walked again when more has come.
+                return false;
+            }
+            Step::Whole(end) => {
+                let jpeg = self.bytes.drain(..end).collect();
+                let stamp_ns = self.stamp_ns.take();
+                self.found.push_back(Part { jpeg, arrival: self.arrival, stamp_ns });
+                (self.walk, self.searched) = (None, 0);
+                (self.between, self.is_counted) = (0, false);
+            }
+            Step::Broken(at) => self.give_up(at),
+        }
+        true
+    }
+
+    /// Drops the picture that was begun, up to `at`.
+    fn give_up(&mut self, at: usize) {
+        self.bytes.drain(..at);
+        self.broken += 1;
+        (self.walk, self.searched, self.stamp_ns) = (None, 0, None);
+        // Its rest is no garbage of its own.
+        self.is_counted = true;
+    }
+
+    /// Looks for the beginning of a picture.
+    fn search(&mut self, now: Timestamp) -> bool {
+        let begin = self.bytes[self.searched..].windows(START.len()).position(|it| it == START);
+        let end = match begin {
+            Some(begin) => self.searched + begin,
+            // A beginning may be cut in two.
+            None => self.bytes.len().saturating_sub(START.len() - 1).max(self.searched),
+        };
+        self.look_over(self.searched, end);
+        if begin.is_some() {
+            self.stamp_ns = stamp_ns(&self.bytes[..end]);
+            self.bytes.drain(..end);
+            (self.walk, self.arrival) = (Some(Walk::Marker(2)), now);
+            return true;
+        }
+        self.searched = end;
+        if end > 2 * MAX_HEADER {
+            self.bytes.drain(..end - MAX_HEADER);
+            self.searched = MAX_HEADER;
+        }
+        false
+    }
+
+    /// Bytes between pictures that are no header of one are one broken picture, however many.
+    fn look_over(&mut self, from: usize, to: usize) {
+        self.between += to - from;
+        let is_header =
+            self.between <= MAX_HEADER && self.bytes[from..to].iter().all(|byte| is_text(*byte));
+        if !is_header && !self.is_counted {
+            self.is_counted = true;
+            self.broken += 1;
+        }
+    }
+}
+
+fn is_text(byte: u8) -> bool {
+    byte.is_ascii_graphic() || byte.is_ascii_whitespace() || byte == 0
+}
+
+/// The last time stamp in a part's header: seconds with a point, as cameras count them.
+fn stamp_ns(header: &[u8]) -> Option<i64> {
+    let text = String::from_utf8_lossy(header);
+    let line = text.lines().rev().find_map(|line| {
+        let (name, value) = line.split_once(':')?;
+        name.trim().eq_ignore_ascii_case(STAMP).then_some(value.trim())
+    })?;
+    let (seconds, fraction) = line.split_once('.').unwrap_or((line, ""));
+    let is_number = |text: &str| text.bytes().all(|byte| byte.is_ascii_digit());
+    if seconds.is_empty() || !is_number(seconds) || !is_number(fraction) {
+        return None;
+    }
+    let nanoseconds: i64 = format!("{fraction:0<9}").get(..9)?.parse().ok()?;
+    seconds.parse::<i64>().ok()?.checked_mul(1_000_000_000)?.checked_add(nanoseconds)
+}
+
+/// One step through the picture at the beginning of `bytes`.
+fn step(bytes: &[u8], walk: Walk) -> Step {
+    match walk {
+        Walk::Coded(from) => {
+            let mut at = from;
+            while let Some(offset) =
+                bytes.get(at..).and_then(|it| it.iter().position(|b| *b == 0xFF))
+            {
+                at += offset;
+                match bytes.get(at + 1) {
+                    None => return Step::On(Walk::Coded(at)).or_wait(from == at),
+                    // A byte FF, and restart markers, belong to what is coded; fill bytes do not end it.
+                    Some(0x00 | 0xD0..=0xD7) => at += 2,
+                    Some(0xFF) => at += 1,
+                    Some(_) => return Step::On(Walk::Marker(at)),
+                }
+            }
+            Step::On(Walk::Coded(bytes.len())).or_wait(from >= bytes.len())
+        }
+        Walk::Marker(at) => marker(bytes, at),
+    }
+}
+
+/// The step over the marker at that byte, and over its segment.
+fn marker(bytes: &[u8], at: usize) -> Step {
+    let Some(&[first, marker]) = bytes.get(at..at + 2).and_then(|it| it.first_chunk()) else {
+        return Step::Wait;
+    };
+    match (first, marker) {
+        (0xFF, 0xD9) => return Step::Whole(at + 2),
+        // Fill.
+        (0xFF, 0xFF) => return Step::On(Walk::Marker(at + 1)),
+        // Another picture begins, so this one has lost its end; or what no picture holds.
+        (0xFF, 0x00..=0xBF | 0xD0..=0xD8) | (0..=0xFE, _) => return Step::Broken(at),
+        (0xFF, _) => {}
+    }
+    let Some(&length) = bytes.get(at + 2..at + 4).and_then(|it| it.first_chunk()) else {
+        return Step::Wait;
+    };
+    let next = at + 2 + usize::from(u16::from_be_bytes(length));
+    if next < at + 4 {
+        return Step::Broken(at + 2);
+    }
+    // No picture ends here, so two bytes more will come.
+    let Some(content) = bytes.get(at + 2..next + 2) else { return Step::Wait };
+    // Only what programs add may hold a picture of its own, such as a thumbnail.
+    let is_added = matches!(marker, 0xE0..=0xEF | 0xFE);
+    let begin = content.windows(START.len()).position(|it| it == START);
+    match begin.filter(|_| !is_added) {
+        Some(begin) => Step::Broken(at + 2 + begin),
+        None if marker == 0xDA => Step::On(Walk::Coded(next)),
+        None => Step::On(Walk::Marker(next)),
+    }
+}
+
+impl Step {
+    /// Nothing was gained: more bytes are needed.
+    fn or_wait(self, wait: bool) -> Self {
+        if wait { Self::Wait } else { self }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use jpeg_encoder::{ColorType, Encoder};
+
+    use super::*;
+
+    fn jpeg(level: u8) -> Vec<u8> {
+        let mut bytes = Vec::new();
+        let pixels: Vec<u8> = (0..32 * 24u32).map(|i| (i * 7 % 97) as u8 ^ level).collect();
+        Encoder::new(&mut bytes, 90).encode(&pixels, 32, 24, ColorType::Luma).unwrap();
+        bytes
+    }
+
+    /// What is found in `stream`, however it is cut into pieces.
+    fn found(stream: &[u8]) -> (Vec<Part>, u64) {
+        let mut all = [1, 3, 64, stream.len()].map(|size| {
+            let mut parts = Parts::default();
+            let mut found = Vec::new();
+            for (piece, bytes) in stream.chunks(size).enumerate() {
+                parts.push(bytes, Timestamp::from_ns((piece * size) as i64));
+                while let Some(part) = parts.pop() {
+                    found.push(Part { arrival: Timestamp::default(), ..part });
+                }
+            }
+            (found, parts.take_broken())
+        });
+        for other in &all[1..] {
+            assert_eq!(other, &all[0], "it depends on how the stream is cut");
+        }
+        std::mem::take(&mut all[0])
+    }
+
+    fn header(text: &str) -> Vec<u8> {
+        text.replace('\n', "\r\n").into_bytes()
+    }
+
+    fn pictures(stream: &[Vec<u8>]) -> (Vec<Vec<u8>>, u64) {
+        let (parts, broken) = found(&stream.concat());
+        (parts.into_iter().map(|part| part.jpeg).collect(), broken)
+    }
+
+    #[test]
+    fn headers_may_be_right_wrong_or_missing() {
+        let usual = |n: usize| {
+            header(&format!("\n--frame\nContent-Type: image/jpeg\nContent-Length: {n}\n\n"))
+        };
+        let (a, b, c) = (jpeg(1), jpeg(2), jpeg(3));
+        for between in
+            [usual(a.len()), usual(9), usual(99_999), header("\n--other\n\n"), Vec::new()]
+        {
+            let stream = [&between, &a, &between, &b, &between, &c].map(Clone::clone);
+            assert_eq!(pictures(&stream), (vec![a.clone(), b.clone(), c.clone()], 0));
+        }
+    }
+
+    #[test]
+    fn stamps_are_taken_to_the_nanosecond() {
+        let stamp = |text: &str| {
+            let (parts, _) = found(&[header(text), jpeg(0)].concat());
+            parts[0].stamp_ns
+        };
+        assert_eq!(stamp("--b\nX-Timestamp: 12.345678\n\n"), Some(12_345_678_000));
+        assert_eq!(
+            stamp("--b\nx-timestamp:1700000000.1234567891\n\n"),
+            Some(1_700_000_000_123_456_789)
+        );
+        assert_eq!(stamp("--b\nX-Timestamp: 3\n\n"), Some(3_000_000_000));
+        for none in [
+            "X-Timestamp: -3.1\n",
+            "X-Timestamp: soon\n",
+            "X-Timestamp: 1e9\n",
+            "--b\n",
+            "X-Timestamp: 99999999999999999999\n",
+        ] {
+            assert_eq!(stamp(none), None, "{none}");
+        }
+    }
+
+    #[test]
+    fn an_arrival_is_that_of_the_first_byte() {
+        let (picture, mut parts) = (jpeg(1), Parts::default());
+        let at = Timestamp::from_ns;
+        parts.push(b"--frame\r\n\r\n", at(1));
+        parts.push(&picture[..100], at(2));
+        parts.push(&picture[100..], at(3));
+        assert_eq!(parts.pop().unwrap().arrival, at(2));
+    }
+
+    #[test]
+    fn a_picture_that_lost_its_end_is_counted_and_the_next_one_is_whole() {
+        let (a, b) = (jpeg(1), jpeg(2));
+        for cut in [20, a.len() / 2, a.len() - 2] {
+            let (whole, broken) = pictures(&[a[..cut].to_vec(), b.clone(), b.clone()]);
+            assert_eq!((whole, broken), (vec![b.clone(), b.clone()], 1), "{cut}");
+        }
+    }
+
+    #[test]
+    fn garbage_is_counted_once_and_survived() {
+        let garbage: Vec<u8> =
+            (0..50_000u32).map(|i| (i.wrapping_mul(2_654_435_761) >> 13) as u8).collect();
+        let garbage: Vec<u8> = garbage.into_iter().filter(|byte| *byte != 0xFF).collect();
+        let a = jpeg(1);
+        assert_eq!(pictures(&[a.clone(), garbage, a.clone()]), (vec![a.clone(), a.clone()], 1));
+        let text = b"<html>no camera here</html>\n".repeat(1000);
+        assert_eq!(pictures(&[text, a.clone()]), (vec![a.clone()], 1));
+        // FF D8 FF and no picture behind it.
+        let (whole, broken) = pictures(&[vec![0xFF, 0xD8, 0xFF, 0x00, 0x17], a.clone()]);
+        assert_eq!((whole, broken), (vec![a], 1));
+    }
+
+    #[test]
+    fn memory_is_bounded() {
+        let mut parts = Parts::default();
+        let endless = [vec![0xFF, 0xD8, 0xFF, 0xDA, 0, 2], vec![7; 1 << 20]].concat();
+        for _ in 0..40 {
+            parts.push(&endless[6..], Timestamp::default());
+        }
+        assert!(parts.bytes.len() <= 2 << 20, "{}", parts.bytes.len());
+        parts.push(&endless, Timestamp::default());
+        for _ in 0..40 {
+            parts.push(&endless[6..], Timestamp::default());
+            assert!(parts.bytes.len() <= MAX_JPEG + (2 << 20), "{}", parts.bytes.len());
+        }
+        assert!(parts.take_broken() >= 2);
+    }
+}

@@ -1,0 +1,134 @@
+use super::*;
+
+fn grey(format: PixelFormat, bytes: &[u8], size: (usize, usize), stride: usize) -> Vec<u8> {
+    let mut converter = Converter::default();
+    let raw = Raw { format, bytes, width: size.0, height: size.1, stride };
+    let frame = converter.grey(&raw).unwrap();
+    assert_eq!((frame.width(), frame.height()), size);
+    (0..frame.height()).flat_map(|v| frame.row(v).to_vec()).collect()
+}
+
+#[test]
+fn luma_planes_are_used_in_place() {
+    // 4 x 2 of NV12 with rows of six bytes; chroma follows.
+    let bytes: Vec<u8> = (0..18).collect();
+    let mut converter = Converter::default();
+    let format = PixelFormat::of_fourcc(*b"NV12").unwrap();
+    let raw = Raw { format, bytes: &bytes, width: 4, height: 2, stride: 6 };
+    let frame = converter.grey(&raw).unwrap();
+    assert!(std::ptr::eq(frame.row(0).as_ptr(), bytes.as_ptr()), "copied");
+    assert_eq!([frame.row(0), frame.row(1)], [&[0, 1, 2, 3], &[6, 7, 8, 9]]);
+}
+
+#[test]
+fn packed_luma_is_gathered_from_its_side() {
+    let bytes = [10, 200, 11, 201, 0, 12, 202, 13, 203, 0];
+    let yuyv = PixelFormat::of_fourcc(*b"YUYV").unwrap();
+    assert_eq!(grey(yuyv, &bytes, (2, 2), 5), [10, 11, 12, 13]);
+    let uyvy = PixelFormat::of_fourcc(*b"UYVY").unwrap();
+    assert_eq!(grey(uyvy, &bytes, (2, 2), 5), [200, 201, 202, 203]);
+}
+
+/// Each layout holds 0, the least and the largest sample, one that is rounded up, and a fifth in a group that is cut.
+#[test]
+fn deep_samples_are_rounded_in_every_layout() {
+    for (samples, bits) in [
+        (Samples::Words(10), 10),
+        (Samples::Words(12), 12),
+        (Samples::Words(14), 14),
+        (Samples::Words(16), 16),
+        (Samples::Mipi10, 10),
+        (Samples::Mipi12, 12),
+        (Samples::Bits10, 10),
+        (Samples::Bits12, 12),
+        (Samples::Gige12, 12),
+    ] {
+        let unit = 1u32 << (bits - 8);
+        let values =
+            [0, unit * 256 - 1, 77 * unit + unit / 2, 77 * unit + unit / 2 - 1, 129 * unit];
+        let bytes = pack(samples, &values);
+        assert_eq!(bytes.len(), samples.row_bytes(5), "{samples:?}");
+        let found = grey(PixelFormat::Grey(samples), &bytes, (5, 1), bytes.len());
+        assert_eq!(found, [0, 255, 78, 77, 129], "{samples:?}");
+    }
+}
+
+/// As the standards draw them.
+fn pack(samples: Samples, values: &[u32]) -> Vec<u8> {
+    let bits_of = |width: usize| {
+        let mut bytes = vec![0u8; (values.len() * width).div_ceil(8)];
+        for (index, value) in values.iter().enumerate() {
+            for bit in 0..width {
+                let at = index * width + bit;
+                bytes[at / 8] |= ((value >> bit & 1) as u8) << (at % 8);
+            }
+        }
+        bytes
+    };
+    let groups = |size: usize, pack: fn(&[u32]) -> Vec<u8>| {
+        let padded = values.chunks(size).map(|group| [group, &[0, 0, 0]].concat());
+        padded.flat_map(|group| pack(&group[..size])).collect()
+    };
+    match samples {
+        Samples::Eight => values.iter().map(|value| *value as u8).collect(),
+        Samples::Words(_) => values.iter().flat_map(|v| (*v as u16).to_le_bytes()).collect(),
+        Samples::Bits10 => bits_of(10),
+        Samples::Bits12 => bits_of(12),
+        Samples::Mipi10 => groups(4, |v| {
+            let low = v.iter().enumerate().map(|(i, v)| (v & 3) << (2 * i)).sum::<u32>();
+            v.iter().map(|v| v >> 2).chain([low]).map(|byte| byte as u8).collect()
+        }),
+        Samples::Mipi12 => groups(2, |v| {
+            [v[0] >> 4, v[1] >> 4, v[0] & 15 | (v[1] & 15) << 4].map(|byte| byte as u8).to_vec()
+        }),
+        Samples::Gige12 => groups(2, |v| {
+            [v[0] >> 4, v[0] & 15 | (v[1] & 15) << 4, v[1] >> 4].map(|byte| byte as u8).to_vec()
+        }),
+    }
+}
+
+/// A lens that fades from left to right over a coloured scene: the mosaic's pattern goes, and places stay.
+#[test]
+fn mosaics_leave_no_pattern_and_move_nothing() {
+    let (width, height) = (12, 8);
+    let colours = [40u32, 100, 160]; // red, green, blue
+    for order in [[0, 1, 1, 2], [1, 0, 2, 1], [1, 2, 0, 1], [2, 1, 1, 0]] {
+        let level = |u: usize, v: usize| colours[order[(v % 2) * 2 + u % 2]] + 4 * u as u32;
+        let bytes: Vec<u8> =
+            (0..height).flat_map(|v| (0..width).map(move |u| level(u, v) as u8)).collect();
+        let found = grey(PixelFormat::Bayer(Samples::Eight), &bytes, (width, height), width);
+        for v in 0..height {
+            for u in 1..width - 1 {
+                assert_eq!(found[v * width + u], (100 + 4 * u) as u8, "{order:?} ({u}, {v})");
+            }
+            // Mirrored: the neighbour's slope once more.
+            assert_eq!(found[v * width], 102);
+            assert_eq!(found[v * width + width - 1], (100 + 4 * (width - 1) - 2) as u8);
+        }
+        let words: Vec<u8> =
+            bytes.iter().flat_map(|b| (u16::from(*b) << 4).to_le_bytes()).collect();
+        let deep = PixelFormat::Bayer(Samples::Words(12));
+        assert_eq!(grey(deep, &words, (width, height), 2 * width), found);
+    }
+}
+
+#[test]
+fn wrong_pictures_say_what_was_expected() {
+    let error = |format, bytes: &[u8], (width, height): (usize, usize), stride| {
+        let raw = Raw { format, bytes, width, height, stride };
+        Converter::default().grey(&raw).unwrap_err().to_string()
+    };
+    let yuyv = PixelFormat::Packed { chroma_first: false };
+    assert_eq!(
+        error(yuyv, &[0; 15], (4, 2), 8),
+        "expected at least 16 bytes for 4 x 2 pixels, found 15"
+    );
+    assert_eq!(error(yuyv, &[0; 99], (4, 2), 7), "expected rows of at least 8 bytes, found 7");
+    let bayer = PixelFormat::Bayer(Samples::Eight);
+    assert!(
+        error(bayer, &[0; 9], (9, 1), 9).contains("a mosaic of at least 2 x 2 pixels, found 9 x 1")
+    );
+    assert!(error(bayer, &[0; 9], (0, 1), 9).contains("found 0 x 1"));
+    assert!(error(PixelFormat::GREY8, &[0; 9], (70_000, 1), 70_000).contains("70000 x 1"));
+    assert_eq!(PixelFormat::of_fourcc(*b"H264"), None);
+}
