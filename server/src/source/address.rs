@@ -1,5 +1,7 @@
-//! Where frames come from, as a URL: `images:GLOB-OR-FOLDER?…`, `sim:?…` or `http://…`.
+//! Where frames come from, as a URL: `images:GLOB-OR-FOLDER?…`, `sim:?…`, `http://…`, `rtsp://…`, `file:PATH?…` or
+//! `gst:PIPELINE`.
 
+mod media;
 mod network;
 
 use std::{
@@ -12,10 +14,11 @@ use thiserror::Error;
 
 use super::timing::CaptureClock;
 use crate::suggestion::{list, nearest};
+pub use media::{MediaAddress, Transport};
 pub use network::{HttpAddress, without_credentials};
 
 /// The schemes that this version plays, as people write them.
-const SCHEMES: [&str; 3] = ["images:", "sim:", "http:"];
+const SCHEMES: [&str; 6] = ["images:", "sim:", "http:", "rtsp:", "file:", "gst:"];
 const IMAGES_KEYS: [&str; 4] = ["fps", "times", "clock", "loop"];
 const SIM_KEYS: [&str; 4] = ["preset", "seed", "robots", "camera"];
 /// Frames a second that an address may ask for.
@@ -30,6 +33,8 @@ pub enum SourceAddress {
     Sim(SimAddress),
     /// A network camera that sends JPEGs.
     Http(HttpAddress),
+    /// What GStreamer plays.
+    Media(MediaAddress),
 }
 
 /// `images:GLOB-OR-FOLDER?fps=30&times=FILE&clock=file&loop=true`.
@@ -144,6 +149,9 @@ impl SourceAddress {
             "images" => images(path, query, folder).map(Self::Images),
             "sim" => sim(path, query).map(Self::Sim),
             "http" => network::http(url).map(Self::Http),
+            "rtsp" => media::rtsp(url).map(Self::Media),
+            "file" => media::file(path, query, folder).map(Self::Media),
+            "gst" => media::pipeline(rest).map(Self::Media),
             _ => Err(AddressError::Scheme { found: format!("{scheme}:") }),
         }
     }
@@ -153,6 +161,7 @@ impl SourceAddress {
         match self {
             Self::Images(_) | Self::Sim(_) => CaptureClock::EXACT,
             Self::Http(_) => CaptureClock::ARRIVAL,
+            Self::Media(media) => media.capture_clock(),
         }
     }
 
@@ -321,7 +330,7 @@ mod tests {
         for (url, expected) in [
             (
                 "image:x",
-                "no source begins with `image:`: expected `images:`, `sim:`, `http:`; did you mean `images:`?",
+                "no source begins with `image:`: expected `images:`, `sim:`, `http:`, `rtsp:`, `file:`, `gst:`; did you mean `images:`?",
             ),
             ("frames/*.png", "no source begins with `frames/*.png`"),
             ("images:", "needs a folder or a pattern"),

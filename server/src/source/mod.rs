@@ -6,6 +6,7 @@
 //! | `sim` | `sim:` – a simulated camera, rendered while it is watched |
 //! | `playback` | when each of their frames is due |
 //! | `http` | `http://…` – MJPEG of network cameras, or their snapshots |
+//! | `gst` | `rtsp://…`, `file:`, `gst:` – what GStreamer plays; with the Cargo feature `gst` |
 //!
 //! What they are made of:
 //!
@@ -22,6 +23,8 @@
 
 mod address;
 mod feed;
+#[cfg(feature = "gst")]
+mod gst;
 mod http;
 mod images;
 mod jpeg;
@@ -37,8 +40,8 @@ use roundel_core::{frame::Frame, time::Timestamp};
 use thiserror::Error;
 
 pub use address::{
-    AddressError, HttpAddress, ImagesAddress, SimAddress, SimPreset, SourceAddress,
-    without_credentials,
+    AddressError, HttpAddress, ImagesAddress, MediaAddress, SimAddress, SimPreset, SourceAddress,
+    Transport, without_credentials,
 };
 pub use playback::{Playback, TimesError};
 pub use sim::{SIM_LATENCY_S, simulated_camera, simulated_scenario};
@@ -156,6 +159,18 @@ impl OpenSource for SourceOpener {
                 let parts = http::HttpParts { size: self.size, clock: self.clock };
                 Ok(Box::new(http::HttpSource::open(address, parts, self.stop.clone())?))
             }
+            #[cfg(feature = "gst")]
+            SourceAddress::Media(address) => {
+                let parts = gst::GstParts { size: self.size, clock: self.clock };
+                Ok(Box::new(gst::GstSource::open(address, parts, self.stop.clone())?))
+            }
+            #[cfg(not(feature = "gst"))]
+            SourceAddress::Media(address) => Err(SourceError::Failed(format!(
+                "{address}: this roundel was built without GStreamer, which plays such sources; build it with \
+                 `cargo build --release -p roundel-server --features gst` (Debian: apt-get install \
+                 libgstreamer1.0-dev libgstreamer-plugins-base1.0-dev gstreamer1.0-plugins-good \
+                 gstreamer1.0-plugins-bad gstreamer1.0-libav)"
+            ))),
         }
     }
 }

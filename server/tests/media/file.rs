@@ -1,0 +1,151 @@
+//! `file:` and `gst:`.
+
+use std::{path::Path, process::Command};
+
+use roundel_server::source::{SourceError, TimeBase};
+
+use super::{SIZE, alone, failure, open};
+
+/// GStreamer's own variable: which elements it does not choose by itself.
+const RANKS: &str = "GST_PLUGIN_FEATURE_RANK";
+/// All that decode H.264 in Debian's packages.
+const NO_H264: &str = "avdec_h264:NONE,openh264dec:NONE,vah264dec:NONE,vaapih264dec:NONE,nvh264dec:NONE,v4l2h264dec:NONE";
+
+/// A video of 20 frames at 40 Hz, grey levels from dark to light.
+fn video(folder: &Path, name: &str, encode: &str) -> String {
+    let path = folder.join(name);
+    let launch = format!(
+        "videotestsrc num-buffers=20 pattern=white ! \
+         video/x-raw,format=I420,width={},height={},framerate=40/1 ! {encode} ! filesink location={}",
+        SIZE.0,
+        SIZE.1,
+        path.display()
+    );
+    let made = Command::new("gst-launch-1.0").arg("-q").args(launch.split_whitespace()).status();
+    assert!(made.unwrap().success(), "{launch}");
+    path.to_string_lossy().into_owned()
+}
+
+#[test]
+fn files_are_played_in_their_time_to_the_last_frame() {
+    let _alone = alone();
+    let folder = tempfile::tempdir().unwrap();
+    for (name, encode) in [
+        ("run.avi", "jpegenc ! avimux"),
+        ("run.mp4", "x264enc ! mp4mux"),
+        ("run.mkv", "x265enc ! h265parse ! matroskamux"),
+    ] {
+        let path = video(folder.path(), name, encode);
+        let (mut source, clock) = open(&format!("file:{path}"));
+        let (mut frames, mut skipped, mut times) = (0, 0, Vec::new());
+        let end = loop {
+            match source.next_frame() {
+                Ok(lent) => {
+                    frames += 1;
+                    skipped += lent.info.skipped;
+                    assert_eq!(lent.info.clock.base, TimeBase::Server);
+                    // White in video's range.
+                    assert!(
+                        lent.frame.row(10)[100].abs_diff(235) < 8,
+                        "{}",
+                        lent.frame.row(10)[100]
+                    );
+                    let late_s = clock.now().seconds_since(lent.info.capture_time);
+                    assert!(late_s > -0.005, "{name}: shown {late_s} s before it is due");
+                    times.push(lent.info.capture_time);
+                }
+                Err(error) => break error,
+            }
+        };
+        assert_eq!(end, SourceError::Finished, "{name}");
+        assert_eq!(frames + skipped, 20, "{name}: {frames} frames, {skipped} left out");
+        if skipped == 0 {
+            let rest_ms = times.windows(2).map(|pair| pair[1].seconds_since(pair[0]) * 1e3 - 25.0);
+            assert!(
+                rest_ms.clone().all(|rest| rest.abs() < 2.0),
+                "{:?}",
+                rest_ms.collect::<Vec<_>>()
+            );
+        }
+    }
+}
+
+#[test]
+fn a_file_is_played_again() {
+    let _alone = alone();
+    let folder = tempfile::tempdir().unwrap();
+    let path = video(folder.path(), "run.avi", "jpegenc ! avimux");
+    let (mut source, _) = open(&format!("file:{path}?loop=true"));
+    let mut newest = None;
+    for _ in 0..45 {
+        let time = source.next_frame().unwrap().info.capture_time;
+        assert!(newest.is_none_or(|newest| time > newest), "times go on from round to round");
+        newest = Some(time);
+    }
+}
+
+#[test]
+fn pipelines_give_luma_as_it_lies() {
+    let _alone = alone();
+    for format in ["GRAY8", "NV12", "YUY2", "UYVY", "GRAY16_LE", "RGB"] {
+        let pipeline = format!(
+            "gst:videotestsrc is-live=true pattern=white ! video/x-raw,format={format},width={},height={}",
+            SIZE.0, SIZE.1
+        );
+        let (mut source, clock) = open(&pipeline);
+        for _ in 0..3 {
+            let lent = source.next_frame().unwrap();
+            let level = lent.frame.row(SIZE.1 - 1)[SIZE.0 - 1];
+            assert!(level >= 230, "{format}: {level}");
+            assert_eq!(lent.info.clock.base, TimeBase::Driver);
+            let age_s = clock.now().seconds_since(lent.info.capture_time);
+            assert!((0.0..1.0).contains(&age_s), "{format}: {age_s} s old");
+        }
+    }
+}
+
+#[test]
+fn what_is_wrong_is_told_with_the_remedy() {
+    let _alone = alone();
+    let folder = tempfile::tempdir().unwrap();
+    std::fs::write(folder.path().join("note.txt"), "no video\n".repeat(500)).unwrap();
+    let note = format!("file:{}", folder.path().join("note.txt").display());
+    let small = "gst:videotestsrc ! video/x-raw,width=64,height=48";
+    for (url, expected) in [
+        ("file:/nowhere/run.mp4", "file:/nowhere/run.mp4: "),
+        ("file:/nowhere/run.mp4", "; check the path"),
+        (note.as_str(), "note.txt: "),
+        ("gst:wondersrc", "GStreamer has no element `wondersrc`: check its name"),
+        (
+            "gst:libcamerasrc",
+            "GStreamer has no element `libcamerasrc`: install gstreamer1.0-libcamera",
+        ),
+        ("gst:videotestsrc ! !", "GStreamer cannot read the pipeline"),
+        (small, "expected an image of 320 x 64 pixels as the camera file says, found 64 x 48"),
+        ("gst:videotestsrc num-buffers=0", "the stream has ended"),
+        ("rtsp://127.0.0.1:1/x", "nothing listens there; check host and port"),
+    ] {
+        let message = failure(url, SIZE);
+        assert!(message.contains(expected), "{url}: {message}");
+    }
+}
+
+/// In a process of its own, in which no element decodes H.264.
+#[test]
+fn a_missing_decoder_is_named_with_its_package() {
+    let _alone = alone();
+    if std::env::var_os(RANKS).is_none() {
+        let name = "file::a_missing_decoder_is_named_with_its_package";
+        let this = std::env::current_exe().unwrap();
+        let mut again = Command::new(this);
+        let again = again.args(["--exact", name, "--nocapture"]).env(RANKS, NO_H264).output();
+        let again = again.unwrap();
+        assert!(again.status.success(), "{}", String::from_utf8_lossy(&again.stderr));
+        return;
+    }
+    let folder = tempfile::tempdir().unwrap();
+    let path = video(folder.path(), "run.mp4", "x264enc ! mp4mux");
+    let message = failure(&format!("file:{path}"), SIZE);
+    assert!(message.contains("GStreamer lacks: H.264"), "{message}");
+    assert!(message.ends_with("; install gstreamer1.0-libav"), "{message}");
+}

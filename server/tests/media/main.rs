@@ -1,0 +1,53 @@
+//! What GStreamer plays, against real servers on loopback and files that it made itself. Where Python's bindings of
+//! GStreamer's RTSP server are missing, what needs them is skipped, by name.
+
+mod file;
+mod rtsp;
+mod server;
+mod video;
+
+use std::{
+    path::Path,
+    sync::{Mutex, MutexGuard, PoisonError},
+    time::Duration,
+};
+
+use roundel_server::{
+    clock::Clock,
+    source::{FrameSource, OpenSource, Playback, SourceAddress, SourceError, SourceOpener},
+    stop::Stop,
+};
+
+/// Of all that the tests make.
+pub const SIZE: (usize, usize) = (320, 64);
+/// Nothing here takes so long but on a machine that stands still.
+pub const PATIENCE: Duration = Duration::from_secs(60);
+
+/// Held by each test: what plays in real time leaves frames out where several share a small machine.
+pub fn alone() -> MutexGuard<'static, ()> {
+    static ONE: Mutex<()> = Mutex::new(());
+    ONE.lock().unwrap_or_else(PoisonError::into_inner)
+}
+
+/// A source as a worker opens it, and its clock.
+pub fn opener(url: &str, size: (usize, usize)) -> (SourceOpener, Clock) {
+    let address = SourceAddress::parse(url, Path::new("/")).unwrap();
+    let (clock, playback) = Playback::begin(std::iter::once(&address)).unwrap();
+    (SourceOpener::new(address, size, clock, playback, Stop::default()), clock)
+}
+
+/// Opens a source of frames of [`SIZE`].
+pub fn open(url: &str) -> (Box<dyn FrameSource>, Clock) {
+    let (mut opener, clock) = opener(url, SIZE);
+    (opener.open().unwrap(), clock)
+}
+
+/// Why a source fails, when it is opened or at its first frame.
+pub fn failure(url: &str, size: (usize, usize)) -> String {
+    let (mut opener, _) = opener(url, size);
+    let outcome = opener.open().and_then(|mut source| source.next_frame().map(|lent| lent.info));
+    match outcome {
+        Err(SourceError::Failed(message)) => message,
+        other => panic!("{url}: {other:?}"),
+    }
+}

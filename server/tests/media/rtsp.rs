@@ -1,0 +1,142 @@
+//! `rtsp://…`: capture times, and what servers do to those who watch.
+
+use std::time::Instant;
+
+use roundel_core::frame::Frame;
+use roundel_server::source::{FrameSource, OpenSource, SourceError, TimeBase};
+
+use super::{PATIENCE, SIZE, alone, failure, open, opener, server::RtspServer};
+
+const BLOCKS: usize = 16;
+
+/// The number that stands in a picture of [`SIZE`].
+fn number(frame: &Frame<'_>) -> u64 {
+    let row = frame.row(frame.height() / 2);
+    let block = frame.width() / BLOCKS;
+    (0..BLOCKS).fold(0, |number, at| number << 1 | u64::from(row[at * block + block / 2] > 125))
+}
+
+fn arguments(encoder: &str) -> [String; 3] {
+    [encoder.to_owned(), SIZE.0.to_string(), SIZE.1.to_string()]
+}
+
+fn start(test: &str, encoder: &str) -> Option<RtspServer> {
+    let arguments = arguments(encoder);
+    RtspServer::start(test, &arguments.each_ref().map(String::as_str))
+}
+
+/// Each codec: frames are counted, and once the camera has told its clock its times are the truth.
+#[test]
+fn capture_times_come_from_sender_reports() {
+    let _alone = alone();
+    for encoder in ["jpeg", "h264", "h265"] {
+        let Some(camera) = start("capture_times_come_from_sender_reports", encoder) else { return };
+        for transport in ["tcp", "udp"] {
+            let (mut source, _) = open(&format!("{}#transport={transport}&stall=5", camera.url()));
+            let begun = Instant::now();
+            let mut errors_ms: Vec<f64> = Vec::new();
+            let (mut numbers, mut left_out) = (Vec::new(), 0);
+            while errors_ms.len() < 60 {
+                assert!(begun.elapsed() < PATIENCE, "{encoder} {transport}: {errors_ms:?}");
+                let lent = source.next_frame().unwrap();
+                let number = number(&lent.frame);
+                numbers.push(number);
+                left_out += lent.info.skipped;
+                if lent.info.clock.base != TimeBase::Synchronized {
+                    continue;
+                }
+                if let Some(truth) = camera.taken_ns(number) {
+                    errors_ms.push((lent.info.capture_time.as_ns() - truth) as f64 * 1e-6);
+                }
+            }
+            assert!(numbers.is_sorted_by(|a, b| a < b), "{encoder} {transport}: {numbers:?}");
+            let sent = numbers[numbers.len() - 1] - numbers[0] + 1;
+            let came = numbers.len() as u64 + left_out;
+            println!("{encoder} {transport}: {came} of {sent} frames came");
+            errors_ms.sort_by(f64::total_cmp);
+            println!(
+                "{encoder} {transport}: off by {:.2} ms median, {:.2} to {:.2}",
+                errors_ms[30], errors_ms[0], errors_ms[59]
+            );
+            assert!(
+                errors_ms[3] > -5.0 && errors_ms[56] < 5.0,
+                "{encoder} {transport}: {errors_ms:?}"
+            );
+        }
+    }
+}
+
+fn failed(result: Result<(), SourceError>) -> String {
+    match result {
+        Err(SourceError::Failed(message)) => message,
+        other => panic!("{other:?}"),
+    }
+}
+
+/// Frames until the source ends, and why it does.
+fn until_the_end(source: &mut dyn FrameSource) -> String {
+    let begun = Instant::now();
+    while begun.elapsed() < PATIENCE {
+        if let Err(error) = source.next_frame() {
+            return failed(Err(error));
+        }
+    }
+    panic!("it does not end");
+}
+
+#[test]
+fn a_camera_that_is_killed_and_started_again_comes_back() {
+    let _alone = alone();
+    const NAME: &str = "a_camera_that_is_killed_and_started_again_comes_back";
+    let Some(camera) = start(NAME, "jpeg") else { return };
+    let (mut opener, _) = opener(&camera.url(), SIZE);
+    let mut source = opener.open().unwrap();
+    assert_eq!(source.next_frame().unwrap().frame.width(), SIZE.0);
+    let port = camera.port.to_string();
+    drop(camera);
+    let message = until_the_end(&mut *source);
+    assert!(message.starts_with(&format!("rtsp://127.0.0.1:{port}/stream: ")), "{message}");
+    drop(source);
+    let refused = match opener.open() {
+        Ok(mut source) => until_the_end(&mut *source),
+        Err(error) => failed(Err(error)),
+    };
+    assert!(refused.contains("nothing listens there; check host and port"), "{refused}");
+
+    let mut again = arguments("jpeg").to_vec();
+    again.push(port);
+    let again: Vec<&str> = again.iter().map(String::as_str).collect();
+    let _camera = RtspServer::start(NAME, &again).unwrap();
+    let mut source = opener.open().unwrap();
+    for _ in 0..5 {
+        source.next_frame().unwrap();
+    }
+}
+
+#[test]
+fn a_stall_is_noticed_within_a_second() {
+    let _alone = alone();
+    let Some(camera) = start("a_stall_is_noticed_within_a_second", "jpeg") else { return };
+    let (mut source, _) = open(&camera.url());
+    for _ in 0..5 {
+        source.next_frame().unwrap();
+    }
+    camera.freeze();
+    let message = until_the_end(&mut *source);
+    camera.thaw();
+    assert!(message.contains("stalled: no picture for 1.0 s"), "{message}");
+    drop(source);
+    let (mut source, _) = open(&camera.url());
+    source.next_frame().unwrap();
+}
+
+#[test]
+fn wrong_paths_and_sizes_are_told() {
+    let _alone = alone();
+    let Some(camera) = start("wrong_paths_and_sizes_are_told", "jpeg") else { return };
+    let missing = failure(&format!("rtsp://127.0.0.1:{}/other", camera.port), SIZE);
+    assert!(missing.contains("the camera has no such path"), "{missing}");
+    let size = failure(&camera.url(), (640, 480));
+    let expected = "expected an image of 640 x 480 pixels as the camera file says, found 320 x 64";
+    assert!(size.contains(expected), "{size}");
+}
