@@ -185,7 +185,10 @@ pub fn run(case: &Case, count: usize) -> Score {
             let rings = detector.detect(&frame, scratch);
             let code = if let [ring] = rings { ring.code } else { None };
             let found = rings.len();
-            let why = || format!("{found} found, {:?}, {:?}", scratch.rejects(), trial.imaging);
+            let rejects = scratch.rejects().iter().filter(|(_, count)| *count > 0);
+            let rejects: Vec<String> =
+                rejects.map(|(reject, count)| format!("{reject} {count}")).collect();
+            let why = || format!("{found} found, {}; {:?}", rejects.join(", "), trial.imaging);
             let reading = code.ok_or_else(why);
             (trial, reading)
         })
