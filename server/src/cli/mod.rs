@@ -1,6 +1,8 @@
 //! The commands of `roundel`.
 
 mod calibrate;
+#[cfg(all(target_os = "linux", target_pointer_width = "64"))]
+mod cameras;
 mod demo;
 mod detect;
 mod serve;
@@ -34,6 +36,8 @@ enum Command {
     Detect(detect::DetectArgs),
     Watch(watch::WatchArgs),
     Calibrate(calibrate::CalibrateArgs),
+    #[cfg(all(target_os = "linux", target_pointer_width = "64"))]
+    Cameras(cameras::CamerasArgs),
 }
 
 /// Runs the command that the process was started with. Errors go to stderr; the code is 0 for
@@ -49,6 +53,8 @@ pub fn main() -> ExitCode {
         Command::Detect(arguments) => detect::run(&arguments),
         Command::Watch(arguments) => run_async(watch::run(arguments)),
         Command::Calibrate(arguments) => run_async(calibrate::run(arguments)),
+        #[cfg(all(target_os = "linux", target_pointer_width = "64"))]
+        Command::Cameras(arguments) => cameras::run(&arguments),
     };
     outcome.unwrap_or_else(|error| {
         eprintln!("error: {}", told(&error));

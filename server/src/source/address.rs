@@ -1,6 +1,7 @@
-//! Where frames come from, as a URL: `images:GLOB-OR-FOLDER?…`, `sim:?…`, `http://…`, `rtsp://…`, `file:PATH?…` or
-//! `gst:PIPELINE`.
+//! Where frames come from, as a URL: `images:GLOB-OR-FOLDER?…`, `sim:?…`, `http://…`, `rtsp://…`, `file:PATH?…`,
+//! `gst:PIPELINE` or `v4l2:DEVICE?…`.
 
+mod device;
 mod media;
 mod network;
 
@@ -14,11 +15,12 @@ use thiserror::Error;
 
 use super::timing::CaptureClock;
 use crate::suggestion::{list, nearest};
+pub use device::DeviceAddress;
 pub use media::{MediaAddress, Transport};
 pub use network::{HttpAddress, without_credentials};
 
 /// The schemes that this version plays, as people write them.
-const SCHEMES: [&str; 6] = ["images:", "sim:", "http:", "rtsp:", "file:", "gst:"];
+const SCHEMES: [&str; 7] = ["images:", "sim:", "http:", "v4l2:", "rtsp:", "file:", "gst:"];
 const IMAGES_KEYS: [&str; 4] = ["fps", "times", "clock", "loop"];
 const SIM_KEYS: [&str; 4] = ["preset", "seed", "robots", "camera"];
 /// Frames a second that an address may ask for.
@@ -33,6 +35,8 @@ pub enum SourceAddress {
     Sim(SimAddress),
     /// A network camera that sends JPEGs.
     Http(HttpAddress),
+    /// A camera of this machine.
+    Device(DeviceAddress),
     /// What GStreamer plays.
     Media(MediaAddress),
 }
@@ -115,6 +119,14 @@ pub enum AddressError {
     /// No files are named.
     #[error("`images:` needs a folder or a pattern, such as `images:frames/*.png?fps=30`")]
     NoPattern,
+    /// A control of a camera.
+    #[error("control `{control}` must be a whole number, found `{found}`")]
+    Control {
+        /// Which one.
+        control: String,
+        /// What stands there.
+        found: String,
+    },
     /// Two options that exclude each other, or one that needs another.
     #[error("{0}")]
     Options(&'static str),
@@ -149,6 +161,7 @@ impl SourceAddress {
             "images" => images(path, query, folder).map(Self::Images),
             "sim" => sim(path, query).map(Self::Sim),
             "http" => network::http(url).map(Self::Http),
+            "v4l2" => device::device(path, query).map(Self::Device),
             "rtsp" => media::rtsp(url).map(Self::Media),
             "file" => media::file(path, query, folder).map(Self::Media),
             "gst" => media::pipeline(rest).map(Self::Media),
@@ -161,6 +174,7 @@ impl SourceAddress {
         match self {
             Self::Images(_) | Self::Sim(_) => CaptureClock::EXACT,
             Self::Http(_) => CaptureClock::ARRIVAL,
+            Self::Device(_) => CaptureClock::DRIVER,
             Self::Media(media) => media.capture_clock(),
         }
     }
@@ -330,7 +344,7 @@ mod tests {
         for (url, expected) in [
             (
                 "image:x",
-                "no source begins with `image:`: expected `images:`, `sim:`, `http:`, `rtsp:`, `file:`, `gst:`; did you mean `images:`?",
+                "no source begins with `image:`: expected `images:`, `sim:`, `http:`, `v4l2:`, `rtsp:`, `file:`, `gst:`; did you mean `images:`?",
             ),
             ("frames/*.png", "no source begins with `frames/*.png`"),
             ("images:", "needs a folder or a pattern"),

@@ -6,6 +6,7 @@
 //! | `sim` | `sim:` – a simulated camera, rendered while it is watched |
 //! | `playback` | when each of their frames is due |
 //! | `http` | `http://…` – MJPEG of network cameras, or their snapshots |
+//! | [`v4l2`] | `v4l2:` – cameras of this machine; on Linux |
 //! | `gst` | `rtsp://…`, `file:`, `gst:` – what GStreamer plays; with the Cargo feature `gst` |
 //!
 //! What they are made of:
@@ -33,6 +34,8 @@ pub mod pixels;
 mod playback;
 mod sim;
 mod timing;
+#[cfg(all(target_os = "linux", target_pointer_width = "64"))]
+pub mod v4l2;
 
 use std::time::Duration;
 
@@ -40,8 +43,8 @@ use roundel_core::{frame::Frame, time::Timestamp};
 use thiserror::Error;
 
 pub use address::{
-    AddressError, HttpAddress, ImagesAddress, MediaAddress, SimAddress, SimPreset, SourceAddress,
-    Transport, without_credentials,
+    AddressError, DeviceAddress, HttpAddress, ImagesAddress, MediaAddress, SimAddress, SimPreset,
+    SourceAddress, Transport, without_credentials,
 };
 pub use playback::{Playback, TimesError};
 pub use sim::{SIM_LATENCY_S, simulated_camera, simulated_scenario};
@@ -159,6 +162,15 @@ impl OpenSource for SourceOpener {
                 let parts = http::HttpParts { size: self.size, clock: self.clock };
                 Ok(Box::new(http::HttpSource::open(address, parts, self.stop.clone())?))
             }
+            #[cfg(all(target_os = "linux", target_pointer_width = "64"))]
+            SourceAddress::Device(address) => {
+                let parts = v4l2::V4l2Parts { size: self.size, clock: self.clock };
+                v4l2::open(address, parts, self.stop.clone())
+            }
+            #[cfg(not(all(target_os = "linux", target_pointer_width = "64")))]
+            SourceAddress::Device(address) => Err(SourceError::Failed(format!(
+                "{address}: `v4l2:` is for Linux on 64-bit machines; use `gst:` with this system's camera source"
+            ))),
             #[cfg(feature = "gst")]
             SourceAddress::Media(address) => {
                 let parts = gst::GstParts { size: self.size, clock: self.clock };
