@@ -88,6 +88,20 @@ fn tracks_are_right_through_a_bump() {
     }
 }
 
+/// Cameras that are pushed aside within 0.3 s, at times at which tracks once went along.
+#[test]
+fn tracks_are_right_while_a_camera_is_pushed() {
+    for (seed, at_s) in [(2, 5.2), (8, 8.9)] {
+        let mut healing = Healing::r4(seed, 60.0, NOISE_PX);
+        let mut random = Random::new(seed, 79);
+        let push = Move::bump(CameraId(seed as u32 % 4), at_s, (0.02, 0.0), &mut random);
+        healing.moves.push(Move { lasts_s: 0.3, ..push });
+        let tracks = healing.follow(FusionParams::default(), at_s + 3.0);
+        assert!(tracks.meanwhile_m < MOST_OFF_M, "seed {seed}: {tracks:?}");
+        assert!(tracks.counts.held_frames > 20, "{tracks:?}");
+    }
+}
+
 #[test]
 fn nobody_is_held_back_without_a_bump() {
     let tracks = Healing::r4(5, 60.0, NOISE_PX).follow(FusionParams::default(), 60.0);

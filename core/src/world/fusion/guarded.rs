@@ -6,7 +6,7 @@ use super::Fusion;
 use crate::{
     id::CameraId,
     time::Timestamp,
-    track::{TakenBack, invert_positive},
+    track::{Measurement, TakenBack, invert_positive},
     world::{
         HeldBack,
         association::{Decision, Sighting},
@@ -22,6 +22,8 @@ const SPOILED_NS: i64 = 1_000_000_000;
 const CONFIRMED_S: f64 = 0.1;
 /// Measurements of an object that are looked at for that at most.
 const MOST_LOOKED_AT: usize = 24;
+/// Two views of a camera that follow each other within this tell a velocity.
+const STEP_S: f64 = 0.06;
 /// a² over the density that the model has of it.
 const ACCELERATION_RATE_HZ: f64 = 10.0;
 /// Objects that a witness sees.
@@ -137,7 +139,7 @@ fn follows(tracks: &[Track], sighting: &Sighting) -> Option<usize> {
 
 /// What a sighting says of its camera's motion: how far it lies from where others, or only one of them, saw the
 /// object a moment ago, which is known the worse the less is known of both cameras' clocks. The track's own place is
-/// not asked, since the camera may have led it astray already, only its velocity.
+/// not asked, since the camera may have led it astray already.
 fn pull(track: &Track, sighting: &Sighting, by: Option<CameraId>, clocks: &Clocks) -> Option<Pull> {
     let seen = &sighting.measurement;
     if track.is_tentative() {
@@ -160,16 +162,17 @@ fn pull(track: &Track, sighting: &Sighting, by: Option<CameraId>, clocks: &Clock
         if !is_new || dt < -CONFIRMED_S {
             continue;
         }
-        let bent =
-            track.model.acceleration_density_m2_s3 * (ACCELERATION_RATE_HZ * 0.25 * dt.powi(4));
+        let most_m2_s4 = track.model.acceleration_density_m2_s3 * ACCELERATION_RATE_HZ;
+        let bent = most_m2_s4 * (0.25 * dt.powi(4));
+        let (rate, rate_covariance) = velocity(track, view, &most_m2_s4);
         let timing_s = clocks.deviation_s(seen.camera, view.camera);
         let covariance = view.position_noise.total
-            + kernel.spread.rate * (dt * dt)
+            + rate_covariance * (dt * dt)
             + kernel.rate * kernel.rate.transpose() * (timing_s * timing_s)
             + Matrix3::from_diagonal(&bent);
         let Some((weight, _)) = invert_positive(&covariance) else { continue };
         precision += weight;
-        pull += weight * (view.position_m + kernel.rate * dt);
+        pull += weight * (view.position_m + rate * dt);
         others[count] = Some(view.camera);
         count += 1;
     }
@@ -177,4 +180,38 @@ fn pull(track: &Track, sighting: &Sighting, by: Option<CameraId>, clocks: &Clock
     let (weight, _) = invert_positive(&(covariance + seen.position_noise.total))?;
     let residual_m = seen.position_m - covariance * pull;
     Some(Pull { arm_m: seen.position_m, residual_m, weight, others })
+}
+
+/// How fast the object of a view was, and the covariance of that: from the same camera's view just before, joined with
+/// what the track knows. By that alone a foreseen place was worse than a view, and while views contradict one another
+/// it is worse yet, and led astray by who moved; within one camera's views they do not.
+fn velocity(
+    track: &Track,
+    view: &Measurement,
+    most_m2_s4: &Vector3<f64>,
+) -> (Vector3<f64>, Matrix3<f64>) {
+    let kernel = &track.history.newest().motion.agile().kernel;
+    let (known_m_s, known) = (kernel.rate, kernel.spread.rate);
+    let is_before = |it: &&Measurement| it.camera == view.camera && it.time < view.time;
+    let before = track.history.measurements().rev().take(2 * MOST_LOOKED_AT).find(is_before);
+    let Some(before) = before.filter(|it| view.time.seconds_since(it.time) < STEP_S) else {
+        return (known_m_s, known);
+    };
+    let step_s = view.time.seconds_since(before.time);
+    let fresh = |it: &Measurement| {
+        let noise = &it.position_noise;
+        noise.total - noise.systematic_root * noise.systematic_root.transpose()
+    };
+    // It is the velocity half a step ago.
+    let bent = Matrix3::from_diagonal(&(most_m2_s4 * (0.25 * step_s * step_s)));
+    let own = (fresh(view) + fresh(before)) / (step_s * step_s) + bent;
+    let own_m_s = (view.position_m - before.position_m) / step_s;
+    let joined = invert_positive(&own).zip(invert_positive(&known)).and_then(
+        |((own_weight, _), (known_weight, _))| {
+            let (covariance, _) = invert_positive(&(own_weight + known_weight))?;
+            Some((covariance * (own_weight * own_m_s + known_weight * known_m_s), covariance))
+        },
+    );
+    // Its error goes with the view's.
+    joined.map_or((known_m_s, known), |(rate_m_s, covariance)| (rate_m_s, covariance * 2.0))
 }
