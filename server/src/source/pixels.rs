@@ -11,9 +11,8 @@
 //! wherever the pixel lies in it: no pattern stays, nothing moves, and the blur is one of σ² = ½ px² that fits to
 //! the grey levels find like any other. At the border the picture is mirrored, which keeps the mosaic.
 //!
-//! PERF: 1280x720 on one core of the machine that README's figures are of, `cargo bench -p roundel-server --bench
-//! pixels`. A detector that walked packed YUV in steps of two would save the pass and lose its wide loads, which
-//! cost more in the first search alone.
+//! A detector that walked packed YUV in steps of two would save its pass and lose its wide loads everywhere.
+//! `cargo bench -p roundel-server --bench pixels` says what each costs.
 
 use roundel_core::frame::{Frame, FrameError};
 use thiserror::Error;
