@@ -1,7 +1,7 @@
 //! How an object is turned: orientation and angular velocity, with both normals kept in play.
 //!
 //! The error state is a small rotation δθ on the left (true R = exp([δθ]×) R, world frame) and the
-//! angular velocity's error; [`Kernel`] filters them, and each correction goes into the quaternion
+//! angular velocity's error; [`super::Kernel`] filters them, and each correction goes into the quaternion
 //! at once (a multiplicative Kalman filter: Lefferts, Markley, Shuster, 1982).
 //!
 //! A plain roundel shows its normal only ([`AttitudeMeasurement`]). A coded one whose code is not read now and
@@ -13,9 +13,9 @@
 //!
 //! How strongly a normal is turned is learned ([`super::density`]): most objects stay upright. A heading is not: it
 //! turns and stops within a second, and what is learned would follow too late. Where a normal is turned, that
-//! lasts, so that more of it is told than white noise would leave ([`TILT_SHARE`]; the argument is
-//! [`super::Motion`]'s). Of bodies with a yaw nothing is learned: where a single plain roundel shows one, its place hangs on its
-//! orientation, and with learned normals places lie in 90 % of cases inside their 95 % instead of 92.
+//! lasts, so that more of it is told than white noise would leave (`hypothesis`; the argument is
+//! [`super::Motion`]'s). Of bodies with a yaw nothing is learned: where a single plain roundel shows one, its place hangs
+//! on its orientation, and with learned normals places lie in 90 % of cases inside their 95 % instead of 92.
 //!
 //! An ellipse allows two normals, mirrored at the line of sight. The wrong one changes with the
 //! view, the right one does not. So up to two hypotheses are filtered, each taking from every
@@ -26,18 +26,23 @@
 //! grown old, the normal it did not take stands up as its rival again. Both are shown by the
 //! covariance, as long as the second is not negligible (moments of the mixture).
 
+mod hypothesis;
 mod measurement;
 
 use nalgebra::{Matrix3, Matrix6, UnitQuaternion, Vector3};
 
-use super::{Ground, Kernel, MotionModel, Spread, density::Densities};
+use super::{
+    Ground, MotionModel, Spread,
+    alarm::{Alarm, UNSEEN_S},
+    density::Densities,
+};
 use crate::{
     id::CameraId,
     rigid::{
         SMALL_SQUARED, UNKNOWN_ANGLE_VARIANCE_RAD2, arc_sine_share, orientation_of_normal, turn_by,
-        vector_of,
     },
 };
+use hypothesis::{Fit, Hypothesis, begin};
 pub use measurement::AttitudeMeasurement;
 
 /// Successive frames share most of their error, so each counts only for this part of a fresh one.
@@ -51,10 +56,6 @@ const SETTLED_ODDS: f64 = 8.0;
 const RIVAL_ODDS: f64 = 5.0;
 /// Verdicts fade with this time constant.
 const VERDICT_TIME_S: f64 = 1.0;
-/// Squared Mahalanobis length that a fitting measurement of the normal has at most (χ², 2 degrees
-/// of freedom, 0.99).
-const FITTING_DISTANCE_SQUARED: f64 = 9.2;
-
 /// Variance about the normal of an unread code while the yaw is known from before: that of an unknown angle would
 /// be information, which averages sixty times a second, and the yaw would never be forgotten. (Without a yaw
 /// to forget, an unknown angle's keeps the filter from drifting about it.)
@@ -62,25 +63,6 @@ const UNREAD_VARIANCE_RAD2: f64 = 300.0;
 /// The yaw is told while its deviation is below this and the newest measurement that had one is no older.
 const KNOWN_YAW_RAD: f64 = 0.3;
 const KNOWN_YAW_S: f64 = 0.5;
-
-/// Share of the process noise's part in the covariance of the normal that is told.
-const TILT_SHARE: f64 = 1.5;
-/// The same of the angular velocity about it, where the density is what objects are capable of at most.
-const TURNING_SHARE: f64 = 0.5;
-/// Unseen for so long, it may have begun to turn.
-const UNSEEN_S: f64 = 0.15;
-/// A manoeuvre has begun when innovations are as if their covariance were so many times as large …
-const SURPRISE: f64 = 4.0;
-/// … by evidence of e⁸ to one …
-const ALARM_LOG_RATIO: f64 = 8.0;
-/// … of which a single measurement says so much at most.
-const LOG_LIMIT: f64 = 6.0;
-
-#[derive(Clone, Copy, Debug, PartialEq)]
-struct Hypothesis {
-    orientation: UnitQuaternion<f64>,
-    kernel: Kernel,
-}
 
 /// Orientation and angular velocity of one object, with both normals while both are possible.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -95,7 +77,7 @@ pub struct Attitude {
     yaw_age_s: f64,
     /// How strongly it is turned.
     densities: Densities,
-    alarm: f64,
+    alarm: Alarm,
     unseen_s: f64,
 }
 
@@ -129,7 +111,7 @@ impl Attitude {
             yaw_symmetry: seen.yaw_symmetry,
             yaw_age_s: 0.0,
             densities: Densities::begin(&model.angular_density_rad2_s3, 0.0),
-            alarm: 0.0,
+            alarm: Alarm::default(),
             unseen_s: 0.0,
         };
         attitude.log_odds = attitude.prior(model) + seen.log_likelihood(0) - seen.log_likelihood(1);
@@ -255,9 +237,7 @@ impl Attitude {
         } else {
             self.densities.learn(&fit.slope);
         }
-        self.alarm = (self.alarm + fit.surprise()).max(0.0);
-        if self.alarm > ALARM_LOG_RATIO {
-            self.alarm = 0.0;
+        if self.alarm.is_raised_by(fit.surprise()) {
             self.densities = Densities::begin(&model.angular_density_rad2_s3, 0.0);
         }
     }
@@ -318,120 +298,6 @@ impl Attitude {
     }
 }
 
-/// How well a hypothesis explains a measurement.
-#[derive(Clone, Copy)]
-struct Fit {
-    evidence: f64,
-    distance_squared: f64,
-    /// Of the log-likelihood over the logarithm of the density.
-    slope: Vector3<f64>,
-}
-
-impl Fit {
-    /// ln of the likelihood if all covariances were [`SURPRISE`] times as large, over that stated.
-    fn surprise(self) -> f64 {
-        let ratio = 0.5 * (self.distance_squared * (1.0 - 1.0 / SURPRISE) - 3.0 * SURPRISE.ln());
-        ratio.min(LOG_LIMIT)
-    }
-
-    /// That of a normal which fits as it should at worst.
-    fn fitting(self) -> Self {
-        let excess = (self.distance_squared - FITTING_DISTANCE_SQUARED).max(0.0);
-        Self { evidence: self.evidence + excess / 2.0, ..self }
-    }
-}
-
-impl Hypothesis {
-    /// Orientation and covariance `dt` seconds from now.
-    fn told(
-        &self,
-        dt: f64,
-        density: &Vector3<f64>,
-        model: &MotionModel,
-    ) -> (UnitQuaternion<f64>, Spread) {
-        let turn = turn_by(&(self.kernel.rate * dt));
-        if !model.learns_turning {
-            let mut spread = self.kernel.told();
-            spread.predict(dt, density);
-            return (turn * self.orientation, spread);
-        }
-        let normal = self.normal();
-        let along = normal.component_mul(&normal);
-        let of_value = along.map(|along| TILT_SHARE + (1.0 - TILT_SHARE) * along);
-        let of_rate = along.map(|along| 1.0 + (TURNING_SHARE - 1.0) * along);
-        let mut spread = self.kernel.told_sharing(&of_value, &of_rate);
-        spread.predict(dt, density);
-        (turn * self.orientation, spread)
-    }
-
-    fn normal(&self) -> Vector3<f64> {
-        self.orientation * Vector3::z()
-    }
-
-    /// Makes the angle about the normal unknown, and how it turns about it.
-    fn forget_yaw(&mut self, model: &MotionModel) {
-        let normal = self.normal();
-        let along = normal * normal.transpose();
-        self.kernel.spread.value += along * UNKNOWN_ANGLE_VARIANCE_RAD2;
-        self.kernel.spread.rate += along * turning(model).dot(&normal.component_mul(&normal));
-    }
-
-    /// Takes the candidate that suits better, where about the normal nothing better than `unread_rad2` is known from
-    /// a measurement without yaw; says how well it fits and which one it was.
-    fn update(
-        &mut self,
-        (seen, unread_rad2): (&AttitudeMeasurement, f64),
-        camera: CameraId,
-        model: &MotionModel,
-    ) -> (Fit, usize) {
-        let mut chosen: Option<(Fit, usize, Vector3<f64>)> = None;
-        for index in 0..2 {
-            let turn = self.turn_to(seen, index);
-            let noise = seen.noise(index, (&self.normal(), unread_rad2));
-            let Some(innovation) = self.kernel.innovation(&turn, &noise, camera) else { continue };
-            let evidence = seen.log_likelihood(index)
-                - 0.5 * (innovation.distance_squared + innovation.log_det());
-            if chosen.is_none_or(|(fit, ..)| evidence > fit.evidence) {
-                let fit = Fit {
-                    evidence,
-                    distance_squared: innovation.distance_squared,
-                    slope: Vector3::zeros(),
-                };
-                chosen = Some((fit, index, turn));
-            }
-        }
-        let Some((mut fit, index, turn)) = chosen else {
-            return (Fit { evidence: 0.0, distance_squared: 0.0, slope: Vector3::zeros() }, 0);
-        };
-        let robust = model.robust_distance_squared;
-        let noise = seen.noise(index, (&self.normal(), unread_rad2));
-        let correction = self.kernel.update(&turn, &noise, camera, robust);
-        fit.slope = correction.slope;
-        self.orientation = turn_by(&correction.value) * self.orientation;
-        (fit, index)
-    }
-
-    /// The rotation from this orientation to the candidate's.
-    fn turn_to(&self, seen: &AttitudeMeasurement, index: usize) -> Vector3<f64> {
-        if seen.yaw_symmetry.is_some() {
-            vector_of(&(seen.nearest(index, &self.orientation) * self.orientation.inverse()))
-        } else {
-            smallest_turn(&self.normal(), &seen.normal(index))
-        }
-    }
-}
-
-/// A filter of one candidate.
-fn begin(
-    seen: &AttitudeMeasurement,
-    index: usize,
-    camera: CameraId,
-    model: &MotionModel,
-) -> Kernel {
-    let about = (&seen.normal(index), UNKNOWN_ANGLE_VARIANCE_RAD2);
-    Kernel::begin(&seen.noise(index, about), camera, &turning(model))
-}
-
 /// The covariance of a rotation and its rate when nothing is known about the rotation about
 /// `normal`: the variance of an unknown angle there, and no correlation with the rest.
 pub(crate) fn without_yaw(spread: &Spread, normal: &Vector3<f64>) -> Spread {
@@ -453,11 +319,6 @@ fn prior(best: &Vector3<f64>, other: &Vector3<f64>, model: &MotionModel) -> f64 
 /// Log-odds `dt` seconds later, on their way to the prior.
 fn faded(log_odds: f64, dt: f64, prior: f64) -> f64 {
     prior + (log_odds - prior) * (-dt.abs() / VERDICT_TIME_S).exp()
-}
-
-/// Variance of an unseen angular velocity about each axis.
-fn turning(model: &MotionModel) -> Vector3<f64> {
-    model.angular_speed_rad_s.component_mul(&model.angular_speed_rad_s)
 }
 
 /// Rotation vector of the smallest rotation from one unit vector to another.

@@ -9,6 +9,7 @@
 //! F = [I dt·I; 0 I], Q = q [dt³/3·I dt²/2·I; dt²/2·I dt·I] (Bar-Shalom, Li, Kirubarajan,
 //! *Estimation with Applications to Tracking and Navigation*, 2001, section 6.2.2).
 
+mod alarm;
 mod attitude;
 mod density;
 mod ground;

@@ -3,9 +3,8 @@
 //! Two filters run side by side. The adapted one is disturbed as strongly as suits what is seen
 //! ([`super::density`]); it is the estimate. The agile one always expects what objects are capable of. It
 //! decides which measurements can be the object's, it stands in when the object is not seen (it may have
-//! begun to move), and when it has foreseen the measurements better than the adapted one by
-//! [`ALARM_LOG_RATIO`] (Page's cumulative sum, *Continuous inspection schemes*, 1954), a manoeuvre
-//! has begun: the other starts again from it.
+//! begun to move), and when it has foreseen the measurements so much better than the adapted one that a manoeuvre
+//! must have begun (`alarm`), the other starts again from it.
 //!
 //! What moves is not disturbed by white noise, though: accelerations last. The q that foresees best is then one
 //! whose lag and noise are in balance, and errors are other than a filter of white noise with that q believes.
@@ -23,17 +22,13 @@
 use nalgebra::{Matrix3, Vector3};
 
 use super::{
-    Correction, Ground, Innovation, Kernel, Measurement, MotionModel, Spread, density::Densities,
+    Correction, Ground, Innovation, Kernel, Measurement, MotionModel, Spread,
+    alarm::{Alarm, UNSEEN_S},
+    density::Densities,
 };
 
-/// A single measurement's say on which filter foresees better.
-const LOG_LIMIT: f64 = 6.0;
-/// Evidence for a manoeuvre, e⁸ to one.
-const ALARM_LOG_RATIO: f64 = 8.0;
 /// Accelerations may be e to half of this times what objects are said to be capable of.
 const LOG_CEILING: f64 = 2.8;
-/// Unseen for so long, the agile filter stands in.
-const UNSEEN_S: f64 = 0.15;
 /// Shares of the process noise's part in the covariances of position and velocity that are told.
 const VALUE_SHARE: f64 = 1.5;
 const RATE_SHARE: f64 = 0.45;
@@ -72,7 +67,7 @@ pub struct Motion {
     adapted: Filter,
     agile: Filter,
     densities: Densities,
-    alarm: f64,
+    alarm: Alarm,
     unseen_s: f64,
 }
 
@@ -125,7 +120,7 @@ impl Motion {
             adapted: filter,
             agile: filter,
             densities: Densities::begin(&model.acceleration_density_m2_s3, LOG_CEILING),
-            alarm: 0.0,
+            alarm: Alarm::default(),
             unseen_s: 0.0,
         }
     }
@@ -137,7 +132,7 @@ impl Motion {
 
     /// What told how strongly it is disturbed was wrong: everything objects are capable of is to be expected.
     pub fn doubt(&mut self, model: &MotionModel) {
-        self.alarm = 0.0;
+        self.alarm.forget();
         self.adapted = self.agile;
         self.densities = Densities::begin(&model.acceleration_density_m2_s3, LOG_CEILING);
     }
@@ -157,8 +152,7 @@ impl Motion {
         let Correction { innovation, slope, .. } = self.adapted.update(seen, model);
         let agile = self.agile.update(seen, model).innovation;
         self.densities.learn(&slope);
-        self.alarm = (self.alarm + agile.log_ratio(&innovation).min(LOG_LIMIT)).max(0.0);
-        if self.alarm > ALARM_LOG_RATIO {
+        if self.alarm.is_raised_by(agile.log_ratio(&innovation)) {
             self.doubt(model);
         }
         innovation

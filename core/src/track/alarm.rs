@@ -1,0 +1,51 @@
+//! When what a filter was told of its object does not hold any more: Page's cumulative sum (*Continuous inspection
+//! schemes*, 1954) of the evidence against it, which never falls below none.
+
+/// Evidence for a manoeuvre, e⁸ to one …
+const ALARM_LOG_RATIO: f64 = 8.0;
+/// … of which a single measurement says so much at most.
+const LOG_LIMIT: f64 = 6.0;
+/// Unseen for so long, an object may have begun one.
+pub(super) const UNSEEN_S: f64 = 0.15;
+
+/// The evidence so far, as a logarithm.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub(super) struct Alarm(f64);
+
+impl Alarm {
+    /// Adds the logarithm of a likelihood ratio; true, and all is forgotten, if that is enough for a manoeuvre.
+    pub(super) fn is_raised_by(&mut self, log_ratio: f64) -> bool {
+        self.0 = (self.0 + log_ratio.min(LOG_LIMIT)).max(0.0);
+        let is_raised = self.0 > ALARM_LOG_RATIO;
+        if is_raised {
+            self.forget();
+        }
+        is_raised
+    }
+
+    /// Makes it as new.
+    pub(super) fn forget(&mut self) {
+        self.0 = 0.0;
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn one_measurement_is_no_manoeuvre_and_two_may_be() {
+        let mut alarm = Alarm::default();
+        assert!(!alarm.is_raised_by(1e9));
+        assert!(alarm.is_raised_by(2.5), "6 and 2.5 are more than 8");
+        assert!(!alarm.is_raised_by(6.0), "the first ones are forgotten");
+    }
+
+    #[test]
+    fn what_speaks_against_it_never_counts_for_later() {
+        let mut alarm = Alarm::default();
+        (0..1000).for_each(|_| assert!(!alarm.is_raised_by(-5.0)));
+        assert!(!alarm.is_raised_by(5.0));
+        assert!(alarm.is_raised_by(5.0));
+    }
+}
