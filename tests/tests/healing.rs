@@ -103,6 +103,18 @@ fn tracks_are_right_while_a_camera_is_pushed() {
 }
 
 #[test]
+fn bumps_of_millimetres_heal() {
+    for (seed, size) in [(1, (0.002, 0.0)), (2, (0.0, 0.03f64.to_radians()))] {
+        let mut healing = Healing::r4(seed, 60.0, NOISE_PX);
+        let mut random = Random::new(seed, 79);
+        healing.moves.push(Move::bump(CameraId(seed as u32 % 4), 90.03, size, &mut random));
+        let tracks = healing.follow(FusionParams::default(), 112.0);
+        let is_right = tracks.meanwhile_m < MOST_OFF_M && tracks.else_m < MOST_OFF_M;
+        assert!(is_right && tracks.returned == 1, "seed {seed}, {size:?}: {tracks:?}");
+    }
+}
+
+#[test]
 fn nobody_is_held_back_without_a_bump() {
     let tracks = Healing::r4(5, 60.0, NOISE_PX).follow(FusionParams::default(), 60.0);
     assert_eq!((tracks.counts.held_frames, tracks.counts.taken_back), (0, 0), "{tracks:?}");

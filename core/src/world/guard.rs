@@ -154,10 +154,15 @@ enum Accused {
 }
 
 impl Guards {
-    /// Forgets a camera: it stands elsewhere.
+    /// Forgets a camera: it stands elsewhere. What is usual of the others was against where it stood.
     pub(super) fn forget(&mut self, camera: CameraId) {
         self.members.retain(|member| member.camera != camera);
         self.spoiled.retain(|(spoiled, _)| *spoiled != camera);
+        for member in self.members.iter_mut().filter(|member| member.hold.is_none()) {
+            member.baseline = Baseline::default();
+            let warm = member.learned.map(|learned| learned.plus_ns(WARM_NS));
+            member.from = warm.map_or(member.from, |warm| warm.max(member.from));
+        }
     }
 
     /// From when on a camera is held back.

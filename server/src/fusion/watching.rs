@@ -65,6 +65,7 @@ impl Watching {
     pub(super) fn advance(&mut self, now: Timestamp, fusion: &mut Fusion, hub: &Hub) {
         for held in fusion.drain_held_back() {
             log_held(&held, hub.installation());
+            self.watch.hold(held.camera, held.step == HeldStep::Begun);
         }
         for event in self.watch.advance(now) {
             let (happening, message) = self.effect(&event, fusion, hub);

@@ -10,7 +10,8 @@ use roundel_core::{
     rigid::Covariance6,
     time::Timestamp,
     world::{
-        CameraPlacement, Fusion, FusionCounts, FusionParams, LifeStage, ObjectState, Snapshot,
+        CameraPlacement, Fusion, FusionCounts, FusionParams, HeldStep, LifeStage, ObjectState,
+        Snapshot,
     },
 };
 
@@ -56,6 +57,9 @@ impl Healing {
             watch.observe(&frame, 0.0);
             fusion.observe(&frame);
             let now = frame.received_time;
+            for held in fusion.drain_held_back() {
+                watch.hold(held.camera, held.step == HeldStep::Begun);
+            }
             for event in watch.advance(now) {
                 match event {
                     WatchEvent::Bumped { camera, .. } => fusion.quarantine(camera),

@@ -10,7 +10,6 @@
 use std::collections::BTreeSet;
 
 use super::{
-    WatchParams,
     fit::{Fit, Round, cost, excess, first_gain, release},
     meeting::Roundel,
 };
@@ -49,8 +48,8 @@ struct Hypothesis {
 }
 
 impl Hypothesis {
-    fn is_move(&self, params: &WatchParams) -> bool {
-        self.freed.iter().all(|(_, fit)| fit.moved_m > params.least_bump_m)
+    fn is_move(&self, least_m: &[f64]) -> bool {
+        self.freed.iter().all(|(post, fit)| fit.moved_m > least_m[*post])
     }
 
     fn posts(&self) -> Vec<usize> {
@@ -60,8 +59,8 @@ impl Hypothesis {
     }
 }
 
-/// Judges rounds with cameras at these places.
-pub(super) fn judge(rounds: &[Round], places: &[Option<Rigid>], params: &WatchParams) -> Verdict {
+/// Judges rounds with cameras at these places; of each, what it sees has to be off by more than `least_m`.
+pub(super) fn judge(rounds: &[Round], places: &[Option<Rigid>], least_m: &[f64]) -> Verdict {
     let stirs = |post: &usize| {
         places[*post].is_some_and(|place| first_gain(rounds, *post, &place) > FIRST_GAIN)
             && is_backed(rounds, *post)
@@ -72,15 +71,17 @@ pub(super) fn judge(rounds: &[Round], places: &[Option<Rigid>], params: &WatchPa
         posts.iter().filter_map(|post| free(rounds, places, &[*post])).collect();
     singles.sort_by(|one, other| one.cost.total_cmp(&other.cost));
     let Some(best) = singles.first() else { return Verdict::Agreed };
-    let matters = |gain: f64, fit: &Fit| gain > SURE_GAIN && fit.moved_m > params.least_bump_m;
-    if !matters(base - best.cost, &best.freed[0].1) {
+    let matters =
+        |gain: f64, post: usize, fit: &Fit| gain > SURE_GAIN && fit.moved_m > least_m[post];
+    let (first, fit) = &best.freed[0];
+    if !matters(base - best.cost, *first, fit) {
         return Verdict::Agreed;
     }
     // Does anybody else have to move, once the best one has?
-    let is_enough = posts.iter().filter(|post| **post != best.freed[0].0).all(|post| {
+    let is_enough = posts.iter().filter(|post| *post != first).all(|post| {
         let mut rest = best.rounds.clone();
         let fit = places[*post].and_then(|place| release(&mut rest, *post, &place));
-        fit.is_none_or(|fit| !matters(best.cost - cost(&rest), &fit))
+        fit.is_none_or(|fit| !matters(best.cost - cost(&rest), *post, &fit))
     });
     let mut pairs: Vec<Hypothesis> = Vec::new();
     if !is_enough {
@@ -93,7 +94,7 @@ pub(super) fn judge(rounds: &[Round], places: &[Option<Rigid>], params: &WatchPa
     }
     // What no move explains is noise; while it is not known who moved, much of it is not.
     let is_better = |pair: &&Hypothesis| {
-        best.cost - pair.cost > SURE_GAIN * excess(&pair.rounds) && pair.is_move(params)
+        best.cost - pair.cost > SURE_GAIN * excess(&pair.rounds) && pair.is_move(least_m)
     };
     let sorted = if pairs.first().filter(is_better).is_some() { &pairs } else { &singles };
     let scale = excess(&sorted[0].rounds);

@@ -7,8 +7,9 @@
 use nalgebra::{DMatrix, DVector, Matrix6, Vector6};
 
 use super::{
-    BIN_S, WatchParams,
-    fit::{Round, prior, robust},
+    BIN_S, Watch, WatchEvent, WatchParams,
+    fit::{Round, moved, prior, robust},
+    meeting::Meeting,
 };
 use crate::rigid::Rigid;
 
@@ -16,6 +17,8 @@ use crate::rigid::Rigid;
 const SURE_GAIN: f64 = 45.0;
 /// The next best camera's gain is so much less.
 const CLEAR_GAIN: f64 = 20.0;
+/// It is looked at every so many bins.
+const EVERY: i64 = 8;
 /// Sums tell nothing before so much of a window has passed.
 const LEAST_SHARE: f64 = 0.7;
 
@@ -108,6 +111,11 @@ impl Drift {
         })
     }
 
+    /// Whether there is enough in the sums.
+    pub(super) fn is_filled(&self) -> bool {
+        self.filled >= LEAST_SHARE
+    }
+
     /// By how much disagreements are larger than expected.
     fn excess(&self) -> f64 {
         if self.freedom > 0.0 { (self.energy / self.freedom).max(1.0) } else { 1.0 }
@@ -115,7 +123,7 @@ impl Drift {
 
     /// The camera that is off, if one clearly is.
     pub(super) fn adrift(&self, params: &WatchParams) -> Option<(usize, Offset)> {
-        if self.filled < LEAST_SHARE {
+        if !self.is_filled() {
             return None;
         }
         let offsets = (0..self.arms.len()).filter_map(|post| Some((post, self.offset(post)?)));
@@ -157,5 +165,41 @@ impl Drift {
     pub(super) fn change(&mut self, post: usize, change: &Vector6<f64>) {
         let column = self.information.fixed_columns::<NUMBERS>(post * NUMBERS);
         self.score -= column * change;
+    }
+}
+
+impl Watch {
+    /// Takes a bin into the slow sums, and corrects who drifted.
+    pub(super) fn follow(&mut self, meetings: &[Meeting], bin: i64) {
+        let places = self.places();
+        // Over the sums' whole time, errors that stay count as often as there are bins in it.
+        let window = (self.params.drift_window_s / BIN_S) as usize;
+        let of = |meeting: &Meeting| Round::of(meeting, &places, window, &self.params);
+        let rounds: Vec<Round> = meetings.iter().filter_map(of).collect();
+        self.drift.add(&rounds, &places, &self.params);
+        if bin.rem_euclid(EVERY) != 0 {
+            return;
+        }
+        let Some((index, offset)) = self.drift.adrift(&self.params) else {
+            self.settle();
+            return;
+        };
+        self.drift.change(index, &offset.change);
+        let post = &mut self.posts[index];
+        let place = &mut post.placement;
+        place.world_from_camera = moved(&place.world_from_camera, &offset.change);
+        self.events.push(WatchEvent::Drifted {
+            camera: post.camera,
+            placement: *place,
+            moved_m: offset.moved_m,
+        });
+    }
+
+    /// Notes who has agreed with others for a while.
+    fn settle(&mut self) {
+        for (index, post) in self.posts.iter_mut().enumerate() {
+            let offset = self.drift.offset(index).filter(|_| self.drift.is_filled());
+            post.is_settled |= offset.is_some_and(|it| it.moved_m < 0.5 * self.params.least_bump_m);
+        }
     }
 }

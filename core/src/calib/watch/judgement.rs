@@ -3,7 +3,7 @@
 use std::collections::BTreeSet;
 
 use super::{
-    WINDOWS, Watch,
+    Post, WINDOWS, Watch,
     culprit::{self, Verdict, is_backed},
     drift::Drift,
     event::WatchEvent,
@@ -34,7 +34,7 @@ impl Watch {
         for (index, window) in WINDOWS.into_iter().enumerate() {
             let places = self.places();
             let rounds = self.rounds(window, &places);
-            let verdict = culprit::judge(&rounds, &places, &self.params);
+            let verdict = culprit::judge(&rounds, &places, &self.least_moves());
             let (named, is_unclear) = match &verdict {
                 Verdict::Agreed => (Vec::new(), false),
                 Verdict::Moved(moved) => (moved.iter().map(|(post, _)| *post).collect(), false),
@@ -64,6 +64,17 @@ impl Watch {
             self.end_contradiction();
         }
         is_calm && self.contradiction.is_none()
+    }
+
+    /// What each camera's view has to be off by to be called bumped.
+    fn least_moves(&self) -> Vec<f64> {
+        let params = &self.params;
+        let least_m = |post: &Post| match (post.is_held, post.is_settled) {
+            (true, true) => params.least_held_bump_m,
+            (false, false) => params.least_first_bump_m,
+            (true, false) | (false, true) => params.least_bump_m,
+        };
+        self.posts.iter().map(least_m).collect()
     }
 
     /// Trusts who agrees with others.
@@ -109,6 +120,7 @@ impl Watch {
                 turned_rad: place.rotation.angle_to(&before.rotation),
             });
             post.recovery = Some(Recovery::new(*place));
+            post.is_held = false;
         }
         // What was seen together with them says nothing of the others.
         self.drift = Drift::new(self.posts.len());

@@ -13,8 +13,13 @@ pub struct WatchParams {
     pub systematic_time_s: f64,
     /// What covariances of detections do not say: each coordinate, stays, metres.
     pub least_deviation_m: f64,
-    /// A camera whose view moved by more at once was bumped, metres, rms over what it sees.
+    /// A camera whose view is off by more was bumped, metres, rms over what it sees, …
     pub least_bump_m: f64,
+    /// … of one that fusion holds back, too, since it moved all of a sudden, …
+    pub least_held_bump_m: f64,
+    /// … and of one that is not held back and has not agreed with others for a minute yet: what a lens is wrong by is
+    /// taken up as drift.
+    pub least_first_bump_m: f64,
     /// One whose view is off by more drifts.
     pub least_drift_m: f64,
     /// Time in which the sums over which that is seen fade, seconds.
@@ -36,6 +41,8 @@ impl Default for WatchParams {
             systematic_time_s: 1.0,
             least_deviation_m: 1e-4,
             least_bump_m: 0.004,
+            least_held_bump_m: 0.001,
+            least_first_bump_m: 0.008,
             least_drift_m: 4e-4,
             drift_window_s: 60.0,
             return_deviation_m: 3e-4,

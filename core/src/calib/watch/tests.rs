@@ -323,3 +323,17 @@ fn a_place_that_was_written_and_right_is_healed() {
     assert_eq!(world.run(&mut watch, (0.0, 10.0), |_, _| ()), []);
     assert!(is_noticed(&mut world, &mut watch, 10.0));
 }
+
+#[test]
+fn of_a_camera_that_is_held_back_less_is_believed() {
+    for is_held in [false, true] {
+        let mut world = World::new(3);
+        let mut watch = world.watch();
+        assert_eq!(world.run(&mut watch, (0.0, 80.0), |_, _| ()), []);
+        world.truth[1].translation.vector.x += 0.003;
+        watch.hold(CameraId(1), is_held);
+        let events = world.run(&mut watch, (80.0, 83.0), |_, _| ());
+        let is_bumped = matches!(events[..], [WatchEvent::Bumped { camera: CameraId(1), .. }]);
+        assert!(if is_held { is_bumped } else { events.is_empty() }, "{is_held}: {events:?}");
+    }
+}
