@@ -235,6 +235,7 @@ pub fn event(installation: &Installation, event: &Event) -> v1::Event {
         Happening::Returned(id) => of_camera(v1::EventKind::CameraReturned, id),
         Happening::Drifted(id) => of_camera(v1::EventKind::CameraDrifted, id),
         Happening::Contradicted => of_none(v1::EventKind::CamerasContradict),
+        Happening::Misplaced => of_none(v1::EventKind::CamerasMisplaced),
         Happening::Agreed => of_none(v1::EventKind::CamerasAgree),
         Happening::WrongHeight => of_none(v1::EventKind::HeightContradicted),
         Happening::CalibrationBegun => of_none(v1::EventKind::CalibrationBegun),

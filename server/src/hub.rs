@@ -127,6 +127,8 @@ pub enum Happening {
     Drifted(CameraId),
     /// Cameras contradict one another, and which of them moved cannot be known.
     Contradicted,
+    /// Cameras never agreed: their configured poses are not exact enough.
+    Misplaced,
     /// They agree again.
     Agreed,
     /// What drives is not as high as was configured.

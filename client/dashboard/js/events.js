@@ -25,6 +25,7 @@ const SIGNS = new Map([
   ["camera_drifted", "predicted"],
   ["cameras_contradict", "failed"],
   ["cameras_agree", "running"],
+  ["cameras_misplaced", "failed"],
 ]);
 
 /** @param {import("./store.js").Store} store */

@@ -131,7 +131,7 @@ impl Watching {
                      not where they are said to be, and a camera that is bumped is not noticed.",
                     names.join(" and ")
                 );
-                (Happening::Contradicted, message)
+                (Happening::Misplaced, message)
             }
             WatchEvent::Agreed { cameras } => {
                 let names: Vec<String> = cameras.iter().map(name).collect();
@@ -269,7 +269,7 @@ mod tests {
         fusion.set_camera(NORTH, Some(placement(0.0)));
         let misplaced = WatchEvent::Misplaced { cameras: vec![NORTH, SOUTH] };
         let (happening, message) = watching.effect(&misplaced, &mut fusion, &hub);
-        assert_eq!(happening, Happening::Contradicted);
+        assert_eq!(happening, Happening::Misplaced);
         assert!(message.starts_with("Cameras north and south have not agreed"), "{message}");
         assert!(message.contains("`roundel calibrate arena`"), "{message}");
         assert!(fusion.camera_place(NORTH, clock.now()).is_ok(), "nobody is left out");
