@@ -59,6 +59,11 @@ impl RtspServer {
         self.taken.lock().unwrap().get(&number).copied()
     }
 
+    /// What was told of the pictures before: their numbers come again.
+    pub fn forget(&self) {
+        self.taken.lock().unwrap().clear();
+    }
+
     /// Stops for as long as the result lives.
     pub fn freeze(&self) {
         self.signal("STOP");

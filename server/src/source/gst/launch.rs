@@ -1,15 +1,22 @@
 //! From an address to a pipeline that is ready to play.
 
+use std::time::Duration;
+
 use gstreamer as gst;
 use gstreamer::prelude::*;
 use gstreamer_app::AppSink;
 
-use super::{super::MediaAddress, plugin};
+use super::{
+    super::{MediaAddress, Transport},
+    plugin,
+};
 
 /// What the sink takes: formats whose luma can be used as it lies. Others are converted to the first of them that
 /// loses nothing.
 const FORMATS: &str = "video/x-raw,format=(string){GRAY8,I420,NV12,NV21,YV12,Y42B,NV16,Y444,YUY2,YVYU,UYVY,GRAY16_LE}";
 const SINK: &str = "roundel";
+/// Packets of so much time are kept at most.
+const TCP_BACKLOG: Duration = Duration::from_secs(2);
 
 /// The pipeline and its end.
 pub(super) fn pipeline(address: &MediaAddress) -> Result<(gst::Pipeline, AppSink), String> {
@@ -40,6 +47,12 @@ pub(super) fn pipeline(address: &MediaAddress) -> Result<(gst::Pipeline, AppSink
     let pipeline = element
         .downcast::<gst::Pipeline>()
         .map_err(|_| format!("{address}: expected a pipeline of elements linked by `!`"))?;
+    pipeline.connect_deep_element_added(|_, _, element| {
+        // A frame whose predecessors are missing is no picture of anything.
+        if element.has_property("output-corrupt") {
+            element.set_property("output-corrupt", false);
+        }
+    });
     let sink = pipeline.by_name(SINK).and_then(|sink| sink.downcast::<AppSink>().ok());
     let sink = sink.ok_or_else(|| format!("{address}: the pipeline has no element `{SINK}`"))?;
     if let Some(origin) = pipeline.by_name("origin") {
@@ -58,7 +71,14 @@ fn set_origin(origin: &gst::Element, address: &MediaAddress) {
                 origin.set_property("user-pw", password);
             }
             origin.set_property_from_str("protocols", transport.name());
-            origin.set_property("latency", u32::try_from(latency.as_millis()).unwrap_or(u32::MAX));
+            // What comes in order goes on at once: this is how long the missing is waited for, and how much is kept.
+            // Over TCP nothing is missing, and a burst must not be taken for delay: what follows a dropped packet
+            // would be decoded wrongly up to the next key frame.
+            let kept = match transport {
+                Transport::Tcp => TCP_BACKLOG.max(*latency),
+                Transport::Udp => *latency,
+            };
+            origin.set_property("latency", u32::try_from(kept.as_millis()).unwrap_or(u32::MAX));
             origin.set_property("drop-on-latency", true);
             origin.set_property("add-reference-timestamp-meta", true);
             // A camera that does not answer is the supervisor's to retry, and soon.
