@@ -89,6 +89,12 @@ impl Locator {
         &self.camera
     }
 
+    /// Another model of the same camera from the next frame on; what was kept of tracks is forgotten.
+    pub fn set_camera(&mut self, camera: Camera) {
+        self.camera = camera;
+        self.reset();
+    }
+
     /// The kinds.
     pub fn kinds(&self) -> &[Kind] {
         &self.kinds

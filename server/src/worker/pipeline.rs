@@ -113,8 +113,7 @@ impl Pipeline {
     /// Another model from the next frame on; what is followed goes on being followed.
     pub fn set_camera(&mut self, camera: &Camera) {
         if camera.intrinsics() != self.locator.camera().intrinsics() {
-            let (kinds, mode) = (self.locator.kinds().to_vec(), self.locator.mode());
-            self.locator = Locator::new(camera.clone(), kinds, mode);
+            self.locator.set_camera(camera.clone());
         }
     }
 
@@ -192,28 +191,39 @@ mod tests {
         pixels.map(|(u, v)| level(u as f64, v as f64)).collect()
     }
 
-    fn pipeline(mode: Mode, mask: &[Vec<PixelPoint>]) -> Pipeline {
+    fn camera(focal_px: f64) -> Camera {
         let camera = Camera::new(Intrinsics {
             width: WIDTH,
             height: HEIGHT,
-            fx_px: 300.0,
-            fy_px: 300.0,
+            fx_px: focal_px,
+            fy_px: focal_px,
             cx_px: 159.5,
             cy_px: 119.5,
             lens: Lens::PlumbBob([0.0; 5]),
         });
-        let parts = PipelineParts {
+        camera.unwrap()
+    }
+
+    fn parts(mode: Mode) -> PipelineParts {
+        PipelineParts {
             kinds: vec![Kind::plain("robot", 0.16, 0.064)],
             params: Params { mode, ..Params::default() },
-            mask: Mask::of_polygons(mask).unwrap(),
-            camera: camera.unwrap(),
+            mask: Mask::default(),
+            camera: camera(300.0),
             line_time_s: 0.0,
-        };
-        Pipeline::new(parts).unwrap()
+        }
+    }
+
+    fn pipeline(mode: Mode, mask: &[Vec<PixelPoint>]) -> Pipeline {
+        Pipeline::new(PipelineParts { mask: Mask::of_polygons(mask).unwrap(), ..parts(mode) })
+            .unwrap()
     }
 
     fn seen(pipeline: &mut Pipeline, pixels: &[u8]) -> Vec<Detection> {
-        let capture_time = Timestamp::default();
+        seen_at(pipeline, pixels, Timestamp::default())
+    }
+
+    fn seen_at(pipeline: &mut Pipeline, pixels: &[u8], capture_time: Timestamp) -> Vec<Detection> {
         let by = Seen {
             camera: CameraId(0),
             calibration_version: 0,
@@ -238,6 +248,30 @@ mod tests {
         // Nor where one moves behind it.
         assert_eq!(seen(&mut masked, &frame(&[(80.0, 120.0)])).len(), 0);
         assert!(masked.counts().rejects[Reject::Masked as usize] > 0);
+    }
+
+    /// It is as if it had been there from the beginning, the rows' times included.
+    #[test]
+    fn another_model_of_a_rolling_camera_keeps_its_shutter() {
+        let rolling = |focal_px: f64, line_time_s: f64| {
+            let parts = parts(Mode::Precise);
+            Pipeline::new(PipelineParts { camera: camera(focal_px), line_time_s, ..parts }).unwrap()
+        };
+        let run = |mut pipeline: Pipeline| {
+            let mut last = Vec::new();
+            for frame_number in 0..8 {
+                let time = Timestamp::default().plus_seconds(f64::from(frame_number) / 30.0);
+                let pixels = frame(&[(80.0 + 12.0 * f64::from(frame_number), 60.0)]);
+                last = seen_at(&mut pipeline, &pixels, time);
+            }
+            last
+        };
+        let mut changed = rolling(300.0, 1e-4);
+        changed.set_camera(&camera(320.0));
+        let changed = run(changed);
+        assert_eq!(changed.len(), 1);
+        assert_eq!(changed, run(rolling(320.0, 1e-4)));
+        assert_ne!(changed, run(rolling(320.0, 0.0)));
     }
 
     #[test]
