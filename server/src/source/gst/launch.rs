@@ -1,29 +1,30 @@
 //! From an address to a pipeline that is ready to play.
 
-use std::time::Duration;
-
 use gstreamer as gst;
 use gstreamer::prelude::*;
 use gstreamer_app::AppSink;
 
-use super::{
-    super::{MediaAddress, Transport},
-    plugin,
-};
+use super::{super::MediaAddress, plugin};
 
 /// What the sink takes: formats whose luma can be used as it lies. Others are converted to the first of them that
 /// loses nothing.
 const FORMATS: &str = "video/x-raw,format=(string){GRAY8,I420,NV12,NV21,YV12,Y42B,NV16,Y444,YUY2,YVYU,UYVY,GRAY16_LE}";
 const SINK: &str = "roundel";
-/// Packets of so much time are kept at most.
-const TCP_BACKLOG: Duration = Duration::from_secs(2);
+const BACKLOG: &str = "backlog";
+/// What waits to be decoded at most: more of it means that decoding is slower than the camera.
+const BACKLOG_TIME: gst::ClockTime = gst::ClockTime::from_seconds(2);
+const BACKLOG_BYTES: u32 = 32 << 20;
 
 /// The pipeline and its end.
 pub(super) fn pipeline(address: &MediaAddress) -> Result<(gst::Pipeline, AppSink), String> {
     let begin = match address {
         MediaAddress::Rtsp { .. } => {
             // Of a camera with sound, only the picture.
-            "rtspsrc name=origin ! application/x-rtp,media=video ! decodebin".to_owned()
+            format!(
+                "rtspsrc name=origin ! application/x-rtp,media=video ! queue name={BACKLOG} max-size-buffers=0 \
+                 max-size-time={} max-size-bytes={BACKLOG_BYTES} ! decodebin",
+                BACKLOG_TIME.nseconds()
+            )
         }
         MediaAddress::File { .. } => "filesrc name=origin ! decodebin".to_owned(),
         MediaAddress::Pipeline(pipeline) => pipeline.clone(),
@@ -49,10 +50,23 @@ pub(super) fn pipeline(address: &MediaAddress) -> Result<(gst::Pipeline, AppSink
         .map_err(|_| format!("{address}: expected a pipeline of elements linked by `!`"))?;
     pipeline.connect_deep_element_added(|_, _, element| {
         // A frame whose predecessors are missing is no picture of anything.
-        if element.has_property("output-corrupt") {
-            element.set_property("output-corrupt", false);
+        for (property, value) in
+            [("output-corrupt", false), ("wait-for-keyframe", true), ("request-keyframe", true)]
+        {
+            if element.has_property(property) {
+                element.set_property(property, value);
+            }
         }
     });
+    if let Some(backlog) = pipeline.by_name(BACKLOG) {
+        backlog.connect("overrun", false, |values| {
+            let backlog = values.first()?.get::<gst::Element>().ok()?;
+            let words =
+                "decoding falls behind: ask the camera for a smaller picture or a lower rate";
+            gst::element_error!(backlog, gst::StreamError::Decode, ("{words}"));
+            None
+        });
+    }
     let sink = pipeline.by_name(SINK).and_then(|sink| sink.downcast::<AppSink>().ok());
     let sink = sink.ok_or_else(|| format!("{address}: the pipeline has no element `{SINK}`"))?;
     if let Some(origin) = pipeline.by_name("origin") {
@@ -71,15 +85,11 @@ fn set_origin(origin: &gst::Element, address: &MediaAddress) {
                 origin.set_property("user-pw", password);
             }
             origin.set_property_from_str("protocols", transport.name());
-            // What comes in order goes on at once: this is how long the missing is waited for, and how much is kept.
-            // Over TCP nothing is missing, and a burst must not be taken for delay: what follows a dropped packet
-            // would be decoded wrongly up to the next key frame.
-            let kept = match transport {
-                Transport::Tcp => TCP_BACKLOG.max(*latency),
-                Transport::Udp => *latency,
-            };
-            origin.set_property("latency", u32::try_from(kept.as_millis()).unwrap_or(u32::MAX));
-            origin.set_property("drop-on-latency", true);
+            // What comes in order goes on at once: this is how long a missing packet is waited for.
+            let latency_ms = u32::try_from(latency.as_millis()).unwrap_or(u32::MAX);
+            origin.set_property("latency", latency_ms);
+            // Frames that come out of their order, as H.264's do, look like hours of delay to it.
+            origin.set_property("drop-on-latency", false);
             origin.set_property("add-reference-timestamp-meta", true);
             // A camera that does not answer is the supervisor's to retry, and soon.
             origin.set_property("tcp-timeout", 5_000_000_u64);
