@@ -55,6 +55,7 @@ fn object(id: u64) -> ObjectState {
         yaw_observed: false,
         yaw_symmetry: 1,
         velocity_m_s: Vector3::new(phase.cos(), -phase.sin(), 0.01 * phase.cos()),
+        acceleration_m_s2: Vector3::zeros(),
         angular_velocity_rad_s: Vector3::new(0.1, 0.2, 0.3) * phase.sin(),
         covariance,
         motion_covariance: covariance,

@@ -73,6 +73,7 @@ fn object_state(
         cameras: state.cameras.iter().map(|&id| installation.camera_name(id).to_owned()).collect(),
         observation_age_ns: pose_time.ns_since(state.newest_observation),
         residual: state.residual,
+        acceleration: with_covariance.then(|| vector(&state.acceleration_m_s2)),
         roundel: installation.kind_name(state.kind).to_owned(),
         code: state.code.map(code),
     }

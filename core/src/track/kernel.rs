@@ -193,6 +193,12 @@ impl Kernel {
         self.disturbed.bandwidth_hz()
     }
 
+    /// What measurements' noise has made of the rate's variance along each axis, were the clocks known.
+    pub fn rate_noise(&self) -> Vector3<f64> {
+        let noise = self.spread.rate.diagonal() - self.disturbed.rate;
+        noise.map(|variance| variance.max(0.0))
+    }
+
     /// Traces of [`Kernel::told`]'s blocks: of value, of both, of rate.
     pub fn told_traces(&self) -> (f64, f64, f64) {
         let spread = &self.spread;

@@ -9,6 +9,7 @@
 //! F = [I dt·I; 0 I], Q = q [dt³/3·I dt²/2·I; dt²/2·I dt·I] (Bar-Shalom, Li, Kirubarajan,
 //! *Estimation with Applications to Tracking and Navigation*, 2001, section 6.2.2).
 
+mod acceleration;
 mod alarm;
 mod attitude;
 mod density;
@@ -18,6 +19,7 @@ mod kernel;
 mod motion;
 mod spread;
 
+pub(crate) use acceleration::{added_by, left_after};
 pub use attitude::{Attitude, AttitudeEstimate, AttitudeMeasurement};
 pub(crate) use attitude::{smallest_turn, without_yaw};
 pub use history::{History, Inserted, TakenBack};

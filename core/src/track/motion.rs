@@ -10,19 +10,17 @@
 //! whose lag and noise are in balance, and errors are other than a filter of white noise with that q believes.
 //! For an acceleration a that stays, the filter's lag is a/ω² in position and √2a/ω in velocity, ω = (q/r)^¼
 //! how quickly it follows. Least lag² + noise is at q = 3.7 a²/ω; then of the part M of the covariance that
-//! process noise has made ([`Kernel::told_sharing`]) half is true in velocity, ¾ in position; and over a
-//! horizon dt the velocity's variance grows by (0.76 + 0.27 ω dt) q dt, the first from the lag, the second
-//! from the acceleration. So the filter goes on as it does, but what is told has such shares of M and
-//! grows so. Their values ([`VALUE_SHARE`] to [`GROWTH_LASTING`]) are those at which scenarios are consistent:
-//! accelerations last neither for ever nor equally long, which q follows late, so that position takes more.
-//! `core/tests/fusion/consistency.rs` and `tests/src/scenario` show the result: positions and velocities of
-//! robots that drive at random or between places lie in 92 to 98.6 % of cases inside their 95 % ellipsoids.
-//! Errors of the latter have long tails (they cruise mostly, and brake hard), so that one scale cannot suit all.
+//! process noise has made ([`Kernel::told_sharing`]) half is true in velocity, ¾ in position. So the filter goes on as
+//! it does, but what is told has such shares of M: a half of the velocity's ([`RATE_SHARE`]), and more of the
+//! position's ([`VALUE_SHARE`]), since accelerations last neither for ever nor equally long, which q follows late.
+//! What is told of a later moment counts on the acceleration of now, and grows by how unsteady that is
+//! ([`super::acceleration`]), not by q. `core/tests/fusion/consistency.rs` and `tests/src/scenario` show the result.
 
 use nalgebra::{Matrix3, Vector3};
 
 use super::{
     Correction, Ground, Innovation, Kernel, Measurement, MotionModel, Spread,
+    acceleration::{Acceleration, Known, added_by, left_after},
     alarm::{Alarm, UNSEEN_S},
     density::Densities,
 };
@@ -31,8 +29,8 @@ use super::{
 const LOG_CEILING: f64 = 2.8;
 /// Shares of the process noise's part in the covariances of position and velocity that are told.
 const VALUE_SHARE: f64 = 1.5;
-const RATE_SHARE: f64 = 0.45;
-/// Over a horizon the density is that expected times this …
+const RATE_SHARE: f64 = 0.5;
+/// Of what is not seen, whose acceleration nobody knows, the density over a horizon is that expected times this …
 const GROWTH_SHARE: f64 = 0.6;
 /// … and this for each unit of bandwidth times horizon.
 const GROWTH_LASTING: f64 = 0.2;
@@ -55,6 +53,8 @@ pub struct MotionEstimate {
     pub position_m: Vector3<f64>,
     /// World frame, m/s.
     pub velocity_m_s: Vector3<f64>,
+    /// By which the velocity goes on to change for some tenths of a second ([`added_by`]), world frame, m/s².
+    pub acceleration_m_s2: Vector3<f64>,
     /// Over (position, velocity).
     pub spread: Spread,
     /// Spectral density of the white acceleration that it grows by over the next hundredths of a second, m²/s³.
@@ -66,6 +66,8 @@ pub struct MotionEstimate {
 pub struct Motion {
     adapted: Filter,
     agile: Filter,
+    /// Of the adapted one.
+    acceleration: Acceleration,
     densities: Densities,
     alarm: Alarm,
     unseen_s: f64,
@@ -78,21 +80,16 @@ impl Filter {
     }
 
     /// Position and covariance `dt` seconds from now, and the density of the noise that it grows by from then on, if of
-    /// what it expects only this share is there.
+    /// the noise that it expects only this share is there; `growth` gives the density by the horizon.
     fn told(
         &self,
         dt: f64,
-        (density, share): (&Vector3<f64>, &Vector3<f64>),
+        share: &Vector3<f64>,
+        growth: impl Fn(f64) -> Vector3<f64>,
     ) -> (Vector3<f64>, Spread, Vector3<f64>) {
         let of_value = share * VALUE_SHARE;
         let of_rate = share * RATE_SHARE;
         let mut spread = self.kernel.told_sharing(&of_value, &of_rate);
-        let present = density.component_mul(share);
-        let bandwidth_hz = self.kernel.bandwidth_hz();
-        let growth = |ahead_s: f64| {
-            let lasting = bandwidth_hz * (GROWTH_LASTING * ahead_s);
-            present.component_mul(&lasting.add_scalar(GROWTH_SHARE))
-        };
         spread.predict(dt, &growth(dt.abs()));
         let position_m = self.position_m + self.kernel.rate * dt;
         (position_m, spread, growth(dt.abs() + HORIZON_S))
@@ -119,6 +116,7 @@ impl Motion {
         Self {
             adapted: filter,
             agile: filter,
+            acceleration: Acceleration::begin(&model.acceleration_density_m2_s3),
             densities: Densities::begin(&model.acceleration_density_m2_s3, LOG_CEILING),
             alarm: Alarm::default(),
             unseen_s: 0.0,
@@ -134,6 +132,7 @@ impl Motion {
     pub fn doubt(&mut self, model: &MotionModel) {
         self.alarm.forget();
         self.adapted = self.agile;
+        self.acceleration = Acceleration::begin(&model.acceleration_density_m2_s3);
         self.densities = Densities::begin(&model.acceleration_density_m2_s3, LOG_CEILING);
     }
 
@@ -142,6 +141,7 @@ impl Motion {
         let density = self.densities.expected();
         self.adapted.predict(dt, &density, model);
         self.agile.predict(dt, &density.sup(&model.acceleration_density_m2_s3), model);
+        self.acceleration.forget(dt);
         self.densities.forget(dt);
         self.unseen_s += dt;
     }
@@ -149,7 +149,14 @@ impl Motion {
     /// Takes in a measurement at the present time; gives how the adapted filter had foreseen it.
     pub fn update(&mut self, seen: &Measurement, model: &MotionModel) -> Innovation {
         self.unseen_s = 0.0;
+        let before_m_s = self.adapted.kernel.rate;
         let Correction { innovation, slope, .. } = self.adapted.update(seen, model);
+        let kernel = &self.adapted.kernel;
+        self.acceleration.learn(&(kernel.rate - before_m_s), || Known {
+            velocity_m_s: kernel.rate,
+            noise_m2_s2: kernel.rate_noise(),
+            bandwidth_hz: kernel.bandwidth_hz(),
+        });
         let agile = self.agile.update(seen, model).innovation;
         self.densities.learn(&slope);
         if self.alarm.is_raised_by(agile.log_ratio(&innovation)) {
@@ -167,17 +174,35 @@ impl Motion {
 
     /// The estimate `dt` seconds from now, either way.
     pub fn estimate(&self, dt: f64, model: &MotionModel) -> MotionEstimate {
-        let mut density = self.densities.expected();
-        let mut share = self.densities.share();
-        let mut filter = &self.adapted;
         if self.unseen_s + dt > UNSEEN_S {
-            density = density.sup(&model.acceleration_density_m2_s3);
-            share = Vector3::repeat(1.0);
-            filter = &self.agile;
+            return self.unseen(dt, model);
         }
-        let (position_m, spread, density_m2_s3) = filter.told(dt, (&density, &share));
-        let velocity_m_s = filter.kernel.rate;
-        MotionEstimate { position_m, velocity_m_s, spread, density_m2_s3 }
+        let share = self.densities.share();
+        let bandwidth_hz = self.adapted.kernel.bandwidth_hz();
+        let growth = |ahead_s: f64| self.acceleration.growth_m2_s3(ahead_s, &bandwidth_hz);
+        let (position_m, spread, density_m2_s3) = self.adapted.told(dt, &share, growth);
+        let acceleration_m_s2 = self.acceleration.mean_m_s2();
+        let (further_m, faster_m_s) = added_by(&acceleration_m_s2, dt);
+        MotionEstimate {
+            position_m: position_m + further_m,
+            velocity_m_s: self.adapted.kernel.rate + faster_m_s,
+            acceleration_m_s2: left_after(&acceleration_m_s2, dt),
+            spread,
+            density_m2_s3,
+        }
+    }
+
+    /// That of what was not seen lately, and may have begun to move.
+    fn unseen(&self, dt: f64, model: &MotionModel) -> MotionEstimate {
+        let density = self.densities.expected().sup(&model.acceleration_density_m2_s3);
+        let lasting = self.agile.kernel.bandwidth_hz() * GROWTH_LASTING;
+        let growth =
+            |ahead_s: f64| density.component_mul(&(lasting * ahead_s).add_scalar(GROWTH_SHARE));
+        let (position_m, spread, density_m2_s3) =
+            self.agile.told(dt, &Vector3::repeat(1.0), growth);
+        let velocity_m_s = self.agile.kernel.rate;
+        let acceleration_m_s2 = Vector3::zeros();
+        MotionEstimate { position_m, velocity_m_s, acceleration_m_s2, spread, density_m2_s3 }
     }
 
     /// Of the estimate's covariance of position, what the cameras' systematic errors have made.

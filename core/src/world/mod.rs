@@ -114,6 +114,8 @@ pub struct ObjectState {
     pub yaw_symmetry: u32,
     /// World frame, m/s.
     pub velocity_m_s: Vector3<f64>,
+    /// By which the velocity goes on to change for some tenths of a second, world frame, m/s².
+    pub acceleration_m_s2: Vector3<f64>,
     /// World frame, rad/s.
     pub angular_velocity_rad_s: Vector3<f64>,
     /// Over (position, rotation), world frame, left perturbation.

@@ -14,14 +14,14 @@ use crate::{
     id::CameraId,
     rigid::orientation_of_normal,
     time::Timestamp,
-    track::{AttitudeEstimate, Look, Spread},
+    track::{AttitudeEstimate, Look, Spread, added_by, left_after},
 };
 
 /// Cameras that contributed within this time are named.
 const CONTRIBUTING_NS: i64 = 200_000_000;
 
 impl Snapshot {
-    /// The same objects so many seconds later by constant velocity (earlier if negative), the
+    /// The same objects so many seconds later, their accelerations ending (earlier, if negative, by constant velocity), the
     /// covariances grown by the same process noise as within fusion. Not finite: unchanged.
     pub fn predicted(&self, seconds: f64) -> Snapshot {
         let mut snapshot = self.clone();
@@ -37,7 +37,10 @@ impl Snapshot {
 
 impl ObjectState {
     fn predict(&mut self, seconds: f64) {
-        self.position_m += self.velocity_m_s * seconds;
+        let (further_m, faster_m_s) = added_by(&self.acceleration_m_s2, seconds);
+        self.position_m += self.velocity_m_s * seconds + further_m;
+        self.velocity_m_s += faster_m_s;
+        self.acceleration_m_s2 = left_after(&self.acceleration_m_s2, seconds);
         let turn =
             nalgebra::UnitQuaternion::from_scaled_axis(self.angular_velocity_rad_s * seconds);
         self.orientation = turn * self.orientation;
@@ -73,6 +76,7 @@ pub(super) fn state_of(track: &mut Track, time: Timestamp, offset_m: &Vector3<f6
         yaw_observed: attitude.yaw_symmetry.is_some(),
         yaw_symmetry: attitude.yaw_symmetry.unwrap_or(1),
         velocity_m_s: motion.velocity_m_s,
+        acceleration_m_s2: motion.acceleration_m_s2,
         angular_velocity_rad_s: attitude.angular_velocity_rad_s,
         covariance: Matrix6::zeros(),
         motion_covariance: motion.spread.matrix(),

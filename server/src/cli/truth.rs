@@ -128,6 +128,7 @@ mod tests {
             yaw_observed: false,
             yaw_symmetry: 1,
             velocity_m_s: Vector3::zeros(),
+            acceleration_m_s2: Vector3::zeros(),
             angular_velocity_rad_s: Vector3::zeros(),
             covariance: Covariance6::identity(),
             motion_covariance: Covariance6::identity(),

@@ -162,6 +162,7 @@ pub fn object(id: u64) -> ObjectState {
         yaw_observed: false,
         yaw_symmetry: 1,
         velocity_m_s: Vector3::new(1.0, 2.0, 0.0),
+        acceleration_m_s2: Vector3::zeros(),
         angular_velocity_rad_s: Vector3::zeros(),
         covariance,
         motion_covariance: covariance,

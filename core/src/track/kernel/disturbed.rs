@@ -17,7 +17,7 @@ const QUICKEST: f64 = 2.0;
 pub(super) struct Disturbed {
     pub(super) value: Vector3<f64>,
     cross: Vector3<f64>,
-    rate: Vector3<f64>,
+    pub(super) rate: Vector3<f64>,
     /// The newest gains' ratio, rate by value, 1/s.
     gains_hz: Vector3<f64>,
 }
