@@ -183,6 +183,18 @@ fn two_roundels_of_one_code_spoil_nothing() {
 }
 
 #[test]
+fn a_lens_that_is_off_is_not_taken_for_a_code_shown_twice() {
+    let survey = r4(13);
+    let mistaken = Mistaken::by(&survey, 1e-3, 1.0);
+    let recording = mistaken.record(&survey, SENSING, SECONDS, MOST_HZ);
+    let (cameras, params) = (mistaken.cameras(&survey, None), ArenaParams::default());
+    let found = calibrate(&recording, &cameras, &survey.references, &params, |_| true).unwrap();
+    let told: Vec<String> = found.findings.iter().map(ToString::to_string).collect();
+    assert!(told.iter().any(|it| it.contains("mm from where others did")), "{told:#?}");
+    assert!(told.iter().all(|it| it.contains("lens")), "{told:#?}");
+}
+
+#[test]
 fn a_reference_that_is_moved_meanwhile_is_named() {
     let mut survey = r4(14);
     let last = survey.arena.robots.len() - 1;

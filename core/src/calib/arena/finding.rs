@@ -8,6 +8,9 @@ use crate::{
     marker::Code,
 };
 
+/// Centres of two roundels are further apart than this, metres.
+const LEAST_APART_M: f64 = 0.02;
+
 /// What an installation calls its things, as parts of a sentence.
 pub trait Names {
     /// "camera north".
@@ -102,8 +105,10 @@ pub enum Finding {
         code: Code,
         /// Of how many.
         sightings: usize,
-        /// Share that is off.
+        /// Share that is off …
         share: f64,
+        /// … and by how much across the line of sight, median, metres.
+        off_m: f64,
     },
     /// A camera's errors are larger than detections can be.
     Doubtful {
@@ -187,13 +192,18 @@ impl Finding {
                 code.number,
                 names.kind(*kind)
             ),
-            Self::Elsewhere { camera: id, kind, code, sightings, share } => format!(
-                "{} saw code {} of {} elsewhere than others did in {:.0} % of {sightings} sightings: look for \
-                 two roundels with this code",
+            Self::Elsewhere { camera: id, kind, code, sightings, share, off_m } => format!(
+                "{} saw code {} of {} {:.1} mm from where others did in {:.0} % of {sightings} sightings: {}",
                 camera(id),
                 code.number,
                 names.kind(*kind),
-                share * 100.0
+                off_m * 1e3,
+                share * 100.0,
+                if *off_m < LEAST_APART_M {
+                    "a lens file may be off there: have the lenses refined"
+                } else {
+                    "look for two roundels with this code"
+                }
             ),
             Self::Doubtful { camera: id, ratio, rms_px } => format!(
                 "{}: errors are {ratio:.1} times what its detections state ({rms_px:.2} px): its lens file or \

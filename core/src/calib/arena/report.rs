@@ -194,12 +194,28 @@ fn seen(found: &Found<'_>, bundle: &Bundle, outcome: &Outcome) -> (Vec<Seen>, Ve
         for (camera, (sightings, off)) in shares.into_iter().enumerate() {
             let share = off as f64 / sightings.max(1) as f64;
             if let Some(Name::Coded(kind, code)) = subject.name.filter(|_| share > ELSEWHERE) {
+                let off_m = apart_m(subject, camera, bundle);
                 let camera = found.cameras[found.kept[camera]].id;
-                findings.push(Finding::Elsewhere { camera, kind, code, sightings, share });
+                findings.push(Finding::Elsewhere { camera, kind, code, sightings, share, off_m });
             }
         }
     }
     (seen, findings)
+}
+
+/// How far a camera sees a roundel from where others do, across the line of sight: median, metres.
+fn apart_m(subject: &Subject, camera: usize, bundle: &Bundle) -> f64 {
+    let station = &bundle.stations[camera];
+    let own = subject.sights.iter().filter(|sight| sight.camera == camera);
+    let mut apart_m: Vec<f64> = own
+        .filter_map(|sight| {
+            let point_m = subject.course.at(station.time_s(sight.stamp_s)).position_m;
+            let sine = sight.place_m.normalize().cross(&station.sees(&point_m)?.normalize()).norm();
+            Some(sine * sight.place_m.norm())
+        })
+        .collect();
+    apart_m.sort_by(f64::total_cmp);
+    apart_m.get(apart_m.len() / 2).copied().unwrap_or(f64::INFINITY)
 }
 
 impl Seen {
