@@ -78,6 +78,8 @@ pub struct Healing {
     pub landmarks: Vec<Landmark>,
     /// Where cameras are said to stand, of those that there are.
     pub believed: Vec<Isometry3<f64>>,
+    /// Those places were written by hand.
+    pub is_rough: bool,
     /// How wrong lenses are, by camera: share of the focal length, and of the centre in focal lengths. None: not at all.
     pub lenses: Vec<[f64; 3]>,
 }
@@ -137,7 +139,7 @@ impl Healing {
         let sensing = Sensing { noise_px, ..Sensing::USUAL };
         let believed = arena.sites.iter().map(|site| site.world_from_camera).collect();
         let (moves, landmarks, lenses) = (Vec::new(), Vec::new(), Vec::new());
-        Self { arena, sensing, moves, landmarks, believed, lenses }
+        Self { arena, sensing, moves, landmarks, believed, is_rough: false, lenses }
     }
 
     /// With lenses that are off by 0.05 % and 0.5 px of a focal length of 1000, at random.
@@ -145,6 +147,19 @@ impl Healing {
         let mut random = Random::new(self.arena.seed, 90);
         let mut off = || f64::from(random.normal()) * 5e-4;
         self.lenses = self.arena.sites.iter().map(|_| [off(), off(), off()]).collect();
+        self
+    }
+
+    /// With cameras that stand so many metres and radians, rms, from where a person says that they do.
+    pub fn with_rough_places(mut self, off_m: f64, off_rad: f64) -> Self {
+        let mut random = Random::new(self.arena.seed, 91);
+        let mut off =
+            |rms: f64| Vector3::from_fn(|_, _| f64::from(random.normal()) * rms / 3.0f64.sqrt());
+        for place in &mut self.believed {
+            let turn = UnitQuaternion::from_scaled_axis(off(off_rad));
+            *place *= Isometry3::from_parts(off(off_m).into(), turn);
+        }
+        self.is_rough = true;
         self
     }
 

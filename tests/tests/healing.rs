@@ -121,6 +121,18 @@ fn nobody_is_held_back_without_a_bump() {
 }
 
 #[test]
+fn nobody_is_held_back_where_places_are_rough() {
+    for seed in 1..=2 {
+        let healing =
+            Healing::r4(seed, 60.0, NOISE_PX).with_rough_places(0.03, 0.5f64.to_radians());
+        let robots = healing.arena.robots.len() as f64;
+        let tracks = healing.follow(FusionParams::default(), 20.0);
+        assert_eq!((tracks.counts.held_frames, tracks.returned), (0, 0), "{tracks:?}");
+        assert!((tracks.followed - robots).abs() < 0.1 * robots, "of {robots}: {tracks:?}");
+    }
+}
+
+#[test]
 fn robots_that_move_as_one_are_no_bump() {
     let mut healing = Healing::r4(5, 60.0, NOISE_PX);
     // 2.4 m/s² at most.

@@ -69,6 +69,8 @@ pub struct Fusion {
     timeline: Timeline,
     gaps: Gaps,
     guards: Guards,
+    /// Cameras that are never held back, ascending.
+    spared: Vec<CameraId>,
     /// In the order in which they began.
     tracks: Vec<Track>,
     /// To be named once more.
@@ -102,6 +104,7 @@ impl Fusion {
             timeline: Timeline::default(),
             gaps: Gaps::default(),
             guards: Guards::default(),
+            spared: Vec::new(),
             tracks: Vec::new(),
             lost: Vec::new(),
             next_id: 1,

@@ -73,6 +73,7 @@ impl Watching {
             hub.publish_event(now, happening, message);
         }
         for &camera in &self.cameras {
+            fusion.spare(camera, !self.watch.is_trusted(camera));
             let health = self.watch.health(camera);
             hub.update_camera(camera, |state| state.health = health);
         }

@@ -35,6 +35,8 @@ pub struct Tracks {
     pub else_m: f64,
     /// Cameras that came back.
     pub returned: usize,
+    /// Objects that are followed, mean.
+    pub followed: f64,
     /// What became of all observations.
     pub counts: FusionCounts,
 }
@@ -51,14 +53,21 @@ impl Healing {
             let placement = CameraPlacement { world_from_camera, covariance: Covariance6::zeros() };
             fusion.set_camera(id, Some(placement));
             watch.set_camera(id, placement);
+            if self.is_rough {
+                watch.distrust(id);
+            }
         }
         let (mut next_s, mut tracks) = (SETTLED_S, Tracks::default());
+        let (mut followed, mut ticks) = (0, 0);
         for frame in self.frames(seconds) {
             watch.observe(&frame, 0.0);
             fusion.observe(&frame);
             let now = frame.received_time;
             for held in fusion.drain_held_back() {
                 watch.hold(held.camera, held.step == HeldStep::Begun);
+            }
+            for camera in (0..self.believed.len()).map(|index| CameraId(index as u32)) {
+                fusion.spare(camera, !watch.is_trusted(camera));
             }
             for event in watch.advance(now) {
                 match event {
@@ -83,9 +92,13 @@ impl Healing {
                     bumps.clone().any(|it| (it.at_s..it.at_s + MEANWHILE_S).contains(&t));
                 let worst_m =
                     if is_meanwhile { &mut tracks.meanwhile_m } else { &mut tracks.else_m };
-                *worst_m = worst_m.max(self.worst_m(&fusion.snapshot(now)));
+                let snapshot = fusion.snapshot(now);
+                *worst_m = worst_m.max(self.worst_m(&snapshot));
+                followed += snapshot.objects.iter().filter(|it| is_followed(it)).count();
+                ticks += 1;
             }
         }
+        tracks.followed = f64::from(followed as u32) / f64::from(ticks.max(1));
         tracks.counts = fusion.counts();
         tracks
     }
@@ -94,7 +107,7 @@ impl Healing {
         let truth = self.arena.truth(snapshot.pose_time.as_ns());
         let is_sure = |it: &&ObjectState| {
             let variance = it.covariance.fixed_view::<3, 3>(0, 0).trace();
-            it.stage == LifeStage::Tracked && variance < SURE_M * SURE_M
+            is_followed(it) && variance < SURE_M * SURE_M
         };
         let off_m = |object: &ObjectState| {
             let number = object.code?.number;
@@ -103,4 +116,8 @@ impl Healing {
         };
         snapshot.objects.iter().filter(is_sure).filter_map(off_m).fold(0.0, f64::max)
     }
+}
+
+fn is_followed(object: &ObjectState) -> bool {
+    object.stage == LifeStage::Tracked
 }

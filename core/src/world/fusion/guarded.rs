@@ -41,6 +41,21 @@ impl Fusion {
         }
     }
 
+    /// Says whether a camera is never held back, nor asked about others: its place may be rough, so that it disagrees
+    /// with them though it stands still.
+    pub fn spare(&mut self, camera: CameraId, is_spared: bool) {
+        match self.spared.binary_search(&camera) {
+            Err(index) if is_spared => {
+                self.spared.insert(index, camera);
+                self.guards.forget(camera);
+            }
+            Ok(index) if !is_spared => {
+                self.spared.remove(index);
+            }
+            _ => {}
+        }
+    }
+
     /// Takes what became known since the last call of cameras that are held back.
     pub fn drain_held_back(&mut self) -> impl Iterator<Item = HeldBack> + '_ {
         self.guards.drain()
@@ -53,7 +68,8 @@ impl Fusion {
         decisions: &[Decision],
     ) -> bool {
         let most_held_ns = self.params.held_back_ns;
-        let Some(place) = self.cameras.get(&camera).filter(|_| most_held_ns > 0) else {
+        let is_guarded = most_held_ns > 0 && self.spared.binary_search(&camera).is_err();
+        let Some(place) = self.cameras.get(&camera).filter(|_| is_guarded) else {
             return true;
         };
         let mut surprise = Surprise::default();
@@ -67,12 +83,18 @@ impl Fusion {
             surprise.count += 1;
         }
         let origin_m = place.world_from_camera.translation.vector;
-        let (tracks, sightings, clocks) = (&self.tracks, &self.sightings, &self.clocks);
+        let (tracks, sightings) = (&self.tracks, &self.sightings);
+        let (clocks, spared) = (&self.clocks, self.spared.as_slice());
         let gather = |by: Option<CameraId>, pulls: &mut Vec<Pull>| {
+            let asked = |other: CameraId| {
+                other != camera
+                    && by.is_none_or(|by| by == other)
+                    && spared.binary_search(&other).is_err()
+            };
             let each = sightings.iter().zip(decisions).filter_map(|(sighting, decision)| {
                 let index = decision.map(|(track, _)| track);
                 let track = &tracks[index.or_else(|| follows(tracks, sighting))?];
-                let pull = pull(track, sighting, by, clocks)?;
+                let pull = pull(track, sighting, asked, clocks)?;
                 Some(Pull { arm_m: sighting.measurement.position_m - origin_m, ..pull })
             });
             pulls.clear();
@@ -137,17 +159,21 @@ fn follows(tracks: &[Track], sighting: &Sighting) -> Option<usize> {
     tracks.iter().position(is_it)
 }
 
-/// What a sighting says of its camera's motion: how far it lies from where others, or only one of them, saw the
-/// object a moment ago, which is known the worse the less is known of both cameras' clocks. The track's own place is
+/// What a sighting says of its camera's motion: how far it lies from where those that are asked saw the object a moment
+/// ago, which is known the worse the less is known of both cameras' clocks. The track's own place is
 /// not asked, since the camera may have led it astray already.
-fn pull(track: &Track, sighting: &Sighting, by: Option<CameraId>, clocks: &Clocks) -> Option<Pull> {
+fn pull(
+    track: &Track,
+    sighting: &Sighting,
+    is_asked: impl Fn(CameraId) -> bool,
+    clocks: &Clocks,
+) -> Option<Pull> {
     let seen = &sighting.measurement;
     if track.is_tentative() {
         return None;
     }
     // PERF: a measurement is most of a kilobyte away from the next, so who is not there is not looked for.
     let since = seen.time.plus_seconds(-CONFIRMED_S);
-    let is_asked = |camera: CameraId| camera != seen.camera && by.is_none_or(|by| by == camera);
     let expected = track.seen_since(since).filter(|&camera| is_asked(camera)).count();
     let expected = expected.min(MOST_OTHERS);
     let kernel = &track.history.newest().motion.agile().kernel;
