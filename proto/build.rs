@@ -8,7 +8,7 @@ use prost::Message;
 const FILES: [&str; 1] = ["roundel/v1/roundel.proto"];
 
 /// Nanoseconds exceed what a JSON number holds exactly (2^53), so in JSON they are strings.
-const NANOSECONDS: [&str; 13] = [
+const NANOSECONDS: [&str; 18] = [
     "Snapshot.pose_time_ns",
     "Snapshot.capture_time_ns",
     "Snapshot.fused_time_ns",
@@ -22,10 +22,18 @@ const NANOSECONDS: [&str; 13] = [
     "Object.last_seen_time_ns",
     "ServerInfo.started_time_ns",
     "Camera.pose_time_ns",
+    "PushedFrame.capture_time_ns",
+    "PushProbe.sent_time_ns",
+    "PushProbeAnswer.sent_time_ns",
+    "PushProbeAnswer.received_time_ns",
+    "PushProbeAnswer.replied_time_ns",
 ];
+/// Alternatives within a message, which have to have the same forms as messages.
+const ALTERNATIVES: [&str; 3] =
+    ["PushRequest.message", "PushResponse.message", "PushedFrame.picture"];
 
 /// Enumerations are integers on the wire and lower-case words in JSON.
-const ENUMERATIONS: [(&str, &str); 9] = [
+const ENUMERATIONS: [(&str, &str); 10] = [
     ("ObjectState.stage", "life_stage"),
     ("Object.stage", "life_stage"),
     ("Camera.status", "camera_status"),
@@ -35,6 +43,7 @@ const ENUMERATIONS: [(&str, &str); 9] = [
     ("CaptureClock.base", "time_base"),
     ("Calibration.stage", "calibration_stage"),
     ("StartCalibrationRequest.apply", "calibration_apply"),
+    ("PushGreeting.times", "push_times"),
 ];
 
 fn main() -> Result<(), Box<dyn std::error::Error>> {
@@ -52,6 +61,13 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
             ".",
             "#[cfg_attr(feature = \"openapi\", derive(utoipa::ToSchema))]",
         );
+    for alternatives in ALTERNATIVES {
+        builder = builder.type_attribute(
+            format!("roundel.v1.{alternatives}"),
+            "#[derive(serde::Serialize, serde::Deserialize)]\n\
+             #[cfg_attr(feature = \"openapi\", derive(utoipa::ToSchema))]",
+        );
+    }
     for field in NANOSECONDS {
         builder = builder.field_attribute(
             format!("roundel.v1.{field}"),

@@ -63,6 +63,7 @@ enumeration!(agreement_state, crate::v1::AgreementState, "AGREEMENT_STATE_");
 enumeration!(time_base, crate::v1::TimeBase, "TIME_BASE_");
 enumeration!(calibration_stage, crate::v1::CalibrationStage, "CALIBRATION_STAGE_");
 enumeration!(calibration_apply, crate::v1::CalibrationApply, "CALIBRATION_APPLY_");
+enumeration!(push_times, crate::v1::PushTimes, "PUSH_TIMES_");
 
 #[cfg(test)]
 mod tests {

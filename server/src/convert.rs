@@ -2,6 +2,7 @@
 //! files and in core; here they only change their clothes.
 
 mod calibration;
+pub mod push;
 
 pub use calibration::calibration;
 
@@ -174,6 +175,7 @@ pub fn camera(installation: &Installation, id: CameraId, state: &CameraState) ->
         capture_clock: state.capture_clock.map(capture_clock),
         broken: state.broken,
         decode_ms: state.decode_ms,
+        link: state.link.as_ref().map(push::camera_link),
     }
 }
 

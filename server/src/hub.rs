@@ -297,6 +297,11 @@ impl Hub {
         self.cameras.iter().map(|slot| lock(&slot.state).clone()).collect()
     }
 
+    /// One camera's state; `None` for an id of another installation.
+    pub fn camera(&self, id: CameraId) -> Option<CameraState> {
+        self.cameras.get(id.0 as usize).map(|slot| lock(&slot.state).clone())
+    }
+
     /// Asks the worker for a picture of its next frame, and gives the newest one and a wait for the
     /// next; `None` for an id of another installation.
     pub fn request_picture(&self, id: CameraId) -> Option<watch::Receiver<Option<Arc<Picture>>>> {

@@ -1,5 +1,7 @@
-//! Puts a server together, and takes it apart on shutdown: cameras first, then fusion, then clients.
+//! Puts a server together, and takes it apart on shutdown: cameras first, then fusion, then clients. [`node`] does
+//! so with what only captures and searches.
 
+pub mod node;
 mod setup;
 
 use std::{
@@ -28,7 +30,7 @@ use crate::{
     config::{CameraConfig, CameraPose, Config},
     fusion::{FusionTask, QUEUE_FRAMES, Standing},
     hub::{Happening, Hub},
-    source::{OpenSource, Playback, SourceOpener, TimesError},
+    source::{OpenSource, Playback, SourceAddress, SourceOpener, TimesError, push::Port},
     stop::Stop,
     worker::{self, Sighted, Worker, WorkerParts, adoption::Inbox, pipeline::Pipeline},
 };
@@ -70,6 +72,17 @@ pub enum ServeError {
         /// Why not.
         source: BodyError,
     },
+    /// A node takes its frames from a program.
+    #[error(
+        "camera \"{camera}\" has `source = \"push:\"`: a node takes frames from cameras, and only a server can be fed"
+    )]
+    NodeIsFed {
+        /// Which camera.
+        camera: String,
+    },
+    /// There cannot be a server there.
+    #[error(transparent)]
+    Client(roundel_client::Error),
     /// The system gives no thread.
     #[error("cannot start the thread `{name}`: {source}")]
     Thread {
@@ -104,6 +117,8 @@ pub struct CameraSetting<'a> {
     pub playback: Playback,
     /// Ends every wait of the source.
     pub stop: Stop,
+    /// Where the frames of one with a `push:` source arrive.
+    pub port: Option<Arc<Port>>,
 }
 
 /// A running server. Dropping it without [`Server::shutdown`] ends its threads too, but does not
@@ -128,9 +143,10 @@ impl Server {
     /// A camera whose source cannot be opened is no error: it is shown as failed and tried again.
     pub async fn start(config: Config) -> Result<Self, ServeError> {
         Self::start_with_sources(config, |setting| {
-            let CameraSetting { camera, clock, playback, stop, .. } = setting;
+            let CameraSetting { camera, clock, playback, stop, port, .. } = setting;
             let size = (camera.calibration.width(), camera.calibration.height());
-            Box::new(SourceOpener::new(camera.address.clone(), size, clock, playback, stop))
+            let opener = SourceOpener::new(camera.address.clone(), size, clock, playback, stop);
+            Box::new(opener.with_port(port.unwrap_or_default()))
         })
         .await
     }
@@ -171,7 +187,8 @@ impl Server {
             fusion: None,
             api: None,
         };
-        server.start_threads(&config, &mut source)?;
+        let ports: Vec<Option<Arc<Port>>> = config.cameras.iter().map(port).collect();
+        server.start_threads(&config, &ports, &mut source)?;
         let limits = api::Limits {
             max_clients: config.limits.max_clients,
             grace: CLIENT_GRACE,
@@ -180,7 +197,13 @@ impl Server {
         let cancel = server.cancel_clients.clone();
         server.api = Some(tokio::spawn(api::serve(
             listener,
-            api::Served { hub, clock, calibrator },
+            api::Served {
+                hub,
+                clock,
+                calibrator,
+                ports,
+                late_window_ms: config.fusion.late_window_s * 1e3,
+            },
             limits,
             cancel,
         )));
@@ -215,6 +238,7 @@ impl Server {
     fn start_threads(
         &mut self,
         config: &Config,
+        ports: &[Option<Arc<Port>>],
         source: &mut dyn FnMut(CameraSetting<'_>) -> Box<dyn OpenSource>,
     ) -> Result<(), ServeError> {
         // Full: observations are dropped and counted, see `worker`.
@@ -245,6 +269,7 @@ impl Server {
                     clock: self.clock,
                     playback: self.playback,
                     stop: self.stop_cameras.clone(),
+                    port: ports.get(index).cloned().flatten(),
                 }),
                 pipeline: Pipeline::new(pipeline(camera, config)?)?,
                 place: place(camera, config),
@@ -292,6 +317,11 @@ impl Drop for Server {
         self.stop_fusion.stop();
         self.cancel_clients.cancel();
     }
+}
+
+/// Where remote programs feed a camera.
+fn port(camera: &CameraConfig) -> Option<Arc<Port>> {
+    matches!(camera.address, SourceAddress::Push(_)).then(Arc::default)
 }
 
 /// What the calibrator is told of a camera, before a kept calibration is merged.

@@ -118,6 +118,15 @@ function placeWords(camera) {
   return `${on}, at ${[x, y, z].map((value) => fixed(value, 2)).join("  ")} m`;
 }
 
+/** The program that feeds it; empty of a camera that no program has fed. @param {Camera} camera */
+function senderWords({ link }) {
+  if (!link?.sender) return "";
+  const lost = link.missing > 0 ? `, ${whole(link.missing)} frames lost on the way` : "";
+  if (!link.connected) return `was fed by ${link.sender}${lost}`;
+  const away = link.roundTripMs > 0 ? `, ${fixed(link.roundTripMs, 1)} ms there and back` : "";
+  return `fed by ${link.sender} (${link.address})${away}${lost}`;
+}
+
 class Card {
   /**
    * @param {string} name
@@ -136,6 +145,7 @@ class Card {
     this.statusShown = "";
     this.note = element("p", { class: "trouble" });
     this.place = element("p", { class: "place" });
+    this.sender = element("p", { class: "sender" });
     this.values = FIGURES.map(({ key }) => element("span", { "data-figure": key }));
     const figures = FIGURES.map(({ name: title, unit, title: hint }, i) =>
       element("div", { title: hint }, [
@@ -148,6 +158,7 @@ class Card {
       this.frame,
       element("div", { class: "card-head" }, [this.head, this.status]),
       this.place,
+      this.sender,
       this.note,
       element("dl", { class: "figures" }, figures),
     ]);
@@ -169,6 +180,9 @@ class Card {
     this.note.hidden = words === "";
     setText(this.note, words);
     setText(this.place, placeWords(camera));
+    const sender = senderWords(camera);
+    this.sender.hidden = sender === "";
+    setText(this.sender, sender);
     for (const [i, { value }] of FIGURES.entries()) setText(this.values[i], value(camera));
     // Before the first frame there is no picture to ask for; a finished camera's last one stays.
     this.picture.setWanted(live && camera.frames > 0 && camera.status !== "failed" && camera.status !== "starting");

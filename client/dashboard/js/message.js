@@ -15,6 +15,7 @@ import { errorEllipse, headingRad, sigmasM, tiltRad } from "./geometry.js";
 /** @typedef {"starting" | "running" | "failed" | "finished" | "unspecified"} CameraStatus */
 /** @typedef {{lens: string, fxPx: number, fyPx: number, cxPx: number, cyPx: number}} Intrinsics */
 /** @typedef {{majorM: number, minorM: number, angleRad: number}} ErrorEllipse */
+/** @typedef {{sender: string, address: string, connected: boolean, missing: number, roundTripMs: number}} Link */
 
 /**
  * One object at the snapshot's pose time.
@@ -68,6 +69,7 @@ import { errorEllipse, headingRad, sigmasM, tiltRad } from "./geometry.js";
  * @property {number} broken frames that arrived broken
  * @property {number} restarts
  * @property {CaptureClock | null} captureClock null before its first frame
+ * @property {Link | null} link null of a camera that no program feeds
  * @property {number} rateHz
  * @property {number} detections
  * @property {number} detectMs
@@ -174,6 +176,7 @@ function readCamera(raw) {
     broken: count(raw?.broken),
     restarts: count(raw?.restarts),
     captureClock: readCaptureClock(raw?.capture_clock),
+    link: readLink(raw?.link),
     rateHz: count(raw?.rate_hz),
     detections: count(raw?.detections),
     detectMs: count(raw?.detect_ms),
@@ -181,6 +184,18 @@ function readCamera(raw) {
     clock: readClock(raw?.clock),
     // 0 is "not fitted".
     blurPx: number(raw?.blur_px) || null,
+  };
+}
+
+/** @param {any} raw @returns {Link | null} */
+function readLink(raw) {
+  if (!raw) return null;
+  return {
+    sender: text(raw.sender),
+    address: text(raw.address),
+    connected: raw.connected === true,
+    missing: count(raw.missing),
+    roundTripMs: count(raw.round_trip_ms),
   };
 }
 

@@ -28,6 +28,7 @@ mod backoff;
 mod calibration;
 mod client;
 mod error;
+mod push;
 mod riding;
 mod snapshot;
 mod state;
@@ -35,6 +36,7 @@ mod subscription;
 
 pub use client::{Client, Messages};
 pub use error::Error;
+pub use push::{ClockOffset, Picture, PushOptions, PushStatus, Pusher};
 pub use riding::camera_pose_at;
 pub use roundel_proto::v1;
 pub use snapshot::{Snapshots, Update};

@@ -38,6 +38,9 @@ pub enum ApiError {
     /// Not as things are now.
     #[error("{0}")]
     FailedPrecondition(String),
+    /// Somebody has taken this one's place.
+    #[error("{0}")]
+    Aborted(String),
     /// The path exists, but not with this method.
     #[error("this path does not answer to this method: /openapi.json says to which it does")]
     MethodNotAllowed,
@@ -79,6 +82,7 @@ impl ApiError {
             Self::FailedPrecondition(_) => {
                 ("failed_precondition", Code::FailedPrecondition, StatusCode::CONFLICT)
             }
+            Self::Aborted(_) => ("aborted", Code::Aborted, StatusCode::CONFLICT),
             Self::MethodNotAllowed => {
                 ("method_not_allowed", Code::Unimplemented, StatusCode::METHOD_NOT_ALLOWED)
             }

@@ -18,6 +18,7 @@ use super::{
     Api, calibration,
     error::{ApiError, SHUTTING_DOWN},
     feed::Feed,
+    push,
     selection::{MESSAGE_FIELDS, Selection},
 };
 use crate::{convert, hub};
@@ -44,7 +45,10 @@ pub fn router(api: &Arc<Api>) -> (Router, HealthReporter) {
         .build_v1()
         // The descriptors are compiled into this binary; a test reads them through this very path.
         .expect("the compiled descriptors are valid");
-    let routes = Routes::new(service).add_service(reflection).add_service(health);
+    let routes = Routes::new(service)
+        .add_service(push::service(api))
+        .add_service(reflection)
+        .add_service(health);
     (routes.prepare().into_axum_router(), reporter)
 }
 

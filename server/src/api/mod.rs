@@ -8,6 +8,7 @@
 //! | --- | --- |
 //! | `port` | accepts connections up to the limit, and takes them apart on shutdown |
 //! | [`grpc`] | the service of `proto/roundel/v1/roundel.proto` |
+//! | [`push`] | the service of `push.proto`: remote programs feed cameras |
 //! | [`rest`], [`calibration`], [`openapi`] | `/api/v1/…` and its description |
 //! | [`ws`] | `/api/v1/stream` |
 //! | [`metrics`] | `/metrics`, `/healthz`, `/readyz` |
@@ -29,6 +30,7 @@ pub mod openapi;
 pub mod page;
 pub mod picture;
 mod port;
+pub mod push;
 pub mod query;
 pub mod rest;
 pub mod selection;
@@ -44,7 +46,7 @@ use tokio::net::TcpListener;
 use tokio_util::sync::CancellationToken;
 
 use self::error::ApiError;
-use crate::{calibration::Calibrator, clock::Clock, hub::Hub};
+use crate::{calibration::Calibrator, clock::Clock, hub::Hub, source::push::Port};
 
 /// What the port allows.
 #[derive(Clone, Copy, Debug)]
@@ -90,6 +92,10 @@ pub struct Served {
     pub clock: Clock,
     /// Finds where cameras stand.
     pub calibrator: Arc<Calibrator>,
+    /// Where remote programs feed cameras, by camera; `None`: one that is not fed.
+    pub ports: Vec<Option<Arc<Port>>>,
+    /// Observations that are older against the newest of all cameras are of no use, milliseconds.
+    pub late_window_ms: f64,
 }
 
 /// What every handler of a request shares.
@@ -100,6 +106,10 @@ pub struct Api {
     pub clock: Clock,
     /// Finds where cameras stand.
     pub calibrator: Arc<Calibrator>,
+    /// Where remote programs feed cameras, by camera.
+    pub ports: Vec<Option<Arc<Port>>>,
+    /// As in [`Served`].
+    pub late_window_ms: f64,
     /// Set when the server goes down.
     pub cancel: CancellationToken,
     /// What the port allows.
@@ -120,10 +130,20 @@ pub async fn serve(
     limits: Limits,
     cancel: CancellationToken,
 ) {
-    let Served { hub, clock, calibrator } = served;
+    let Served { hub, clock, calibrator, ports, late_window_ms } = served;
     let pictures = picture::Gallery::new(hub.installation().cameras.len());
     let counters = Counters::default();
-    let api = Arc::new(Api { hub, clock, calibrator, cancel, limits, counters, pictures });
+    let api = Arc::new(Api {
+        hub,
+        clock,
+        calibrator,
+        ports,
+        late_window_ms,
+        cancel,
+        limits,
+        counters,
+        pictures,
+    });
     let (grpc_router, health) = grpc::router(&api);
     let http_router = http_router(api.clone());
     let readiness = tokio::spawn(metrics::report_readiness(api.clone(), health));

@@ -31,7 +31,7 @@ use tokio::{
 use tonic::Status;
 use tower::ServiceExt;
 
-use super::{Api, error::ApiError};
+use super::{Api, error::ApiError, push::Peer};
 
 /// Bytes that the kernel may hold unsent for a client. More would be stale snapshots: a slow client
 /// is to find the newest one when it comes back.
@@ -149,7 +149,11 @@ async fn converse(stream: Counted, dispatch: Dispatch, api: Arc<Api>) {
     if !speaks(&stream.stream, &api).await {
         return;
     }
-    let service = hyper::service::service_fn(move |request| dispatch.clone().answer(request));
+    let peer = stream.stream.peer_addr().ok().map(Peer);
+    let service = hyper::service::service_fn(move |mut request: Request<Incoming>| {
+        peer.map(|peer| request.extensions_mut().insert(peer));
+        dispatch.clone().answer(request)
+    });
     let protocol = protocol();
     let mut connection =
         pin!(protocol.serve_connection_with_upgrades(TokioIo::new(stream), service));

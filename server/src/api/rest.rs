@@ -175,7 +175,11 @@ pub async fn frame(State(api): State<Arc<Api>>, name: Segment) -> Result<Respons
         let state = states.get(id.0 as usize).cloned().unwrap_or_default();
         let shown = convert::camera(api.hub.installation(), id, &state);
         let status = roundel_proto::json::camera_status::word(shown.status);
-        let why = if shown.error.is_empty() { "no frame came yet" } else { &shown.error };
+        let why = match &state.link {
+            _ if !shown.error.is_empty() => &shown.error,
+            Some(_) => "its frames are searched where they are taken, and not sent",
+            None => "no frame came yet",
+        };
         return Err(ApiError::Unavailable(format!(
             "no picture from camera {name:?} within a second: it is {status} ({why})"
         )));

@@ -134,6 +134,7 @@ fn config(scenario: &Scenario, address: &SimAddress, listen: SocketAddr) -> Conf
         objects: Vec::new(),
         fusion: FusionConfig::default(),
         limits: LimitsConfig::default(),
+        node: None,
     }
 }
 

@@ -5,6 +5,7 @@ mod calibrate;
 mod cameras;
 mod demo;
 mod detect;
+mod node;
 mod serve;
 mod truth;
 mod watch;
@@ -33,6 +34,7 @@ struct Arguments {
 enum Command {
     Demo(demo::DemoArgs),
     Serve(serve::ServeArgs),
+    Node(node::NodeArgs),
     Detect(detect::DetectArgs),
     Watch(watch::WatchArgs),
     Calibrate(calibrate::CalibrateArgs),
@@ -50,6 +52,7 @@ pub fn main() -> ExitCode {
     let outcome = match arguments.command {
         Command::Demo(arguments) => run_async(demo::run(arguments)),
         Command::Serve(arguments) => run_async(serve::run(arguments)),
+        Command::Node(arguments) => run_async(node::run(arguments)),
         Command::Detect(arguments) => detect::run(&arguments),
         Command::Watch(arguments) => run_async(watch::run(arguments)),
         Command::Calibrate(arguments) => run_async(calibrate::run(arguments)),

@@ -2,7 +2,7 @@
 
 use std::{future::pending, io::Write as _, path::PathBuf, process::ExitCode, time::Duration};
 
-use anyhow::Context;
+use anyhow::{Context, bail};
 use clap::Args;
 use tokio::signal::unix::{Signal, SignalKind, signal};
 
@@ -42,6 +42,12 @@ pub(super) fn seconds(text: &str) -> Result<Duration, String> {
 /// Serves until a signal or the end of `--duration`.
 pub(super) async fn run(arguments: ServeArgs) -> anyhow::Result<ExitCode> {
     let config = Config::load(&arguments.config)?;
+    if config.node.is_some() {
+        bail!(
+            "{} describes a node ([node]), whose cameras another server fuses: run `roundel node --config {0}`",
+            arguments.config.display()
+        );
+    }
     let mut signals = Signals::listen()?;
     let server = Server::start(config).await?;
     announce(&server)?;

@@ -2,7 +2,7 @@
 
 use std::{collections::HashMap, path::Path};
 
-use roundel_core::{camera::Camera, marker::Mode};
+use roundel_core::{camera::Camera, marker::Mode, rigid::Rigid};
 
 use super::{
     CameraConfig, CameraPose,
@@ -39,6 +39,8 @@ pub(super) struct Known<'a, 't, 'i> {
     pub(super) kinds: &'a NamedKinds,
     pub(super) references: &'a References<'t, 'i>,
     pub(super) objects: &'a NamedObjects<'t, 'i>,
+    /// Whether they are a node's, of which nobody asks where they stand.
+    pub(super) is_node: bool,
 }
 
 /// The cameras; `mode` is for those that do not say theirs.
@@ -109,6 +111,7 @@ fn camera(
     };
     let pose = match (table.value("pose"), &simulated) {
         (None, Some(simulated)) => Some(CameraPose::Known(simulated.world_from_camera)),
+        (None, None) if known.is_node => Some(CameraPose::Known(Rigid::identity())),
         _ => ride::pose(table, required, known.objects, known.kinds),
     };
     let line_time_s = match (table.value("line_time_us"), &simulated) {

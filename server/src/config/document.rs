@@ -15,8 +15,19 @@ use super::{
     roundel::kinds,
 };
 
-const ROOT_KEYS: [&str; 9] =
-    ["name", "server", "detection", "roundel", "camera", "reference", "object", "fusion", "limits"];
+const ROOT_KEYS: [&str; 10] = [
+    "name",
+    "server",
+    "detection",
+    "roundel",
+    "camera",
+    "reference",
+    "object",
+    "fusion",
+    "limits",
+    "node",
+];
+const NODE_KEYS: [&str; 1] = ["server"];
 const DETECTION_KEYS: [&str; 1] = ["mode"];
 const SERVER_KEYS: [&str; 4] = ["listen", "snapshot_rate_hz", "calibration", "watch"];
 const FUSION_KEYS: [&str; 4] =
@@ -28,7 +39,7 @@ const DEFAULT_RATE_HZ: f64 = 60.0;
 const MAX_RATE_HZ: f64 = 1000.0;
 const MAX_DURATION_MS: f64 = 3_600_000.0;
 
-pub(super) fn parse(text: &str, folder: &Path) -> Result<Config, Vec<Problem>> {
+pub(super) fn parse(text: &str, folder: &Path, is_node: bool) -> Result<Config, Vec<Problem>> {
     let problems = Problems::new(text);
     let (document, errors) = DeTable::parse_recoverable(text);
     for error in &errors {
@@ -39,14 +50,20 @@ pub(super) fn parse(text: &str, folder: &Path) -> Result<Config, Vec<Problem>> {
             "the format is described at https://toml.io",
         );
     }
-    let config = if errors.is_empty() { Some(root(&document, folder, &problems)) } else { None };
+    let config =
+        if errors.is_empty() { Some(root(&document, folder, &problems, is_node)) } else { None };
     match config {
         Some(Some(config)) if !problems.any() => Ok(config),
         _ => Err(problems.into_sorted()),
     }
 }
 
-fn root(document: &Spanned<DeTable<'_>>, folder: &Path, problems: &Problems<'_>) -> Option<Config> {
+fn root(
+    document: &Spanned<DeTable<'_>>,
+    folder: &Path,
+    problems: &Problems<'_>,
+    is_node: bool,
+) -> Option<Config> {
     // What concerns the whole file points to its first line.
     let root = Table::new("", 0..0, document.get_ref(), &ROOT_KEYS, problems);
     let name = root.text("name").unwrap_or("roundel").to_owned();
@@ -54,7 +71,9 @@ fn root(document: &Spanned<DeTable<'_>>, folder: &Path, problems: &Problems<'_>)
     let kinds = kinds(&root);
     let references = references(&root, &kinds);
     let objects = objects(&root, &kinds, &references.configs);
-    let known = Known { kinds: &kinds, references: &references, objects: &objects };
+    let node = node(&root);
+    let is_node = is_node || node.is_some();
+    let known = Known { kinds: &kinds, references: &references, objects: &objects, is_node };
     let cameras = cameras(&root, folder, &known, mode(&root));
     let fusion = fusion(&root);
     let limits = limits(&root);
@@ -68,6 +87,7 @@ fn root(document: &Spanned<DeTable<'_>>, folder: &Path, problems: &Problems<'_>)
         objects: objects.configs,
         fusion,
         limits,
+        node,
     })
 }
 
@@ -92,6 +112,12 @@ fn server(root: &Table<'_, '_>, folder: &Path) -> Option<ServerConfig> {
             None
         }
     }
+}
+
+/// `[node]`: where the server is. That there is one is what makes the file a node's.
+fn node(root: &Table<'_, '_>) -> Option<String> {
+    let table = root.table("node", "[node]", &NODE_KEYS)?;
+    table.required_text("server", "\"http://10.0.0.1:7670\"").map(str::to_owned)
 }
 
 /// `[detection]`.

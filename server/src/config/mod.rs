@@ -60,6 +60,8 @@ pub struct Config {
     pub fusion: FusionConfig,
     /// `[limits]`.
     pub limits: LimitsConfig,
+    /// `[node] server`: the cameras are those of a node, which that server fuses, and have no poses here.
+    pub node: Option<String>,
 }
 
 /// `[server]`.
@@ -211,12 +213,21 @@ impl Config {
     ///
     /// Errors name every problem with its line, and the remedy.
     pub fn load(path: &Path) -> Result<Self, ConfigError> {
+        Self::load_as(path, false)
+    }
+
+    /// The same of a node, whose cameras need no poses whether it says `[node]` or not.
+    pub fn load_node(path: &Path) -> Result<Self, ConfigError> {
+        Self::load_as(path, true)
+    }
+
+    fn load_as(path: &Path, is_node: bool) -> Result<Self, ConfigError> {
         let text = read(path).map_err(|(message, help)| ConfigError {
             path: path.to_owned(),
             problems: vec![Problem { message, help: Some(help.to_owned()), place: None }],
         })?;
         let folder = path.parent().unwrap_or(Path::new(""));
-        let mut config = Self::parse(&text, folder)
+        let mut config = document::parse(&text, folder, is_node)
             .map_err(|problems| ConfigError { path: path.to_owned(), problems })?;
         let beside = || path.with_extension("calibration.toml");
         config.server.calibration.get_or_insert_with(beside);
@@ -225,7 +236,7 @@ impl Config {
 
     /// Reads a configuration's text; paths in it are relative to `folder`.
     pub fn parse(text: &str, folder: &Path) -> Result<Self, Vec<Problem>> {
-        document::parse(text, folder)
+        document::parse(text, folder, false)
     }
 }
 

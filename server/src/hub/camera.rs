@@ -9,7 +9,7 @@ use roundel_core::{
     world::{CameraPlacement, ClockEstimate, Unplaced},
 };
 
-use crate::source::CaptureClock;
+use crate::source::{CaptureClock, push::Link};
 
 /// What is fixed about a camera.
 #[derive(Clone, Debug, Default)]
@@ -145,6 +145,8 @@ pub struct CameraState {
     pub clock: Option<ClockEstimate>,
     /// How its place agrees with what others see.
     pub health: Option<CameraHealth>,
+    /// Who feeds it, if it is fed.
+    pub link: Option<Link>,
 }
 
 /// What became of a camera's rings and candidates since the start.

@@ -1,9 +1,10 @@
 //! Where frames come from, as a URL: `images:GLOB-OR-FOLDER?…`, `sim:?…`, `http://…`, `rtsp://…`, `file:PATH?…`,
-//! `gst:PIPELINE` or `v4l2:DEVICE?…`.
+//! `gst:PIPELINE`, `v4l2:DEVICE?…` or `push:?…`.
 
 mod device;
 mod media;
 mod network;
+mod push;
 
 use std::{
     fmt,
@@ -18,9 +19,10 @@ use crate::suggestion::{list, nearest};
 pub use device::DeviceAddress;
 pub use media::{MediaAddress, Transport};
 pub use network::{HttpAddress, without_credentials};
+pub use push::PushAddress;
 
 /// The schemes that this version plays, as people write them.
-const SCHEMES: [&str; 7] = ["images:", "sim:", "http:", "v4l2:", "rtsp:", "file:", "gst:"];
+const SCHEMES: [&str; 8] = ["images:", "sim:", "http:", "v4l2:", "rtsp:", "file:", "gst:", "push:"];
 const IMAGES_KEYS: [&str; 4] = ["fps", "times", "clock", "loop"];
 const SIM_KEYS: [&str; 4] = ["preset", "seed", "robots", "camera"];
 /// Frames a second that an address may ask for.
@@ -39,6 +41,8 @@ pub enum SourceAddress {
     Device(DeviceAddress),
     /// What GStreamer plays.
     Media(MediaAddress),
+    /// What a remote program sends.
+    Push(PushAddress),
 }
 
 /// `images:GLOB-OR-FOLDER?fps=30&times=FILE&clock=file&loop=true`.
@@ -165,6 +169,7 @@ impl SourceAddress {
             "rtsp" => media::rtsp(url).map(Self::Media),
             "file" => media::file(path, query, folder).map(Self::Media),
             "gst" => media::pipeline(rest).map(Self::Media),
+            "push" => push::push(path, query).map(Self::Push),
             _ => Err(AddressError::Scheme { found: format!("{scheme}:") }),
         }
     }
@@ -173,7 +178,8 @@ impl SourceAddress {
     pub fn capture_clock(&self) -> CaptureClock {
         match self {
             Self::Images(_) | Self::Sim(_) => CaptureClock::EXACT,
-            Self::Http(_) => CaptureClock::ARRIVAL,
+            // What it sends says more.
+            Self::Http(_) | Self::Push(_) => CaptureClock::ARRIVAL,
             Self::Device(_) => CaptureClock::DRIVER,
             Self::Media(media) => media.capture_clock(),
         }
@@ -344,7 +350,7 @@ mod tests {
         for (url, expected) in [
             (
                 "image:x",
-                "no source begins with `image:`: expected `images:`, `sim:`, `http:`, `v4l2:`, `rtsp:`, `file:`, `gst:`; did you mean `images:`?",
+                "no source begins with `image:`: expected `images:`, `sim:`, `http:`, `v4l2:`, `rtsp:`, `file:`, `gst:`, `push:`; did you mean `images:`?",
             ),
             ("frames/*.png", "no source begins with `frames/*.png`"),
             ("images:", "needs a folder or a pattern"),

@@ -7,6 +7,7 @@
 //! | `playback` | when each of their frames is due |
 //! | `http` | `http://…` – MJPEG of network cameras, or their snapshots |
 //! | [`v4l2`] | `v4l2:` – cameras of this machine; on Linux |
+//! | [`push`] | `push:` – frames and detections of a remote program |
 //! | `gst` | `rtsp://…`, `file:`, `gst:` – what GStreamer plays; with the Cargo feature `gst` |
 //!
 //! What they are made of:
@@ -32,19 +33,20 @@ mod jpeg;
 mod natural;
 pub mod pixels;
 mod playback;
+pub mod push;
 mod sim;
 mod timing;
 #[cfg(all(target_os = "linux", target_pointer_width = "64"))]
 pub mod v4l2;
 
-use std::time::Duration;
+use std::{sync::Arc, time::Duration};
 
-use roundel_core::{frame::Frame, time::Timestamp};
+use roundel_core::{frame::Frame, time::Timestamp, world::FrameObservations};
 use thiserror::Error;
 
 pub use address::{
-    AddressError, DeviceAddress, HttpAddress, ImagesAddress, MediaAddress, SimAddress, SimPreset,
-    SourceAddress, Transport, without_credentials,
+    AddressError, DeviceAddress, HttpAddress, ImagesAddress, MediaAddress, PushAddress, SimAddress,
+    SimPreset, SourceAddress, Transport, without_credentials,
 };
 pub use playback::{Playback, TimesError};
 pub use sim::{SIM_LATENCY_S, simulated_camera, simulated_scenario};
@@ -98,21 +100,52 @@ pub enum SourceError {
     Failed(String),
 }
 
+/// What was seen in a frame that was searched elsewhere.
+#[derive(Clone, Debug)]
+pub struct Sighting {
+    /// What was seen; the worker gives it its camera and number.
+    pub observations: FrameObservations,
+    /// Where its times come from, and how far off they may be.
+    pub clock: CaptureClock,
+    /// Frames that never came since the one before.
+    pub skipped: u64,
+    /// How the camera does there, if that is known.
+    pub figures: Option<push::RemoteFigures>,
+}
+
+/// What a source gives.
+#[derive(Debug)]
+pub enum Arrival<'a> {
+    /// A frame, to be searched.
+    Frame(LentFrame<'a>),
+    /// What was seen in one.
+    Seen(Box<Sighting>),
+}
+
 /// A stream of 8-bit grey frames.
 pub trait FrameSource: Send {
     /// Waits for the next frame and lends it, of the size of the camera's calibration. A stop signal
     /// ends the wait at once.
     fn next_frame(&mut self) -> Result<LentFrame<'_>, SourceError>;
+
+    /// The same of a source that may have searched its frames already.
+    fn next(&mut self) -> Result<Arrival<'_>, SourceError> {
+        self.next_frame().map(Arrival::Frame)
+    }
 }
 
 /// What a worker opens its source with, and opens it again after a failure.
 pub trait OpenSource: Send {
     /// Opens the source.
     fn open(&mut self) -> Result<Box<dyn FrameSource>, SourceError>;
+
+    /// Waits before it is opened again: so long, unless the source knows better. Whether the server goes down.
+    fn pause(&mut self, pause: Duration, stop: &Stop) -> bool {
+        stop.wait(pause)
+    }
 }
 
 /// Opens the source of a [`SourceAddress`].
-#[derive(Debug)]
 pub struct SourceOpener {
     address: SourceAddress,
     /// Of the camera's calibration; images of another size are an error.
@@ -122,6 +155,8 @@ pub struct SourceOpener {
     stop: Stop,
     /// When the first frame was or will be due; kept from one opening to the next.
     began: Option<Timestamp>,
+    /// Where a remote program's frames arrive.
+    port: Arc<push::Port>,
 }
 
 impl SourceOpener {
@@ -133,7 +168,12 @@ impl SourceOpener {
         playback: Playback,
         stop: Stop,
     ) -> Self {
-        Self { address, size, clock, playback, stop, began: None }
+        Self { address, size, clock, playback, stop, began: None, port: Arc::default() }
+    }
+
+    /// The same, with the port at which a `push:` source's frames arrive.
+    pub fn with_port(self, port: Arc<push::Port>) -> Self {
+        Self { port, ..self }
     }
 }
 
@@ -162,6 +202,10 @@ impl OpenSource for SourceOpener {
                 let parts = http::HttpParts { size: self.size, clock: self.clock };
                 Ok(Box::new(http::HttpSource::open(address, parts, self.stop.clone())?))
             }
+            SourceAddress::Push(address) => {
+                let parts = push::PushParts { size: self.size, patience: address.stall };
+                Ok(Box::new(push::PushSource::open(self.port.clone(), parts, self.stop.clone())?))
+            }
             #[cfg(all(target_os = "linux", target_pointer_width = "64"))]
             SourceAddress::Device(address) => {
                 let parts = v4l2::V4l2Parts { size: self.size, clock: self.clock };
@@ -183,6 +227,13 @@ impl OpenSource for SourceOpener {
                  libgstreamer1.0-dev libgstreamer-plugins-base1.0-dev gstreamer1.0-plugins-good \
                  gstreamer1.0-plugins-bad gstreamer1.0-libav)"
             ))),
+        }
+    }
+
+    fn pause(&mut self, pause: Duration, stop: &Stop) -> bool {
+        match &self.address {
+            SourceAddress::Push(_) => self.port.pause(pause, stop),
+            _ => stop.wait(pause),
         }
     }
 }

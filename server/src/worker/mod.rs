@@ -4,6 +4,7 @@
 //! | --- | --- |
 //! | `supervisor` | runs the worker again after a failure, with growing pauses |
 //! | [`pipeline`] | pixels → detections with poses and times |
+//! | `remote` | what was seen elsewhere, and only passes through |
 //! | `placing` | finds the place of a camera whose pose is unknown |
 //! | [`adoption`] | a new lens and place, taken over between two frames |
 //! | [`meter`] | rates and medians over the newest frames |
@@ -15,6 +16,7 @@ pub mod adoption;
 pub mod meter;
 pub mod pipeline;
 mod placing;
+mod remote;
 mod supervisor;
 
 use std::{
@@ -36,7 +38,7 @@ pub use supervisor::{Pauses, run};
 use crate::{
     clock::Clock,
     hub::{CameraPlace, CameraStatus, Happening, Hub, Picture, PoseStatus},
-    source::{LentFrame, OpenSource, SourceError},
+    source::{Arrival, LentFrame, OpenSource, SourceError},
 };
 use adoption::{Adoption, Inbox};
 use meter::{Median, Rate};
@@ -171,8 +173,9 @@ impl Worker {
             Err(error) => return end(error),
         };
         loop {
-            match source.next_frame() {
-                Ok(lent) => self.take(&lent),
+            match source.next() {
+                Ok(Arrival::Frame(lent)) => self.take(&lent),
+                Ok(Arrival::Seen(sighting)) => self.take_seen(*sighting),
                 Err(error) => return end(error),
             }
         }
@@ -208,7 +211,7 @@ impl Worker {
         self.rate.add(received);
         if self.running_since.is_none() {
             self.running_since = Some(begun);
-            self.report_running(lent, received);
+            self.report_running((lent.frame.width(), lent.frame.height()), received);
         }
         self.find_place(&observations, received);
         self.hand_to_fusion(observations.clone());
@@ -228,9 +231,8 @@ impl Worker {
         });
     }
 
-    fn report_running(&self, lent: &LentFrame<'_>, now: Timestamp) {
+    fn report_running(&self, (width, height): (usize, usize), now: Timestamp) {
         let (id, name) = (self.parts.id, &self.parts.name);
-        let (width, height) = (lent.frame.width(), lent.frame.height());
         tracing::info!(camera = name, width, height, "frames arrive");
         self.parts.hub.update_camera(id, |state| {
             state.status = CameraStatus::Running;

@@ -74,7 +74,7 @@ pub fn run(mut worker: Worker, stop: &Stop) {
         let message = format!("Camera {} failed: {failure}", worker.parts.name);
         report(&worker, CameraStatus::Failed, &failure, message);
         tracing::info!(camera = worker.parts.name, pause_s = pause.as_secs_f64(), "trying again");
-        if stop.wait(pause) {
+        if worker.parts.opener.pause(pause, stop) {
             return;
         }
         worker.parts.hub.update_camera(worker.parts.id, |state| state.restarts += 1);

@@ -75,7 +75,8 @@ impl Rig {
             path: None,
             file: CalibrationFile::default(),
         }));
-        let served = Served { hub: hub.clone(), clock, calibrator };
+        let (ports, late_window_ms) = (Vec::new(), 300.0);
+        let served = Served { hub: hub.clone(), clock, calibrator, ports, late_window_ms };
         let server = tokio::spawn(api::serve(listener, served, limits, cancel.clone()));
         Self { hub, clock, address, cancel, server }
     }

@@ -41,6 +41,36 @@ fn serve_refuses_wrong_configurations() {
 }
 
 #[test]
+fn nodes_and_servers_are_told_apart() {
+    let folder = lab();
+    let path = folder.path().join("node.toml");
+    let file = path.to_str().unwrap();
+    let cameras = "[[roundel]]\nname = \"robot\"\nouter_mm = 160\ninner_mm = 64\n\
+                   [[camera]]\nname = \"north\"\nsource = \"images:frames\"\ncalibration = \"north.yaml\"\n";
+    fs::write(&path, cameras).unwrap();
+    let output = run(&["node", "--config", file]);
+    assert_eq!(output.status.code(), Some(1));
+    assert!(stderr(&output).contains("which server? Name it with --server"), "{}", stderr(&output));
+    let output = run(&["node", "--config", file, "--server", "ftp://10.0.0.1"]);
+    assert!(stderr(&output).contains("ftp:// is not http://"), "{}", stderr(&output));
+    let output = run(&["serve", "--config", file]);
+    assert!(stderr(&output).contains("missing key `pose` in [[camera]]"), "{}", stderr(&output));
+
+    // A node needs no poses, and a server has nothing to do with it.
+    fs::write(&path, format!("[node]\nserver = \"http://10.0.0.1:7670\"\n{cameras}")).unwrap();
+    let output = run(&["serve", "--config", file]);
+    assert_eq!(output.status.code(), Some(1));
+    let text = stderr(&output);
+    assert!(
+        text.contains("describes a node ([node])") && text.contains("roundel node --config"),
+        "{text}"
+    );
+    fs::write(&path, format!("[node]\nsever = \"http://10.0.0.1:7670\"\n{cameras}")).unwrap();
+    let output = run(&["node", "--config", file]);
+    assert!(stderr(&output).contains("did you mean `server`?"), "{}", stderr(&output));
+}
+
+#[test]
 fn a_taken_port_is_named() {
     let folder = lab();
     let taken = std::net::TcpListener::bind("127.0.0.1:0").unwrap();

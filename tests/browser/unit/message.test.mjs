@@ -103,6 +103,16 @@ test("missing and foreign values become null or empty, never NaN", () => {
   assert.deepEqual(readCameras("none"), []);
 });
 
+test("who feeds a camera is known where a program does", () => {
+  const link = { sender: "node robot7", address: "10.0.0.3:4711", connected: true, received: 5, missing: 2, round_trip_ms: 0.8 };
+  const links = readCameras([{ link }, { link: null }, {}]).map((camera) => camera.link);
+  assert.deepEqual(links, [
+    { sender: "node robot7", address: "10.0.0.3:4711", connected: true, missing: 2, roundTripMs: 0.8 },
+    null,
+    null,
+  ]);
+});
+
 test("cameras without place or lens are cameras all the same", () => {
   const [camera] = readCameras([{ name: "north", status: "dreaming", pose: null, intrinsics: { fx_px: 0 } }]);
   assert.equal(camera.status, "unspecified");

@@ -1,0 +1,306 @@
+//! What remote programs send, read: proto's types become core's here, and each number is looked at once.
+
+use nalgebra::Vector3;
+use roundel_core::{
+    camera, ellipse,
+    id::{CameraId, KindId, TrackNumber},
+    marker::{Code, CodeReading, Ring},
+    pose,
+    rigid::from_upper_triangle,
+    time::Timestamp,
+    world,
+};
+use roundel_proto::v1;
+use thiserror::Error;
+
+use super::{capture_clock, intrinsics, pixels};
+use crate::{
+    hub::{CameraState, Installation},
+    source::{
+        CaptureClock, TimeBase,
+        push::{Link, Payload, RemoteFigures, Times},
+    },
+};
+
+/// A sender's deviation is at most so long; more is a mistake of units.
+const MAX_DEVIATION_MS: f64 = 3.6e6;
+
+/// A field that does not hold what it should.
+#[derive(Clone, Debug, PartialEq, Eq, Error)]
+#[error("{field}: expected {expected}, found {found}")]
+pub struct WireError {
+    /// Which, from the message on.
+    pub field: String,
+    /// What it may be.
+    pub expected: String,
+    /// What it was.
+    pub found: String,
+}
+
+fn wrong(field: impl Into<String>, expected: impl Into<String>, found: impl ToString) -> WireError {
+    WireError { field: field.into(), expected: expected.into(), found: found.to_string() }
+}
+
+/// What a sender's times are.
+pub fn times(times: i32) -> Result<Times, WireError> {
+    match v1::PushTimes::try_from(times) {
+        Ok(v1::PushTimes::Unspecified) => Ok(Times::Arrival),
+        Ok(v1::PushTimes::Server) => Ok(Times::Server),
+        Ok(v1::PushTimes::Counter) => Ok(Times::Counter),
+        Ok(v1::PushTimes::Unix) => Ok(Times::Unix),
+        Err(_) => Err(wrong("greeting.times", "a value of PushTimes", times)),
+    }
+}
+
+/// A frame's pixels and its clock.
+pub fn frame(frame: v1::PushedFrame) -> Result<(Payload, Option<CaptureClock>), WireError> {
+    let clock = frame.clock.map(|clock| sent_clock("frame.clock", clock)).transpose()?;
+    let capture = Timestamp::from_ns(frame.capture_time_ns);
+    let payload = match frame.picture {
+        Some(v1::pushed_frame::Picture::Jpeg(file)) => Payload::Jpeg(file, capture),
+        Some(v1::pushed_frame::Picture::Grey(grey)) => {
+            Payload::Grey(grey.pixels, (grey.width as usize, grey.height as usize), capture)
+        }
+        None => return Err(wrong("frame.picture", "`jpeg` or `grey`", "neither")),
+    };
+    Ok((payload, clock))
+}
+
+/// What was seen in a frame, and its clock.
+pub fn seen(
+    installation: &Installation,
+    message: v1::PushedObservations,
+) -> Result<(Payload, Option<CaptureClock>), WireError> {
+    let clock = message.clock.map(|clock| sent_clock("observations.clock", clock)).transpose()?;
+    let Some(frame) = message.observations else {
+        return Err(wrong("observations.observations", "what was seen in a frame", "nothing"));
+    };
+    let detections = frame.detections.iter().enumerate().map(|(index, detection)| {
+        let field = |name: &str| format!("observations.detections[{index}]{name}");
+        read_detection(installation, detection, &field)
+    });
+    let observations = world::FrameObservations {
+        camera: CameraId(0),
+        frame: 0,
+        capture_time: Timestamp::from_ns(frame.capture_time_ns),
+        received_time: Timestamp::from_ns(frame.received_time_ns),
+        calibration_version: frame.calibration_version,
+        detections: detections.collect::<Result<_, _>>()?,
+    };
+    let figures = message.figures.map(|figures| RemoteFigures {
+        width: figures.width as usize,
+        height: figures.height as usize,
+        dropped: figures.dropped,
+        broken: figures.broken,
+        detect_ms: figures.detect_ms,
+        decode_ms: figures.decode_ms,
+        blur_px: figures.blur_px,
+        noise: figures.noise,
+    });
+    Ok((Payload::Seen(Box::new(observations), figures), clock))
+}
+
+/// The clock of what is sent; `None` within: it says no more than how far off it may be.
+fn sent_clock(field: &str, clock: v1::CaptureClock) -> Result<CaptureClock, WireError> {
+    let base = match v1::TimeBase::try_from(clock.base) {
+        Ok(v1::TimeBase::Server) => TimeBase::Server,
+        Ok(v1::TimeBase::Arrival) => TimeBase::Arrival,
+        Ok(v1::TimeBase::Camera) => TimeBase::Camera,
+        Ok(v1::TimeBase::Unspecified | v1::TimeBase::Driver) => TimeBase::Driver,
+        Ok(v1::TimeBase::Synchronized) => TimeBase::Synchronized,
+        Err(_) => return Err(wrong(format!("{field}.base"), "a value of TimeBase", clock.base)),
+    };
+    if !(0.0..=MAX_DEVIATION_MS).contains(&clock.deviation_ms) {
+        let expected = format!("0 to {MAX_DEVIATION_MS} milliseconds");
+        return Err(wrong(format!("{field}.deviation_ms"), expected, clock.deviation_ms));
+    }
+    Ok(CaptureClock { base, deviation_s: clock.deviation_ms * 1e-3 })
+}
+
+fn read_detection(
+    installation: &Installation,
+    detection: &v1::Detection,
+    field: &dyn Fn(&str) -> String,
+) -> Result<pose::Detection, WireError> {
+    let kind = match detection.roundel.as_str() {
+        "" => None,
+        name => Some(kind_named(installation, name, field)?),
+    };
+    let outer = read_ellipse(detection.outer.as_ref(), &field(".outer"))?;
+    let inner = read_ellipse(detection.inner.as_ref(), &field(".inner"))?;
+    let threshold = u8::try_from(detection.threshold)
+        .map_err(|_| wrong(field(".threshold"), "0 to 255", detection.threshold))?;
+    let code = detection.code.as_ref().map(|code| read_code(code, &field(".code"))).transpose()?;
+    let ring = Ring {
+        kind,
+        threshold,
+        black: detection.black,
+        white: detection.white,
+        code,
+        ..Ring::of_rims(outer, inner)
+    };
+    let pose = detection.pose.as_ref().map(|pose| read_pose(pose, &|name| field(name)));
+    Ok(pose::Detection {
+        track: TrackNumber(detection.track),
+        ring,
+        capture_time: Timestamp::from_ns(detection.capture_time_ns),
+        pose: pose.transpose()?,
+    })
+}
+
+fn kind_named(
+    installation: &Installation,
+    name: &str,
+    field: &dyn Fn(&str) -> String,
+) -> Result<KindId, WireError> {
+    let place = installation.kinds.iter().position(|kind| kind == name);
+    place.and_then(|place| u16::try_from(place).ok()).map(KindId).ok_or_else(|| {
+        let known = installation.kinds.join("\", \"");
+        wrong(
+            field(".roundel"),
+            format!("a [[roundel]] of the server's configuration (\"{known}\")"),
+            format!("\"{name}\""),
+        )
+    })
+}
+
+fn read_ellipse(ellipse: Option<&v1::Ellipse>, field: &str) -> Result<ellipse::Ellipse, WireError> {
+    let whole = ellipse.and_then(|ellipse| Some((ellipse, ellipse.center.as_ref()?)));
+    let Some((ellipse, center)) = whole else {
+        return Err(wrong(field, "an ellipse with its centre", "none"));
+    };
+    let numbers =
+        [center.u, center.v, ellipse.semi_major_px, ellipse.semi_minor_px, ellipse.angle_rad];
+    finite(&numbers, field)?;
+    Ok(ellipse::Ellipse {
+        center: camera::PixelPoint { u: center.u, v: center.v },
+        semi_major_px: ellipse.semi_major_px,
+        semi_minor_px: ellipse.semi_minor_px,
+        angle_rad: ellipse.angle_rad,
+    })
+}
+
+fn read_code(code: &v1::CodeReading, field: &str) -> Result<CodeReading, WireError> {
+    let bits = u8::try_from(code.bits).ok().filter(|bits| (5..=16).contains(bits));
+    let bits = bits.ok_or_else(|| wrong(format!("{field}.bits"), "5 to 16", code.bits))?;
+    let number = u16::try_from(code.number).ok().filter(|&number| number > 0);
+    let number =
+        number.ok_or_else(|| wrong(format!("{field}.number"), "1 to 65535", code.number))?;
+    finite(&[code.confidence], &format!("{field}.confidence"))?;
+    let zero = code.zero.as_ref().map_or((f64::NAN, f64::NAN), |zero| (zero.u, zero.v));
+    let zero = camera::PixelPoint { u: zero.0, v: zero.1 };
+    let corrected = u8::try_from(code.corrected_bits).unwrap_or(u8::MAX);
+    let confidence = code.confidence;
+    Ok(CodeReading { confidence, corrected, ..CodeReading::certain(Code { bits, number }, zero) })
+}
+
+fn read_pose(
+    pose: &v1::RoundelPose,
+    field: &dyn Fn(&str) -> String,
+) -> Result<pose::RoundelPose, WireError> {
+    let position_m = read_vector(pose.position.as_ref(), &field(".pose.position"))?;
+    let normal = read_direction(pose.normal.as_ref(), &field(".pose.normal"))?;
+    let other_normal = read_direction(pose.other_normal.as_ref(), &field(".pose.other_normal"))?;
+    let angles = [pose.normal_likelihood, pose.yaw_rad.unwrap_or(0.0)];
+    finite(&angles, &field(".pose"))?;
+    finite(&pose.covariance, &field(".pose.covariance"))?;
+    let covariance = from_upper_triangle(&pose.covariance).ok_or_else(|| {
+        let expected = "the 21 numbers of a covariance's upper triangle";
+        wrong(field(".pose.covariance"), expected, pose.covariance.len())
+    })?;
+    Ok(pose::RoundelPose {
+        position_m,
+        normal,
+        normal_likelihood: pose.normal_likelihood,
+        other_normal,
+        yaw_rad: pose.yaw_rad,
+        yaw_symmetry: pose.yaw_symmetry.max(1),
+        covariance,
+    })
+}
+
+fn read_vector(vector: Option<&v1::Vector3>, field: &str) -> Result<Vector3<f64>, WireError> {
+    let vector = vector.ok_or_else(|| wrong(field, "three numbers", "none"))?;
+    finite(&[vector.x, vector.y, vector.z], field)?;
+    Ok(Vector3::new(vector.x, vector.y, vector.z))
+}
+
+fn read_direction(vector: Option<&v1::Vector3>, field: &str) -> Result<Vector3<f64>, WireError> {
+    let vector = read_vector(vector, field)?;
+    let length = vector.norm();
+    if (length - 1.0).abs() > 1e-3 {
+        return Err(wrong(field, "a vector of length 1", format!("one of {length}")));
+    }
+    Ok(vector / length)
+}
+
+fn finite(numbers: &[f64], field: &str) -> Result<(), WireError> {
+    match numbers.iter().find(|number| !number.is_finite()) {
+        Some(number) => Err(wrong(field, "finite numbers", number)),
+        None => Ok(()),
+    }
+}
+
+/// What a node sends of what its camera saw.
+pub fn pushed_observations(
+    installation: &Installation,
+    seen: &world::FrameObservations,
+    state: &CameraState,
+) -> v1::PushedObservations {
+    v1::PushedObservations {
+        // Given when it is sent.
+        sequence: 0,
+        clock: state.capture_clock.map(capture_clock),
+        observations: Some(super::observations(installation, seen)),
+        figures: Some(v1::PushedFigures {
+            width: pixels(state.width),
+            height: pixels(state.height),
+            dropped: state.dropped,
+            broken: state.broken,
+            detect_ms: state.detect_ms,
+            decode_ms: state.decode_ms,
+            blur_px: state.blur_px,
+            noise: state.noise,
+        }),
+    }
+}
+
+/// The lens and the place that the server has a camera at.
+pub fn pushed_calibration(state: &CameraState) -> Option<v1::PushedCalibration> {
+    let model = state.camera.as_ref()?;
+    Some(v1::PushedCalibration {
+        width: pixels(model.width()),
+        height: pixels(model.height()),
+        intrinsics: Some(intrinsics(model)),
+        version: state.calibration_version,
+    })
+}
+
+/// The lens that a server says; `None` if it is none that this version knows.
+pub fn told_camera(calibration: &v1::PushedCalibration) -> Option<camera::Camera> {
+    let told = calibration.intrinsics.as_ref()?;
+    camera::Camera::new(camera::Intrinsics {
+        width: calibration.width as usize,
+        height: calibration.height as usize,
+        fx_px: told.fx_px,
+        fy_px: told.fy_px,
+        cx_px: told.cx_px,
+        cy_px: told.cy_px,
+        lens: camera::Lens::from_ros(&told.lens, &told.distortion)?,
+    })
+    .ok()
+}
+
+/// Who feeds a camera.
+pub(super) fn camera_link(link: &Link) -> v1::CameraLink {
+    v1::CameraLink {
+        sender: link.sender.clone(),
+        address: link.address.clone(),
+        connected: link.connected,
+        received: link.received,
+        missing: link.missing,
+        repeated: link.repeated,
+        round_trip_ms: link.round_trip_ms,
+        clock_deviation_ms: link.clock_deviation_ms,
+    }
+}

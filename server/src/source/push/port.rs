@@ -1,0 +1,502 @@
+//! Where a remote program's frames and detections arrive: a bounded queue with a memory of who has sent what.
+//!
+//! Of frames the newest waits; one that it replaces is counted. Of detections each counts, so a sender is made to
+//! wait while the queue is full, which it never is for long: handing detections on takes microseconds. Sequence
+//! numbers tell what came twice (it counts once) and what never came.
+
+use std::{
+    collections::VecDeque,
+    sync::{Arc, Condvar, Mutex, MutexGuard, PoisonError},
+    time::{Duration, Instant},
+};
+
+use thiserror::Error;
+use tokio::sync::Notify;
+
+use super::{Payload, Pushed, Times};
+use crate::{source::SourceError, stop::Stop};
+
+/// Detections that wait at most, frames.
+const QUEUE: usize = 64;
+/// How often a wait looks whether the server goes down.
+const LOOK_EVERY: Duration = Duration::from_millis(20);
+/// A sender that says nothing for so long may be replaced by another one.
+const SILENT_AFTER: Duration = Duration::from_secs(3);
+
+/// What a sender says first.
+#[derive(Clone, Debug, Default)]
+pub struct Greeting {
+    /// What it calls itself.
+    pub sender: String,
+    /// Where it connects from.
+    pub address: String,
+    /// Tells this run of it from every other.
+    pub run_id: String,
+    /// What its times are.
+    pub times: Times,
+    /// The least sequence that is still to come.
+    pub next_sequence: u64,
+}
+
+/// Who feeds a camera, and how that goes.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct Link {
+    /// What the sender calls itself; empty before the first one.
+    pub sender: String,
+    /// Where it connects from.
+    pub address: String,
+    /// Whether there is a connection.
+    pub connected: bool,
+    /// Frames or detections taken, of all senders.
+    pub received: u64,
+    /// That were numbered and never came.
+    pub missing: u64,
+    /// That came twice.
+    pub repeated: u64,
+    /// The shortest way there and back, milliseconds; 0: unknown.
+    pub round_trip_ms: f64,
+    /// Deviation of the difference of the clocks, milliseconds; 0: unknown.
+    pub clock_deviation_ms: f64,
+}
+
+/// Why something is not taken.
+#[derive(Clone, Debug, PartialEq, Eq, Error)]
+pub enum PushError {
+    /// Somebody else is feeding it.
+    #[error(
+        "{sender} ({address}) is feeding this camera; end it first, or give each its own camera"
+    )]
+    Taken {
+        /// Who.
+        sender: String,
+        /// Where from.
+        address: String,
+    },
+    /// The same sender has come back over another connection.
+    #[error("the same run of this sender has connected anew")]
+    Superseded,
+    /// Numbers begin at 1.
+    #[error("sequence: expected a number from 1, found 0")]
+    Sequence,
+}
+
+#[derive(Default)]
+struct State {
+    queue: VecDeque<Pushed>,
+    /// Number of the connection that feeds it now.
+    attached: Option<u64>,
+    attachments: u64,
+    heard: Option<Instant>,
+    run_id: String,
+    /// Newest sequence of that run that was taken or given up.
+    newest: u64,
+    /// Why the sender has no frames.
+    trouble: String,
+    link: Link,
+    /// Frames that gave way or never came since the worker asked.
+    skipped: u64,
+    /// Grows with each change of what is to be told of the connection.
+    changes: u64,
+    /// `changes` when the worker was last told that it has to wait.
+    told: Option<u64>,
+}
+
+impl State {
+    /// What lies before `next` and was not taken will never come.
+    fn give_up_before(&mut self, next: u64) {
+        let gap = next.saturating_sub(self.newest + 1);
+        self.link.missing += gap;
+        self.skipped += gap;
+        self.newest += gap;
+    }
+
+    /// Why nothing comes.
+    fn why(&self) -> String {
+        let Link { sender, address, connected, .. } = &self.link;
+        match (connected, sender.as_str()) {
+            (true, _) if !self.trouble.is_empty() => format!("at {sender}: {}", self.trouble),
+            (true, _) => format!("{sender} ({address}) has connected and sent nothing yet"),
+            (false, "") => {
+                "no program feeds it yet: start `roundel node` with a camera of this name, or send \
+                            frames or detections yourself (client/README.md)"
+                    .to_owned()
+            }
+            (false, _) => {
+                format!("{sender} ({address}) has gone; it goes on when it connects again")
+            }
+        }
+    }
+}
+
+/// The entrance of one camera.
+#[derive(Default)]
+pub struct Port {
+    state: Mutex<State>,
+    news: Condvar,
+    room: Notify,
+}
+
+impl Port {
+    fn lock(&self) -> MutexGuard<'_, State> {
+        self.state.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+
+    /// Who feeds it, and how that goes.
+    pub fn link(&self) -> Link {
+        self.lock().link.clone()
+    }
+
+    /// Lets a sender in. The same run of a sender takes its own place over; another one only where nothing was
+    /// heard for a while.
+    pub fn attach(self: &Arc<Self>, greeting: &Greeting) -> Result<Attachment, PushError> {
+        let mut state = self.lock();
+        let is_live = state.attached.is_some()
+            && state.heard.is_some_and(|heard| heard.elapsed() < SILENT_AFTER);
+        if is_live && state.run_id != greeting.run_id {
+            let Link { sender, address, .. } = state.link.clone();
+            return Err(PushError::Taken { sender, address });
+        }
+        let newest = if state.run_id == greeting.run_id {
+            state.newest
+        } else {
+            state.run_id.clone_from(&greeting.run_id);
+            state.newest = greeting.next_sequence.saturating_sub(1);
+            0
+        };
+        state.attachments += 1;
+        state.attached = Some(state.attachments);
+        state.heard = Some(Instant::now());
+        state.trouble.clear();
+        state.link.sender.clone_from(&greeting.sender);
+        state.link.address.clone_from(&greeting.address);
+        state.link.connected = true;
+        (state.link.round_trip_ms, state.link.clock_deviation_ms) = (0.0, 0.0);
+        state.changes += 1;
+        let number = state.attachments;
+        drop(state);
+        self.news.notify_one();
+        self.room.notify_waiters();
+        Ok(Attachment { port: self.clone(), number, newest_sequence: newest })
+    }
+
+    /// Whether there is something to wait for; if not, why.
+    pub(super) fn ready(&self) -> Result<(), SourceError> {
+        let mut state = self.lock();
+        if !state.queue.is_empty() || (state.link.connected && state.trouble.is_empty()) {
+            return Ok(());
+        }
+        state.told = Some(state.changes);
+        Err(SourceError::Failed(state.why()))
+    }
+
+    /// Waits for what was not taken yet, and counts what was left out before it.
+    pub(super) fn next(
+        &self,
+        since: Instant,
+        patience: Duration,
+        stop: &Stop,
+    ) -> Result<(Pushed, u64), SourceError> {
+        let mut state = self.lock();
+        loop {
+            if stop.is_stopped() {
+                return Err(SourceError::Stopped);
+            }
+            if let Some(pushed) = state.queue.pop_front() {
+                let skipped = std::mem::take(&mut state.skipped);
+                state.told = None;
+                drop(state);
+                self.room.notify_one();
+                return Ok((pushed, skipped));
+            }
+            let rest = patience.saturating_sub(since.elapsed());
+            let is_gone = !state.link.connected || !state.trouble.is_empty();
+            if is_gone || rest.is_zero() {
+                state.told = Some(state.changes);
+                let why = if is_gone {
+                    state.why()
+                } else {
+                    format!(
+                        "nothing from {} ({}) for {:.1} s: its camera stands still, or the network between is cut \
+                         (a slow camera: `push:?stall=SECONDS`)",
+                        state.link.sender,
+                        state.link.address,
+                        patience.as_secs_f64()
+                    )
+                };
+                return Err(SourceError::Failed(why));
+            }
+            let wait = self.news.wait_timeout(state, rest.min(LOOK_EVERY));
+            state = wait.unwrap_or_else(PoisonError::into_inner).0;
+        }
+    }
+
+    /// The pause before another attempt: after a failure of what was sent, so long; while nobody sends, until
+    /// somebody does, or there is something else to tell. Whether the server goes down.
+    pub(in crate::source) fn pause(&self, pause: Duration, stop: &Stop) -> bool {
+        let mut state = self.lock();
+        let Some(told) = state.told else {
+            drop(state);
+            return stop.wait(pause);
+        };
+        while state.queue.is_empty() && state.changes == told {
+            if stop.is_stopped() {
+                return true;
+            }
+            let wait = self.news.wait_timeout(state, LOOK_EVERY);
+            state = wait.unwrap_or_else(PoisonError::into_inner).0;
+        }
+        stop.is_stopped()
+    }
+
+    /// Who sends, for messages.
+    pub(super) fn who(&self) -> String {
+        let state = self.lock();
+        format!("{} ({})", state.link.sender, state.link.address)
+    }
+}
+
+/// A sender's hold on a camera, until it is dropped.
+pub struct Attachment {
+    port: Arc<Port>,
+    number: u64,
+    /// Newest sequence that was taken of this run before; 0: none.
+    pub newest_sequence: u64,
+}
+
+impl Attachment {
+    /// The state, while it is this connection that feeds the camera.
+    fn held(&self) -> Result<MutexGuard<'_, State>, PushError> {
+        let mut state = self.port.lock();
+        if state.attached != Some(self.number) {
+            return Err(PushError::Superseded);
+        }
+        state.heard = Some(Instant::now());
+        Ok(state)
+    }
+
+    /// Puts in what came with that number. Detections wait for room.
+    pub async fn put(&self, sequence: u64, pushed: Pushed) -> Result<(), PushError> {
+        if sequence == 0 {
+            return Err(PushError::Sequence);
+        }
+        let is_frame = !matches!(pushed.what, Payload::Seen(..));
+        loop {
+            let room = self.port.room.notified();
+            {
+                let mut state = self.held()?;
+                if sequence <= state.newest {
+                    state.link.repeated += 1;
+                    return Ok(());
+                }
+                if is_frame || state.queue.len() < QUEUE {
+                    state.give_up_before(sequence);
+                    state.newest = sequence;
+                    state.link.received += 1;
+                    state.trouble.clear();
+                    if is_frame {
+                        let before = state.queue.len();
+                        state.queue.retain(|it| matches!(it.what, Payload::Seen(..)));
+                        state.skipped += (before - state.queue.len()) as u64;
+                    }
+                    state.queue.push_back(pushed);
+                    break;
+                }
+            }
+            // A look now and then too: the worker may take between the look above and this wait.
+            let _ = tokio::time::timeout(LOOK_EVERY, room).await;
+        }
+        self.port.news.notify_one();
+        Ok(())
+    }
+
+    /// The sender lives, and says what will never come, and how well it knows the time.
+    pub fn probe(
+        &self,
+        next_sequence: u64,
+        [round_trip_ms, clock_deviation_ms]: [f64; 2],
+    ) -> Result<(), PushError> {
+        let mut state = self.held()?;
+        state.give_up_before(next_sequence);
+        state.link.round_trip_ms = round_trip_ms;
+        state.link.clock_deviation_ms = clock_deviation_ms;
+        Ok(())
+    }
+
+    /// The sender has no frames, and says why.
+    pub fn trouble(&self, error: String) -> Result<(), PushError> {
+        let mut state = self.held()?;
+        if state.trouble != error {
+            state.trouble = error;
+            state.changes += 1;
+        }
+        drop(state);
+        self.port.news.notify_one();
+        Ok(())
+    }
+}
+
+impl Drop for Attachment {
+    fn drop(&mut self) {
+        let mut state = self.port.lock();
+        if state.attached == Some(self.number) {
+            state.attached = None;
+            state.link.connected = false;
+            state.changes += 1;
+            drop(state);
+            self.port.news.notify_one();
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use roundel_core::{id::CameraId, time::Timestamp, world::FrameObservations};
+
+    use super::*;
+
+    fn seen() -> Pushed {
+        let time = Timestamp::default();
+        let observations = FrameObservations {
+            camera: CameraId(0),
+            frame: 0,
+            capture_time: time,
+            received_time: time,
+            calibration_version: 0,
+            detections: vec![],
+        };
+        let what = Payload::Seen(Box::new(observations), None);
+        Pushed { what, times: Times::Server, clock: None, arrived: time }
+    }
+
+    fn picture() -> Pushed {
+        let what = Payload::Grey(vec![0], (1, 1), Timestamp::default());
+        Pushed { what, times: Times::Server, clock: None, arrived: Timestamp::default() }
+    }
+
+    fn greeting(run_id: &str, next_sequence: u64) -> Greeting {
+        Greeting {
+            sender: format!("node {run_id}"),
+            address: "here".into(),
+            run_id: run_id.into(),
+            next_sequence,
+            ..Greeting::default()
+        }
+    }
+
+    fn next(port: &Port) -> Result<u64, SourceError> {
+        let taken = port.next(Instant::now(), Duration::from_millis(30), &Stop::default());
+        taken.map(|(_, skipped)| skipped)
+    }
+
+    fn failure(port: &Port) -> String {
+        match next(port) {
+            Err(SourceError::Failed(message)) => message,
+            other => panic!("{other:?}"),
+        }
+    }
+
+    /// received, missing, repeated.
+    fn counts(port: &Port) -> [u64; 3] {
+        let link = port.link();
+        [link.received, link.missing, link.repeated]
+    }
+
+    #[tokio::test]
+    async fn what_comes_twice_counts_once_and_what_never_comes_is_known() {
+        let port = Arc::new(Port::default());
+        let sender = port.attach(&greeting("a", 4)).unwrap();
+        assert_eq!(sender.newest_sequence, 0, "nothing was taken of it yet");
+        for sequence in [4, 5, 5, 4, 9] {
+            sender.put(sequence, seen()).await.unwrap();
+        }
+        assert_eq!(counts(&port), [3, 3, 2]);
+        assert_eq!([next(&port), next(&port), next(&port)], [Ok(3), Ok(0), Ok(0)]);
+        // It comes back over another connection, while the old one is not known to be dead.
+        let again = port.attach(&greeting("a", 9)).unwrap();
+        assert_eq!(again.newest_sequence, 9);
+        assert_eq!(sender.put(10, seen()).await, Err(PushError::Superseded));
+        drop(sender);
+        assert!(port.link().connected, "the old connection's end ends nothing");
+        again.put(10, seen()).await.unwrap();
+        again.probe(13, [1.0, 0.3]).unwrap();
+        assert_eq!(counts(&port), [4, 5, 2]);
+        assert_eq!(again.put(0, seen()).await, Err(PushError::Sequence));
+        // Another run of it counts anew.
+        drop(again);
+        let other = port.attach(&greeting("b", 1)).unwrap();
+        other.put(1, seen()).await.unwrap();
+        assert_eq!((counts(&port), other.newest_sequence), ([5, 5, 2], 0));
+    }
+
+    #[tokio::test]
+    async fn two_senders_do_not_share_a_camera() {
+        let port = Arc::new(Port::default());
+        let first = port.attach(&greeting("a", 1)).unwrap();
+        let error = port.attach(&greeting("b", 1)).err().unwrap();
+        assert!(error.to_string().contains("node a (here) is feeding this camera"), "{error}");
+        drop(first);
+        assert!(port.attach(&greeting("b", 1)).is_ok());
+    }
+
+    #[tokio::test]
+    async fn the_newest_frame_wins_and_the_others_are_counted() {
+        let port = Arc::new(Port::default());
+        let sender = port.attach(&greeting("a", 1)).unwrap();
+        for sequence in 1..=5 {
+            sender.put(sequence, picture()).await.unwrap();
+        }
+        assert_eq!(next(&port), Ok(4));
+        assert_eq!(counts(&port), [5, 0, 0]);
+    }
+
+    #[tokio::test]
+    async fn detections_wait_for_room() {
+        let port = Arc::new(Port::default());
+        let sender = port.attach(&greeting("a", 1)).unwrap();
+        let all = async {
+            for sequence in 1..=200 {
+                sender.put(sequence, seen()).await.unwrap();
+            }
+        };
+        let taking = async {
+            let mut skipped = 0;
+            for _ in 0..200 {
+                tokio::task::yield_now().await;
+                skipped += next(&port).unwrap();
+            }
+            skipped
+        };
+        let ((), skipped) = tokio::join!(all, taking);
+        assert_eq!((skipped, counts(&port)), (0, [200, 0, 0]));
+    }
+
+    #[tokio::test]
+    async fn why_nothing_comes_is_told() {
+        let port = Arc::new(Port::default());
+        assert!(failure(&port).contains("no program feeds it yet: start `roundel node`"));
+        let sender = port.attach(&greeting("a", 1)).unwrap();
+        assert!(port.ready().is_ok());
+        assert!(failure(&port).contains("nothing from node a (here) for 0.0 s"));
+        sender.trouble("unplugged".into()).unwrap();
+        assert_eq!(failure(&port), "at node a: unplugged");
+        // The first frame takes it back, and one that is there is given even if its sender has gone.
+        sender.put(1, seen()).await.unwrap();
+        drop(sender);
+        assert_eq!(next(&port), Ok(0));
+        assert!(failure(&port).contains("node a (here) has gone"));
+    }
+
+    #[tokio::test]
+    async fn a_pause_ends_when_somebody_sends() {
+        let port = Arc::new(Port::default());
+        assert!(port.ready().is_err());
+        let waiting = port.clone();
+        let pause = std::thread::spawn(move || waiting.pause(Duration::ZERO, &Stop::default()));
+        let _sender = port.attach(&greeting("a", 1)).unwrap();
+        assert!(!pause.join().unwrap());
+        let stop = Stop::default();
+        stop.stop();
+        let _ = failure(&port);
+        assert!(port.pause(Duration::from_secs(3600), &stop));
+    }
+}

@@ -1,0 +1,7 @@
+//! Remote programs feed cameras of a server, over real sockets; links are cut and come back.
+
+mod clean;
+mod link;
+mod proxy;
+mod refused;
+mod rig;

@@ -1,0 +1,112 @@
+//! What is refused, and what is said about it.
+
+use std::time::Duration;
+
+use roundel_client::{Client, Picture, PushOptions, PushStatus, Pusher, v1};
+use roundel_server::{
+    config::Config,
+    hub::CameraStatus,
+    serve::{ServeError, node::Node},
+};
+
+use crate::rig::{CAMERAS, Rig, SIZE, come_about, config};
+
+async fn refusal(pusher: &Pusher) -> PushStatus {
+    let look = || Some(pusher.status()).filter(|status| !status.error.is_empty());
+    come_about("a refusal", look, || pusher.status()).await
+}
+
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn cameras_that_cannot_be_fed_are_told_apart() {
+    let rig = Rig::start().await;
+    let client = Client::connect(&rig.url()).await.unwrap();
+    let status = refusal(&client.push(PushOptions::new("noth")).unwrap()).await;
+    assert!(
+        status.refused && status.error.contains("no camera \"noth\"; there are: north, south"),
+        "{status:?}"
+    );
+
+    let _first = client.push(PushOptions::new("north").sender("robot 7")).unwrap();
+    rig.until("a sender", 0, |state| state.link.as_ref().is_some_and(|link| link.connected)).await;
+    let second = client.push(PushOptions::new("north").sender("robot 8")).unwrap();
+    let status = refusal(&second).await;
+    assert!(status.error.contains("robot 7 (127.0.0.1:"), "{status:?}");
+    assert!(status.error.contains("is feeding this camera; end it first"), "{status:?}");
+
+    let folder = tempfile::tempdir().unwrap();
+    let text = "[server]\nlisten = \"127.0.0.1:0\"\n\
+                [[roundel]]\nname = \"robot\"\nouter_mm = 160\ninner_mm = 64\n\
+                [[camera]]\nname = \"north\"\nsource = \"sim:\"\n";
+    let simulated = Config::parse(text, folder.path()).unwrap();
+    let server = roundel_server::serve::Server::start(simulated).await.unwrap();
+    let client = Client::connect(&server.local_addr().to_string()).await.unwrap();
+    let status = refusal(&client.push(PushOptions::new("north")).unwrap()).await;
+    assert!(
+        status.error.contains("takes its frames from `sim:`: only one with source = \"push:\""),
+        "{status:?}"
+    );
+}
+
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn wrong_messages_name_the_field() {
+    let rig = Rig::start().await;
+    let client = Client::connect(&rig.url()).await.unwrap();
+    let seen = |detection: v1::Detection| v1::PushedObservations {
+        observations: Some(v1::FrameObservations {
+            detections: vec![detection],
+            ..Default::default()
+        }),
+        ..Default::default()
+    };
+    let rim = Some(v1::Ellipse { center: Some(v1::PixelPoint::default()), ..Default::default() });
+    let whole =
+        v1::Detection { outer: rim, inner: rim, roundel: "robot".into(), ..Default::default() };
+    for (wrong, expected) in [
+        (
+            v1::Detection { roundel: "cart".into(), ..whole.clone() },
+            "observations.detections[0].roundel: expected a [[roundel]] of the server's configuration (\"robot\"), found \"cart\"",
+        ),
+        (
+            v1::Detection { outer: None, ..whole.clone() },
+            "observations.detections[0].outer: expected an ellipse with its centre, found none",
+        ),
+        (
+            v1::Detection { threshold: 300, ..whole.clone() },
+            "observations.detections[0].threshold: expected 0 to 255, found 300",
+        ),
+        (
+            v1::Detection { pose: Some(v1::RoundelPose::default()), ..whole.clone() },
+            "observations.detections[0].pose.position: expected three numbers, found none",
+        ),
+    ] {
+        let pusher = client.push(PushOptions::new("north")).unwrap();
+        pusher.observations(seen(wrong));
+        let status = refusal(&pusher).await;
+        assert!(status.refused && status.error.contains(expected), "{status:?}");
+    }
+}
+
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn a_picture_of_another_size_is_told_with_the_camera() {
+    let rig = Rig::start().await;
+    let client = Client::connect(&rig.url()).await.unwrap();
+    let pusher = client.push(PushOptions::new("north").sender("robot 7")).unwrap();
+    pusher.frame(Picture::Grey(vec![0; 64 * 48], [64, 48]), 0, None);
+    let state = rig.until("a failure", 0, |state| state.error.contains("expected an image")).await;
+    assert_eq!(state.status, CameraStatus::Failed);
+    let expected =
+        format!("of {} x {} pixels as the camera file says, found 64 x 48", SIZE.0, SIZE.1);
+    assert!(state.error.contains("a picture of robot 7 (127.0.0.1:"), "{}", state.error);
+    assert!(state.error.ends_with(&expected), "{}", state.error);
+    pusher.finish(Duration::ZERO).await;
+}
+
+#[tokio::test]
+async fn a_node_is_not_fed() {
+    let folder = tempfile::tempdir().unwrap();
+    let config = config(&CAMERAS, "push:", "127.0.0.1:0", folder.path());
+    let client = Client::connect_lazily("127.0.0.1:1").unwrap();
+    let error = Node::start(&config, &client).err().unwrap();
+    assert!(matches!(error, ServeError::NodeIsFed { .. }), "{error}");
+    assert!(error.to_string().contains("only a server can be fed"), "{error}");
+}
