@@ -176,6 +176,8 @@ pub fn camera(installation: &Installation, id: CameraId, state: &CameraState) ->
         broken: state.broken,
         decode_ms: state.decode_ms,
         link: state.link.as_ref().map(push::camera_link),
+        promised_rate_hz: state.promised_hz,
+        rate_reason: state.rate_reason.clone(),
     }
 }
 
@@ -231,6 +233,8 @@ pub fn event(installation: &Installation, event: &Event) -> v1::Event {
     let (kind, object_id, camera) = match event.happening {
         Happening::Object(id, kind) => (object_event_kind(kind), id.0, String::new()),
         Happening::Camera(id, status) => of_camera(camera_event_kind(status), id),
+        Happening::RateOff(id) => of_camera(v1::EventKind::CameraRateOff, id),
+        Happening::RateAgrees(id) => of_camera(v1::EventKind::CameraRateAgrees, id),
         Happening::ClockSet(id) => of_camera(v1::EventKind::CameraClockSet, id),
         Happening::Placed(id) => of_camera(v1::EventKind::CameraPlaced, id),
         Happening::Unplaced(id) => of_camera(v1::EventKind::CameraUnplaced, id),

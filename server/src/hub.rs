@@ -113,6 +113,10 @@ pub enum Happening {
     Object(ObjectId, world::EventKind),
     /// A camera's new status.
     Camera(CameraId, CameraStatus),
+    /// A camera gives another number of frames a second than was promised.
+    RateOff(CameraId),
+    /// It gives what was promised again.
+    RateAgrees(CameraId),
     /// A camera's clock was set, or is of another epoch.
     ClockSet(CameraId),
     /// Where a camera is became known.

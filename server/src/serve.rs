@@ -278,6 +278,7 @@ impl Server {
                 hub: self.hub.clone(),
                 fusion: to_fusion.clone(),
                 clock: self.clock,
+                promised_hz: camera.rate_hz,
             });
             let stop = self.stop_cameras.clone();
             let name = format!("camera {}", camera.name);

@@ -107,7 +107,7 @@ function trouble(camera) {
     const why = camera.poseReason ? `: ${camera.poseReason}` : " yet";
     return `Its place is not known${why}. What it sees is not used meanwhile.`;
   }
-  return "";
+  return camera.rateReason ? `It ${camera.rateReason.replace(/([^.!?])$/, "$1.")}` : "";
 }
 
 /** Where it is, and what carries it. @param {Camera} camera */

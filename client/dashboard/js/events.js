@@ -26,6 +26,8 @@ const SIGNS = new Map([
   ["cameras_contradict", "failed"],
   ["cameras_agree", "running"],
   ["cameras_misplaced", "failed"],
+  ["camera_rate_off", "predicted"],
+  ["camera_rate_agrees", "running"],
 ]);
 
 /** @param {import("./store.js").Store} store */

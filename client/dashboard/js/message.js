@@ -71,6 +71,7 @@ import { errorEllipse, headingRad, sigmasM, tiltRad } from "./geometry.js";
  * @property {CaptureClock | null} captureClock null before its first frame
  * @property {Link | null} link null of a camera that no program feeds
  * @property {number} rateHz
+ * @property {string} rateReason how that is not what was promised; empty while it is
  * @property {number} detections
  * @property {number} detectMs
  * @property {number} latencyMs
@@ -178,6 +179,7 @@ function readCamera(raw) {
     captureClock: readCaptureClock(raw?.capture_clock),
     link: readLink(raw?.link),
     rateHz: count(raw?.rate_hz),
+    rateReason: text(raw?.rate_reason),
     detections: count(raw?.detections),
     detectMs: count(raw?.detect_ms),
     latencyMs: count(raw?.latency_ms),

@@ -120,6 +120,7 @@ fn config(scenario: &Scenario, address: &SimAddress, listen: SocketAddr) -> Conf
             pose: CameraPose::Known(camera.world_from_camera),
             line_time_s: camera.line_time_s,
             clock_uncertainty_s: 0.0,
+            rate_hz: None,
             mode: Mode::default(),
             mask: Vec::new(),
         }

@@ -18,18 +18,20 @@ use crate::{
     source::{SourceAddress, simulated_camera, without_credentials},
 };
 
-const CAMERA_KEYS: [&str; 8] = [
+const CAMERA_KEYS: [&str; 9] = [
     "name",
     "source",
     "calibration",
     "pose",
     "line_time_us",
     "clock_uncertainty_ms",
+    "rate_hz",
     "mode",
     "mask",
 ];
 const MAX_LINE_TIME_US: f64 = 10_000.0;
 const MAX_CLOCK_UNCERTAINTY_MS: f64 = 10_000.0;
+const MAX_RATE_HZ: f64 = 1000.0;
 
 /// The words for modes.
 pub(super) const MODES: [(&str, Mode); 2] = [("precise", Mode::Precise), ("fast", Mode::Fast)];
@@ -123,6 +125,10 @@ fn camera(
     let usual_s = address.as_ref().map_or(0.0, |it| it.capture_clock().deviation_s);
     let clock_uncertainty_s =
         table.number("clock_uncertainty_ms", uncertainty, usual_s * 1e3) * 1e-3;
+    let rate_hz = table
+        .value("rate_hz")
+        .is_some()
+        .then(|| table.number("rate_hz", Allowed::PositiveUpTo(MAX_RATE_HZ), 0.0));
     let mode = table.choice("mode", &MODES).unwrap_or(mode);
     let mask = calibration.as_ref().map(|camera| mask(table, camera));
     if table.is_broken() {
@@ -136,6 +142,7 @@ fn camera(
         pose: pose?,
         line_time_s,
         clock_uncertainty_s,
+        rate_hz,
         mode,
         mask: mask?,
     })

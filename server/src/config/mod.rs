@@ -95,6 +95,8 @@ pub struct CameraConfig {
     /// How far its stamps may be off, as written or as is usual of its source; 0: they are right, and nothing
     /// is estimated.
     pub clock_uncertainty_s: f64,
+    /// Frames a second that it is set to; another number is told.
+    pub rate_hz: Option<f64>,
     /// Its own, or that of `[detection]`.
     pub mode: Mode,
     /// Corners of polygons, raw pixels, in which nothing is looked for. Each has at least three and

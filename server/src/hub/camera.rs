@@ -145,6 +145,10 @@ pub struct CameraState {
     pub clock: Option<ClockEstimate>,
     /// How its place agrees with what others see.
     pub health: Option<CameraHealth>,
+    /// Frames a second that were promised; 0: none.
+    pub promised_hz: f64,
+    /// What it gives instead, and what to do; empty while it keeps to it.
+    pub rate_reason: String,
     /// Who feeds it, if it is fed.
     pub link: Option<Link>,
 }

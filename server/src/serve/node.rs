@@ -140,6 +140,7 @@ impl Node {
                 hub: hub.clone(),
                 fusion: to_server.clone(),
                 clock,
+                promised_hz: camera.rate_hz,
             });
             let stop = stop.clone();
             let name = format!("camera {}", camera.name);

@@ -132,6 +132,11 @@ pub trait FrameSource: Send {
     fn next(&mut self) -> Result<Arrival<'_>, SourceError> {
         self.next_frame().map(Arrival::Frame)
     }
+
+    /// Frames a second that the camera says it gives; `None`: it does not say.
+    fn promised_hz(&self) -> Option<f64> {
+        None
+    }
 }
 
 /// What a worker opens its source with, and opens it again after a failure.

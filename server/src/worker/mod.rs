@@ -7,6 +7,7 @@
 //! | `remote` | what was seen elsewhere, and only passes through |
 //! | `placing` | finds the place of a camera whose pose is unknown |
 //! | [`adoption`] | a new lens and place, taken over between two frames |
+//! | `pace` | whether the camera gives as many frames as was promised |
 //! | [`meter`] | rates and medians over the newest frames |
 //!
 //! Nothing here waits for anybody but the source: the hub's publishing never blocks, and what
@@ -14,6 +15,7 @@
 
 pub mod adoption;
 pub mod meter;
+mod pace;
 pub mod pipeline;
 mod placing;
 mod remote;
@@ -42,6 +44,7 @@ use crate::{
 };
 use adoption::{Adoption, Inbox};
 use meter::{Median, Rate};
+use pace::{Pace, Told};
 use pipeline::{Pipeline, Seen};
 use placing::{Placing, Progress};
 
@@ -92,6 +95,8 @@ pub struct WorkerParts {
     pub fusion: SyncSender<Sighted>,
     /// The server's clock.
     pub clock: Clock,
+    /// Frames a second that the camera is to give, as a person has said; `None`: as its driver says.
+    pub promised_hz: Option<f64>,
 }
 
 /// One camera's worker.
@@ -103,6 +108,7 @@ pub struct Worker {
     frames: u64,
     dropped: u64,
     rate: Rate,
+    pace: Pace,
     detect_ms: Median,
     find_ms: Median,
     locate_ms: Median,
@@ -152,6 +158,7 @@ impl Worker {
             frames: 0,
             dropped: 0,
             rate: Rate::default(),
+            pace: Pace::default(),
             detect_ms: Median::default(),
             find_ms: Median::default(),
             locate_ms: Median::default(),
@@ -172,6 +179,11 @@ impl Worker {
             Ok(source) => source,
             Err(error) => return end(error),
         };
+        let promised_hz = self.parts.promised_hz.or(source.promised_hz());
+        self.pace.restart(promised_hz);
+        self.parts.hub.update_camera(self.parts.id, |state| {
+            state.promised_hz = promised_hz.unwrap_or(0.0);
+        });
         loop {
             match source.next() {
                 Ok(Arrival::Frame(lent)) => self.take(&lent),
@@ -209,6 +221,7 @@ impl Worker {
             self.noise.add(quality.noise);
         }
         self.rate.add(received);
+        self.judge_pace(received, 1 + info.skipped + info.broken);
         if self.running_since.is_none() {
             self.running_since = Some(begun);
             self.report_running((lent.frame.width(), lent.frame.height()), received);
@@ -241,6 +254,27 @@ impl Worker {
         });
         let happening = Happening::Camera(id, CameraStatus::Running);
         self.parts.hub.publish_event(now, happening, format!("Camera {name} is running."));
+    }
+
+    /// So many frames have come; tells where that is another number than was promised.
+    fn judge_pace(&mut self, now: Timestamp, frames: u64) {
+        let Some(told) = self.pace.add(now, frames) else { return };
+        let (id, name) = (self.parts.id, &self.parts.name);
+        let (happening, reason, message) = match told {
+            Told::Off { found_hz, promised_hz } => {
+                let reason = pace::sentence(found_hz, promised_hz);
+                let message = format!("Camera {name} {reason}.");
+                tracing::warn!("{message}");
+                (Happening::RateOff(id), reason, message)
+            }
+            Told::Agrees => {
+                let message = format!("Camera {name} gives as many frames as was promised again.");
+                tracing::info!("{message}");
+                (Happening::RateAgrees(id), String::new(), message)
+            }
+        };
+        self.parts.hub.update_camera(id, |state| state.rate_reason = reason);
+        self.parts.hub.publish_event(now, happening, message);
     }
 
     fn find_place(&mut self, observations: &FrameObservations, now: Timestamp) {

@@ -18,6 +18,7 @@ impl Worker {
         observations.camera = self.parts.id;
         observations.frame = self.frames;
         self.rate.add(now);
+        self.judge_pace(now, 1);
         let figures = figures.unwrap_or_else(|| {
             let camera = self.parts.pipeline.camera();
             RemoteFigures {

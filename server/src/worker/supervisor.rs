@@ -245,6 +245,7 @@ mod tests {
             hub: hub.clone(),
             fusion,
             clock,
+            promised_hz: None,
         })
     }
 

@@ -9,7 +9,7 @@ use roundel_core::{
     world::{CameraPlacement, FusionCounts},
 };
 use roundel_server::{
-    hub::{CameraState, CameraStatus, PoseStatus},
+    hub::{CameraState, CameraStatus, Happening, PoseStatus},
     serve::node::NodeReport,
     worker::adoption::Adoption,
 };
@@ -168,6 +168,24 @@ async fn why_a_nodes_camera_is_down_is_told_at_the_server() {
     adds_up(&report);
     let state = rig.until("the end", 0, |state| state.error.contains("has gone")).await;
     assert!(state.error.contains("node roundel (127.0.0.1:"), "{}", state.error);
+}
+
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn a_camera_that_gives_fewer_frames_than_promised_is_told() {
+    let rig = Rig::start_promised("127.0.0.1:0", Some(200.0)).await;
+    let fed = Fed::start("north", &rig.url(), INTERVAL);
+    fed.switch.set(true);
+    let state = rig.until("the lie", 0, |state| !state.rate_reason.is_empty()).await;
+    assert!(state.rate_reason.contains("frames a second where 200.0 were promised"), "{state:#?}");
+    assert_eq!(state.status, CameraStatus::Running, "it is used all the same");
+    let client = roundel_client::Client::connect(&rig.url()).await.unwrap();
+    let cameras = client.cameras().await.unwrap();
+    assert_eq!((cameras[0].promised_rate_hz, &cameras[0].rate_reason), (200.0, &state.rate_reason));
+    let (events, _) = rig.server.hub().events(100);
+    let told = events.iter().filter(|event| event.happening == Happening::RateOff(CameraId(0)));
+    let messages: Vec<&str> = told.map(|event| event.message.as_str()).collect();
+    assert_eq!(messages, [format!("Camera north {}.", state.rate_reason)]);
+    fed.node.shutdown().await;
 }
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]

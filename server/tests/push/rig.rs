@@ -84,8 +84,15 @@ impl Rig {
     }
 
     pub async fn start_at(listen: &str) -> Self {
+        Self::start_promised(listen, None).await
+    }
+
+    /// Whose cameras are to give so many frames a second.
+    pub async fn start_promised(listen: &str, rate_hz: Option<f64>) -> Self {
         let folder = tempfile::tempdir().unwrap();
-        let server = Server::start(config(&CAMERAS, "push:", listen, folder.path())).await.unwrap();
+        let mut config = config(&CAMERAS, "push:", listen, folder.path());
+        config.cameras.iter_mut().for_each(|camera| camera.rate_hz = rate_hz);
+        let server = Server::start(config).await.unwrap();
         Self { server, _folder: folder }
     }
 

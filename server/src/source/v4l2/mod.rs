@@ -59,6 +59,8 @@ struct V4l2Source<D: Driver> {
     name: String,
     parts: V4l2Parts,
     stop: Stop,
+    /// What the device took the rate to be.
+    promised_hz: Option<f64>,
     choice: Choice,
     stride: usize,
     /// The buffer that is lent.
@@ -126,6 +128,7 @@ impl<D: Driver> V4l2Source<D> {
                 choice::text(set.code)
             )));
         }
+        let mut promised_hz = choice.rate_hz;
         if let Some(rate_hz) = choice.rate_hz {
             let taken =
                 device.set_rate(rate_hz).map_err(|error| failed("cannot set the rate", error))?;
@@ -135,6 +138,7 @@ impl<D: Driver> V4l2Source<D> {
                     "asked for {rate_hz} Hz, and the device took {taken:.1} Hz"
                 );
             }
+            promised_hz = taken.or(promised_hz);
         }
         choice::set_controls(&mut device, address)
             .map_err(|why| SourceError::Failed(format!("{name}: {why}")))?;
@@ -145,6 +149,7 @@ impl<D: Driver> V4l2Source<D> {
             parts,
             stop,
             choice,
+            promised_hz,
             stride: set.stride as usize,
             lent: None,
             newest: None,
@@ -221,6 +226,10 @@ fn remedy(error: &io::Error) -> &'static str {
 }
 
 impl<D: Driver> FrameSource for V4l2Source<D> {
+    fn promised_hz(&self) -> Option<f64> {
+        self.promised_hz
+    }
+
     fn next_frame(&mut self) -> Result<LentFrame<'_>, SourceError> {
         let begun = Instant::now();
         if let Some(index) = self.lent.take() {
