@@ -3,8 +3,10 @@
 
 mod calibration;
 pub mod push;
+mod trial;
 
 pub use calibration::calibration;
+pub use trial::trial;
 
 use nalgebra::{UnitQuaternion, Vector3};
 use roundel_core::{

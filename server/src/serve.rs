@@ -32,6 +32,7 @@ use crate::{
     hub::{Happening, Hub},
     source::{OpenSource, Playback, SourceAddress, SourceOpener, TimesError, push::Port},
     stop::Stop,
+    trial::Trier,
     worker::{self, Sighted, Worker, WorkerParts, adoption::Inbox, pipeline::Pipeline},
 };
 use setup::{camera_id, configured, fusion, installation, landmarks, pipeline, place, standing};
@@ -189,6 +190,9 @@ impl Server {
         };
         let ports: Vec<Option<Arc<Port>>> = config.cameras.iter().map(port).collect();
         server.start_threads(&config, &ports, &mut source)?;
+        let trier = config.server.setup.then(|| {
+            Arc::new(Trier::new(config.kinds.clone(), config.folder.clone(), clock, playback))
+        });
         let limits = api::Limits {
             max_clients: config.limits.max_clients,
             grace: CLIENT_GRACE,
@@ -203,6 +207,7 @@ impl Server {
                 calibrator,
                 ports,
                 late_window_ms: config.fusion.late_window_s * 1e3,
+                trier,
             },
             limits,
             cancel,

@@ -11,6 +11,7 @@ import { showMasthead } from "./masthead.js";
 import { readInfo } from "./message.js";
 import { showPanel } from "./panel.js";
 import { Store } from "./store.js";
+import { showTrial } from "./trial.js";
 
 /** Snapshots asked for each second: half a screen's rate is fluent, and easy on a phone. */
 const MAX_RATE_HZ = 30;
@@ -21,6 +22,7 @@ showList(store);
 showPanel(store);
 showCameras(store);
 showCalibration(store);
+showTrial();
 showEvents(store);
 
 for (const input of document.querySelectorAll("input[name=exaggeration]")) {

@@ -125,6 +125,23 @@ impl Client {
         answer.map(|list| list.into_inner().cameras).map_err(|status| self.error(&status))
     }
 
+    /// Has the server open a source for about two seconds and say what it gives; `error` in the answer says why one
+    /// fails. No size: as its pictures come.
+    ///
+    /// # Errors
+    /// [`Error::Refused`] for an address that is none, while another one is tried, or by a server that tries none for
+    /// its clients; and those of the connection.
+    pub async fn test_source(
+        &self,
+        source: &str,
+        size: Option<[u32; 2]>,
+    ) -> Result<v1::SourceTest, Error> {
+        let [width, height] = size.unwrap_or_default();
+        let request = v1::TestSourceRequest { source: source.to_owned(), width, height };
+        let answer = self.service().test_source(request).await;
+        answer.map(tonic::Response::into_inner).map_err(|status| self.error(&status))
+    }
+
     /// What the server says of itself.
     ///
     /// # Errors

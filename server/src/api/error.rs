@@ -25,6 +25,14 @@ pub enum ApiError {
         /// What it was.
         found: String,
     },
+    /// The same, in a sentence of its own.
+    #[error("{field}: {message}")]
+    Invalid {
+        /// As above.
+        field: &'static str,
+        /// What is wrong, and what to do.
+        message: String,
+    },
     /// No such thing here.
     #[error("no {what} {name:?}; {known}")]
     NotFound {
@@ -75,7 +83,7 @@ impl ApiError {
     /// The table: what each error is called in JSON, in gRPC and in HTTP.
     pub fn codes(&self) -> (&'static str, Code, StatusCode) {
         match self {
-            Self::InvalidArgument { .. } => {
+            Self::InvalidArgument { .. } | Self::Invalid { .. } => {
                 ("invalid_argument", Code::InvalidArgument, StatusCode::BAD_REQUEST)
             }
             Self::NotFound { .. } => ("not_found", Code::NotFound, StatusCode::NOT_FOUND),

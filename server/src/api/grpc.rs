@@ -20,6 +20,7 @@ use super::{
     feed::Feed,
     push,
     selection::{MESSAGE_FIELDS, Selection},
+    trial,
 };
 use crate::{convert, hub};
 
@@ -190,6 +191,13 @@ impl v1::roundel_server::Roundel for Service {
         _: Request<v1::ApplyCalibrationRequest>,
     ) -> Result<Response<v1::Calibration>, Status> {
         Ok(Response::new(calibration::take_over(&self.api).await?))
+    }
+
+    async fn test_source(
+        &self,
+        request: Request<v1::TestSourceRequest>,
+    ) -> Result<Response<v1::SourceTest>, Status> {
+        Ok(Response::new(trial::try_source(&self.api, request.into_inner()).await?))
     }
 
     async fn get_server_info(

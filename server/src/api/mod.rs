@@ -10,6 +10,7 @@
 //! | [`grpc`] | the service of `proto/roundel/v1/roundel.proto` |
 //! | [`push`] | the service of `push.proto`: remote programs feed cameras |
 //! | [`rest`], [`calibration`], [`openapi`] | `/api/v1/…` and its description |
+//! | [`trial`] | one try of a source |
 //! | [`ws`] | `/api/v1/stream` |
 //! | [`metrics`] | `/metrics`, `/healthz`, `/readyz` |
 //! | [`page`] | the dashboard's files |
@@ -34,6 +35,7 @@ pub mod push;
 pub mod query;
 pub mod rest;
 pub mod selection;
+pub mod trial;
 pub mod ws;
 
 use std::{
@@ -46,7 +48,7 @@ use tokio::net::TcpListener;
 use tokio_util::sync::CancellationToken;
 
 use self::error::ApiError;
-use crate::{calibration::Calibrator, clock::Clock, hub::Hub, source::push::Port};
+use crate::{calibration::Calibrator, clock::Clock, hub::Hub, source::push::Port, trial::Trier};
 
 /// What the port allows.
 #[derive(Clone, Copy, Debug)]
@@ -96,6 +98,8 @@ pub struct Served {
     pub ports: Vec<Option<Arc<Port>>>,
     /// Observations that are older against the newest of all cameras are of no use, milliseconds.
     pub late_window_ms: f64,
+    /// Tries sources; `None`: clients may not.
+    pub trier: Option<Arc<Trier>>,
 }
 
 /// What every handler of a request shares.
@@ -110,6 +114,8 @@ pub struct Api {
     pub ports: Vec<Option<Arc<Port>>>,
     /// As in [`Served`].
     pub late_window_ms: f64,
+    /// Tries sources, where clients may have them tried.
+    pub trier: Option<Arc<Trier>>,
     /// Set when the server goes down.
     pub cancel: CancellationToken,
     /// What the port allows.
@@ -130,7 +136,7 @@ pub async fn serve(
     limits: Limits,
     cancel: CancellationToken,
 ) {
-    let Served { hub, clock, calibrator, ports, late_window_ms } = served;
+    let Served { hub, clock, calibrator, ports, late_window_ms, trier } = served;
     let pictures = picture::Gallery::new(hub.installation().cameras.len());
     let counters = Counters::default();
     let api = Arc::new(Api {
@@ -139,6 +145,7 @@ pub async fn serve(
         calibrator,
         ports,
         late_window_ms,
+        trier,
         cancel,
         limits,
         counters,

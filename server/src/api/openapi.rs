@@ -6,7 +6,7 @@ use axum::Json;
 use utoipa::{OpenApi, openapi};
 use utoipa_axum::{router::OpenApiRouter, routes};
 
-use super::{Api, calibration, metrics, rest, ws};
+use super::{Api, calibration, metrics, rest, trial, ws};
 
 #[derive(OpenApi)]
 #[openapi(info(
@@ -27,6 +27,7 @@ pub fn described_routes() -> OpenApiRouter<Arc<Api>> {
         .routes(routes!(rest::camera))
         .routes(routes!(rest::frame))
         .routes(routes!(rest::events))
+        .routes(routes!(trial::test))
         .routes(routes!(rest::info))
         .routes(routes!(calibration::show, calibration::start, calibration::cancel))
         .routes(routes!(calibration::apply))

@@ -1,22 +1,42 @@
 //! `roundel cameras`: what is connected to this machine.
 
-use std::{fmt::Write as _, io::Write as _, process::ExitCode};
+use std::{fmt::Write as _, io::Write as _, path::PathBuf, process::ExitCode};
 
 use anyhow::Context;
 use clap::{Args, ValueEnum};
 
-use crate::source::v4l2::{ControlListing, DeviceListing, FormatListing, devices};
+use crate::{
+    convert,
+    source::{
+        Playback,
+        v4l2::{ControlListing, DeviceListing, FormatListing, devices},
+    },
+    trial::{Trial, Trier},
+};
 
-/// List the cameras of this machine, with their formats and controls
+/// List the cameras of this machine, with their formats and controls, or try one
 #[derive(Debug, Args)]
 #[command(after_help = "Example:\n  \
-    roundel cameras\n\n\
+    roundel cameras\n  \
+    roundel cameras --test http://10.0.0.2:81/stream\n\n\
     A camera's address in a configuration is its device file with wishes behind it:\n  \
     source = \"v4l2:/dev/video0?fps=30&auto_exposure=1&exposure_time_absolute=40\"")]
 pub struct CamerasArgs {
     /// How it is printed
     #[arg(long, value_enum, default_value_t = Format::Table)]
     format: Format,
+    /// Open this source for about two seconds, and say what it gives
+    #[arg(long, value_name = "SOURCE")]
+    test: Option<String>,
+    /// Size that its pictures are to have
+    #[arg(long, value_name = "WIDTHxHEIGHT", value_parser = size, requires = "test")]
+    size: Option<(usize, usize)>,
+}
+
+/// Columns and rows.
+fn size(text: &str) -> Result<(usize, usize), String> {
+    let sides = text.split_once('x').and_then(|(w, h)| Some((w.parse().ok()?, h.parse().ok()?)));
+    sides.ok_or_else(|| format!("expected a size such as 1280x720, found `{text}`"))
 }
 
 #[derive(Clone, Copy, Debug, ValueEnum)]
@@ -27,6 +47,9 @@ enum Format {
 
 /// Prints the list.
 pub(super) fn run(arguments: &CamerasArgs) -> anyhow::Result<ExitCode> {
+    if let Some(source) = &arguments.test {
+        return try_source(source, arguments);
+    }
     let devices = devices().context("cannot list /dev")?;
     let text = match arguments.format {
         Format::Json => format!("{}\n", serde_json::to_string_pretty(&devices)?),
@@ -34,6 +57,44 @@ pub(super) fn run(arguments: &CamerasArgs) -> anyhow::Result<ExitCode> {
     };
     std::io::stdout().write_all(text.as_bytes()).context("cannot write to the standard output")?;
     Ok(ExitCode::SUCCESS)
+}
+
+/// Says what a source gives; a failure of the source is one of the command.
+fn try_source(source: &str, arguments: &CamerasArgs) -> anyhow::Result<ExitCode> {
+    let (clock, playback) = Playback::begin(std::iter::empty())?;
+    // Rings of any ratio are found.
+    let trier = Trier::new(Vec::new(), PathBuf::new(), clock, playback);
+    let trial = trier.try_source(source, arguments.size)?;
+    let text = match arguments.format {
+        Format::Json => format!("{}\n", serde_json::to_string_pretty(&convert::trial(&trial))?),
+        Format::Table => described(&trial),
+    };
+    std::io::stdout().write_all(text.as_bytes()).context("cannot write to the standard output")?;
+    Ok(if trial.error.is_empty() { ExitCode::SUCCESS } else { ExitCode::FAILURE })
+}
+
+fn described(trial: &Trial) -> String {
+    let mut text = String::new();
+    let Trial { width, height, frames, broken, rate_hz, promised_hz, .. } = trial;
+    if *frames > 0 {
+        let promised = match promised_hz {
+            0.0 => String::new(),
+            promised_hz => format!(" ({promised_hz:.1} promised)"),
+        };
+        let clock = trial.capture_clock.map_or(String::new(), |clock| {
+            format!(", times by {:?} within {:.0} ms", clock.base, clock.deviation_s * 1e3)
+        });
+        let _ = writeln!(text, "{width}x{height} at {rate_hz:.1} Hz{promised}{clock}");
+        let _ = writeln!(
+            text,
+            "{frames} frames, {broken} broken; {} rings in the newest one; decoded in {:.2} ms, searched in {:.2} ms",
+            trial.roundels, trial.decode_ms, trial.detect_ms
+        );
+    }
+    if !trial.error.is_empty() {
+        let _ = writeln!(text, "error: {}", trial.error);
+    }
+    text
 }
 
 fn table(devices: &[DeviceListing]) -> String {

@@ -3,6 +3,7 @@
 use std::{
     io::{self, Write as _},
     net::SocketAddr,
+    path::PathBuf,
     process::ExitCode,
     time::Duration,
 };
@@ -127,7 +128,14 @@ fn config(scenario: &Scenario, address: &SimAddress, listen: SocketAddr) -> Conf
     });
     Config {
         name: "demo".to_owned(),
-        server: ServerConfig { listen, snapshot_rate_hz: 60.0, calibration: None, watches: true },
+        folder: PathBuf::new(),
+        server: ServerConfig {
+            listen,
+            snapshot_rate_hz: 60.0,
+            calibration: None,
+            watches: true,
+            setup: listen.ip().is_loopback(),
+        },
         kinds: scenario.params().kinds.clone(),
         motions: Vec::new(),
         cameras: cameras.collect(),

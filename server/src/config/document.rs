@@ -29,7 +29,7 @@ const ROOT_KEYS: [&str; 10] = [
 ];
 const NODE_KEYS: [&str; 1] = ["server"];
 const DETECTION_KEYS: [&str; 1] = ["mode"];
-const SERVER_KEYS: [&str; 4] = ["listen", "snapshot_rate_hz", "calibration", "watch"];
+const SERVER_KEYS: [&str; 5] = ["listen", "snapshot_rate_hz", "calibration", "watch", "setup"];
 const FUSION_KEYS: [&str; 4] =
     ["acceleration_m_s2", "late_window_ms", "predicted_after_ms", "lost_after_ms"];
 const LIMITS_KEYS: [&str; 3] = ["max_objects", "max_roundels_per_camera", "max_clients"];
@@ -78,6 +78,7 @@ fn root(
     let fusion = fusion(&root);
     let limits = limits(&root);
     Some(Config {
+        folder: folder.to_owned(),
         name,
         server: server?,
         kinds: kinds.kinds,
@@ -101,8 +102,13 @@ fn server(root: &Table<'_, '_>, folder: &Path) -> Option<ServerConfig> {
     let calibration = table.and_then(|table| table.text("calibration"));
     let calibration = calibration.map(|file| folder.join(file));
     let watches = table.and_then(|table| table.flag("watch")).unwrap_or(true);
+    let setup = table.and_then(|table| table.flag("setup"));
     match listen.parse::<SocketAddr>() {
-        Ok(listen) => Some(ServerConfig { listen, snapshot_rate_hz, calibration, watches }),
+        Ok(listen) => {
+            // Only this machine's own users reach a port of the loopback.
+            let setup = setup.unwrap_or(listen.ip().is_loopback());
+            Some(ServerConfig { listen, snapshot_rate_hz, calibration, watches, setup })
+        }
         Err(_) => {
             root.fail_with_help(
                 &table.map_or(0..0, |table| table.span_of("listen")),

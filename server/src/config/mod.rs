@@ -41,6 +41,8 @@ const MAX_BYTES: u64 = 4 << 20;
 /// An installation, as configured.
 #[derive(Clone, Debug)]
 pub struct Config {
+    /// Relative paths in it begin here.
+    pub folder: PathBuf,
     /// Shown to clients and on the dashboard.
     pub name: String,
     /// `[server]`.
@@ -75,6 +77,8 @@ pub struct ServerConfig {
     pub calibration: Option<PathBuf>,
     /// Whether cameras that were bumped are noticed, left out and found again.
     pub watches: bool,
+    /// Whether clients may have sources tried; who may can have this machine open any address.
+    pub setup: bool,
 }
 
 /// `[[camera]]`.

@@ -95,6 +95,19 @@ pub enum SourceError {
     /// All frames were played.
     #[error("no more frames")]
     Finished,
+    /// Pictures of another size than the camera file's.
+    #[error(
+        "{what}: expected an image of {} x {} pixels as the camera file says, found {} x {}",
+        .expected.0, .expected.1, .found.0, .found.1
+    )]
+    Size {
+        /// Which picture, or whose.
+        what: String,
+        /// Columns and rows, as the camera file says.
+        expected: (usize, usize),
+        /// Those of the picture.
+        found: (usize, usize),
+    },
     /// What failed and what to do.
     #[error("{0}")]
     Failed(String),
@@ -245,10 +258,7 @@ impl OpenSource for SourceOpener {
 
 /// The error of a frame of another size than the camera file's.
 fn wrong_size(what: &str, expected: (usize, usize), found: (usize, usize)) -> SourceError {
-    SourceError::Failed(format!(
-        "{what}: expected an image of {} x {} pixels as the camera file says, found {} x {}",
-        expected.0, expected.1, found.0, found.1
-    ))
+    SourceError::Size { what: what.to_owned(), expected, found }
 }
 
 /// The error of bytes that a source promised to be a picture, which is a bug of it.

@@ -341,5 +341,6 @@ fn end(error: SourceError) -> End {
         SourceError::Stopped => End::Stopped,
         SourceError::Finished => End::Finished,
         SourceError::Failed(message) => End::Failed(message),
+        error @ SourceError::Size { .. } => End::Failed(error.to_string()),
     }
 }

@@ -200,6 +200,7 @@ async fn every_route_is_described_and_every_description_answers() {
         "/api/v1/objects",
         "/api/v1/objects/{id}",
         "/api/v1/snapshot",
+        "/api/v1/sources/test",
         "/api/v1/stream",
         "/healthz",
         "/metrics",

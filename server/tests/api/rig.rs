@@ -76,7 +76,8 @@ impl Rig {
             file: CalibrationFile::default(),
         }));
         let (ports, late_window_ms) = (Vec::new(), 300.0);
-        let served = Served { hub: hub.clone(), clock, calibrator, ports, late_window_ms };
+        let trier = None;
+        let served = Served { hub: hub.clone(), clock, calibrator, ports, late_window_ms, trier };
         let server = tokio::spawn(api::serve(listener, served, limits, cancel.clone()));
         Self { hub, clock, address, cancel, server }
     }

@@ -4,3 +4,4 @@
 mod camera;
 mod http;
 mod rig;
+mod trial;

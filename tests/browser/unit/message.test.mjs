@@ -5,6 +5,7 @@ import { test } from "node:test";
 
 import { degrees, duration, fixed, significant, whole } from "../../../client/dashboard/js/format.js";
 import { readCameras, readEvent, readInfo, readSnapshot } from "../../../client/dashboard/js/message.js";
+import { trialWords } from "../../../client/dashboard/js/trial.js";
 
 const SNAPSHOT = {
   sequence: 7,
@@ -111,6 +112,15 @@ test("who feeds a camera is known where a program does", () => {
     null,
     null,
   ]);
+});
+
+test("what a tried source gave is said in a sentence", () => {
+  const trial = { error: "", width: 1280, height: 720, frames: 60, broken: 2, rate_hz: 29.97, promised_rate_hz: 30, roundels: 1, decode_ms: 3.1, detect_ms: 0.4 };
+  assert.equal(
+    trialWords(trial),
+    "1\u2009280 × 720 pixels, 30.0 frames a second (30.0 promised); one roundel in the newest frame. 2 came broken. Decoding takes 3.1 ms, searching 0.4 ms.",
+  );
+  assert.equal(trialWords({ ...trial, frames: 0 }), "");
 });
 
 test("cameras without place or lens are cameras all the same", () => {

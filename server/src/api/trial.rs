@@ -1,0 +1,71 @@
+//! One try of a source, over REST and gRPC: what a camera gives before it is configured.
+
+use std::sync::Arc;
+
+use axum::{
+    Json,
+    extract::{State, rejection::JsonRejection},
+};
+use roundel_proto::v1;
+
+use super::{
+    Api,
+    error::{ApiError, ErrorBody},
+};
+use crate::{convert, trial::TrialError};
+
+/// Opens a source for about two seconds, and says what it gives: size, rate, clock, roundels, or why nothing comes.
+///
+/// Nothing else is disturbed, and nothing is kept. A server that is open to a network allows it only with
+/// `setup = true` in its configuration.
+#[utoipa::path(
+    post, path = "/api/v1/sources/test", tag = "cameras",
+    request_body = v1::TestSourceRequest,
+    responses(
+        (status = 200, description = "what it gives; `error` says why it fails", body = v1::SourceTest),
+        (status = 400, description = "names the wrong field", body = ErrorBody),
+        (status = 409, description = "another one is being tried, or clients may not", body = ErrorBody),
+    ),
+)]
+pub async fn test(
+    State(api): State<Arc<Api>>,
+    body: Result<Json<v1::TestSourceRequest>, JsonRejection>,
+) -> Result<Json<v1::SourceTest>, ApiError> {
+    let Json(request) = body.map_err(|error| {
+        let expected = "JSON such as {\"source\": \"http://10.0.0.2:81/stream\"}";
+        ApiError::invalid("body", expected, error.body_text())
+    })?;
+    try_source(&api, request).await.map(Json)
+}
+
+/// On a thread that may wait for the source.
+pub(super) async fn try_source(
+    api: &Api,
+    request: v1::TestSourceRequest,
+) -> Result<v1::SourceTest, ApiError> {
+    let Some(trier) = api.trier.clone() else {
+        return Err(ApiError::FailedPrecondition(
+            "this server is open to a network, and tries no sources for its clients: `setup = true` under [server] \
+             allows it, to everybody who reaches its port; `roundel cameras --test SOURCE` tries one on its machine"
+                .into(),
+        ));
+    };
+    let size = (request.width as usize, request.height as usize);
+    let size = (size != (0, 0)).then_some(size);
+    let tried = tokio::task::spawn_blocking(move || trier.try_source(&request.source, size)).await;
+    let tried = tried
+        .map_err(|error| ApiError::Internal(format!("the try of a source ended badly: {error}")))?;
+    Ok(convert::trial(&tried?))
+}
+
+impl From<TrialError> for ApiError {
+    fn from(error: TrialError) -> Self {
+        let message = error.to_string();
+        match error {
+            TrialError::Address(_) | TrialError::Fed => Self::Invalid { field: "source", message },
+            TrialError::Size(..) => Self::Invalid { field: "width", message },
+            TrialError::Busy => Self::FailedPrecondition(message),
+            TrialError::Internal(_) => Self::Internal(message),
+        }
+    }
+}
