@@ -44,9 +44,10 @@ enum What {
     roundel calibrate arena                               the server on this machine\n  \
     roundel calibrate arena --server http://arena:7670 --seconds 120\n  \
     roundel calibrate arena --config lab.toml             no server runs: opens the cameras itself\n\n\
-    Robots need coded roundels, and should drive across every place where views of cameras overlap; the\n\
-    other cameras need not see the references. A running server loses no track: its cameras take the result\n\
-    over between two frames. It is kept beside the configuration, lab.calibration.toml for lab.toml.\n\n\
+    Robots should drive across every place where views of cameras overlap; those without codes are told apart\n\
+    by how they move, so they must not all move alike. Other cameras need not see the references. A running\n\
+    server loses no track: its cameras take the result over between two frames. It is kept beside the\n\
+    configuration, lab.calibration.toml for lab.toml.\n\n\
     Columns: moved: from where the camera was taken to stand; deviation: of its place and of its rotation,\n\
     rms over the axes; error: of roundels' centres, rms; ratio: errors over what detections state, 1 if all\n\
     is right; seen: share of the image in which roundels were seen; clock: what its stamps are ahead of those\n\
