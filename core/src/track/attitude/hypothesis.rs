@@ -92,31 +92,62 @@ impl Hypothesis {
         camera: CameraId,
         model: &MotionModel,
     ) -> (Fit, usize) {
-        let mut chosen: Option<(Fit, usize, Vector3<f64>)> = None;
-        for index in 0..2 {
-            let turn = self.turn_to(seen, index);
+        let turns = [0, 1].map(|index| self.turn_to(seen, index));
+        let near = usize::from(turns[1].norm_squared() < turns[0].norm_squared());
+        let fit = |index: usize| {
             let noise = seen.noise(index, (&self.normal(), unread_rad2));
-            let Some(innovation) = self.kernel.innovation(&turn, &noise, camera) else { continue };
-            let evidence = seen.log_likelihood(index)
-                - 0.5 * (innovation.distance_squared + innovation.log_det());
-            if chosen.is_none_or(|(fit, ..)| evidence > fit.evidence) {
-                let fit = Fit {
-                    evidence,
-                    distance_squared: innovation.distance_squared,
-                    slope: Vector3::zeros(),
-                };
-                chosen = Some((fit, index, turn));
+            let innovation = self.kernel.innovation(&turns[index], &noise, camera)?;
+            let distance_squared = innovation.distance_squared;
+            let evidence =
+                seen.log_likelihood(index) - 0.5 * (distance_squared + innovation.log_det());
+            let fit = Fit { evidence, distance_squared, slope: Vector3::zeros() };
+            Some((fit, index, noise))
+        };
+        let mut chosen = fit(near);
+        let far = 1 - near;
+        let evidence = chosen.as_ref().map_or(f64::NEG_INFINITY, |(fit, ..)| fit.evidence);
+        if evidence < self.most_evidence((seen, unread_rad2), far, &turns[far])
+            && let Some(other) = fit(far)
+        {
+            let is_better =
+                if far == 1 { other.0.evidence > evidence } else { other.0.evidence >= evidence };
+            if is_better {
+                chosen = Some(other);
             }
         }
-        let Some((mut fit, index, turn)) = chosen else {
+        let Some((mut fit, index, noise)) = chosen else {
             return (Fit { evidence: 0.0, distance_squared: 0.0, slope: Vector3::zeros() }, 0);
         };
         let robust = model.robust_distance_squared;
-        let noise = seen.noise(index, (&self.normal(), unread_rad2));
-        let correction = self.kernel.update(&turn, &noise, camera, robust);
+        let correction = self.kernel.update(&turns[index], &noise, camera, robust);
         fit.slope = correction.slope;
         self.orientation = turn_by(&correction.value) * self.orientation;
         (fit, index)
+    }
+
+    /// More than any evidence for a candidate that is off by `turn` = r. Of the innovation's covariance S it is known
+    /// that rᵀS⁻¹r ≥ |r|⁴ / rᵀSr (Cauchy, Schwarz), that S ≤ 2 (A + R) (A the state's covariance), since whatever A and R
+    /// share is at most as large as they are, and that S is no less than what of R is fresh each time.
+    /// PERF: the mirrored candidate is mostly far off, and needs no innovation of its own then.
+    fn most_evidence(
+        &self,
+        (seen, unread_rad2): (&AttitudeMeasurement, f64),
+        index: usize,
+        turn: &Vector3<f64>,
+    ) -> f64 {
+        let noise = &seen.noises[index];
+        let fresh = noise.total - noise.systematic_root * noise.systematic_root.transpose();
+        let determinant = fresh.determinant();
+        let mut both = turn.dot(&((self.kernel.spread.value + noise.total) * turn));
+        if seen.yaw_symmetry.is_none() {
+            both += turn.dot(&self.normal()).powi(2) * unread_rad2;
+        }
+        // What clocks add is not in it.
+        if noise.timing_s > 0.0 || !(determinant > 0.0 && both > 0.0) {
+            return f64::INFINITY;
+        }
+        let distance_squared = turn.norm_squared().powi(2) / (2.0 * both);
+        seen.log_likelihood(index) - 0.5 * (distance_squared + determinant.ln())
     }
 
     /// The rotation from this orientation to the candidate's.
