@@ -4,8 +4,10 @@
 //! Mahalanobis length of the position with its whole covariance, so along the line of sight far
 //! more is allowed than across it). Its cost is -2 ln likelihood up to a constant,
 //! d² + ln det S - ln det R, less a bonus if the camera's own tracker says that it is the same
-//! roundel as before, and a larger one if the teeth say so; teeth that say otherwise count against it. Independent groups of pairs are solved one by one, each optimally; leaving a
-//! detection out costs [`UNASSIGNED_COST`].
+//! roundel as before, and a larger one if the teeth say so. Teeth that say otherwise count against it, each time in a
+//! row once more, and what is not seen now is not known again by them at all: it may be anywhere, and robots that
+//! come into view there would go on under its name. Independent groups of pairs are solved one by one, each
+//! optimally; leaving a detection out costs [`UNASSIGNED_COST`].
 
 use super::{
     FusionParams,
@@ -28,7 +30,8 @@ const CONTINUITY_BONUS: f64 = 12.0;
 /// And the gate is wider by this factor, since a moment's error is then the better explanation; the
 /// filter holds such innovations back.
 const CONTINUITY_GATE: f64 = 3.0;
-/// The track's code was read: likelihood e¹⁰ in favour, and the wider gate; another code, as much against.
+/// The track's code was read: likelihood e¹⁰ in favour, and the wider gate; another code, as much against for each one
+/// that was read since.
 const CODE_BONUS: f64 = 20.0;
 /// A track that is not trusted yet takes nothing from one that is.
 const TENTATIVE_COST: f64 = 6.0;
@@ -89,7 +92,7 @@ pub(super) fn associate(
         scratch.field.near(&probe, gate * CONTINUITY_GATE, &mut scratch.near);
         let noise_det = probe.determinant.max(f64::MIN_POSITIVE).ln();
         for &number in &scratch.near {
-            let found = possible(sighting, &tracks[number], (gate, noise_det), clocks);
+            let found = possible(sighting, &tracks[number], (params, noise_det), clocks);
             let Some((cost, innovation)) = found else { continue };
             scratch.pairs.push(Pair { sighting: index, track: number, cost, innovation });
         }
@@ -103,13 +106,20 @@ pub(super) fn associate(
 fn possible(
     sighting: &Sighting,
     track: &Track,
-    (gate, noise_det): (f64, f64),
+    (params, noise_det): (&FusionParams, f64),
     clocks: &Clocks,
 ) -> Option<(f64, Innovation)> {
     if track.subject != sighting.subject {
         return None;
     }
     let seen = &sighting.measurement;
+    // There is one of each body.
+    let is_body = sighting.subject.body.map(|_| true);
+    let agrees = is_body.or(sighting.code.and_then(|read| track.codes.agrees(read)));
+    let unseen_ns = seen.time.ns_since(track.newest);
+    if agrees == Some(false) && unseen_ns > params.predicted_after_ns {
+        return None;
+    }
     let newest = track.history.newest();
     let dt = seen.time.seconds_since(newest.time);
     let agile = newest.motion.agile();
@@ -118,18 +128,21 @@ fn possible(
     let innovation =
         agile.kernel.innovation_after(dt, &track.model, &residual_m, (&noise, seen.camera))?;
     let continued = track.is_continued_by(seen);
-    // There is one of each body.
-    let is_body = sighting.subject.body.map(|_| true);
-    let agrees = is_body.or(sighting.code.and_then(|read| track.codes.agrees(read)));
     let is_known = agrees.unwrap_or(continued);
+    let gate = params.gate_distance_squared;
     let limit = if is_known { gate * CONTINUITY_GATE } else { gate };
     if innovation.distance_squared > limit {
         return None;
     }
+    let by_code = match agrees {
+        None => 0.0,
+        Some(true) => -CODE_BONUS,
+        Some(false) => CODE_BONUS * f64::from(1 + track.codes.contrary()),
+    };
     let cost = innovation.distance_squared + innovation.log_det()
         - noise_det
         - if continued { CONTINUITY_BONUS } else { 0.0 }
-        - agrees.map_or(0.0, |agrees| if agrees { CODE_BONUS } else { -CODE_BONUS })
+        + by_code
         + if track.is_tentative() { TENTATIVE_COST } else { 0.0 };
     Some((cost, innovation))
 }

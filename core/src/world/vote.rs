@@ -18,6 +18,8 @@ const SETTLED_LEAD: u32 = 3;
 pub(super) struct CodeVote {
     candidate: Option<Code>,
     lead: u32,
+    /// Readings of others since that of the candidate.
+    contrary: u32,
 }
 
 impl CodeVote {
@@ -25,10 +27,12 @@ impl CodeVote {
     pub(super) fn add(&mut self, code: Code) {
         if self.candidate == Some(code) {
             self.lead = (self.lead + 1).min(MOST_LEAD);
+            self.contrary = 0;
         } else if self.lead > 0 {
             self.lead -= 1;
+            self.contrary += 1;
         } else {
-            *self = Self { candidate: Some(code), lead: 1 };
+            *self = Self { candidate: Some(code), lead: 1, contrary: 0 };
         }
     }
 
@@ -49,6 +53,11 @@ impl CodeVote {
             return Some(true);
         }
         self.settled().map(|_| false)
+    }
+
+    /// Readings of other codes since its own was read last: one is misread, several are another object.
+    pub(super) fn contrary(&self) -> u32 {
+        self.contrary
     }
 
     /// What was read most, if that is beyond doubt.
@@ -90,6 +99,12 @@ mod tests {
         let long = [7; 1000].into_iter();
         assert_eq!(leader(&vote(long.clone().chain([9; 60]))), Some(7));
         assert_eq!(leader(&vote(long.chain([9; 61]))), Some(9));
+    }
+
+    #[test]
+    fn what_is_read_again_was_misread_meanwhile() {
+        assert_eq!(vote([7, 7, 7, 9, 9]).contrary(), 2);
+        assert_eq!(vote([7, 7, 7, 9, 9, 7]).contrary(), 0);
     }
 
     #[test]

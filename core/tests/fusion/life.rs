@@ -250,6 +250,29 @@ fn a_coded_object_that_comes_back_is_the_same() {
     }
 }
 
+/// A robot that comes into view where another may be by now is itself, even if its code is not read at first.
+#[test]
+fn another_code_where_one_is_predicted_is_another_object() {
+    let arena = Arena::new(one_still());
+    for unread in [0, 8] {
+        let mut fusion = fusion_of(&arena, FusionParams::default());
+        coded(&arena, 1.0, 7).iter().for_each(|frame| fusion.observe(frame));
+        let mut other = again(&arena, coded(&arena, 1.0, 8), 2.0);
+        let without = other.iter_mut().take(unread).flat_map(|frame| &mut frame.detections);
+        without.for_each(|seen| seen.ring.code = None);
+        other.iter().for_each(|frame| fusion.observe(frame));
+        let snapshot = fusion.snapshot(other.last().unwrap().capture_time);
+        let number = |object: &ObjectState| object.code.map(|code| code.number);
+        let tracked: Vec<_> = snapshot
+            .objects
+            .iter()
+            .filter(|object| object.stage == LifeStage::Tracked)
+            .map(|object| (object.id > ObjectId(1), number(object)))
+            .collect();
+        assert_eq!(tracked, [(true, Some(8))], "{unread} unread");
+    }
+}
+
 #[test]
 fn a_code_that_is_there_twice_stays_two_objects() {
     let arena = Arena::new(one_still());
