@@ -1,0 +1,220 @@
+//! How much of a processor a server of many cameras takes: sixteen sources of 1280x720 at 30 Hz from memory, nothing to
+//! decode, with 20 roundels of 30 px each in view, all of which move. Detection with poses, fusion of 320 objects, and
+//! snapshots at 60 Hz.
+//!
+//! ```sh
+//! cargo bench -p roundel-server --bench many                  # precise and fast, 20 s each
+//! cargo bench -p roundel-server --bench many -- --seconds 5 --cameras 4
+//! ```
+//!
+//! The process' own time is taken from `/proc/self/stat` (Linux), of all threads, user and system, without what
+//! drawing the frames took before. A frame that was dropped, or in which fewer than all roundels were found, is
+//! counted and told.
+
+use std::{
+    fs,
+    path::Path,
+    sync::Arc,
+    thread,
+    time::{Duration, Instant},
+};
+
+use roundel_core::{frame::Frame, time::Timestamp};
+use roundel_server::{
+    clock::Clock,
+    config::Config,
+    hub::CameraState,
+    serve::Server,
+    source::{FrameInfo, FrameSource, LentFrame, OpenSource, SourceError},
+    stop::Stop,
+};
+
+const SIZE: (usize, usize) = (1280, 720);
+const RATE_HZ: f64 = 30.0;
+const ROUNDELS: usize = 20;
+/// Outer diameter in the picture.
+const DIAMETER_PX: f64 = 30.0;
+/// Frames until everything is where it was.
+const ROUND: usize = 60;
+/// Radius of each roundel's path: 31 px/s at most.
+const PATH_PX: f64 = 10.0;
+/// Before anything is measured.
+const WARM_UP: Duration = Duration::from_secs(2);
+/// Of `/proc/self/stat`, the same on all Linux systems that are.
+const TICKS_PER_S: f64 = 100.0;
+
+fn main() {
+    let (mut seconds, mut cameras) = (20.0, 16);
+    let mut arguments = std::env::args().skip(1);
+    while let Some(argument) = arguments.next() {
+        let mut number = || arguments.next().and_then(|value| value.parse::<f64>().ok());
+        match argument.as_str() {
+            "--seconds" => seconds = number().expect("--seconds takes a number"),
+            "--cameras" => cameras = number().expect("--cameras takes a number") as usize,
+            // Cargo's own.
+            "--bench" => {}
+            other => panic!("unknown option {other}: there are --seconds and --cameras"),
+        }
+    }
+    let frames: Arc<Vec<Vec<u8>>> = Arc::new((0..ROUND).map(draw).collect());
+    let runtime = tokio::runtime::Builder::new_multi_thread()
+        .worker_threads(2)
+        .enable_all()
+        .build()
+        .expect("a runtime");
+    for mode in ["precise", "fast"] {
+        runtime.block_on(run(mode, cameras, Duration::from_secs_f64(seconds), &frames));
+    }
+}
+
+/// Roundels on a grid, each on a circle about its place, with a little noise.
+fn draw(number: usize) -> Vec<u8> {
+    let turn = std::f64::consts::TAU * number as f64 / ROUND as f64;
+    let centers: Vec<(f64, f64)> = (0..ROUNDELS)
+        .map(|index| {
+            let (column, row) = (index % 5, index / 5);
+            let (sin, cos) = (turn + index as f64).sin_cos();
+            let (u, v) = (128.0 + 256.0 * column as f64, 90.0 + 180.0 * row as f64);
+            (u + PATH_PX * cos, v + PATH_PX * sin)
+        })
+        .collect();
+    let (outer, inner) = (0.5 * DIAMETER_PX, 0.2 * DIAMETER_PX);
+    let mut noise = 0x9e37_79b9_u32.wrapping_mul(number as u32 + 1) | 1;
+    let mut pixels = Vec::with_capacity(SIZE.0 * SIZE.1);
+    for v in 0..SIZE.1 {
+        for u in 0..SIZE.0 {
+            // Xorshift, for steady noise of about 2 grey levels.
+            noise ^= noise << 13;
+            noise ^= noise >> 17;
+            noise ^= noise << 5;
+            let (column, row) = ((u / 256).min(4), (v / 180).min(3));
+            let (center_u, center_v) = centers[row * 5 + column];
+            let radius = (u as f64 - center_u).hypot(v as f64 - center_v);
+            let within = |rim: f64| (rim - radius + 0.5).clamp(0.0, 1.0);
+            let level = 210.0 - 180.0 * (within(outer) - within(inner));
+            pixels.push((level + f64::from(noise % 7) - 3.0).round() as u8);
+        }
+    }
+    pixels
+}
+
+/// A camera that plays the frames round and round, each when it is due.
+struct Played {
+    frames: Arc<Vec<Vec<u8>>>,
+    /// The first one is due then.
+    begin: Timestamp,
+    number: u64,
+    clock: Clock,
+    stop: Stop,
+}
+
+impl OpenSource for Played {
+    fn open(&mut self) -> Result<Box<dyn FrameSource>, SourceError> {
+        let Self { frames, begin, clock, stop, .. } = self;
+        let (frames, stop) = (frames.clone(), stop.clone());
+        Ok(Box::new(Played { frames, begin: *begin, number: 0, clock: *clock, stop }))
+    }
+}
+
+impl FrameSource for Played {
+    fn next_frame(&mut self) -> Result<LentFrame<'_>, SourceError> {
+        let due = |number: u64| self.begin.plus_seconds(number as f64 / RATE_HZ);
+        let newest = (self.clock.now().seconds_since(self.begin) * RATE_HZ).max(0.0) as u64;
+        let number = (self.number + 1).max(newest);
+        let skipped = number - self.number - 1;
+        self.number = number;
+        let capture_time = due(number);
+        if self.stop.wait(self.clock.until(capture_time)) {
+            return Err(SourceError::Stopped);
+        }
+        let pixels = &self.frames[number as usize % ROUND];
+        let frame = Frame::new(pixels, SIZE.0, SIZE.1, SIZE.0)
+            .map_err(|error| SourceError::Failed(error.to_string()))?;
+        Ok(LentFrame { frame, info: FrameInfo { skipped, ..FrameInfo::at(capture_time) } })
+    }
+}
+
+/// So many cameras side by side, each above its own part of the floor.
+fn config(mode: &str, cameras: usize, folder: &Path) -> Config {
+    let lens = "image_width: 1280\nimage_height: 720\ncamera_name: many\n\
+        camera_matrix: {rows: 3, cols: 3, data: [900.0, 0.0, 639.5, 0.0, 900.0, 359.5, 0.0, 0.0, 1.0]}\n\
+        distortion_model: plumb_bob\n\
+        distortion_coefficients: {rows: 1, cols: 5, data: [-0.1, 0.02, 0.0, 0.0, 0.0]}\n";
+    fs::write(folder.join("camera.yaml"), lens).expect("a camera file");
+    let mut text = format!(
+        "[server]\nlisten = \"127.0.0.1:0\"\n[detection]\nmode = \"{mode}\"\n\
+         [[roundel]]\nname = \"robot\"\nouter_mm = 160\ninner_mm = 64\n"
+    );
+    for index in 0..cameras {
+        let x_m = 20.0 * index as f64;
+        text.push_str(&format!(
+            "[[camera]]\nname = \"{index}\"\nsource = \"push:\"\ncalibration = \"camera.yaml\"\n\
+             pose = {{ position_m = [{x_m}, 0.0, 5.0], orientation_xyzw = [1.0, 0.0, 0.0, 0.0] }}\n"
+        ));
+    }
+    Config::parse(&text, folder).unwrap_or_else(|problems| panic!("{problems:#?}"))
+}
+
+/// Processor time of this process, seconds.
+fn processor_s() -> f64 {
+    let line = fs::read_to_string("/proc/self/stat").expect("Linux' /proc/self/stat");
+    // Fields are counted from behind the name, which may hold anything: utime and stime are the 14th and 15th.
+    let fields = line.rsplit(')').next().unwrap_or_default().split_whitespace();
+    let ticks: f64 = fields.skip(11).take(2).filter_map(|field| field.parse::<f64>().ok()).sum();
+    ticks / TICKS_PER_S
+}
+
+/// What cameras have done so far: frames, dropped, rings found.
+fn totals(cameras: &[CameraState]) -> [u64; 3] {
+    cameras.iter().fold([0; 3], |[frames, dropped, rings], camera| {
+        let found = camera.counts.precise + camera.counts.fast + camera.counts.unlocated;
+        [frames + camera.frames, dropped + camera.dropped, rings + found]
+    })
+}
+
+fn median(mut numbers: Vec<f64>) -> f64 {
+    numbers.sort_by(f64::total_cmp);
+    numbers.get(numbers.len() / 2).copied().unwrap_or_default()
+}
+
+async fn run(mode: &str, cameras: usize, length: Duration, frames: &Arc<Vec<Vec<u8>>>) {
+    let folder = std::env::temp_dir().join(format!("roundel-many-{}", std::process::id()));
+    fs::create_dir_all(&folder).expect("a folder");
+    let server = Server::start_with_sources(config(mode, cameras, &folder), |setting| {
+        // Cameras are not in step with one another.
+        let phase_s = setting.index as f64 / (RATE_HZ * cameras as f64);
+        let begin = setting.clock.now().plus_seconds(0.2 + phase_s);
+        let (frames, clock, stop) = (frames.clone(), setting.clock, setting.stop);
+        Box::new(Played { frames, begin, number: 0, clock, stop })
+    })
+    .await
+    .expect("a server");
+    let _ = fs::remove_dir_all(&folder);
+    tokio::time::sleep(WARM_UP).await;
+    let (before, processor, begun) =
+        (totals(&server.hub().cameras()), processor_s(), Instant::now());
+    let fused = server.hub().fusion_counts();
+    tokio::time::sleep(length).await;
+    let elapsed_s = begun.elapsed().as_secs_f64();
+    let share = (processor_s() - processor) / elapsed_s;
+    let states = server.hub().cameras();
+    let [frames, dropped, rings] = totals(&states);
+    let [frames, dropped, rings] = [frames - before[0], dropped - before[1], rings - before[2]];
+    let counts = server.hub().fusion_counts();
+    let detect_ms = median(states.iter().map(|camera| camera.detect_ms).collect());
+    let objects = server.hub().snapshots().borrow().snapshot.objects.len();
+    println!(
+        "{cameras} cameras of {}x{} at {RATE_HZ} Hz, {ROUNDELS} roundels each, {mode}: {share:.2} of a core\n  \
+         {frames} frames of {:.0} due searched, {dropped} dropped; {rings} rings of {} found; {detect_ms:.2} ms a frame\n  \
+         fusion: {} detections of {} used; {objects} objects, {} tracks begun in all; {} threads",
+        SIZE.0,
+        SIZE.1,
+        elapsed_s * RATE_HZ * cameras as f64,
+        frames as usize * ROUNDELS,
+        counts.used - fused.used,
+        counts.detections - fused.detections,
+        counts.begun,
+        thread::available_parallelism().map_or(1, usize::from),
+    );
+    server.shutdown().await;
+}
