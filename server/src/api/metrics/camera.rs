@@ -11,7 +11,7 @@ use crate::{
 /// A number of each camera: name, type, help, and where it stands.
 type CameraFamily = (&'static str, &'static str, &'static str, fn(&CameraState) -> f64);
 
-const CAMERA_FAMILIES: [CameraFamily; 21] = [
+const CAMERA_FAMILIES: [CameraFamily; 25] = [
     ("roundel_camera_up", "gauge", "1 while frames arrive.", |camera| {
         f64::from(u8::from(camera.status == CameraStatus::Running))
     }),
@@ -40,6 +40,27 @@ const CAMERA_FAMILIES: [CameraFamily; 21] = [
     ("roundel_camera_rate_hertz", "gauge", "Frames a second, mean over the last seconds.", |c| {
         c.rate_hz
     }),
+    (
+        "roundel_camera_promised_rate_hertz",
+        "gauge",
+        "Frames a second that its driver or its configuration promises; 0: none.",
+        |camera| camera.promised_hz,
+    ),
+    ("roundel_camera_fed", "gauge", "1 while a remote program feeds it.", |camera| {
+        f64::from(u8::from(camera.link.as_ref().is_some_and(|link| link.connected)))
+    }),
+    (
+        "roundel_camera_frames_missing_total",
+        "counter",
+        "Frames that a remote program numbered and that never came, part of those dropped.",
+        |camera| camera.link.as_ref().map_or(0.0, |link| link.missing as f64),
+    ),
+    (
+        "roundel_camera_frames_repeated_total",
+        "counter",
+        "Frames of a remote program that came twice, and count once.",
+        |camera| camera.link.as_ref().map_or(0.0, |link| link.repeated as f64),
+    ),
     ("roundel_camera_detections", "gauge", "Roundels in the newest frame.", |camera| {
         camera.detections as f64
     }),

@@ -232,6 +232,9 @@ impl Step {
 }
 
 #[cfg(test)]
+mod properties;
+
+#[cfg(test)]
 mod tests {
     use jpeg_encoder::{ColorType, Encoder};
 
