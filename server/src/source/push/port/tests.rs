@@ -1,0 +1,149 @@
+use roundel_core::{id::CameraId, time::Timestamp, world::FrameObservations};
+
+use super::*;
+
+fn seen() -> Pushed {
+    let time = Timestamp::default();
+    let observations = FrameObservations {
+        camera: CameraId(0),
+        frame: 0,
+        capture_time: time,
+        received_time: time,
+        calibration_version: 0,
+        detections: vec![],
+    };
+    let what = Payload::Seen(Box::new(observations), None);
+    Pushed { what, times: Times::Server, clock: None, arrived: time }
+}
+
+fn picture() -> Pushed {
+    let what = Payload::Grey(vec![0], (1, 1), Timestamp::default());
+    Pushed { what, times: Times::Server, clock: None, arrived: Timestamp::default() }
+}
+
+fn greeting(run_id: &str, next_sequence: u64) -> Greeting {
+    Greeting {
+        sender: format!("node {run_id}"),
+        address: "here".into(),
+        run_id: run_id.into(),
+        next_sequence,
+        ..Greeting::default()
+    }
+}
+
+fn next(port: &Port) -> Result<u64, SourceError> {
+    let taken = port.next(Instant::now(), Duration::from_millis(30), &Stop::default());
+    taken.map(|(_, skipped)| skipped)
+}
+
+fn failure(port: &Port) -> String {
+    match next(port) {
+        Err(SourceError::Failed(message)) => message,
+        other => panic!("{other:?}"),
+    }
+}
+
+/// received, missing, repeated.
+fn counts(port: &Port) -> [u64; 3] {
+    let link = port.link();
+    [link.received, link.missing, link.repeated]
+}
+
+#[tokio::test]
+async fn what_comes_twice_counts_once_and_what_never_comes_is_known() {
+    let port = Arc::new(Port::default());
+    let sender = port.attach(&greeting("a", 4)).unwrap();
+    assert_eq!(sender.newest_sequence, 0, "nothing was taken of it yet");
+    for sequence in [4, 5, 5, 4, 9] {
+        sender.put(sequence, seen()).await.unwrap();
+    }
+    assert_eq!(counts(&port), [3, 3, 2]);
+    assert_eq!([next(&port), next(&port), next(&port)], [Ok(3), Ok(0), Ok(0)]);
+    // It comes back over another connection, while the old one is not known to be dead.
+    let again = port.attach(&greeting("a", 9)).unwrap();
+    assert_eq!(again.newest_sequence, 9);
+    assert_eq!(sender.put(10, seen()).await, Err(PushError::Superseded));
+    drop(sender);
+    assert!(port.link().connected, "the old connection's end ends nothing");
+    again.put(10, seen()).await.unwrap();
+    again.probe(13, [1.0, 0.3]).unwrap();
+    assert_eq!(counts(&port), [4, 5, 2]);
+    assert_eq!(again.put(0, seen()).await, Err(PushError::Sequence));
+    // Another run of it counts anew.
+    drop(again);
+    let other = port.attach(&greeting("b", 1)).unwrap();
+    other.put(1, seen()).await.unwrap();
+    assert_eq!((counts(&port), other.newest_sequence), ([5, 5, 2], 0));
+}
+
+#[tokio::test]
+async fn two_senders_do_not_share_a_camera() {
+    let port = Arc::new(Port::default());
+    let first = port.attach(&greeting("a", 1)).unwrap();
+    let error = port.attach(&greeting("b", 1)).err().unwrap();
+    assert!(error.to_string().contains("node a (here) is feeding this camera"), "{error}");
+    drop(first);
+    assert!(port.attach(&greeting("b", 1)).is_ok());
+}
+
+#[tokio::test]
+async fn the_newest_frame_wins_and_the_others_are_counted() {
+    let port = Arc::new(Port::default());
+    let sender = port.attach(&greeting("a", 1)).unwrap();
+    for sequence in 1..=5 {
+        sender.put(sequence, picture()).await.unwrap();
+    }
+    assert_eq!(next(&port), Ok(4));
+    assert_eq!(counts(&port), [5, 0, 0]);
+}
+
+#[tokio::test]
+async fn detections_wait_for_room() {
+    let port = Arc::new(Port::default());
+    let sender = port.attach(&greeting("a", 1)).unwrap();
+    let all = async {
+        for sequence in 1..=200 {
+            sender.put(sequence, seen()).await.unwrap();
+        }
+    };
+    let taking = async {
+        let mut skipped = 0;
+        for _ in 0..200 {
+            tokio::task::yield_now().await;
+            skipped += next(&port).unwrap();
+        }
+        skipped
+    };
+    let ((), skipped) = tokio::join!(all, taking);
+    assert_eq!((skipped, counts(&port)), (0, [200, 0, 0]));
+}
+
+#[tokio::test]
+async fn why_nothing_comes_is_told() {
+    let port = Arc::new(Port::default());
+    assert!(failure(&port).contains("no program feeds it yet: start `roundel node`"));
+    let sender = port.attach(&greeting("a", 1)).unwrap();
+    assert!(port.ready().is_ok());
+    assert!(failure(&port).contains("nothing from node a (here) for 0.0 s"));
+    sender.trouble("unplugged".into()).unwrap();
+    assert_eq!(failure(&port), "at node a: unplugged");
+    // The first frame takes it back, and one that is there is given even if its sender has gone.
+    sender.put(1, seen()).await.unwrap();
+    drop(sender);
+    assert_eq!(next(&port), Ok(0));
+    assert!(failure(&port).contains("node a (here) has gone"));
+}
+
+#[tokio::test]
+async fn a_pause_ends_when_somebody_sends() {
+    let port = Arc::new(Port::default());
+    assert!(port.ready().is_err());
+    let waiting = port.clone();
+    let pause = std::thread::spawn(move || waiting.pause(Duration::ZERO, &Stop::default()));
+    let _sender = port.attach(&greeting("a", 1)).unwrap();
+    assert!(!pause.join().unwrap());
+    let stop = Stop::default();
+    stop.stop();
+    let _ = failure(&port);
+    assert!(port.pause(Duration::from_secs(3600), &stop));
+}
