@@ -8,7 +8,7 @@
 //! blur keeps, and the difference of the eigenvalues, 4 (λ₀ - λ₁) = e₀² - e₁². [`Shape::ellipse`]
 //! takes these two, which leaves σ² = λ₁ - e₁²/4 as a by-product.
 
-use crate::camera::PixelPoint;
+use crate::{camera::PixelPoint, lanes::Lane};
 
 /// A rim as imaged, in raw pixels; see [`crate::conventions`].
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -30,6 +30,7 @@ impl Ellipse {
     }
 
     /// Radius of the circle of the same area, pixels.
+    #[inline(always)]
     pub fn mean_radius_px(&self) -> f64 {
         (self.semi_major_px * self.semi_minor_px).sqrt()
     }
@@ -69,6 +70,7 @@ impl Ellipse {
     }
 
     /// Finite, with both semiaxes positive and in order.
+    #[inline(always)]
     pub fn is_valid(&self) -> bool {
         self.center.u.is_finite()
             && self.center.v.is_finite()
@@ -97,6 +99,7 @@ impl Symmetric2 {
     }
 
     /// Eigenvalues λ₀ ≥ λ₁ and the angle of the first one's vector, in (-π/2, π/2].
+    #[inline(always)]
     pub fn eigen(&self) -> (f64, f64, f64) {
         let mean = 0.5 * (self.uu + self.vv);
         let (x, y) = (0.5 * (self.uu - self.vv), self.uv);
@@ -148,6 +151,7 @@ impl Moments {
     }
 
     /// The shape these moments describe; `None` unless its area and both variances are positive.
+    #[inline(always)]
     pub fn shape(&self, origin: (usize, usize)) -> Option<Shape> {
         if self.n.is_nan() || self.n <= 0.0 {
             return None;
@@ -181,6 +185,7 @@ impl From<&crate::segment::Sums> for Moments {
 
 impl Shape {
     /// The ellipse of this area and this difference of eigenvalues; blur drops out of both.
+    #[inline(always)]
     pub fn ellipse(&self) -> Ellipse {
         let (l0, l1, angle_rad) = self.covariance.eigen();
         let product = self.area_px2 / std::f64::consts::PI;
@@ -193,6 +198,7 @@ impl Shape {
     }
 
     /// [`Ellipse::matrix`] of [`Shape::ellipse`], which is given; from the covariance, without an angle.
+    #[inline(always)]
     pub fn matrix_of(&self, ellipse: &Ellipse) -> Symmetric2 {
         let (a, b) = (ellipse.semi_major_px, ellipse.semi_minor_px);
         let mean = 0.5 * (a * a + b * b);
@@ -208,6 +214,7 @@ impl Shape {
     }
 
     /// [`Shape::spread_px2`], given [`Shape::ellipse`].
+    #[inline(always)]
     pub fn spread_px2_of(&self, ellipse: &Ellipse) -> f64 {
         // Half the trace is the mean of the eigenvalues.
         let (a, b) = (ellipse.semi_major_px, ellipse.semi_minor_px);
@@ -253,9 +260,16 @@ impl Chords {
 
     /// Where row `v` enters and leaves the ellipse; twice the same place if it misses it.
     pub fn span(&self, v: f64) -> (f64, f64) {
+        self.span_each(v)
+    }
+
+    /// The same of rows side by side.
+    #[inline(always)]
+    pub(crate) fn span_each<T: Lane>(&self, v: T) -> (T, T) {
         let dv = v - self.center.v;
-        let half = self.half_max * (1.0 - dv * dv * self.inverse_vv).max(0.0).sqrt();
-        let middle = self.center.u + self.slope * dv;
+        let share = -(dv * dv * self.inverse_vv) + 1.0;
+        let half = share.larger(v.splat(0.0)).root() * self.half_max;
+        let middle = dv * self.slope + self.center.u;
         (middle - half, middle + half)
     }
 }

@@ -352,7 +352,7 @@ impl Planar {
 
     /// The distorted point and its derivative, and where there are such.
     #[inline(always)]
-    fn distort<T: Lane>(&self, point: Vec2<T>) -> (Vec2<T>, Mat2<T>, T::Mask) {
+    pub fn distort<T: Lane>(&self, point: Vec2<T>) -> (Vec2<T>, Mat2<T>, T::Mask) {
         let Vec2 { x, y } = point;
         let (xx, xy, yy) = (x * x, x * y, y * y);
         let s = xx + yy;

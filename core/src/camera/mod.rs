@@ -5,6 +5,7 @@
 //! (`camera::tests`, and OpenCV's numbers in `tests/golden.rs`). A point that the camera cannot see,
 //! or a pixel that no ray reaches, is a [`LensError`], never a wrong number.
 
+mod each;
 mod lens;
 mod near;
 

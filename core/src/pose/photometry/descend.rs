@@ -59,7 +59,7 @@ pub fn solve(
             behind.carry(&change, left);
             let left2 = linear.noise2_of(left);
             // From the wrong place of two, the first step already says so.
-            if let Some(other) = glance(problem, &next, (&behind, left2), scratch)
+            if let Some(other) = glance(problem, &next, (&behind, left2, None), scratch)
                 && other.misfit < left - MIRRORED * left2
                 && let Ok(found) = linearize(problem, &other.state, None, scratch)
             {

@@ -15,7 +15,7 @@
 
 use std::ops::Range;
 
-use fearless_simd::{Level, Simd, dispatch, f32x8, prelude::*};
+use fearless_simd::{Level, Simd, dispatch, f32x8, f64x8, prelude::*};
 use fearless_simd_macros::simd;
 
 use super::{
@@ -29,6 +29,9 @@ use crate::{ellipse::Chords, frame::Frame, room::make_room};
 
 /// Rows are padded to whole vectors of any width.
 const LANES: usize = 16;
+/// Rows whose spans are found side by side, and their numbers.
+const ABREAST_ROWS: usize = 8;
+const ROW: [f64; ABREAST_ROWS] = [0.0, 1.0, 2.0, 3.0, 4.0, 5.0, 6.0, 7.0];
 /// The lanes' numbers.
 const COUNT: [f32; LANES] = [0., 1., 2., 3., 4., 5., 6., 7., 8., 9., 10., 11., 12., 13., 14., 15.];
 
@@ -101,7 +104,7 @@ impl Window {
     pub fn lay(
         &mut self,
         (columns, rows): ((i64, i64), (i64, i64)),
-        frame: &Frame,
+        (level, frame): (Level, &Frame),
         chords: &Chords,
     ) {
         self.origin = (columns.0, rows.0);
@@ -122,10 +125,9 @@ impl Window {
         self.first = row_of(begin);
         let last = row_of(end);
         self.spans.clear();
-        for row in self.first..=last {
+        dispatch!(level, simd => spans(simd, self, last, frame, chords));
+        for (row, &(from, to)) in (self.first..).zip(&self.spans) {
             let v = self.origin.1 + row as i64;
-            let (from, to) = self.span(frame, chords, v);
-            self.spans.push((from, to));
             if from < to {
                 let first = (self.origin.0 + from as i64) as usize;
                 copy(
@@ -198,21 +200,28 @@ impl Window {
             sums.finish_gradient(free);
         }
     }
+}
 
-    /// Columns of the window, in row `v` of the frame, within the chords and the frame.
-    #[inline(always)]
-    fn span(&self, frame: &Frame, chords: &Chords, v: i64) -> (usize, usize) {
-        if !(0..frame.height() as i64).contains(&v) {
-            return (0, 0);
+/// Columns of the window in its rows up to the last one that counts, within the chords and the frame.
+#[simd]
+fn spans<S: Simd>(simd: S, window: &mut Window, last: usize, frame: &Frame, chords: &Chords) {
+    let (left, top) = window.origin;
+    // The window is wider than what counts by more than the differences need.
+    let least = (-left).max(DIFFERENCE as i64);
+    let most = frame.width() as i64 - left;
+    let most = most.clamp(least, (window.width - DIFFERENCE) as i64);
+    for first in (window.first..=last).step_by(ABREAST_ROWS) {
+        let v = (top + first as i64) as f64;
+        let (begin, end) = chords.span_each(f64x8::simd_from(simd, ROW) + v);
+        let (mut begins, mut ends) = ([0.0; ABREAST_ROWS], [0.0; ABREAST_ROWS]);
+        begin.ceil().store_slice(&mut begins);
+        end.ceil().store_slice(&mut ends);
+        for (row, (begin, end)) in (first..=last).zip(begins.into_iter().zip(ends)) {
+            let is_inside = (0..frame.height() as i64).contains(&(top + row as i64));
+            let from = (begin as i64 - left).clamp(least, most);
+            let to = (end as i64 - left).clamp(from, most);
+            window.spans.push(if is_inside { (from as usize, to as usize) } else { (0, 0) });
         }
-        let (from, to) = chords.span(v as f64);
-        // The window is wider than what counts by more than the differences need.
-        let least = (-self.origin.0).max(DIFFERENCE as i64);
-        let most = frame.width() as i64 - self.origin.0;
-        let most = most.clamp(least, (self.width - DIFFERENCE) as i64);
-        let from = (ceil(from) - self.origin.0).clamp(least, most);
-        let to = (ceil(to) - self.origin.0).clamp(from, most);
-        (from as usize, to as usize)
     }
 }
 
@@ -300,19 +309,39 @@ fn gather_all<S: Simd, const PRODUCTS: bool, const FREE: bool>(
     if !PRODUCTS {
         sums.take_gradient::<S, FREE>(&gradient);
     }
+    let zero = S::f32s::splat(simd, 0.0);
     for row in rows {
-        window.image[row * width..][columns.clone()].fill(0.0);
+        let pixels = &mut window.image[row * width..][columns.clone()];
+        for pixels in pixels.chunks_exact_mut(S::f32s::LEN) {
+            zero.store_slice(pixels);
+        }
     }
     sums.patches = window.patches.finish(simd);
 }
 
+/// Vectors of a row summed side by side: each waits for the one above it.
+const ABREAST: usize = 4;
+
 /// Sums rows from the top down, in these columns.
 #[inline(always)]
 fn add_up<S: Simd>(simd: S, image: &mut [f32], width: usize, columns: Range<usize>) {
-    for column in columns.step_by(S::f32s::LEN) {
+    let lanes = S::f32s::LEN;
+    let mut column = columns.start;
+    while column + ABREAST * lanes <= columns.end {
+        let mut sums = [S::f32s::splat(simd, 0.0); ABREAST];
+        for row in image.chunks_exact_mut(width) {
+            let pixels = &mut row[column..column + ABREAST * lanes];
+            for (sum, pixels) in sums.iter_mut().zip(pixels.chunks_exact_mut(lanes)) {
+                *sum += S::f32s::from_slice(simd, pixels);
+                sum.store_slice(pixels);
+            }
+        }
+        column += ABREAST * lanes;
+    }
+    for column in (column..columns.end).step_by(lanes) {
         let mut sum = S::f32s::splat(simd, 0.0);
         for row in image.chunks_exact_mut(width) {
-            let pixels = &mut row[column..column + S::f32s::LEN];
+            let pixels = &mut row[column..column + lanes];
             sum += S::f32s::from_slice(simd, pixels);
             sum.store_slice(pixels);
         }

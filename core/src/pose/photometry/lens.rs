@@ -6,10 +6,13 @@
 //! 1e-4 px up to 110 px at 45° off the axis (test `the_polynomial_is_the_lens`). What a rolling shutter does to a
 //! ring that moves, as linear in the image as can be, is part of it.
 
+use fearless_simd::{Level, Simd, SimdBase, SimdFrom, dispatch, f64x8};
+use fearless_simd_macros::simd;
 use nalgebra::{Matrix2, Matrix3, SMatrix, Vector3};
 
 use crate::{
     camera::{Camera, LensError, PixelPoint},
+    lanes::{Mask, Vec3},
     pose::Skew,
 };
 
@@ -24,7 +27,8 @@ const CIRCLES: [(usize, f64); 3] = [(12, 1.0), (8, 0.68), (4, 0.3)];
 #[derive(Clone, Debug)]
 pub struct Plan {
     places: [[f64; 2]; SAMPLES],
-    terms_from_samples: Box<SMatrix<f64, TERMS, SAMPLES>>,
+    /// What each sample adds to the terms.
+    terms_from_samples: Box<[[f64; TERMS]; SAMPLES]>,
 }
 
 impl Default for Plan {
@@ -47,13 +51,69 @@ impl Default for Plan {
         }
         let normal = samples_from_terms.transpose() * samples_from_terms;
         let inverse = normal.try_inverse().expect("the circles hold all 21 terms apart");
-        Self { places, terms_from_samples: Box::new(inverse * samples_from_terms.transpose()) }
+        let terms_from_samples = inverse * samples_from_terms.transpose();
+        Self { places, terms_from_samples: Box::new(terms_from_samples.into()) }
     }
 }
 
 /// Exponents (i, j) of the terms.
 fn powers() -> impl Iterator<Item = (i32, i32)> {
     (0..6).flat_map(|i| (0..6 - i).map(move |j| (i, j)))
+}
+
+impl Plan {
+    /// The polynomials of both coordinates at the samples.
+    #[simd]
+    fn terms_of<S: Simd>(&self, simd: S, samples: &[[f64; 2]; SAMPLES]) -> [[f64; TERMS]; 2] {
+        let _ = simd;
+        let mut terms = [[0.0; TERMS]; 2];
+        for (row, sample) in self.terms_from_samples.iter().zip(samples) {
+            for (terms, value) in terms.iter_mut().zip(sample) {
+                for (term, share) in terms.iter_mut().zip(row) {
+                    *term += share * value;
+                }
+            }
+        }
+        terms
+    }
+}
+
+/// Rays side by side.
+const ABREAST: usize = 8;
+
+/// Pixels of all samples; false where the lens does not give them so, or not all of them.
+#[simd]
+fn sample_all<S: Simd>(
+    simd: S,
+    camera: &Camera,
+    (camera_from_local, spread): (&Matrix3<f64>, f64),
+    plan: &Plan,
+    samples: &mut [[f64; 2]; SAMPLES],
+) -> bool {
+    let m = camera_from_local;
+    for (samples, places) in samples.chunks_mut(ABREAST).zip(plan.places.chunks(ABREAST)) {
+        let (mut x, mut y) = ([0.0; ABREAST], [0.0; ABREAST]);
+        for (k, [along, across]) in places.iter().enumerate() {
+            (x[k], y[k]) = (spread * along, spread * across);
+        }
+        let (x, y) = (f64x8::simd_from(simd, x), f64x8::simd_from(simd, y));
+        let ray = Vec3::new(
+            x * m.m11 + y * m.m12 + m.m13,
+            x * m.m21 + y * m.m22 + m.m23,
+            x * m.m31 + y * m.m32 + m.m33,
+        );
+        let Some((pixel, known)) = camera.project_each(ray) else { return false };
+        if (!known).any() {
+            return false;
+        }
+        let (mut u, mut v) = ([0.0; ABREAST], [0.0; ABREAST]);
+        pixel.x.store_slice(&mut u);
+        pixel.y.store_slice(&mut v);
+        for (k, sample) in samples.iter_mut().enumerate() {
+            *sample = [u[k], v[k]];
+        }
+    }
+    true
 }
 
 /// The lens round one ray.
@@ -78,7 +138,7 @@ impl LocalLens {
         local_from_camera: Matrix3<f64>,
         spread: f64,
         skew: Option<&Skew>,
-        plan: &Plan,
+        (level, plan): (Level, &Plan),
     ) -> Result<Self, LensError> {
         let camera_from_local = local_from_camera.transpose();
         let image = |ray: &Vector3<f64>| {
@@ -87,22 +147,29 @@ impl LocalLens {
         };
         let middle = image(&camera_from_local.column(2).into_owned())?;
         let origin = PixelPoint { u: middle.u.round(), v: middle.v.round() };
-        let mut samples = SMatrix::<f64, SAMPLES, 2>::zeros();
-        for (row, [x, y]) in plan.places.iter().enumerate() {
-            let ray = camera_from_local * Vector3::new(spread * x, spread * y, 1.0);
-            let pixel = image(&ray)?;
-            samples[(row, 0)] = pixel.u - origin.u;
-            samples[(row, 1)] = pixel.v - origin.v;
+        let mut samples = [[0.0; 2]; SAMPLES];
+        let rays = (&camera_from_local, spread);
+        if !dispatch!(level, simd => sample_all(simd, camera, rays, plan, &mut samples)) {
+            for (sample, [x, y]) in samples.iter_mut().zip(&plan.places) {
+                let ray = camera_from_local * Vector3::new(spread * x, spread * y, 1.0);
+                let pixel = camera.project(&ray)?;
+                *sample = [pixel.u, pixel.v];
+            }
         }
-        let found = plan.terms_from_samples.as_ref() * samples;
+        for sample in &mut samples {
+            let [u, v] = *sample;
+            let pixel = skew.map_or(PixelPoint { u, v }, |skew| skew.image(PixelPoint { u, v }));
+            *sample = [pixel.u - origin.u, pixel.v - origin.v];
+        }
+        let found = dispatch!(level, simd => plan.terms_of(simd, &samples));
         let mut terms = [[0.0; TERMS]; 2];
         for (axis, terms) in terms.iter_mut().enumerate() {
-            for (term, value) in terms.iter_mut().zip(found.column(axis).iter()) {
+            for (term, value) in terms.iter_mut().zip(&found[axis]) {
                 *term = *value as f32;
             }
         }
         // Terms 1 and 6 are those of t₂ and t₁.
-        let slope = Matrix2::new(found[(6, 0)], found[(1, 0)], found[(6, 1)], found[(1, 1)]);
+        let slope = Matrix2::new(found[0][6], found[0][1], found[1][6], found[1][1]);
         Ok(Self { local_from_camera, spread, origin, terms, slope })
     }
 
@@ -148,7 +215,8 @@ mod tests {
                 (Vector3::new(0.2, -0.4, 1.0), 0.12),
             ] {
                 let frame = frame_along(&axis.normalize());
-                let local = LocalLens::new(&camera, frame, spread, None, &plan).unwrap();
+                let local =
+                    LocalLens::new(&camera, frame, spread, None, (Level::new(), &plan)).unwrap();
                 for i in 0..400 {
                     let radius = ((i % 20) as f64 / 19.0).sqrt();
                     let (sin, cos) = (f64::from(i) * 0.7).sin_cos();

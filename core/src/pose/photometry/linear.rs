@@ -214,6 +214,16 @@ impl Linear {
         (information, gradient)
     }
 
+    /// The information for a step, and the gradient.
+    fn curved(&self, state: &State, noise2: f64) -> ([[f64; MOST]; MOST], [f64; MOST]) {
+        let (mut information, gradient) = self.with_prior(state, noise2);
+        let curvature = self.tilt_curvature(state, noise2);
+        for axis in 0..2 {
+            information[TILT + axis][TILT + axis] += curvature;
+        }
+        (information, gradient)
+    }
+
     /// The factor of the information for a step, and the gradient.
     pub fn factor(
         &self,
@@ -221,11 +231,7 @@ impl Linear {
         noise2: f64,
         damping: f64,
     ) -> Option<(Factor, [f64; MOST])> {
-        let (mut information, gradient) = self.with_prior(state, noise2);
-        let curvature = self.tilt_curvature(state, noise2);
-        for axis in 0..2 {
-            information[TILT + axis][TILT + axis] += curvature;
-        }
+        let (mut information, gradient) = self.curved(state, noise2);
         for (i, row) in information.iter_mut().enumerate() {
             row[i] *= 1.0 + damping;
         }
@@ -236,6 +242,12 @@ impl Linear {
     pub fn step(&self, state: &State, noise2: f64, damping: f64) -> Option<[f64; MOST]> {
         let (factor, gradient) = self.factor(state, noise2, damping)?;
         Some(factor.solve(&gradient))
+    }
+
+    /// A step, from the factor of information that differs from this one in the tilts alone.
+    pub fn step_beside(&self, state: &State, noise2: f64, known: &Factor) -> Option<[f64; MOST]> {
+        let (information, gradient) = self.curved(state, noise2);
+        Some(known.with_last::<2>(&information)?.solve(&gradient))
     }
 
     /// Information, over that of one grey level, about the tilt about either axis.

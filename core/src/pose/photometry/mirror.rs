@@ -15,7 +15,7 @@ use super::{
     FitScratch,
     linear::Linear,
     look::linearize,
-    solve::MOST,
+    solve::{Factor, MOST},
     state::{Problem, RANGE, SHIFT, State, TILT},
     view::Place,
 };
@@ -38,23 +38,24 @@ pub struct Glance {
 }
 
 /// The mirrored place after one step; `None` where it has none. `known` is the linear problem at the
-/// state, of which a pixel's variance is `noise2`.
+/// state, of which a pixel's variance is `noise2`, and `factor` that of its information with what is known
+/// beforehand, where there is one.
 pub fn glance(
     problem: &Problem,
     state: &State,
-    (known, noise2): (&Linear, f64),
+    (known, noise2, factor): (&Linear, f64, Option<&Factor>),
     scratch: &mut FitScratch,
 ) -> Option<Glance> {
     let mirrored = state.mirrored();
     let linear = known.mirrored(state);
-    let found = step(&mirrored, &linear, noise2)?;
+    let found = step(&mirrored, &linear, noise2, factor)?;
     if is_linear(state, known) || found.misfit > known.misfit + EXCLUDED * noise2 {
         return Some(found);
     }
     let mut linear = linearize(problem, &mirrored, Some(&linear), scratch).ok()?;
     turn_round(&mut linear.gradient);
     // A step so far from where the information holds says which place is nearer, and no more.
-    let found = step(&mirrored, &linear, noise2)?;
+    let found = step(&mirrored, &linear, noise2, factor)?;
     Some(Glance { state: mirrored, ..found })
 }
 
@@ -64,8 +65,12 @@ pub fn is_linear(state: &State, known: &Linear) -> bool {
 }
 
 /// One step from the mirrored place, with the information of the other, whose turns the gradient's are.
-fn step(mirrored: &State, linear: &Linear, noise2: f64) -> Option<Glance> {
-    let mut change = linear.step(mirrored, noise2, 0.0)?;
+fn step(mirrored: &State, linear: &Linear, noise2: f64, factor: Option<&Factor>) -> Option<Glance> {
+    // Of the information only the tilts' is another.
+    let mut change = match factor {
+        Some(factor) => linear.step_beside(mirrored, noise2, factor)?,
+        None => linear.step(mirrored, noise2, 0.0)?,
+    };
     let gain: f64 = change.iter().zip(&linear.gradient).map(|(x, g)| x * g).sum();
     turn_round(&mut change);
     let apart_m = Vector3::new(change[SHIFT], change[SHIFT + 1], 0.0) * linear.unit_m

@@ -212,7 +212,8 @@ pub fn fit(
     let local_from_camera = frame_along(&(start.pose.position_m / range_m));
     let spread = 1.05 * radius_m / range_m;
     let skew = start.skew.as_ref();
-    let lens = LocalLens::new(camera, local_from_camera, spread, skew, &scratch.plan)?;
+    let with = (scratch.level, &scratch.plan);
+    let lens = LocalLens::new(camera, local_from_camera, spread, skew, with)?;
     let blur_px = start.blur_px.clamp(BLUR_LIMITS_PX.0, BLUR_LIMITS_PX.1);
     let margin_px = (MARGIN.0 * ring.outer.semi_minor_px - MARGIN.1).max(LEAST_REACH_PX);
     let most_px = if start.is_still { 0.0 } else { MOST_MOTION_PX };
@@ -220,7 +221,7 @@ pub fn fit(
     let reach_px = (REACH.0.max(REACH.1 * blur_px) + 0.5 * motion_px.norm()).min(margin_px);
     let counted = ring.outer.grown(reach_px);
     let chords = Chords::new(&counted);
-    scratch.window.lay(window_of(&counted), frame, &chords);
+    scratch.window.lay(window_of(&counted), (scratch.level, frame), &chords);
     let motion_prior = motion::prior(start.moved_px);
     let is_still = start.is_still;
     let problem = Problem {

@@ -53,6 +53,8 @@ pub struct Sums {
     kept: Vec<f32>,
     count: usize,
     lanes: Vec<[f32; LANES]>,
+    /// Whether what is in them is of another look.
+    is_old: bool,
     /// After [`Sums::finish`]: Σ over pixels of column times column.
     pub products: Products,
     /// What [`super::patches`] makes of the residuals.
@@ -65,6 +67,7 @@ impl Default for Sums {
             kept: vec![0.0; ROOM * COLUMNS],
             count: 0,
             lanes: vec![[0.0; LANES]; COLUMNS * COLUMNS],
+            is_old: true,
             products: Products::zeros(),
             patches: 0.0,
         }
@@ -75,7 +78,7 @@ impl Sums {
     /// Back to nothing.
     pub fn clear(&mut self) {
         self.count = 0;
-        self.lanes.fill([0.0; LANES]);
+        self.is_old = true;
     }
 
     /// Keeps the first `count` pixels of a vector, and multiplies once enough are together; of the motion's
@@ -156,7 +159,11 @@ fn multiply<S: Simd, const FREE: bool>(simd: S, sums: &mut Sums) {
     sums.count = count.next_multiple_of(lanes);
     for first in 0..GROUPS {
         for second in first..GROUPS {
-            multiply_groups(simd, sums, GROUP * first, GROUP * second);
+            if first == second {
+                multiply_group(simd, sums, GROUP * first);
+            } else {
+                multiply_groups(simd, sums, GROUP * first, GROUP * second);
+            }
         }
         if FREE {
             multiply_motion::<S, 0>(simd, sums, GROUP * first);
@@ -166,6 +173,42 @@ fn multiply<S: Simd, const FREE: bool>(simd: S, sums: &mut Sums) {
         multiply_motion::<S, 1>(simd, sums, STILL - 1);
     }
     sums.count = 0;
+    sums.is_old = false;
+}
+
+/// Adds a block of products to a place, or puts it there if it is the first one.
+#[inline(always)]
+fn put<S: Simd>(simd: S, sums: &mut Sums, place: usize, product: S::f32s) {
+    let sum = &mut sums.lanes[place][..S::f32s::LEN];
+    let before =
+        if sums.is_old { S::f32s::splat(simd, 0.0) } else { S::f32s::from_slice(simd, sum) };
+    (before + product).store_slice(sum);
+}
+
+/// Products of the three columns from `first` on with each other.
+#[inline(always)]
+fn multiply_group<S: Simd>(simd: S, sums: &mut Sums, first: usize) {
+    let width = S::f32s::LEN;
+    let count = sums.count;
+    let column = |index: usize| &sums.kept[index * ROOM..][..count];
+    let (a0, a1, a2) = (column(first), column(first + 1), column(first + 2));
+    let mut block = [S::f32s::splat(simd, 0.0); GROUP * (GROUP + 1) / 2];
+    let lists = a0.chunks_exact(width).zip(a1.chunks_exact(width)).zip(a2.chunks_exact(width));
+    for ((a0, a1), a2) in lists {
+        let a0 = S::f32s::from_slice(simd, a0);
+        let a1 = S::f32s::from_slice(simd, a1);
+        let a2 = S::f32s::from_slice(simd, a2);
+        block[0] = a0.mul_add(a0, block[0]);
+        block[1] = a0.mul_add(a1, block[1]);
+        block[2] = a0.mul_add(a2, block[2]);
+        block[3] = a1.mul_add(a1, block[3]);
+        block[4] = a1.mul_add(a2, block[4]);
+        block[5] = a2.mul_add(a2, block[5]);
+    }
+    for (product, (i, j)) in block.into_iter().zip([(0, 0), (0, 1), (0, 2), (1, 1), (1, 2), (2, 2)])
+    {
+        put(simd, sums, (first + i) * COLUMNS + first + j, product);
+    }
 }
 
 /// Products of the three columns from `first` on with the three from `second` on.
@@ -198,8 +241,7 @@ fn multiply_groups<S: Simd>(simd: S, sums: &mut Sums, first: usize, second: usiz
     }
     for i in 0..GROUP {
         for j in 0..GROUP {
-            let sum = &mut sums.lanes[(first + i) * COLUMNS + second + j][..width];
-            (S::f32s::from_slice(simd, sum) + block[GROUP * i + j]).store_slice(sum);
+            put(simd, sums, (first + i) * COLUMNS + second + j, block[GROUP * i + j]);
         }
     }
 }
@@ -230,8 +272,7 @@ fn multiply_motion<S: Simd, const SKIP: usize>(simd: S, sums: &mut Sums, first: 
     }
     for i in SKIP..GROUP {
         for j in 0..2 {
-            let sum = &mut sums.lanes[(first + i) * COLUMNS + column::MOTION + j][..width];
-            (S::f32s::from_slice(simd, sum) + block[2 * i + j]).store_slice(sum);
+            put(simd, sums, (first + i) * COLUMNS + column::MOTION + j, block[2 * i + j]);
         }
     }
 }

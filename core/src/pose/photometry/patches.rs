@@ -20,59 +20,77 @@ const LANES: usize = 16;
 /// Sums of one gather.
 #[derive(Clone, Debug, Default)]
 pub struct Patches {
-    /// Residuals of up to four rows, by column; zero between groups of rows.
+    /// The group of rows at hand, and the one before: its sums are read when they have long been written.
+    groups: [Group; 2],
+    total: f32,
+}
+
+/// Sums of up to four rows.
+#[derive(Clone, Debug, Default)]
+struct Group {
+    /// Residuals by column; zero as long as there are no rows.
     columns: Vec<f32>,
     /// Columns in which there is something.
     from: usize,
     to: usize,
     rows: usize,
-    total: f32,
 }
 
 impl Patches {
     /// Room for rows of so many columns.
     pub fn make_room(&mut self, width: usize) {
-        make_room(&mut self.columns, width + 2 * LANES);
+        for group in &mut self.groups {
+            make_room(&mut group.columns, width + 2 * LANES);
+        }
     }
 
     /// Gets ready for rows of so many columns.
     pub fn lay(&mut self, width: usize) {
-        self.columns.resize((width + 2 * LANES).max(self.columns.len()), 0.0);
+        for Group { columns, .. } in &mut self.groups {
+            columns.resize((width + 2 * LANES).max(columns.len()), 0.0);
+        }
     }
 
     /// Adds a row's residuals from column `from` up to `to`, filled up with zeros to whole vectors.
     #[inline(always)]
     pub fn add_row<S: Simd>(&mut self, simd: S, residuals: &[f32], (from, to): (usize, usize)) {
         let lanes = S::f32s::LEN;
-        (self.from, self.to) =
-            if self.rows == 0 { (from, to) } else { (self.from.min(from), self.to.max(to)) };
-        let columns = &mut self.columns[from + SIDE..from + SIDE + residuals.len()];
+        let group = &mut self.groups[0];
+        (group.from, group.to) =
+            if group.rows == 0 { (from, to) } else { (group.from.min(from), group.to.max(to)) };
+        let columns = &mut group.columns[from + SIDE..from + SIDE + residuals.len()];
         let residuals = residuals.chunks_exact(lanes);
         for (column, residual) in columns.chunks_exact_mut(lanes).zip(residuals) {
             let sum = S::f32s::from_slice(simd, column) + S::f32s::from_slice(simd, residual);
             sum.store_slice(column);
         }
-        self.rows += 1;
-        if self.rows == SIDE {
-            self.fold(simd);
+        group.rows += 1;
+        if group.rows == SIDE {
+            self.total += self.groups[1].fold(simd);
+            self.groups.swap(0, 1);
         }
     }
 
     /// Σ (Σ r)² of all rows since the last time.
     #[inline(always)]
     pub fn finish<S: Simd>(&mut self, simd: S) -> f32 {
-        self.fold(simd);
+        self.total += self.groups[1].fold(simd);
+        self.total += self.groups[0].fold(simd);
         std::mem::take(&mut self.total)
     }
+}
 
+impl Group {
+    /// Σ (Σ r)² of its rows, of which there are none from then on.
     #[inline(always)]
-    fn fold<S: Simd>(&mut self, simd: S) {
+    fn fold<S: Simd>(&mut self, simd: S) -> f32 {
         if self.rows == 0 {
-            return;
+            return 0.0;
         }
         self.rows = 0;
         let lanes = S::f32s::LEN;
-        let mut total = S::f32s::splat(simd, 0.0);
+        let zero = S::f32s::splat(simd, 0.0);
+        let mut total = zero;
         // A patch begins up to three columns before the first residual.
         let (first, end) = (self.from + 1, self.to + SIDE);
         for start in (first..end).step_by(lanes) {
@@ -82,10 +100,12 @@ impl Patches {
             let sum = (at(0) + at(1)) + (at(2) + at(3));
             total = sum.mul_add(sum, total);
         }
-        self.columns[first..end].fill(0.0);
+        for start in (first..end).step_by(lanes) {
+            zero.store_slice(&mut self.columns[start..start + lanes]);
+        }
         let mut list = [0.0; LANES];
         total.store_slice(&mut list[..lanes]);
-        self.total += list.iter().sum::<f32>();
+        list.iter().sum::<f32>()
     }
 }
 

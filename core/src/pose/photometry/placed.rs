@@ -38,12 +38,19 @@ pub(super) fn placed(
     counted: &Ellipse,
     scratch: &mut FitScratch,
 ) -> Result<Placed, FitError> {
-    let (mut solution, heading) = match (problem.teeth, deviation_rad) {
-        (Some(_), _) => turn::solve(problem, first, scratch).map(with_heading)?,
-        (None, Some(deviation_rad)) => {
-            heading::solve(problem, first, deviation_rad, scratch).map(with_heading)?
+    let mut heading = None;
+    let mut solution = match (problem.teeth, deviation_rad) {
+        (Some(_), _) => {
+            let (solution, found) = turn::solve(problem, first, scratch)?;
+            heading = Some(found);
+            solution
         }
-        (None, None) => (descend::solve(problem, first, scratch)?, None),
+        (None, Some(deviation_rad)) => {
+            let (solution, found) = heading::solve(problem, first, deviation_rad, scratch)?;
+            heading = Some(found);
+            solution
+        }
+        (None, None) => descend::solve(problem, first, scratch)?,
     };
     if problem.is_still && !solution.is_plain() {
         let moving = Problem { is_still: false, ..*problem };
@@ -64,17 +71,13 @@ pub(super) fn placed(
                 Some(heading) if !solution.is_plain() => Some(heading.disturbed(&solution)),
                 _ => heading,
             };
-            (tilted(problem, solution, counted, scratch)?, heading)
+            (tilted(problem, &mut solution, counted, scratch)?, heading)
         }
     };
     if let Some(heading) = heading {
         heading.add_to(problem, &mut placed);
     }
     Ok(placed)
-}
-
-fn with_heading((solution, heading): (Solution, Heading)) -> (Solution, Option<Heading>) {
-    (solution, Some(heading))
 }
 
 /// One lean, or two, of a roundel that nearly faces the camera.
@@ -102,18 +105,19 @@ fn upright(
 /// noise explains neither.
 fn tilted(
     problem: &Problem,
-    mut solution: Solution,
+    solution: &mut Solution,
     counted: &Ellipse,
     scratch: &mut FitScratch,
 ) -> Result<Placed, FitError> {
-    let at = (&solution.linear, solution.noise2);
+    let mut factor = solution.factor();
+    let at = (&solution.linear, solution.noise2, factor.as_ref());
     let mut other = glance(problem, &solution.state, at, scratch);
     if let Some(better) = &other
         && better.misfit < solution.misfit
         && let Ok(found) = descend::solve(problem, better.state.clone(), scratch)
     {
         let normal = |solution: &Solution| solution.state.place.axes.column(2).into_owned();
-        let back = normal(&found).dot(&normal(&solution));
+        let back = normal(&found).dot(&normal(solution));
         // Near face-on the mirrored place may have no minimum of its own; then it counts as it is.
         let own = back < normal(&found).dot(&solution.state.mirrored().place.axes.column(2));
         let apart_m = found.state.place.position_m - solution.state.place.position_m;
@@ -123,7 +127,10 @@ fn tilted(
         };
         let better = found.misfit < solution.misfit;
         other = Some(Glance { misfit, unmoved: misfit, apart_m, state: found.state.clone() });
-        solution = if better { found } else { solution };
+        if better {
+            *solution = found;
+            factor = solution.factor();
+        }
     }
     if !solution.is_plain() {
         // Other teeth than presumed, or another yaw, would pass for a cover.
@@ -151,10 +158,10 @@ fn tilted(
         other_normal: solution.state.mirrored().place.axes.column(2).into_owned(),
         likelihood,
         apart_m: other.map_or(Vector3::zeros(), |other| other.apart_m),
-        covariance: solution.covariance(problem).ok_or(FitError::Flat)?,
+        covariance: solution.covariance(problem, &factor.ok_or(FitError::Flat)?),
         noise2: solution.noise2,
         motion_variance: solution.motion_variance(),
         iterations: solution.iterations,
-        state: solution.state,
+        state: solution.state.clone(),
     })
 }

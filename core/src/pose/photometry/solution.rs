@@ -43,22 +43,25 @@ impl Solution {
         linear.is_even() && low > slack && high < 255.0 - slack
     }
 
-    /// Of (position, rotation) in the camera's frame.
-    pub fn covariance(&self, problem: &Problem) -> Option<Covariance6> {
+    /// The factor of the information, with what is known beforehand.
+    pub fn factor(&self) -> Option<Factor> {
         let (information, _) = self.linear.with_prior(&self.state, self.noise2);
-        let factor = Factor::new(&information, self.linear.free())?;
+        Factor::new(&information, self.linear.free())
+    }
+
+    /// Of (position, rotation) in the camera's frame, by [`Self::factor`].
+    pub fn covariance(&self, problem: &Problem, factor: &Factor) -> Covariance6 {
         let own: Covariance5 = factor.inverse_of_last() * self.noise2;
         let axes = &self.state.place.axes;
         let turns = [0, 1].map(|axis| axes.column(axis).into_owned());
-        Some(self.carried(problem, &self.state, &own, &turns))
+        self.carried(problem, &self.state, &own, &turns)
     }
 
     /// Variance of either part of the motion's square by noise alone, px⁴, as far as the prior lets it;
     /// none where it was held.
     pub fn motion_variance(&self) -> Option<f64> {
         let prior = self.linear.motion_prior?;
-        let (information, _) = self.linear.with_prior(&self.state, self.noise2);
-        let factor = Factor::new(&information, self.linear.free())?;
+        let factor = self.factor()?;
         let variance = |unknown: usize| {
             let mut unit = [0.0; MOST];
             unit[unknown] = self.noise2;

@@ -2,6 +2,8 @@
 
 use std::ops::Range;
 
+use fearless_simd::{Level, Simd, dispatch};
+use fearless_simd_macros::simd;
 use nalgebra::SMatrix;
 
 /// Unknowns at most.
@@ -20,35 +22,48 @@ pub struct Factor {
 impl Factor {
     /// Of some rows and the same columns; `None` unless they are positive definite.
     pub fn new(matrix: &[[f64; MOST]; MOST], range: Range<usize>) -> Option<Self> {
-        let mut scale = [0.0; MOST];
-        for i in range.clone() {
+        let mut factor = Self { range, scale: [0.0; MOST], upper: [[0.0; MOST]; MOST] };
+        let is_one = dispatch!(Level::new(), simd => eliminate(simd, matrix, &mut factor));
+        is_one.then_some(factor)
+    }
+
+    /// That of a matrix which differs from this one's in the last `COUNT` rows and columns only; `None`
+    /// unless it is positive definite.
+    pub fn with_last<const COUNT: usize>(&self, matrix: &[[f64; MOST]; MOST]) -> Option<Self> {
+        let mut next = self.clone();
+        let Self { range, scale, upper } = &mut next;
+        let (first, end) = (range.end - COUNT, range.end);
+        for i in first..end {
             if !(matrix[i][i] > 0.0 && matrix[i][i].is_finite()) {
                 return None;
             }
             scale[i] = 1.0 / matrix[i][i].sqrt();
         }
-        let mut upper = *matrix;
-        for (row, by) in upper.iter_mut().zip(scale) {
-            for (value, scale) in row.iter_mut().zip(scale) {
-                *value *= by * scale;
+        for j in range.start..end {
+            for i in first..end {
+                upper[j][i] = matrix[j][i] * scale[j] * scale[i];
             }
         }
-        for j in range.clone() {
-            if upper[j][j].is_nan() || upper[j][j] <= 1e-12 {
-                return None;
+        for j in range.start..end {
+            if j >= first {
+                if upper[j][j].is_nan() || upper[j][j] <= 1e-12 {
+                    return None;
+                }
+                upper[j][j] = 1.0 / upper[j][j].sqrt();
             }
-            let inverse = 1.0 / upper[j][j].sqrt();
-            let row = upper[j].map(|value| value * inverse);
-            // Whole rows, of one length, go into vectors; what comes below the diagonal is not read.
-            for (below, by) in upper.iter_mut().zip(row).take(range.end).skip(j + 1) {
-                for (value, other) in below.iter_mut().zip(row) {
-                    *value -= by * other;
+            let inverse = upper[j][j];
+            for value in &mut upper[j][first.max(j + 1)..end] {
+                *value *= inverse;
+            }
+            let row = upper[j];
+            for (k, below) in upper.iter_mut().enumerate().take(end).skip(j + 1) {
+                let last = first.max(k)..end;
+                for (value, other) in below[last.clone()].iter_mut().zip(&row[last]) {
+                    *value -= row[k] * other;
                 }
             }
-            upper[j] = row;
-            upper[j][j] = inverse;
         }
-        Some(Self { range, scale, upper })
+        Some(next)
     }
 
     /// The solution of matrix · x = right; other unknowns stay at none.
@@ -61,11 +76,13 @@ impl Factor {
                 *value -= by * above;
             }
         }
+        // What is known of an unknown is taken from all above it at once, so that none waits for a sum.
         for i in self.range.clone().rev() {
-            let rest = i + 1..self.range.end;
-            let beyond = self.upper[i][rest.clone()].iter().zip(&x[rest]);
-            let known: f64 = beyond.map(|(factor, value)| factor * value).sum();
-            x[i] = (x[i] - known) * self.upper[i][i];
+            x[i] *= self.upper[i][i];
+            let by = x[i];
+            for (value, row) in x.iter_mut().zip(&self.upper).take(i).skip(self.range.start) {
+                *value -= by * row[i];
+            }
         }
         for (value, scale) in x.iter_mut().zip(self.scale) {
             *value *= scale;
@@ -97,6 +114,47 @@ impl Factor {
         }
         product
     }
+}
+
+/// Divisions and roots take longer than all else: only one division of a row waits for the row before.
+#[simd]
+fn eliminate<S: Simd>(simd: S, matrix: &[[f64; MOST]; MOST], factor: &mut Factor) -> bool {
+    let _ = simd;
+    let Factor { range, scale, upper } = factor;
+    for i in range.clone() {
+        if !(matrix[i][i] > 0.0 && matrix[i][i].is_finite()) {
+            return false;
+        }
+        scale[i] = 1.0 / matrix[i][i].sqrt();
+    }
+    for i in range.clone() {
+        for j in 0..MOST {
+            upper[i][j] = matrix[i][j] * scale[i] * scale[j];
+        }
+    }
+    let mut inverse = [0.0; MOST];
+    for j in range.clone() {
+        let row = upper[j];
+        if row[j].is_nan() || row[j] <= 1e-12 {
+            return false;
+        }
+        inverse[j] = 1.0 / row[j];
+        // Whole rows, of one length, go into vectors; what comes below the diagonal is not read.
+        for i in j + 1..range.end {
+            let by = row[i] * inverse[j];
+            for k in 0..MOST {
+                upper[i][k] -= by * row[k];
+            }
+        }
+    }
+    for j in range.clone() {
+        let root = inverse[j].sqrt();
+        for value in &mut upper[j] {
+            *value *= root;
+        }
+        upper[j][j] = root;
+    }
+    true
 }
 
 #[cfg(test)]
@@ -135,6 +193,19 @@ mod tests {
             let left: f64 = values.iter().zip(part).map(|(a, b)| a * b).sum();
             let off = if (2..5).contains(&row) { left - right } else { part[row] };
             assert!(off.abs() < 1e-9, "{row}: {off}");
+        }
+        let mut other = matrix;
+        for (i, row) in other.iter_mut().enumerate().take(size) {
+            for (j, value) in row.iter_mut().enumerate().take(size) {
+                if i.max(j) >= size - 2 {
+                    *value *= if i == j { 1.3 } else { 0.7 };
+                }
+            }
+        }
+        let beside = factor.with_last::<2>(&other).unwrap().solve(&right);
+        let own = Factor::new(&other, 0..size).unwrap().solve(&right);
+        for (beside, own) in beside.iter().zip(own) {
+            assert!((beside - own).abs() < 1e-9 * (1.0 + own.abs()));
         }
         matrix[3][3] = -1.0;
         assert!(Factor::new(&matrix, 0..size).is_none());

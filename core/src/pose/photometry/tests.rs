@@ -171,12 +171,17 @@ fn the_mirrored_place_is_as_bad_as_it_promises() {
     let position_m = first.pose.position_m;
     let (range_m, radius_m) = (position_m.norm(), 0.5 * kind.outer_diameter_m);
     let local_from_camera = frame_along(&(position_m / range_m));
-    let lens =
-        LocalLens::new(&camera, local_from_camera, 1.05 * radius_m / range_m, None, &scratch.plan)
-            .unwrap();
+    let lens = LocalLens::new(
+        &camera,
+        local_from_camera,
+        1.05 * radius_m / range_m,
+        None,
+        (scratch.level, &scratch.plan),
+    )
+    .unwrap();
     let counted = ring.outer.grown(3.0);
     let chords = Chords::new(&counted);
-    scratch.window.lay(window_of(&counted), &frame, &chords);
+    scratch.window.lay(window_of(&counted), (scratch.level, &frame), &chords);
     let problem = Problem {
         frame: &frame,
         kind: &kind,
@@ -192,7 +197,7 @@ fn the_mirrored_place_is_as_bad_as_it_promises() {
     let place = Place { position_m: Vector3::z() * range_m, axes };
     let state = State::new(place, &first.ring, first.blur_px, &first.motion_px);
     let solution = descend::solve(&problem, state, &mut scratch).unwrap();
-    let at = (&solution.linear, solution.noise2);
+    let at = (&solution.linear, solution.noise2, None);
     let promised = glance(&problem, &solution.state, at, &mut scratch).unwrap();
     let found = descend::solve(&problem, solution.state.mirrored(), &mut scratch).unwrap();
     let (promised_m, found_m) = (promised.state.place.position_m, found.state.place.position_m);
