@@ -50,6 +50,7 @@ pub(crate) struct Weighed {
 
 impl Weighed {
     /// From the weighted sums over pixels counted from `origin`; `None` if they are those of no shape.
+    #[inline(always)]
     pub fn new(sums: &Moments, origin: (usize, usize), cuts: Cuts) -> Option<Self> {
         let shape = sums.shape(origin)?;
         Some(Self { shape, rim: shape.ellipse(), cuts })
@@ -150,6 +151,7 @@ pub(crate) fn unblur<S: Simd>(
 }
 
 /// Radius of the circle whose circumference is about the rim's.
+#[inline(always)]
 fn rim_radius_px(rim: &Ellipse) -> f64 {
     let (a, b) = (rim.semi_major_px, rim.semi_minor_px);
     (0.5 * (a * a + b * b)).sqrt()
@@ -164,6 +166,7 @@ struct Mixed {
 }
 
 impl Mixed {
+    #[inline(always)]
     fn new(
         (r_o, r_i): (f64, f64),
         (black, white, margin): (&Taken, &Taken, Option<&Taken>),
@@ -219,6 +222,7 @@ struct Edge<'a> {
 
 impl Edge<'_> {
     /// σ² from the spread between the cuts.
+    #[inline(always)]
     fn seen(&self, spread_px2: f64, leak: &Leak, blur: &Blur) -> f64 {
         let (near, far) = (self.cuts.inside_px, self.cuts.outside_px);
         let (inside, outside) = self.mixed;
@@ -228,6 +232,7 @@ impl Edge<'_> {
     }
 
     /// What the rim is to be grown by.
+    #[inline(always)]
     fn growth_px(&self, leak: &Leak, blur: &Blur) -> f64 {
         let (near, far) = (self.cuts.inside_px, self.cuts.outside_px);
         let (inside, outside) = self.mixed;
@@ -247,11 +252,13 @@ struct Blur {
 }
 
 impl Blur {
+    #[inline(always)]
     fn new(spread_px2: f64) -> Self {
         let deviation_px = spread_px2.max(0.0).sqrt().clamp(BLUR_LIMITS_PX.0, BLUR_LIMITS_PX.1);
         Self { deviation_px, wide: Beyond::new(WIDE_PX, deviation_px) }
     }
 
+    #[inline(always)]
     fn beyond(&self, distance_px: f64) -> Beyond {
         if distance_px == WIDE_PX { self.wide } else { Beyond::new(distance_px, self.deviation_px) }
     }
@@ -267,10 +274,12 @@ struct Beyond {
 }
 
 impl Beyond {
+    #[inline(always)]
     fn density(z: f64) -> f64 {
         (-0.5 * z * z).exp() * FRAC_1_SQRT_TAU
     }
 
+    #[inline(always)]
     fn new(distance_px: f64, blur_px: f64) -> Self {
         let z = distance_px / blur_px;
         let density = Self::density(z);
@@ -287,6 +296,7 @@ impl Beyond {
 const FRAC_1_SQRT_TAU: f64 = 0.398_942_280_401_432_7;
 
 /// Φ(-z) for z ≥ 0, given φ(z), to 1e-5 (Abramowitz and Stegun, 26.2.16).
+#[inline(always)]
 fn upper_tail(z: f64, density: f64) -> f64 {
     let t = 1.0 / (1.0 + 0.33267 * z);
     density * t * (0.436_183_6 + t * (-0.120_167_6 + t * 0.937_298_0))

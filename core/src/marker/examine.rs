@@ -132,6 +132,7 @@ pub(crate) fn check_boxes(
 
 /// Tests of the shapes: size, tilt, concentricity, eq. (5), similarity. Whether both shapes are similar,
 /// where they need not be.
+#[inline(always)]
 pub(crate) fn check_shapes(
     (outer, outer_rim): (&Shape, &Ellipse),
     (inner, inner_rim): (&Shape, &Ellipse),
@@ -158,6 +159,7 @@ pub(crate) fn check_shapes(
 }
 
 /// Levels without the blur are those of some light: what fits no ring's model has others.
+#[inline(always)]
 pub(crate) fn check_levels(black: f64, white: f64, rules: &Rules) -> Result<(), Reject> {
     let contrast = white - black;
     let beyond = LEVEL_TOLERANCE.0 * contrast + LEVEL_TOLERANCE.1;
@@ -169,6 +171,7 @@ pub(crate) fn check_levels(black: f64, white: f64, rules: &Rules) -> Result<(), 
 /// Of a circle with the semiaxes a, b in a picture of the focal length f, tilted by θ, the image's
 /// centre lies (a²/f) sin θ cos θ off that of the circle, along the shorter axis, where cos θ = b/a;
 /// of the disc's rim it is less by the square of the ratio of diameters.
+#[inline(always)]
 fn check_centers(
     (outer, outer_rim): (&Shape, &Ellipse),
     (inner, inner_rim): (&Shape, &Ellipse),
@@ -194,6 +197,7 @@ fn check_centers(
 }
 
 /// Both rims are images of circles in one plane, so their shapes are the same but for perspective.
+#[inline(always)]
 fn are_similar(
     (outer, outer_rim): (&Shape, &Ellipse),
     (inner, inner_rim): (&Shape, &Ellipse),

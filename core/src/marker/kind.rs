@@ -108,6 +108,7 @@ impl Kind {
 }
 
 /// How far the rims of a kind may be off, pixels.
+#[inline(always)]
 pub(crate) fn shift_limit_px(outer: &Ellipse) -> f64 {
     SHIFT_PX + SHIFT_SHARE * outer.mean_radius_px()
 }
@@ -119,6 +120,7 @@ pub(crate) fn shift_limit_px(outer: &Ellipse) -> f64 {
 /// the one that needs the smallest rim shift |t|, and the shift must be one that a camera can cause.
 /// No two kinds have the same ratio ([`crate::marker::DetectorError::Alike`]). Coded kinds are none of them: their
 /// white is no disc ([`crate::marker::code::measure`]).
+#[inline(always)]
 pub(crate) fn nearest_kind(
     kinds: &[Kind],
     polarity: Polarity,

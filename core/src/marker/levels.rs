@@ -48,6 +48,7 @@ fn pixels(set: &[u64], words: usize, column: usize, first: usize) -> [u32; 3] {
 }
 
 /// Right less left and bottom less top, from pixels and sums of all, the left and the top ones.
+#[inline(always)]
 fn slope(pixels: &[u32; 3], sums: &[u64; 3]) -> Slope {
     let half = |half: usize| {
         let first = Grey { pixels: pixels[half], sum: sums[half] };
@@ -117,6 +118,7 @@ impl Levels {
 
     /// The margin's level, if what lies beside the belt is margin and nothing else: its level does not
     /// fall outwards, and varies little.
+    #[inline(always)]
     pub fn margin(&self) -> Option<Grey> {
         let contrast = self.disc.mean() - self.black.mean();
         let (near, far) = (self.near.mean(), self.far.mean());
@@ -137,6 +139,7 @@ impl Levels {
 
     /// Half the gradient's product with a rim's matrix, as a share of √M_uu and √M_vv and of the rim's
     /// radius: γ/2 for a circle. Radii are those at which black and margin were looked at.
+    #[inline(always)]
     fn gradient(&self, black_px: f64, margin_px: f64) -> (f64, f64) {
         let (b, m) = self.slopes;
         let squares = b.0 * b.0 + b.1 * b.1 + m.0 * m.0 + m.1 * m.1;
@@ -151,6 +154,7 @@ impl Levels {
 
     /// By how much the lighting's gradient has moved the centres of outer and inner rim, whose belts
     /// have so many pixels.
+    #[inline(always)]
     pub fn movement(
         &self,
         (outer, inner): (&Weighed, &Weighed),

@@ -188,6 +188,7 @@ fn measure_with<S: Simd>(
 }
 
 /// The level halfway between black and white.
+#[inline(always)]
 fn own_threshold(found: &Unblurred) -> u8 {
     (0.5 * (found.black + found.white)).round().clamp(1.0, 255.0) as u8
 }
@@ -418,6 +419,7 @@ impl Zones<'_> {
 }
 
 /// How far outside of the rim the threshold cuts its blurred edge, for a usual blur.
+#[inline(always)]
 fn cut_px(threshold: f64, black: f64, white: f64) -> f64 {
     // σ Φ⁻¹(1/2 + p), by its series.
     let p = ((threshold - black) / (white - black) - 0.5).clamp(-0.4, 0.4);
@@ -426,6 +428,7 @@ fn cut_px(threshold: f64, black: f64, white: f64) -> f64 {
 }
 
 /// Whether the rim lies far enough from the frame's edge to be measured.
+#[inline(always)]
 fn check_edge(frame: &Frame, center: PixelPoint, matrix: &Symmetric2) -> Result<(), Reject> {
     let (half_u, half_v) = (matrix.uu.sqrt() + EDGE_PX, matrix.vv.sqrt() + EDGE_PX);
     let inside = center.u >= half_u

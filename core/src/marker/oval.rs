@@ -109,12 +109,14 @@ pub(crate) struct Oval {
 
 impl Oval {
     /// First row, and the row after the last, if they lie in so many rows.
+    #[inline(always)]
     pub fn rows(&self, rows: usize) -> Option<(usize, usize)> {
         (self.first >= 0.0 && self.last + 1.0 < rows as f32)
             .then_some((self.first.ceil() as usize, self.last as usize + 1))
     }
 
     /// Its rows and columns, if they lie in the patch, counted from a row on.
+    #[inline(always)]
     pub fn area(&self, patch: &Patch, top: usize) -> Option<Area> {
         let rows = self.rows(patch.rows())?;
         let half = self.uu.sqrt();

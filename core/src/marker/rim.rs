@@ -16,6 +16,7 @@ use crate::ellipse::Ellipse;
 
 /// t of eq. (8), pixels, for rims as measured and the print's inner over outer diameter; positive if
 /// white looks too large. `None` if no t makes the ratio right.
+#[inline(always)]
 pub fn rim_shift_px(outer: &Ellipse, inner: &Ellipse, ratio: f64) -> Option<f64> {
     let r = ratio * ratio;
     let a = 1.0 - r;
@@ -34,6 +35,7 @@ pub fn rim_shift_px(outer: &Ellipse, inner: &Ellipse, ratio: f64) -> Option<f64>
 
 /// Both rims (outer, inner) moved back by `shift_px`; `None` if one of them would vanish or the
 /// disc outgrow the ring.
+#[inline(always)]
 pub fn compensated(outer: &Ellipse, inner: &Ellipse, shift_px: f64) -> Option<(Ellipse, Ellipse)> {
     let moved = |rim: &Ellipse, by: f64| Ellipse {
         semi_major_px: rim.semi_major_px + by,

@@ -55,6 +55,7 @@ const LAST_STEP: f64 = 0.02;
 
 /// Fits both circles to both rims; `None` if both leave the space of circles in front of the camera. The
 /// second one's lean is about the first one's reversed.
+#[inline(always)]
 pub fn refine(starts: &[Circle<f64>; 2], rims: &[Rim<f64>; 2]) -> Option<Estimates<f64>> {
     let [first, second] = Step::both(starts, rims);
     match [first.finish(rims), second.finish(rims)] {
@@ -111,6 +112,7 @@ struct Step<T: Lane> {
 }
 
 impl Step<f64> {
+    #[inline(always)]
     fn finish(self, rims: &[Rim<f64>; 2]) -> Option<Estimate<f64>> {
         let mut step = self;
         for _ in 1..MAX_STEPS {
