@@ -3,37 +3,31 @@
 //! The frame's pixels are brought together once a fit, all at once: their rows are far apart in memory,
 //! and a look that waits for one after the other takes longer than its arithmetic.
 //!
-//! Scatter: each contour node adds e(y - q) k(x - p) dx to the 8 × 8 (or 16 × 16) pixels (p, q) round it,
-//! with the kernel's functions (`super::blur`); summed from row to row this is d(p, q).
+//! Scatter: what the contour's nodes add to the pixels (`scatter`), summed from row to row, is d.
 //!
-//! Gather: the model is (W + C (d + ½ Δσ² ∇²d + Δμ·h/48)) (1 + ℓ·t), and the columns of the linear problem
-//! go to `super::normal`. h = (∂²d/∂u² - ∂²d/∂v², 2 ∂²d/∂u∂v) is how d follows the motion's square μ
-//! (`super::motion`), of which the nodes have all, or nothing. How d follows the contour's motion is -∇d, carried over to t. ∇d and ∇²d are central
-//! differences of d over two pixels each way, weighted by `super::blur` for what the blur leaves of fine
-//! detail: they miss 6 % of a column (root mean square) at a blur of 0.7 px, 14 % at 0.5 px, and what they
-//! miss is orthogonal to what they give, so that the estimate's variance grows by the square of that.
+//! Gather: with d, the columns of the linear problem (`columns`) go to `super::normal`.
 
 use std::ops::Range;
 
-use fearless_simd::{Level, Simd, dispatch, f32x8, f64x8, prelude::*};
+use fearless_simd::{Level, Simd, dispatch, f64x8, prelude::*};
 use fearless_simd_macros::simd;
 
 use super::{
-    blur::{FUNCTIONS, Kernel, PHASES, Taps, fall_shift},
-    differences::{DIFFERENCE, Differences, Lines, differences},
+    blur::{Kernel, PHASES, Taps},
+    columns::{Line, add_row},
+    differences::{DIFFERENCE, Lines},
     normal::{COLUMNS, Sums},
     patches::Patches,
+    scatter::scatter,
     view::Nodes,
 };
 use crate::{ellipse::Chords, frame::Frame, room::make_room};
 
 /// Rows are padded to whole vectors of any width.
-const LANES: usize = 16;
+pub const LANES: usize = 16;
 /// Rows whose spans are found side by side, and their numbers.
 const ABREAST_ROWS: usize = 8;
 const ROW: [f64; ABREAST_ROWS] = [0.0, 1.0, 2.0, 3.0, 4.0, 5.0, 6.0, 7.0];
-/// The lanes' numbers.
-const COUNT: [f32; LANES] = [0., 1., 2., 3., 4., 5., 6., 7., 8., 9., 10., 11., 12., 13., 14., 15.];
 
 /// Part of a frame round a roundel, with its image.
 #[derive(Clone, Debug, Default)]
@@ -164,12 +158,7 @@ impl Window {
     pub fn scatter(&mut self, level: Level, nodes: &Nodes, kernel: &Kernel) -> bool {
         let Some(touched) = self.reached(level, nodes, kernel.width) else { return false };
         self.touched = touched;
-        let image = &mut self.image[..];
-        let (width, table) = (self.width, &kernel.table[..]);
-        match kernel.width {
-            8 => dispatch!(level, simd => scatter_all::<_, 1>(simd, nodes, table, image, width)),
-            _ => dispatch!(level, simd => scatter_all::<_, 2>(simd, nodes, table, image, width)),
-        }
+        scatter(level, nodes, kernel, &mut self.image, self.width);
         true
     }
 
@@ -345,173 +334,5 @@ fn add_up<S: Simd>(simd: S, image: &mut [f32], width: usize, columns: Range<usiz
             sum += S::f32s::from_slice(simd, pixels);
             sum.store_slice(pixels);
         }
-    }
-}
-
-/// One row of the window.
-struct Line<'a> {
-    row: usize,
-    span: (usize, usize),
-    grey: &'a mut [f32],
-    around: Lines<'a>,
-}
-
-/// One of the table's functions at a phase, `rest` of a step beyond it; `values` are followed by
-/// their rise.
-#[inline(always)]
-fn look<S: Simd>(simd: S, values: &[f32], half: usize, rest: f32) -> f32x8<S> {
-    let reach = values.len() / 2;
-    let low = f32x8::from_slice(simd, &values[8 * half..8 * half + 8]);
-    let rise = f32x8::from_slice(simd, &values[reach + 8 * half..reach + 8 * half + 8]);
-    rise.mul_add(f32x8::splat(simd, rest), low)
-}
-
-/// Adds `value` times `factor` to eight pixels.
-#[inline(always)]
-fn add<S: Simd>(simd: S, pixels: &mut [f32], value: f32x8<S>, factor: f32) {
-    let sum = f32x8::from_slice(simd, pixels);
-    value.mul_add(f32x8::splat(simd, factor), sum).store_slice(pixels);
-}
-
-#[simd]
-fn scatter_all<S: Simd, const HALVES: usize>(
-    simd: S,
-    nodes: &Nodes,
-    table: &[f32],
-    image: &mut [f32],
-    width: usize,
-) {
-    let quarter = nodes.x.len() / 4;
-    for i in 0..quarter {
-        // Quarters side by side: two neighbours in a row would write to the pixels that the one
-        // before has just written, and wait for it.
-        for k in 0..4 {
-            scatter_one::<S, HALVES>(simd, (nodes, i + k * quarter), table, image, width);
-        }
-    }
-}
-
-#[inline(always)]
-fn scatter_one<S: Simd, const HALVES: usize>(
-    simd: S,
-    (nodes, i): (&Nodes, usize),
-    table: &[f32],
-    image: &mut [f32],
-    width: usize,
-) {
-    let reach = 8 * HALVES;
-    let phase_len = FUNCTIONS * 2 * reach;
-    // Never negative, as has been seen to.
-    let (step_x, step_y) = (nodes.steps[0][i] as usize, nodes.steps[1][i] as usize);
-    let (column, row) = (step_x / PHASES, step_y / PHASES);
-    let (phase_x, phase_y) = (step_x % PHASES, step_y % PHASES);
-    let (rest_x, rest_y) = (nodes.rest[0][i], nodes.rest[1][i]);
-    let along_x = &table[phase_x * phase_len..][..phase_len];
-    let along_y = &table[phase_y * phase_len..][..phase_len];
-    let dx = nodes.dx[i];
-    let left = column + 1 - reach / 2;
-    let top = row + 1 - reach / 2 + fall_shift(phase_y);
-    for upper in 0..HALVES {
-        let mut falls = [0.0; 8];
-        (look(simd, &along_y[2 * reach..], upper, rest_y) * dx).store_slice(&mut falls);
-        for half in 0..HALVES {
-            let k = look(simd, &along_x[..2 * reach], half, rest_x);
-            let left = left + 8 * half;
-            for (j, fall) in falls.into_iter().enumerate() {
-                let start = (top + 8 * upper + j) * width + left;
-                add(simd, &mut image[start..start + 8], k, fall);
-            }
-        }
-    }
-}
-
-/// A function that is linear in t: constant, t₁ and t₂ terms.
-#[inline(always)]
-fn linear<S: Simd>(simd: S, terms: &[f32; 3], t1: S::f32s, t2: S::f32s) -> S::f32s {
-    let inner = t2.mul_add(S::f32s::splat(simd, terms[2]), S::f32s::splat(simd, terms[0]));
-    t1.mul_add(S::f32s::splat(simd, terms[1]), inner)
-}
-
-/// How d changes where the plane's points move along a vector: `radial` is g·t.
-#[inline(always)]
-fn moved<S: Simd>(
-    simd: S,
-    along: &[f32; 3],
-    (g1, g2, radial): (S::f32s, S::f32s, S::f32s),
-) -> S::f32s {
-    let across = g2.mul_add(S::f32s::splat(simd, along[1]), radial * -along[2]);
-    g1.mul_add(S::f32s::splat(simd, along[0]), across)
-}
-
-#[inline(always)]
-fn add_row<S: Simd, const FREE: bool>(
-    simd: S,
-    line: &mut Line,
-    model: &Model,
-    mut take: impl FnMut(&[S::f32s; COLUMNS], usize),
-) {
-    let lanes = S::f32s::LEN;
-    let counted = S::f32s::from_slice(simd, &COUNT[..lanes]);
-    let v = line.row as f32;
-    let to = line.span.1 as f32;
-    let [m11, m12, m21, m22] = model.slope.map(|value| S::f32s::splat(simd, value));
-    let [zero, one, two] = [0.0, 1.0, 2.0].map(|value| S::f32s::splat(simd, value));
-    let motion = model.motion.unwrap_or_default().map(|value| S::f32s::splat(simd, value));
-    let row_t1 = S::f32s::splat(simd, model.t[0][0] + v * model.t[0][2]);
-    let row_t2 = S::f32s::splat(simd, model.t[1][0] + v * model.t[1][2]);
-    for start in (line.span.0..line.span.1).step_by(lanes) {
-        let u = counted + start as f32;
-        // What lies beyond the span is finite, and weighs nothing.
-        let weight = (S::f32s::splat(simd, to) - u).min(one).max(zero);
-        let grey = S::f32s::from_slice(simd, &line.grey[start..start + lanes]);
-        let Differences { share, slope, curvature, bend } =
-            differences::<S, FREE>(simd, &line.around, start, &model.taps);
-        let ([along_u, along_v], [stretch, skew]) = (slope, bend);
-        let (fall_u, fall_v) = (along_u * weight, along_v * weight);
-        let g1 = zero - fall_u.mul_add(m11, fall_v * m21);
-        let g2 = zero - fall_u.mul_add(m12, fall_v * m22);
-        let t1 = u.mul_add(S::f32s::splat(simd, model.t[0][1]), row_t1);
-        let t2 = u.mul_add(S::f32s::splat(simd, model.t[1][1]), row_t2);
-        let blurred = curvature.mul_add(S::f32s::splat(simd, model.blur), share);
-        let blurred = if FREE {
-            stretch.mul_add(motion[0], skew.mul_add(motion[1], blurred))
-        } else {
-            blurred
-        };
-        let step = S::f32s::splat(simd, model.step);
-        let level = blurred.mul_add(step, S::f32s::splat(simd, model.white));
-        let shade = t1.mul_add(S::f32s::splat(simd, model.light[0]), t2 * model.light[1]);
-        let level = level.mul_add(shade, level);
-        let near = linear(simd, &model.nearness, t1, t2);
-        let x = linear(simd, &model.plane[0], t1, t2);
-        let y = linear(simd, &model.plane[1], t1, t2);
-        let radial = t1.mul_add(g1, t2 * g2);
-        let lift = moved(simd, &model.lift, (g1, g2, radial));
-        let [middle_1, middle_2] = model.middle;
-        let to_middle = moved(simd, &[middle_1, middle_2, 1.0], (g1, g2, radial));
-        let lit = level * weight;
-        // Mirrored, a point's ray t grows by 1/(2 nearness - 1), from the middle. With x = 2 nearness - 2
-        // this moves it by x/(1 + x); the series serves as well, since x is a tenth or less.
-        let x2 = near + near - two;
-        let mirror = to_middle * x2 * (x2.mul_add(x2, one) - x2);
-        // In the order of `normal::column`.
-        let columns = [
-            (grey - level) * weight,
-            weight,
-            share * weight,
-            curvature * weight,
-            lit * t1,
-            lit * t2,
-            near * g1,
-            near * g2,
-            near * to_middle,
-            y * lift,
-            zero - x * lift,
-            mirror,
-            stretch * weight,
-            skew * weight,
-        ];
-        columns[0].store_slice(&mut line.grey[start..start + lanes]);
-        take(&columns, lanes.min(line.span.1 - start));
     }
 }

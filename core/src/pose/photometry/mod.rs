@@ -11,10 +11,10 @@
 //!   d(p, q) = ∬_Ω K = -∮ A(y - q) k(x - p) dx,   A' = k,
 //!
 //! and its grey level W + C d: exact for any size and tilt, where a local edge fails for a disc as
-//! small as the blur. Nodes at 1.3 σ along the contour are enough (`contour`, `view`, `image`).
+//! small as the blur. Nodes at 1.3 σ along the contour are enough (`contour`, `view`, `scatter`).
 //!
 //! **Motion.** If a parameter moves the contour by v, d changes by -v·∇d where v varies slowly, which it
-//! does over the width of a rim. So ∇d and ∇²d = 2 ∂d/∂σ², differences of the image itself (`image`), give
+//! does over the width of a rim. So ∇d and ∇²d = 2 ∂d/∂σ², differences of the image itself (`columns`), give
 //! all columns. Only these are approximate, and they cost precision only in second order, since the
 //! residual, which is exact, averages to nothing at the truth.
 //!
@@ -50,6 +50,7 @@
 
 mod blur;
 mod careful;
+mod columns;
 mod contour;
 mod descend;
 mod differences;
@@ -63,6 +64,7 @@ mod motion;
 mod normal;
 mod patches;
 mod placed;
+mod scatter;
 mod scratch;
 mod solution;
 mod solve;
