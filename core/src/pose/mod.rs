@@ -30,6 +30,7 @@ mod bend;
 mod closed;
 mod cone;
 mod course;
+mod derivative;
 mod elliptical;
 mod facing;
 mod information;
