@@ -47,6 +47,7 @@ mod smear;
 mod stretch;
 #[cfg(test)]
 mod tests;
+mod turns;
 mod upright;
 mod yaw;
 
