@@ -67,6 +67,7 @@ mod thin;
 mod threshold;
 mod tracker;
 mod weigh;
+mod zones;
 
 pub use code::{
     Code, CodeError, CodeLayout, CodeReader, CodeReading, Dictionary, Tooth, VotedCode,
