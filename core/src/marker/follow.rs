@@ -115,6 +115,8 @@ pub(crate) fn belts_about<'a, S: Simd>(
     let mut planes = scratch.chunks_exact_mut(room);
     let mut planes: [&mut [u64]; PLANES] =
         std::array::from_fn(|_| planes.next().expect("room was made for all planes"));
+    // They all lie in the last one, which does not reach the patch's edge.
+    let is_only = words == 1;
     let nothing = Rows(u64x8::splat(simd, 0), u64x8::splat(simd, 0));
     let mut wrong = nothing;
     for row in (0..bottom - top).step_by(LANES) {
@@ -127,9 +129,10 @@ pub(crate) fn belts_about<'a, S: Simd>(
         let beside = ovals[4].chords(simd, first, columns);
         let beyond = ovals[5].chords(simd, first, columns);
         for word in 0..words {
-            let (core, disc) = (core.bits(simd, word), disc.bits(simd, word));
-            let (ring, whole) = (ring.bits(simd, word), whole.bits(simd, word));
-            let (beside, beyond) = (beside.bits(simd, word), beyond.bits(simd, word));
+            let (core, disc) = (core.bits(simd, word, is_only), disc.bits(simd, word, is_only));
+            let (ring, whole) = (ring.bits(simd, word, is_only), whole.bits(simd, word, is_only));
+            let (beside, beyond) =
+                (beside.bits(simd, word, is_only), beyond.bits(simd, word, is_only));
             let white = Rows::load(simd, &patch.white, ((top + row) * words + word, words));
             let (black, near) = (ring.without(disc), beside.without(whole));
             wrong = wrong
@@ -207,12 +210,13 @@ pub(crate) fn motion<S: Simd>(simd: S, patch: &Patch, expected: &Expected) -> Op
 fn white_middle<S: Simd>(simd: S, patch: &Patch, oval: &Oval) -> Option<(f64, f64)> {
     let words = patch.words;
     let (top, bottom) = oval.rows(patch.rows())?;
+    let is_only = words == 1 && oval.area(patch, top).is_some();
     let (mut pixels, mut twice_u, mut sum_v) = (0u32, 0u32, 0u32);
     for row in (top..bottom).step_by(LANES) {
         let chords = oval.chords(simd, row, words * WORD_PX);
         for word in 0..words {
             let white = Rows::load(simd, &patch.white, (row * words + word, words));
-            let Rows(a, b) = chords.bits(simd, word).within(white);
+            let Rows(a, b) = chords.bits(simd, word, is_only).within(white);
             let mut rows = [0; LANES];
             a.store_slice(&mut rows[..8]);
             b.store_slice(&mut rows[8..]);

@@ -155,9 +155,17 @@ pub(crate) struct Chords<S: Simd> {
 }
 
 impl<S: Simd> Chords<S> {
-    /// The pixels in a word of the rows.
+    /// The pixels in a word of the rows. Where it is the only one, and they end before it does, that is a
+    /// difference of two powers.
     #[inline(always)]
-    pub fn bits(&self, simd: S, word: usize) -> Rows<S> {
+    pub fn bits(&self, simd: S, word: usize, is_only: bool) -> Rows<S> {
+        if is_only {
+            let end = self.end.min(WORD_PX as i32 - 1);
+            let first = self.first.min(end).bitcast::<u32x16<S>>().widen();
+            let end = end.bitcast::<u32x16<S>>().widen();
+            let one = u64x8::splat(simd, 1);
+            return Rows((one << end.0) - (one << first.0), (one << end.1) - (one << first.1));
+        }
         let from = (word * WORD_PX) as i32;
         below(simd, self.end, from).without(below(simd, self.first, from))
     }

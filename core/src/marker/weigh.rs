@@ -5,7 +5,7 @@
 //! roundel's middle, a sum's rounding is below 1e-6 of it.
 
 use fearless_simd::{
-    Simd, f32x16, mask8x64, mask16x32, mask32x16, prelude::*, u8x64, u16x32, u32x16,
+    Simd, f32x16, i16x32, mask8x64, mask16x32, mask32x16, prelude::*, u8x64, u16x32, u32x16,
 };
 use fearless_simd_macros::simd;
 
@@ -91,8 +91,10 @@ pub(crate) fn levels<S: Simd>(
                     chosen = mask8x64::from_bitmask(simd, bits[set]).select(pixels, none);
                     lanes[set] += chosen.pairwise_widening_add();
                 }
-                let (low, high) = chosen.widening_mul(chosen);
-                sums.square += low.pairwise_widening_add() + high.pairwise_widening_add();
+                let (low, high) = chosen.widen();
+                let (low, high) = (low.bitcast::<i16x32<S>>(), high.bitcast::<i16x32<S>>());
+                let squares = low.pairwise_dot_product(low) + high.pairwise_dot_product(high);
+                sums.square += squares.bitcast::<u32x16<S>>();
                 at += words;
             }
             for (set, lanes) in lanes.into_iter().enumerate() {
