@@ -47,7 +47,7 @@ pub fn failure(url: &str, size: (usize, usize)) -> String {
     let (mut opener, _) = opener(url, size);
     let outcome = opener.open().and_then(|mut source| source.next_frame().map(|lent| lent.info));
     match outcome {
-        Err(SourceError::Failed(message)) => message,
+        Err(error @ (SourceError::Failed(_) | SourceError::Size { .. })) => error.to_string(),
         other => panic!("{url}: {other:?}"),
     }
 }
