@@ -3,12 +3,14 @@
 
 use nalgebra::Vector3;
 use roundel_core::{
-    calib::arena::{ArenaCalibration, ArenaError, ArenaParams, Finding, LensDeviation, calibrate},
+    calib::arena::{
+        ArenaCalibration, ArenaError, ArenaParams, Finding, LensDeviation, Recording, calibrate,
+    },
     id::CameraId,
 };
 use roundel_tests::{
     arena::{Arena, Path, look_at},
-    sensor::Sensing,
+    sensor::{Sensing, Stream},
     survey::{Mistaken, Survey, world_error_m},
 };
 
@@ -180,6 +182,47 @@ fn two_roundels_of_one_code_spoil_nothing() {
     };
     assert!(found.findings.iter().any(twice), "{:?}", found.findings);
     assert!(worst_m(&survey, &found) < 1e-3, "{}", worst_m(&survey, &found));
+}
+
+#[test]
+fn a_camera_that_takes_two_robots_for_one_another_is_named() {
+    let survey = r4(16);
+    let [one, other] = [5, 9].map(|robot: usize| survey.arena.robots[robot].code.unwrap());
+    let mut recording = Recording::new(MOST_HZ);
+    for mut frame in Stream::new(&survey.arena, SENSING, SECONDS) {
+        let swaps = frame.camera == CameraId(1);
+        let readings = frame.detections.iter_mut().filter_map(|it| it.ring.code.as_mut());
+        for reading in readings.filter(|_| swaps) {
+            let number = &mut reading.code.number;
+            *number = match *number {
+                it if it == one => other,
+                it if it == other => one,
+                it => it,
+            };
+        }
+        recording.add(&survey.overlooked(frame));
+    }
+    let params = ArenaParams::default();
+    let found =
+        calibrate(&recording, &survey.cameras(), &survey.references, &params, |_| true).unwrap();
+    for number in [one, other] {
+        let named = |finding: &Finding| {
+            matches!(finding, Finding::Elsewhere { camera: CameraId(1), code, off_m, .. }
+                if code.number == number && *off_m > 0.1)
+        };
+        assert!(found.findings.iter().any(named), "{number}: {:?}", found.findings);
+    }
+    assert!(worst_m(&survey, &found) < 1e-3, "{}", worst_m(&survey, &found));
+}
+
+#[test]
+fn references_that_were_put_down_in_each_others_place_are_an_error() {
+    let mut survey = r4(17);
+    let place_m = survey.references[1].position_m;
+    survey.references[1].position_m = survey.references[2].position_m;
+    survey.references[2].position_m = place_m;
+    let error = run(&survey).unwrap_err();
+    assert!(matches!(&error, ArenaError::Misplaced { camera: CameraId(0), .. }), "{error}");
 }
 
 #[test]

@@ -202,7 +202,7 @@ impl Finding {
                 if *off_m < LEAST_APART_M {
                     "a lens file may be off there: have the lenses refined"
                 } else {
-                    "look for two roundels with this code"
+                    "look for two roundels with this code, or for one that is misread there"
                 }
             ),
             Self::Doubtful { camera: id, ratio, rms_px } => format!(
