@@ -40,9 +40,7 @@ pub async fn start(
     State(api): State<Arc<Api>>,
     body: Result<Json<v1::StartCalibrationRequest>, JsonRejection>,
 ) -> Result<Json<v1::Calibration>, ApiError> {
-    let Json(request) = body.map_err(|error| {
-        ApiError::invalid("body", "JSON such as {\"seconds\": 60}", error.body_text())
-    })?;
+    let request = ApiError::body(body, r#"{"seconds": 60}"#)?;
     begin(&api, &request).map(Json)
 }
 

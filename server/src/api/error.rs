@@ -2,6 +2,7 @@
 
 use axum::{
     Json,
+    extract::rejection::JsonRejection,
     http::StatusCode,
     response::{IntoResponse, Response},
 };
@@ -78,6 +79,17 @@ impl ApiError {
             expected: expected.into(),
             found: found.to_string(),
         }
+    }
+
+    /// What a request's body holds; where it does not, what it may be, such as `example`.
+    pub(super) fn body<T>(
+        body: Result<Json<T>, JsonRejection>,
+        example: &str,
+    ) -> Result<T, ApiError> {
+        let refused = |error: JsonRejection| {
+            Self::invalid("body", format!("JSON such as {example}"), error.body_text())
+        };
+        body.map(|Json(body)| body).map_err(refused)
     }
 
     /// The table: what each error is called in JSON, in gRPC and in HTTP.

@@ -31,10 +31,7 @@ pub async fn test(
     State(api): State<Arc<Api>>,
     body: Result<Json<v1::TestSourceRequest>, JsonRejection>,
 ) -> Result<Json<v1::SourceTest>, ApiError> {
-    let Json(request) = body.map_err(|error| {
-        let expected = "JSON such as {\"source\": \"http://10.0.0.2:81/stream\"}";
-        ApiError::invalid("body", expected, error.body_text())
-    })?;
+    let request = ApiError::body(body, r#"{"source": "http://10.0.0.2:81/stream"}"#)?;
     try_source(&api, request).await.map(Json)
 }
 
