@@ -161,6 +161,11 @@ pub trait OpenSource: Send {
     fn pause(&mut self, pause: Duration, stop: &Stop) -> bool {
         stop.wait(pause)
     }
+
+    /// Frames that never came and that no later frame has told of yet; asked each time that a source has ended.
+    fn take_skipped(&mut self) -> u64 {
+        0
+    }
 }
 
 /// Opens the source of a [`SourceAddress`].
@@ -253,6 +258,10 @@ impl OpenSource for SourceOpener {
             SourceAddress::Push(_) => self.port.pause(pause, stop),
             _ => stop.wait(pause),
         }
+    }
+
+    fn take_skipped(&mut self) -> u64 {
+        self.port.take_skipped()
     }
 }
 

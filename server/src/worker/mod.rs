@@ -193,6 +193,15 @@ impl Worker {
         }
     }
 
+    /// Counts what no frame has told of, since no frame may come any more.
+    fn count_skipped(&mut self) {
+        let skipped = self.parts.opener.take_skipped();
+        if skipped > 0 {
+            self.dropped += skipped;
+            self.parts.hub.update_camera(self.parts.id, |state| state.dropped += skipped);
+        }
+    }
+
     fn take(&mut self, lent: &LentFrame<'_>) {
         let info = &lent.info;
         let received = self.parts.clock.now();

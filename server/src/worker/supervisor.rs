@@ -57,6 +57,7 @@ pub fn run(mut worker: Worker, stop: &Stop) {
         // A worker begins each play by putting its state in order, so a panic leaves nothing behind
         // that could do harm.
         let outcome = catch_unwind(AssertUnwindSafe(|| worker.play()));
+        worker.count_skipped();
         let failure = match outcome {
             Ok(End::Stopped) => return,
             Ok(End::Finished) => {
@@ -189,6 +190,10 @@ mod tests {
             let actor = self.0.pop_front();
             actor.map(|actor| Box::new(actor) as Box<dyn FrameSource>).ok_or(SourceError::Finished)
         }
+
+        fn take_skipped(&mut self) -> u64 {
+            1
+        }
     }
 
     fn camera() -> Camera {
@@ -273,8 +278,9 @@ mod tests {
         assert!(events[2].message.contains("unplugged"), "{}", events[2].message);
         let state = &hub.cameras()[0];
         assert_eq!((state.status, state.restarts, state.frames), (CameraStatus::Finished, 2, 3));
-        // Two left out by the source before each frame, and two that fusion had no room for.
-        assert_eq!(state.dropped, 3 * 2 + 2);
+        // Two left out by the source before each frame, two that fusion had no room for, and one after the last
+        // frame of each of three attempts.
+        assert_eq!(state.dropped, 3 * 2 + 2 + 3);
         assert_eq!(from_worker.try_iter().map(|sighted| sighted.observations.frame).max(), Some(1));
     }
 

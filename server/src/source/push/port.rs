@@ -230,6 +230,11 @@ impl Port {
         }
     }
 
+    /// What was left out before anything that is still to come.
+    pub(in crate::source) fn take_skipped(&self) -> u64 {
+        std::mem::take(&mut self.lock().skipped)
+    }
+
     /// The pause before another attempt: after a failure of what was sent, so long; while nobody sends, until
     /// somebody does, or there is something else to tell. Whether the server goes down.
     pub(in crate::source) fn pause(&self, pause: Duration, stop: &Stop) -> bool {

@@ -66,8 +66,10 @@ async fn what_comes_twice_counts_once_and_what_never_comes_is_known() {
     drop(sender);
     assert!(port.link().connected, "the old connection's end ends nothing");
     again.put(10, seen()).await.unwrap();
+    assert_eq!(next(&port), Ok(0));
     again.probe(13, [1.0, 0.3]).unwrap();
     assert_eq!(counts(&port), [4, 5, 2]);
+    assert_eq!([port.take_skipped(), port.take_skipped()], [2, 0], "no later frame tells of them");
     assert_eq!(again.put(0, seen()).await, Err(PushError::Sequence));
     // Another run of it counts anew.
     drop(again);
