@@ -40,11 +40,14 @@ describe("calibration of the arena", () => {
       await words(page, "The cameras stand as configured.");
       await page.locator("#calibration-seconds").fill("30");
       await page.getByLabel("Refine lenses, too").check();
+      calibrator.isHeld = true;
       await page.locator("#calibration-start").click();
       await words(page, "Recording, 0 of 30 s");
       assert.equal(await page.locator("#calibration-form").isVisible(), false);
       await page.locator("#calibration-results tr.bad", { hasText: "none yet" }).waitFor();
+      calibrator.stage = "solving";
       await words(page, "Working it out");
+      calibrator.isHeld = false;
       await words(page, "Done. The cameras use it as version 1.");
       const { method, body } = calibrator.asked.find((asked) => asked.method === "POST");
       assert.deepEqual([method, body], ["POST", { seconds: 30, refine_lenses: true }]);
@@ -72,6 +75,7 @@ describe("calibration of the arena", () => {
 
   test("can be cancelled, and looked at again later", async () => {
     await withCalibrator({}, async (page, calibrator) => {
+      calibrator.isHeld = true;
       await page.locator("#calibration-start").click();
       await words(page, "Recording");
       await page.locator("#calibration-cancel").click();

@@ -11,6 +11,8 @@ export class Calibrator {
     this.isGrave = isGrave;
     this.version = 0;
     this.asked = [];
+    /** Nothing goes on by itself while this holds: a slow page misses no step. */
+    this.isHeld = false;
     this.reset("idle");
   }
 
@@ -44,6 +46,7 @@ export class Calibrator {
 
   /** Each look brings it further, so that no case depends on time. */
   goOn() {
+    if (this.isHeld) return;
     this.looks += 1;
     if (this.looks > LOOKS_OF_RECORDING) this.stage = "solving";
     if (this.looks <= LOOKS_OF_RECORDING + LOOKS_OF_SOLVING) return;
