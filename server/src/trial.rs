@@ -204,7 +204,6 @@ impl Trier {
         pipeline: &mut Pipeline,
         trial: &mut Trial,
     ) -> Result<(), SourceError> {
-        trial.promised_hz = source.promised_hz().unwrap_or(0.0);
         let (mut decode_ms, mut detect_ms) = (Median::default(), Median::default());
         let (mut begun, mut came): (Option<Instant>, u64) = (None, 0);
         loop {
@@ -234,6 +233,7 @@ impl Trier {
             decode_ms.add(info.decoding.as_secs_f64() * 1e3);
             detect_ms.add(pipeline.times().find_ms);
             (trial.decode_ms, trial.detect_ms) = (decode_ms.value(), detect_ms.value());
+            trial.promised_hz = source.promised_hz().unwrap_or(0.0);
             if since.elapsed() >= LOOK {
                 return Ok(());
             }

@@ -146,7 +146,8 @@ pub trait FrameSource: Send {
         self.next_frame().map(Arrival::Frame)
     }
 
-    /// Frames a second that the camera says it gives; `None`: it does not say.
+    /// Frames a second that the camera says it gives, as far as is known once a frame has come; `None`: it does not
+    /// say.
     fn promised_hz(&self) -> Option<f64> {
         None
     }

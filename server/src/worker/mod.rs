@@ -179,18 +179,27 @@ impl Worker {
             Ok(source) => source,
             Err(error) => return end(error),
         };
-        let promised_hz = self.parts.promised_hz.or(source.promised_hz());
-        self.pace.restart(promised_hz);
-        self.parts.hub.update_camera(self.parts.id, |state| {
-            state.promised_hz = promised_hz.unwrap_or(0.0);
-        });
+        self.pace.restart(None);
+        let mut is_first = true;
         loop {
             match source.next() {
                 Ok(Arrival::Frame(lent)) => self.take(&lent),
                 Ok(Arrival::Seen(sighting)) => self.take_seen(*sighting),
                 Err(error) => return end(error),
             }
+            if std::mem::take(&mut is_first) {
+                self.hold_to_promise(source.promised_hz());
+            }
         }
+    }
+
+    /// Who set the camera up knows best.
+    fn hold_to_promise(&mut self, of_source_hz: Option<f64>) {
+        let promised_hz = self.parts.promised_hz.or(of_source_hz);
+        self.pace.restart(promised_hz);
+        self.parts.hub.update_camera(self.parts.id, |state| {
+            state.promised_hz = promised_hz.unwrap_or(0.0);
+        });
     }
 
     /// Counts what no frame has told of, since no frame may come any more.

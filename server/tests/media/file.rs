@@ -84,12 +84,40 @@ fn a_file_is_played_again() {
     }
 }
 
+/// However slowly they are searched, none is left out; however quickly, none waits until it is due.
+#[test]
+fn files_in_a_hurry_lose_nothing_and_wait_for_nobody() {
+    let _alone = alone();
+    let folder = tempfile::tempdir().unwrap();
+    let path = video(folder.path(), "run.mp4", "x264enc ! mp4mux");
+    let (mut source, clock) = open(&format!("file:{path}?speed=max"));
+    let (mut frames, mut newest) = (0, clock.start());
+    let end = loop {
+        match source.next_frame() {
+            Ok(lent) => {
+                frames += 1;
+                assert_eq!(lent.info.skipped, 0, "at frame {frames}");
+                assert!(lent.info.decoding.as_nanos() > 0, "at frame {frames}");
+                assert!(lent.info.capture_time > newest, "times go on");
+                newest = lent.info.capture_time;
+                assert!(clock.now() >= newest);
+                if frames <= 5 {
+                    // Two frames' time: in real time, one would be lost.
+                    std::thread::sleep(std::time::Duration::from_millis(60));
+                }
+            }
+            Err(error) => break error,
+        }
+    };
+    assert_eq!((end, frames), (SourceError::Finished, 20));
+}
+
 #[test]
 fn pipelines_give_luma_as_it_lies() {
     let _alone = alone();
     for format in ["GRAY8", "NV12", "YUY2", "UYVY", "GRAY16_LE", "RGB"] {
         let pipeline = format!(
-            "gst:videotestsrc is-live=true pattern=white ! video/x-raw,format={format},width={},height={}",
+            "gst:videotestsrc is-live=true pattern=white ! video/x-raw,format={format},width={},height={},framerate=30/1",
             SIZE.0, SIZE.1
         );
         let (mut source, clock) = open(&pipeline);
@@ -101,6 +129,7 @@ fn pipelines_give_luma_as_it_lies() {
             let age_s = clock.now().seconds_since(lent.info.capture_time);
             assert!((0.0..1.0).contains(&age_s), "{format}: {age_s} s old");
         }
+        assert_eq!(source.promised_hz(), Some(30.0), "{format}");
     }
 }
 

@@ -1,6 +1,7 @@
 //! What GStreamer plays, against real servers on loopback and files that it made itself. Where Python's bindings of
 //! GStreamer's RTSP server are missing, what needs them is skipped, by name.
 
+mod aravis;
 mod file;
 mod rtsp;
 mod server;
@@ -9,7 +10,8 @@ mod video;
 use std::{
     path::Path,
     sync::{Mutex, MutexGuard, PoisonError},
-    time::Duration,
+    thread,
+    time::{Duration, Instant},
 };
 
 use roundel_server::{
@@ -40,6 +42,23 @@ pub fn opener(url: &str, size: (usize, usize)) -> (SourceOpener, Clock) {
 pub fn open(url: &str) -> (Box<dyn FrameSource>, Clock) {
     let (mut opener, clock) = opener(url, SIZE);
     (opener.open().unwrap(), clock)
+}
+
+/// Opens a source until a frame comes, as a supervisor would.
+pub fn open_again(opener: &mut dyn OpenSource) -> Box<dyn FrameSource> {
+    let begun = Instant::now();
+    loop {
+        let outcome = opener.open().and_then(|mut source| {
+            source.next_frame()?;
+            Ok(source)
+        });
+        match outcome {
+            Ok(source) => return source,
+            Err(SourceError::Failed(reason)) => assert!(begun.elapsed() < PATIENCE, "{reason}"),
+            Err(other) => panic!("{other:?}"),
+        }
+        thread::sleep(Duration::from_millis(200));
+    }
 }
 
 /// Why a source fails, when it is opened or at its first frame.

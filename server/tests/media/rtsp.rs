@@ -5,7 +5,7 @@ use std::time::Instant;
 use roundel_core::frame::Frame;
 use roundel_server::source::{FrameSource, OpenSource, SourceError, TimeBase};
 
-use super::{PATIENCE, SIZE, alone, failure, open, opener, server::RtspServer};
+use super::{PATIENCE, SIZE, alone, failure, open, open_again, opener, server::RtspServer};
 
 const BLOCKS: usize = 16;
 
@@ -109,7 +109,7 @@ fn a_camera_that_is_killed_and_started_again_comes_back() {
     again.push(port);
     let again: Vec<&str> = again.iter().map(String::as_str).collect();
     let _camera = RtspServer::start(NAME, &again).unwrap();
-    let mut source = opener.open().unwrap();
+    let mut source = open_again(&mut opener);
     for _ in 0..5 {
         source.next_frame().unwrap();
     }

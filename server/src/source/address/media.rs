@@ -15,7 +15,7 @@ use crate::source::timing::CaptureClock;
 
 const RTSP_KEYS: [&str; 3] = ["transport", "latency_ms", "stall"];
 const RTSP_EXAMPLE: &str = "`rtsp://USER:PASSWORD@192.168.1.20/stream1`";
-const FILE_KEYS: [&str; 1] = ["loop"];
+const FILE_KEYS: [&str; 2] = ["loop", "speed"];
 /// Packets are waited for so long, where nothing else is said.
 const LATENCY_MS: u64 = 50;
 
@@ -35,12 +35,14 @@ pub enum MediaAddress {
         /// No picture for so long is a failure.
         stall: Duration,
     },
-    /// A video file, played in real time.
+    /// A video file.
     File {
         /// Absolute, or relative to the working directory.
         path: PathBuf,
         /// Starts again after the last frame.
         repeat: bool,
+        /// Frame after frame, each as soon as the one before was searched; else in real time.
+        hurry: bool,
     },
     /// Elements linked by `!`, without the sink.
     Pipeline(String),
@@ -140,12 +142,14 @@ pub(super) fn file(path: &str, query: &str, folder: &Path) -> Result<MediaAddres
             "`file:` needs a video file, such as `file:run.mp4?loop=true`",
         ));
     }
-    let mut repeat = false;
+    let (mut repeat, mut hurry) = (false, false);
     for option in options("file", &FILE_KEYS, query) {
-        let (_, value) = option?;
-        repeat = choice("loop", value, "false", "true")?;
+        match option? {
+            ("loop", value) => repeat = choice("loop", value, "false", "true")?,
+            (_, value) => hurry = choice("speed", value, "real", "max")?,
+        }
     }
-    Ok(MediaAddress::File { path: folder.join(path), repeat })
+    Ok(MediaAddress::File { path: folder.join(path), repeat, hurry })
 }
 
 pub(super) fn pipeline(text: &str) -> Result<MediaAddress, AddressError> {
@@ -181,9 +185,10 @@ mod tests {
         assert_eq!(credentials, Some(("lab".to_owned(), "p@ss".to_owned())));
         assert_eq!((transport, latency), (Transport::Udp, Duration::ZERO));
         assert_eq!(stall, Duration::from_secs(3));
-        let run = |repeat| MediaAddress::File { path: "/lab/run.mp4".into(), repeat };
-        assert_eq!(parse("file:run.mp4?loop=true"), Ok(run(true)));
-        assert_eq!(parse("file:///lab/run.mp4"), Ok(run(false)));
+        let run = |repeat, hurry| MediaAddress::File { path: "/lab/run.mp4".into(), repeat, hurry };
+        assert_eq!(parse("file:run.mp4?loop=true"), Ok(run(true, false)));
+        assert_eq!(parse("file:run.mp4?speed=max"), Ok(run(false, true)));
+        assert_eq!(parse("file:///lab/run.mp4?speed=real"), Ok(run(false, false)));
         let pipeline = "v4l2src device=/dev/video0 ! video/x-raw,width=640 ! queue";
         assert_eq!(parse(&format!("gst:{pipeline}")), Ok(MediaAddress::Pipeline(pipeline.into())));
     }
@@ -199,7 +204,8 @@ mod tests {
                 "unknown option `latency` of an `rtsp:` source; did you mean `latency_ms`?",
             ),
             ("file:", "`file:` needs a video file"),
-            ("file:x.mp4?speed=2", "unknown option `speed` of an `file:` source"),
+            ("file:x.mp4?fps=2", "unknown option `fps` of an `file:` source"),
+            ("file:x.mp4?speed=2", "option `speed` must be `real` or `max`, found `2`"),
             ("gst:", "`gst:` needs a pipeline without its sink"),
         ] {
             let error = parse(url).expect_err(url);

@@ -4,36 +4,47 @@ use gstreamer as gst;
 use gstreamer::prelude::*;
 use gstreamer_app::AppSink;
 
-use super::{super::MediaAddress, plugin};
+use super::{super::MediaAddress, decoding::Decoding, plugin};
 
 /// What the sink takes: formats whose luma can be used as it lies. Others are converted to the first of them that
 /// loses nothing.
 const FORMATS: &str = "video/x-raw,format=(string){GRAY8,I420,NV12,NV21,YV12,Y42B,NV16,Y444,YUY2,YVYU,UYVY,GRAY16_LE}";
 const SINK: &str = "roundel";
+/// What takes the address.
+pub(super) const ORIGIN: &str = "origin";
 const BACKLOG: &str = "backlog";
 /// What waits to be decoded at most: more of it means that decoding is slower than the camera.
 const BACKLOG_TIME: gst::ClockTime = gst::ClockTime::from_seconds(2);
 const BACKLOG_BYTES: u32 = 32 << 20;
 
-/// The pipeline and its end.
-pub(super) fn pipeline(address: &MediaAddress) -> Result<(gst::Pipeline, AppSink), String> {
+/// A pipeline, its end, and what its decoder takes.
+pub(super) struct Launched {
+    pub(super) pipeline: gst::Pipeline,
+    pub(super) sink: AppSink,
+    pub(super) decoding: Decoding,
+}
+
+pub(super) fn launch(address: &MediaAddress) -> Result<Launched, String> {
     let begin = match address {
         MediaAddress::Rtsp { .. } => {
             // Of a camera with sound, only the picture.
             format!(
-                "rtspsrc name=origin ! application/x-rtp,media=video ! queue name={BACKLOG} max-size-buffers=0 \
+                "rtspsrc name={ORIGIN} ! application/x-rtp,media=video ! queue name={BACKLOG} max-size-buffers=0 \
                  max-size-time={} max-size-bytes={BACKLOG_BYTES} ! decodebin",
                 BACKLOG_TIME.nseconds()
             )
         }
-        MediaAddress::File { .. } => "filesrc name=origin ! decodebin".to_owned(),
+        MediaAddress::File { .. } => format!("filesrc name={ORIGIN} ! decodebin"),
         MediaAddress::Pipeline(pipeline) => pipeline.clone(),
     };
-    // A file is played in its own time; what is live comes in time by itself, and the newest wins.
-    let sync = matches!(address, MediaAddress::File { .. });
+    // A file is played in its own time, or waits for whoever searches it; what is live comes in time by itself, and
+    // the newest wins.
+    let hurry = matches!(address, MediaAddress::File { hurry: true, .. });
+    let sync = matches!(address, MediaAddress::File { .. }) && !hurry;
     let end = format!(
-        "videoconvert ! {FORMATS} ! appsink name={SINK} max-buffers=1 drop=true sync={sync} \
-         qos=false enable-last-sample=false"
+        "videoconvert ! {FORMATS} ! appsink name={SINK} max-buffers=1 drop={} sync={sync} \
+         qos=false enable-last-sample=false",
+        !hurry
     );
     let mut context = gst::ParseContext::new();
     let flags = gst::ParseFlags::FATAL_ERRORS;
@@ -48,16 +59,10 @@ pub(super) fn pipeline(address: &MediaAddress) -> Result<(gst::Pipeline, AppSink
     let pipeline = element
         .downcast::<gst::Pipeline>()
         .map_err(|_| format!("{address}: expected a pipeline of elements linked by `!`"))?;
-    pipeline.connect_deep_element_added(|_, _, element| {
-        // A frame whose predecessors are missing is no picture of anything.
-        for (property, value) in
-            [("output-corrupt", false), ("wait-for-keyframe", true), ("request-keyframe", true)]
-        {
-            if element.has_property(property) {
-                element.set_property(property, value);
-            }
-        }
-    });
+    let decoding = Decoding::default();
+    let of_later = decoding.clone();
+    pipeline.connect_deep_element_added(move |_, _, element| prepare(element, &of_later));
+    pipeline.iterate_recurse().into_iter().flatten().for_each(|it| prepare(&it, &decoding));
     if let Some(backlog) = pipeline.by_name(BACKLOG) {
         backlog.connect("overrun", false, |values| {
             let backlog = values.first()?.get::<gst::Element>().ok()?;
@@ -69,10 +74,23 @@ pub(super) fn pipeline(address: &MediaAddress) -> Result<(gst::Pipeline, AppSink
     }
     let sink = pipeline.by_name(SINK).and_then(|sink| sink.downcast::<AppSink>().ok());
     let sink = sink.ok_or_else(|| format!("{address}: the pipeline has no element `{SINK}`"))?;
-    if let Some(origin) = pipeline.by_name("origin") {
+    if let Some(origin) = pipeline.by_name(ORIGIN) {
         set_origin(&origin, address);
     }
-    Ok((pipeline, sink))
+    Ok(Launched { pipeline, sink, decoding })
+}
+
+/// Of those that the address names and those that GStreamer adds.
+fn prepare(element: &gst::Element, decoding: &Decoding) {
+    // A frame whose predecessors are missing is no picture of anything.
+    for (property, value) in
+        [("output-corrupt", false), ("wait-for-keyframe", true), ("request-keyframe", true)]
+    {
+        if element.has_property(property) {
+            element.set_property(property, value);
+        }
+    }
+    decoding.watch(element);
 }
 
 /// Properties rather than text, so that no character of an address has a meaning of its own.

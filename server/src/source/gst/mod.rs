@@ -7,9 +7,10 @@
 //! | address | capture time |
 //! | --- | --- |
 //! | `rtsp://` | the camera's NTP time, from its sender reports. While it has sent none: arrival. Where its clock is not that of this machine: the same brought to the server's clock |
-//! | `file:` | when it is due |
+//! | `file:` | when it is due; `speed=max`: when it is given |
 //! | `gst:` | base time + time stamp: of a live source, its driver's |
 
+mod decoding;
 mod launch;
 mod plugin;
 
@@ -24,6 +25,9 @@ use gstreamer_app::AppSink;
 use gstreamer_video as gst_video;
 use gstreamer_video::prelude::*;
 use roundel_core::time::Timestamp;
+
+use decoding::Decoding;
+use launch::Launched;
 
 use super::{
     CaptureClock, FrameInfo, FrameSource, LentFrame, MediaAddress, SourceError, bad_frame,
@@ -68,6 +72,9 @@ pub(super) struct GstSource {
     patience: Duration,
     /// What the pipeline could not find.
     missing: Vec<String>,
+    decoding: Decoding,
+    /// Frames a second, as the newest frame's source has it.
+    promised_hz: Option<f64>,
 }
 
 impl GstSource {
@@ -78,7 +85,7 @@ impl GstSource {
     ) -> Result<Self, SourceError> {
         let failed = SourceError::Failed;
         gst::init().map_err(|error| failed(format!("GStreamer does not start: {error}")))?;
-        let (pipeline, sink) = launch::pipeline(address).map_err(failed)?;
+        let Launched { pipeline, sink, decoding } = launch::launch(address).map_err(failed)?;
         let bus = pipeline.bus().ok_or_else(|| failed("the pipeline has no bus".to_owned()))?;
         number_frames(&sink);
         pipeline.use_clock(Some(&gst::SystemClock::obtain()));
@@ -95,6 +102,8 @@ impl GstSource {
             newest: 0,
             patience: FIRST_FRAME,
             missing: Vec::new(),
+            decoding,
+            promised_hz: None,
         };
         if source.pipeline.set_state(gst::State::Playing).is_err() {
             source.look_at_bus()?;
@@ -202,6 +211,7 @@ impl GstSource {
         match &self.address {
             // Its time stamps are those of packets that arrived.
             MediaAddress::Rtsp { .. } => (capture_time.min(now), CaptureClock::ARRIVAL),
+            MediaAddress::File { hurry: true, .. } => (now, CaptureClock::EXACT),
             MediaAddress::File { .. } => (capture_time, CaptureClock::EXACT),
             MediaAddress::Pipeline(_) => (capture_time.min(now), CaptureClock::DRIVER),
         }
@@ -230,20 +240,47 @@ fn ntp_ns(buffer: &gst::BufferRef) -> Option<i64> {
     ntp.next().and_then(|meta| i64::try_from(meta.timestamp().nseconds()).ok())
 }
 
+impl GstSource {
+    /// Frames a second that the camera promises. What decoders make of an H.264 stream is often nobody's promise.
+    fn promise(&self, video: &gst_video::VideoInfo) -> Option<f64> {
+        match &self.address {
+            // Of the stream's description.
+            MediaAddress::Rtsp { .. } => {
+                let origin = self.pipeline.by_name(launch::ORIGIN)?;
+                let caps = origin.src_pads().iter().find_map(|pad| pad.current_caps())?;
+                caps.structure(0)?.get::<&str>("a-framerate").ok()?.parse().ok()
+            }
+            MediaAddress::File { .. } => None,
+            MediaAddress::Pipeline(_) => {
+                let (frames, seconds) = (video.fps().numer(), video.fps().denom());
+                Some(f64::from(frames) / f64::from(seconds))
+            }
+        }
+    }
+}
+
 impl FrameSource for GstSource {
+    fn promised_hz(&self) -> Option<f64> {
+        self.promised_hz.filter(|hz| (0.01..1e4).contains(hz))
+    }
+
     fn next_frame(&mut self) -> Result<LentFrame<'_>, SourceError> {
         let sample = self.sample()?;
         let number = sample.buffer().map_or(0, |buffer| buffer.offset());
         let skipped = number.saturating_sub(self.newest + 1);
         self.newest = number;
         let (capture_time, clock) = self.time(&sample);
-        let info = FrameInfo { clock, skipped, ..FrameInfo::at(capture_time) };
+        let decoding = self.decoding.newest();
+        let info = FrameInfo { clock, skipped, decoding, ..FrameInfo::at(capture_time) };
 
         let caps = sample.caps().ok_or_else(|| bad_frame("a sample without caps"))?;
         let video = gst_video::VideoInfo::from_caps(caps).map_err(bad_frame)?;
         let found = (video.width() as usize, video.height() as usize);
         if found != self.parts.size {
             return Err(wrong_size(&self.address.to_string(), self.parts.size, found));
+        }
+        if self.current.is_none() {
+            self.promised_hz = self.promise(&video);
         }
         let format = pixel_format(video.format())
             .ok_or_else(|| SourceError::Failed(self.named(&format!("found frames of {caps}"))))?;

@@ -4,10 +4,7 @@ use gstreamer as gst;
 
 /// Elements, or how their names begin, and Debian's packages of them.
 const PACKAGES: [(&str, &str); 21] = [
-    (
-        "aravissrc",
-        "gstreamer1.0-plugins-bad and gir1.2-aravis-0.8 (Aravis' own plugin: aravis-tools)",
-    ),
+    ("aravissrc", "libaravis-0.8-0"),
     ("avdec_", "gstreamer1.0-libav"),
     ("appsink", "gstreamer1.0-plugins-base"),
     ("decodebin", "gstreamer1.0-plugins-base"),
@@ -75,6 +72,8 @@ pub(super) fn remedy(what: &str, debug: &str) -> Option<&'static str> {
         Some("user or password is missing or wrong: rtsp://USER:PASSWORD@HOST/…")
     } else if has("404") || has("Not found") && has("rtsp") {
         Some("the camera has no such path; find the address of the stream in its manual")
+    } else if has("Could not find camera") {
+        Some("check its name or address, power and cable (`arv-tool-0.8` lists those that answer)")
     } else if has("No such file") {
         Some("check the path")
     } else if has("Connection refused") || has("Failed to connect") {

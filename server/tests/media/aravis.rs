@@ -1,0 +1,136 @@
+//! `gst:aravissrc`: a GigE Vision camera, as Aravis imitates it, in a network of its own. Where networks cannot be made
+//! or Aravis is missing, this is skipped, by name.
+
+use std::{
+    process::{Child, Command, Stdio},
+    time::Instant,
+};
+
+use roundel_server::source::{FrameSource, SourceError, TimeBase};
+
+use super::{PATIENCE, alone, failure, open_again, opener};
+
+const NAME: &str = "aravis::frames_of_a_gige_camera_are_counted_and_it_comes_back";
+/// Set in the process that is in a network of its own.
+const INSIDE: &str = "ROUNDEL_TEST_NETWORK";
+const FAKE: &str = "arv-fake-gv-camera-0.8";
+/// Of the imitated camera.
+const SIZE: (usize, usize) = (512, 512);
+const PERIOD_NS: i64 = 40_000_000;
+const URL: &str = "gst:aravissrc camera-name=127.0.0.1 ! video/x-raw,format=GRAY8,width=512,height=512,framerate=25/1";
+
+/// The imitated camera; killed when dropped.
+struct Fake(Child);
+
+impl Fake {
+    fn start() -> Self {
+        let child = Command::new(FAKE).args(["-i", "127.0.0.1"]).stdout(Stdio::null()).spawn();
+        Self(child.unwrap())
+    }
+
+    fn signal(&self, name: &str) {
+        let pid = self.0.id().to_string();
+        assert!(Command::new("kill").args(["-s", name, &pid]).status().unwrap().success());
+    }
+}
+
+impl Drop for Fake {
+    fn drop(&mut self) {
+        let _ = self.0.kill();
+        let _ = self.0.wait();
+    }
+}
+
+fn works(program: &str, arguments: &[&str]) -> bool {
+    let mut run = Command::new(program);
+    let run = run.args(arguments).stdout(Stdio::null()).stderr(Stdio::null()).status();
+    run.is_ok_and(|status| status.success())
+}
+
+/// Runs this test once more where nobody else's network is; whether that could be done.
+fn run_inside() -> bool {
+    let made = ["-n", "-rn"]
+        .into_iter()
+        .find(|how| works("unshare", &[how, "ip", "link", "set", "lo", "up"]));
+    let aravis = works(FAKE, &["--help"]) && works("gst-inspect-1.0", &["aravissrc"]);
+    let Some(how) = made.filter(|_| aravis) else { return false };
+    let script = "ip link set lo up && exec \"$0\" --exact \"$1\" --nocapture";
+    let this = std::env::current_exe().unwrap();
+    let mut inside = Command::new("unshare");
+    inside.args([how, "sh", "-c", script]).arg(this).arg(NAME).env(INSIDE, "1");
+    let output = inside.output().unwrap();
+    print!("{}", String::from_utf8_lossy(&output.stdout));
+    assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
+    true
+}
+
+/// Why it ends.
+fn until_the_end(source: &mut dyn FrameSource) -> String {
+    let begun = Instant::now();
+    while begun.elapsed() < PATIENCE {
+        match source.next_frame() {
+            Ok(_) => {}
+            Err(SourceError::Failed(reason)) => return reason,
+            Err(other) => panic!("{other:?}"),
+        }
+    }
+    panic!("it does not end");
+}
+
+#[test]
+fn frames_of_a_gige_camera_are_counted_and_it_comes_back() {
+    let _alone = alone();
+    if std::env::var_os(INSIDE).is_none() {
+        if !run_inside() {
+            println!(
+                "skipped: {NAME} needs networks of its own (unshare -n), aravis-tools and libaravis-0.8-0"
+            );
+        }
+        return;
+    }
+    let nobody = failure(URL, SIZE);
+    assert!(nobody.contains("(`arv-tool-0.8` lists those that answer)"), "{nobody}");
+
+    let camera = Fake::start();
+    let (mut opener, clock) = opener(URL, SIZE);
+    let mut source = open_again(&mut opener);
+    let (mut numbers, mut left_out, mut off_ms) = (Vec::new(), 0, Vec::new());
+    while numbers.len() < 50 {
+        let lent = source.next_frame().unwrap();
+        // Its corner counts the frames.
+        numbers.push(lent.frame.row(0)[0]);
+        left_out += lent.info.skipped;
+        assert_eq!(lent.info.clock.base, TimeBase::Driver);
+        let age_s = clock.now().seconds_since(lent.info.capture_time);
+        assert!((0.0..1.0).contains(&age_s), "{age_s} s old");
+        // It takes one whenever Unix time is a multiple of its period.
+        let phase_ns = (lent.info.capture_time.as_ns() + PERIOD_NS / 2).rem_euclid(PERIOD_NS);
+        off_ms.push((phase_ns - PERIOD_NS / 2) as f64 * 1e-6);
+    }
+    assert_eq!(source.promised_hz(), Some(25.0));
+    let sent: u64 = numbers.windows(2).map(|pair| u64::from(pair[1].wrapping_sub(pair[0]))).sum();
+    assert!(numbers.windows(2).all(|pair| pair[0] != pair[1]), "none twice: {numbers:?}");
+    println!("{} of {} frames came", numbers.len() as u64 + left_out, sent + 1);
+    off_ms.sort_by(f64::total_cmp);
+    println!("off by {:.2} ms median, {:.2} to {:.2}", off_ms[25], off_ms[0], off_ms[49]);
+    assert!(off_ms[3] > -5.0 && off_ms[45] < 5.0, "{off_ms:?}");
+
+    camera.signal("STOP");
+    let stalled = until_the_end(&mut *source);
+    assert!(stalled.contains("stalled: no picture for 1.0 s"), "{stalled}");
+    drop(source);
+    camera.signal("CONT");
+    let mut source = open_again(&mut opener);
+    source.next_frame().unwrap();
+
+    drop(camera);
+    let gone = until_the_end(&mut *source);
+    assert!(gone.starts_with("gst:aravissrc"), "{gone}");
+    println!("killed: {gone}");
+    drop(source);
+    let _camera = Fake::start();
+    let mut source = open_again(&mut opener);
+    for _ in 0..5 {
+        source.next_frame().unwrap();
+    }
+}
