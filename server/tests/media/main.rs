@@ -3,6 +3,7 @@
 
 mod aravis;
 mod file;
+mod noise;
 mod rtsp;
 mod server;
 mod video;

@@ -10,7 +10,7 @@ use super::{PATIENCE, SIZE, alone, failure, open, open_again, opener, server::Rt
 const BLOCKS: usize = 16;
 
 /// The number that stands in a picture of [`SIZE`].
-fn number(frame: &Frame<'_>) -> u64 {
+pub fn number(frame: &Frame<'_>) -> u64 {
     let row = frame.row(frame.height() / 2);
     let block = frame.width() / BLOCKS;
     (0..BLOCKS).fold(0, |number, at| number << 1 | u64::from(row[at * block + block / 2] > 125))
@@ -20,7 +20,7 @@ fn arguments(encoder: &str) -> [String; 3] {
     [encoder.to_owned(), SIZE.0.to_string(), SIZE.1.to_string()]
 }
 
-fn start(test: &str, encoder: &str) -> Option<RtspServer> {
+pub fn start(test: &str, encoder: &str) -> Option<RtspServer> {
     let arguments = arguments(encoder);
     RtspServer::start(test, &arguments.each_ref().map(String::as_str))
 }
