@@ -67,14 +67,15 @@ pub fn locate_each(
     found: &[Option<RingFound>; LANES],
     poses: &mut [Result<RoundelPose, PoseError>; LANES],
 ) {
-    let mut rings = found.iter().enumerate().filter_map(|(place, one)| Some((place, (*one)?)));
+    let mut rings =
+        found.iter().enumerate().filter_map(|(place, one)| Some((place, one.as_ref()?)));
     match (rings.next(), rings.next()) {
         (None, _) => {}
         // Eight take longer than one, and not as long as two.
-        (Some((place, one)), None) => poses[place] = locate(camera, &one),
+        (Some((place, one)), None) => poses[place] = locate(camera, one),
         (Some((_, one)), Some(_)) => {
-            let all = found.map(|ring| ring.unwrap_or(one));
-            let wanted = found.map(|ring| ring.is_some());
+            let all = found.each_ref().map(|ring| ring.as_ref().unwrap_or(one));
+            let wanted = found.each_ref().map(Option::is_some);
             dispatch!(Level::new(), simd => {
                 locate_each_with(simd, camera, &all, &wanted, poses)
             });
@@ -86,7 +87,7 @@ pub fn locate_each(
 fn locate_each_with<S: Simd>(
     simd: S,
     camera: &Camera,
-    found: &[RingFound; LANES],
+    found: &[&RingFound; LANES],
     wanted: &[bool; LANES],
     poses: &mut [Result<RoundelPose, PoseError>; LANES],
 ) {
@@ -103,7 +104,7 @@ fn locate_each_with<S: Simd>(
         } else if carried.known.is_set(lane) {
             fit_alone(&carried.lane(lane))
         } else {
-            locate(camera, &found[lane])
+            locate(camera, found[lane])
         };
     }
 }
@@ -271,7 +272,7 @@ mod tests {
             for level in [Level::new(), Level::baseline()] {
                 let mut poses = [const { Err(PoseError::NoCircle) }; LANES];
                 dispatch!(level, simd => {
-                    locate_each_with(simd, &camera, &found, &[true; LANES], &mut poses)
+                    locate_each_with(simd, &camera, &found.each_ref(), &[true; LANES], &mut poses)
                 });
                 assert_eq!(poses, alone, "{level:?}");
             }

@@ -46,18 +46,18 @@ impl RingFound {
     /// As seen, alone.
     #[inline(always)]
     pub fn seen(&self) -> RingSeen<f64> {
-        RingSeen::gather(0.0, std::slice::from_ref(self))
+        RingSeen::gather(0.0, &[self])
     }
 }
 
 impl<T: Lane> RingSeen<T> {
     /// Rings side by side, as many as `like` has lanes.
     #[inline(always)]
-    pub fn gather(like: T, rings: &[RingFound]) -> Self {
+    pub fn gather(like: T, rings: &[&RingFound]) -> Self {
         let [outer_m, inner_m, size, shape] = like.each(
             #[inline(always)]
             |lane| {
-                let RingFound { radii_m, noise, .. } = &rings[lane];
+                let RingFound { radii_m, noise, .. } = rings[lane];
                 [radii_m[0], radii_m[1], noise.disc.size, noise.disc.shape]
             },
         );
