@@ -183,17 +183,23 @@ impl From<&crate::segment::Sums> for Moments {
     }
 }
 
+/// Semiaxes of the ellipse of an area, px², and a difference of the eigenvalues.
+#[inline(always)]
+pub(crate) fn semiaxes_px<T: Lane>(area_px2: T, difference_px2: T) -> [T; 2] {
+    let product = area_px2 * std::f64::consts::FRAC_1_PI;
+    let difference = difference_px2 * 4.0;
+    // e₀² - e₁² = difference and e₀ e₁ = product.
+    let root = (difference * difference + product * product * 4.0).root();
+    let semi_major_px = ((difference + root) * 0.5).root();
+    [semi_major_px, product / semi_major_px]
+}
+
 impl Shape {
     /// The ellipse of this area and this difference of eigenvalues; blur drops out of both.
     #[inline(always)]
     pub fn ellipse(&self) -> Ellipse {
         let (l0, l1, angle_rad) = self.covariance.eigen();
-        let product = self.area_px2 / std::f64::consts::PI;
-        let difference = 4.0 * (l0 - l1);
-        // e₀² - e₁² = difference and e₀ e₁ = product.
-        let root = (difference * difference + 4.0 * product * product).sqrt();
-        let semi_major_px = (0.5 * (difference + root)).sqrt();
-        let semi_minor_px = product / semi_major_px;
+        let [semi_major_px, semi_minor_px] = semiaxes_px(self.area_px2, l0 - l1);
         Ellipse { center: self.center, semi_major_px, semi_minor_px, angle_rad }
     }
 

@@ -20,7 +20,8 @@ use fearless_simd_macros::simd;
 
 use crate::{
     ellipse::{Ellipse, Moments, Shape},
-    marker::{belt::WIDE_PX, oval::Rim, thin::Depths, weigh::Grey},
+    lanes::Lane,
+    marker::{belt::WIDE_PX, normal::Beyond, oval::Rim, thin::Depths, weigh::Grey},
 };
 
 /// Deviation of the blurred edge, pixels, where the measured one is out of this range: pixels behind a
@@ -56,6 +57,16 @@ impl Weighed {
         Some(Self { shape, rim: shape.ellipse(), cuts })
     }
 
+    /// What its blur depends on.
+    #[inline(always)]
+    fn seen(&self) -> Seen<f64> {
+        Seen {
+            radius_px: rim_radius_px(self.rim.semi_major_px, self.rim.semi_minor_px),
+            spread_px2: self.shape.spread_px2_of(&self.rim),
+            cuts: self.cuts,
+        }
+    }
+
     /// With its matrix.
     pub fn oval(&self) -> Rim {
         Rim { ellipse: self.rim, matrix: self.shape.matrix_of(&self.rim) }
@@ -64,18 +75,22 @@ impl Weighed {
 
 /// A level, and how far from a rim it is taken.
 #[derive(Clone, Copy, Debug)]
-pub(crate) struct Taken {
-    pub level: f64,
+pub(crate) struct Taken<T = f64> {
+    pub level: T,
     /// Number of pixels.
-    pub pixels: u32,
+    pub pixels: T,
     pub distance_px: f64,
 }
 
 impl Taken {
     pub fn new(grey: Grey, distance_px: f64) -> Self {
-        Self { level: grey.mean(), pixels: grey.pixels, distance_px }
+        Self { level: grey.mean(), pixels: f64::from(grey.pixels), distance_px }
     }
 }
+
+/// Levels of black and disc, and the margin's, which is `None` where it is taken to be as white as the
+/// disc.
+pub(crate) type AllTaken<'a, T = f64> = (&'a Taken<T>, &'a Taken<T>, Option<&'a Taken<T>>);
 
 /// Levels and rims without the blur.
 #[derive(Clone, Copy, Debug)]
@@ -86,157 +101,206 @@ pub(crate) struct Unblurred {
     pub white: f64,
 }
 
-/// Undoes the blur. `margin` is `None` where the margin is taken to be as white as the disc.
-///
-/// `thin` has the black's pixels of a ring whose blur reaches all of them.
+/// Undoes the blur. `thin` has the black's pixels of a ring whose blur reaches all of them.
 #[simd]
 pub(crate) fn unblur<S: Simd>(
     simd: S,
     (outer, inner): (&Weighed, &Weighed),
-    (black, white, margin): (&Taken, &Taken, Option<&Taken>),
+    levels: AllTaken,
     thin: Option<&Depths>,
 ) -> Unblurred {
-    let (r_o, r_i) = (rim_radius_px(&outer.rim), rim_radius_px(&inner.rim));
-    let spreads = (outer.shape.spread_px2_of(&outer.rim), inner.shape.spread_px2_of(&inner.rim));
-    let mut spread_px2 = spreads.1;
-    let mut mixed = Mixed::default();
-    let mut grown_px = (0.0, 0.0);
+    let (black, white, _) = levels;
+    let rims = (outer.seen(), inner.seen());
+    let mut lifted = Lifted::none(rims.1.spread_px2);
     for _ in 0..TURNS {
-        let blur = Blur::new(spread_px2);
-        let black_share = match thin {
-            Some(depths) => {
-                let level = Depths::level(simd, depths, white.level, grown_px, blur.deviation_px);
-                let share = (black.level - level) / (white.level - level);
-                Some(share.clamp(-MOST_MIXED, MOST_MIXED))
-            }
-            None => None,
-        };
-        mixed = Mixed::new((r_o, r_i), (black, white, margin), black_share, &blur);
-        // Weights are shares of the contrast as measured.
-        let scale = 1.0 / (1.0 - mixed.white - mixed.black);
-        let weighed = |share: f64| scale * share;
-        let width_px = r_o + grown_px.0 - r_i - grown_px.1;
-        let (of_outer, of_inner) = (
-            Edge {
-                radius_px: r_o,
-                cuts: &outer.cuts,
-                mixed: (weighed(mixed.black), weighed(mixed.margin)),
-            },
-            Edge {
-                radius_px: r_i,
-                cuts: &inner.cuts,
-                mixed: (weighed(mixed.white), weighed(mixed.black)),
-            },
-        );
-        let leaks = match thin {
-            Some(_) => (
-                Leak::new(r_i, width_px - outer.cuts.inside_px, outer.cuts.inside_px, &blur),
-                Leak::new(-r_o, width_px - inner.cuts.outside_px, inner.cuts.outside_px, &blur),
-            ),
-            None => Default::default(),
-        };
-        let seen =
-            (of_outer.seen(spreads.0, &leaks.0, &blur), of_inner.seen(spreads.1, &leaks.1, &blur));
-        grown_px = (of_outer.growth_px(&leaks.0, &blur), of_inner.growth_px(&leaks.1, &blur));
-        // Without a margin, something else is in the outer one.
-        spread_px2 = if margin.is_some() { 0.5 * (seen.0 + seen.1) } else { seen.1 };
+        let blur = Blur::new(lifted.spread_px2);
+        let black_share = thin.map(|depths| {
+            let (grown_px, blur_px) = (lifted.grown_px, blur.deviation_px);
+            let level = Depths::level(simd, depths, white.level, grown_px, blur_px);
+            let share = (black.level - level) / (white.level - level);
+            share.clamp(-MOST_MIXED, MOST_MIXED)
+        });
+        lifted = lifted.turn((&rims.0, &rims.1), levels, &blur, black_share);
     }
-    let contrast = (white.level - black.level) / (1.0 - mixed.white - mixed.black);
-    Unblurred {
-        outer: outer.rim.grown(grown_px.0),
-        inner: inner.rim.grown(grown_px.1),
-        black: black.level - mixed.black * contrast,
-        white: white.level + mixed.white * contrast,
-    }
+    let (black, white) = lifted.levels(black.level, white.level);
+    let (outer, inner) = (outer.rim.grown(lifted.grown_px.0), inner.rim.grown(lifted.grown_px.1));
+    Unblurred { outer, inner, black, white }
 }
 
-/// Radius of the circle whose circumference is about the rim's.
+/// A rim as weighed: all of it that its blur depends on.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct Seen<T> {
+    /// [`rim_radius_px`].
+    pub radius_px: T,
+    /// [`Shape::spread_px2`].
+    pub spread_px2: T,
+    pub cuts: Cuts,
+}
+
+/// Radius of the circle whose circumference is about that of an ellipse with these semiaxes.
 #[inline(always)]
-fn rim_radius_px(rim: &Ellipse) -> f64 {
-    let (a, b) = (rim.semi_major_px, rim.semi_minor_px);
-    (0.5 * (a * a + b * b)).sqrt()
+pub(crate) fn rim_radius_px<T: Lane>(a: T, b: T) -> T {
+    ((a * a + b * b) * 0.5).root()
+}
+
+/// What blur has done, as known so far.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct Lifted<T> {
+    /// What the rims are to be grown by, the outer one first.
+    pub grown_px: (T, T),
+    /// The blur's variance.
+    spread_px2: T,
+    mixed: Mixed<T>,
+}
+
+impl<T: Lane> Lifted<T> {
+    /// Nothing yet, of a rim of this spread.
+    #[inline(always)]
+    pub fn none(spread_px2: T) -> Self {
+        let none = spread_px2.splat(0.0);
+        let mixed = Mixed { black: none, white: none, margin: none };
+        Self { grown_px: (none, none), spread_px2, mixed }
+    }
+
+    /// What is known of rims with wide belts, each level's cut beyond them.
+    #[inline(always)]
+    pub fn of_wide((outer, inner): (&Seen<T>, &Seen<T>), levels: AllTaken<T>) -> Self {
+        let mut lifted = Self::none(inner.spread_px2);
+        for _ in 0..TURNS {
+            let blur = Blur::new(lifted.spread_px2);
+            lifted = lifted.turn((outer, inner), levels, &blur, None);
+        }
+        lifted
+    }
+
+    /// Known better by one turn. `black_share` is by how much a thin ring's level is off.
+    #[inline(always)]
+    fn turn(
+        &self,
+        (outer, inner): (&Seen<T>, &Seen<T>),
+        (black, white, margin): AllTaken<T>,
+        blur: &Blur<T>,
+        black_share: Option<T>,
+    ) -> Self {
+        let (r_o, r_i) = (outer.radius_px, inner.radius_px);
+        let mixed = Mixed::new((r_o, r_i), (black, white, margin), black_share, blur);
+        // Weights are shares of the contrast as measured.
+        let scale = (-mixed.white - mixed.black + 1.0).under(1.0);
+        let (of_outer, of_inner) = (
+            Edge { seen: outer, mixed: (mixed.black * scale, mixed.margin * scale) },
+            Edge { seen: inner, mixed: (mixed.white * scale, mixed.black * scale) },
+        );
+        let none = r_o.splat(0.0);
+        let none = Leak { area: none, spread_px2: none };
+        let leaks = match black_share {
+            Some(_) => {
+                let width_px = r_o + self.grown_px.0 - r_i - self.grown_px.1;
+                let (near, far) = (outer.cuts.inside_px, inner.cuts.outside_px);
+                (
+                    Leak::new(r_i, width_px - near, near, blur),
+                    Leak::new(-r_o, width_px - far, far, blur),
+                )
+            }
+            None => (none, none),
+        };
+        let spread_px2 = (of_outer.spread_px2(&leaks.0, blur), of_inner.spread_px2(&leaks.1, blur));
+        Self {
+            grown_px: (of_outer.growth_px(&leaks.0, blur), of_inner.growth_px(&leaks.1, blur)),
+            // Without a margin, something else is in the outer one.
+            spread_px2: match margin {
+                Some(_) => (spread_px2.0 + spread_px2.1) * 0.5,
+                None => spread_px2.1,
+            },
+            mixed,
+        }
+    }
+
+    /// Black and white without the blur.
+    #[inline(always)]
+    pub fn levels(&self, black: T, white: T) -> (T, T) {
+        let contrast = (white - black) / (-self.mixed.white - self.mixed.black + 1.0);
+        (black - self.mixed.black * contrast, white + self.mixed.white * contrast)
+    }
 }
 
 /// Shares of the contrast by which the levels are off.
-#[derive(Clone, Copy, Debug, Default)]
-struct Mixed {
-    black: f64,
-    white: f64,
-    margin: f64,
+#[derive(Clone, Copy, Debug)]
+struct Mixed<T> {
+    black: T,
+    white: T,
+    margin: T,
 }
 
-impl Mixed {
+impl<T: Lane> Mixed<T> {
     #[inline(always)]
     fn new(
-        (r_o, r_i): (f64, f64),
-        (black, white, margin): (&Taken, &Taken, Option<&Taken>),
-        black_share: Option<f64>,
-        blur: &Blur,
+        (r_o, r_i): (T, T),
+        (black, white, margin): AllTaken<T>,
+        black_share: Option<T>,
+        blur: &Blur<T>,
     ) -> Self {
-        let share = |taken: &Taken, radius_px: f64| {
-            // So near to the edge, levels tell more of how a camera sharpens than of its blur.
-            if taken.distance_px < LEAST_DISTANCE_PX {
-                return 0.0;
-            }
-            let moved_px = blur.beyond(taken.distance_px).moved_px;
-            let share = std::f64::consts::TAU * radius_px.max(0.0) * moved_px;
-            (share / f64::from(taken.pixels)).min(MOST_MIXED)
-        };
         // Both rims give light to the black, one from each side.
-        let of_black = black_share.unwrap_or_else(|| share(black, r_o + r_i));
-        let of_white = share(white, r_i - white.distance_px);
-        let of_margin = margin.map_or(of_white, |margin| share(margin, r_o + margin.distance_px));
+        let of_black = match black_share {
+            Some(share) => share,
+            None => blur.share(black, r_o + r_i),
+        };
+        let of_white = blur.share(white, r_i - white.distance_px);
+        let of_margin = match margin {
+            Some(margin) => blur.share(margin, r_o + margin.distance_px),
+            None => of_white,
+        };
         Self { black: of_black, white: of_white, margin: of_margin }
     }
 }
 
 /// Light of the other rim in a rim's belt, where the black is thin.
-#[derive(Clone, Copy, Debug, Default)]
-struct Leak {
+#[derive(Clone, Copy, Debug)]
+struct Leak<T> {
     /// What it adds to the area over 2π, px².
-    area: f64,
+    area: T,
     /// What it adds to σ².
-    spread_px2: f64,
+    spread_px2: T,
 }
 
-impl Leak {
+impl<T: Lane> Leak<T> {
     /// From a rim of this radius, negative if the black is inside of it, to a belt that begins so far
     /// from it, and reaches so far into the black.
-    fn new(radius_px: f64, distance_px: f64, reach_px: f64, blur: &Blur) -> Self {
-        let moved_px = blur.beyond(distance_px).moved_px;
+    #[inline(always)]
+    fn new(radius_px: T, distance_px: T, reach_px: f64, blur: &Blur<T>) -> Self {
+        let moved_px = Beyond::new(distance_px, blur.deviation_px).moved_px;
         Self {
             // Of the disc's light the roundel's weights lose what the disc's own would gain.
             area: -(radius_px + distance_px) * moved_px,
-            spread_px2: 2.0 * reach_px * moved_px,
+            spread_px2: moved_px * (2.0 * reach_px),
         }
     }
 }
 
-/// A rim, its belt, and the shares by which the levels (inside, outside) are off.
+/// A rim, and the shares by which the levels (inside, outside) are off.
 #[derive(Clone, Copy, Debug)]
-struct Edge<'a> {
-    radius_px: f64,
-    cuts: &'a Cuts,
-    mixed: (f64, f64),
+struct Edge<'a, T> {
+    seen: &'a Seen<T>,
+    mixed: (T, T),
 }
 
-impl Edge<'_> {
+impl<T: Lane> Edge<'_, T> {
     /// σ² from the spread between the cuts.
     #[inline(always)]
-    fn seen(&self, spread_px2: f64, leak: &Leak, blur: &Blur) -> f64 {
-        let (near, far) = (self.cuts.inside_px, self.cuts.outside_px);
+    fn spread_px2(&self, leak: &Leak<T>, blur: &Blur<T>) -> T {
+        let (near, far) = (self.seen.cuts.inside_px, self.seen.cuts.outside_px);
         let (inside, outside) = self.mixed;
         let beyond = blur.beyond(near).spread + blur.beyond(far).spread;
-        let spread_px2 = spread_px2 - leak.spread_px2;
-        (spread_px2 + inside * near * near + outside * far * far) / (1.0 - 2.0 * beyond).max(0.3)
+        let spread_px2 = self.seen.spread_px2 - leak.spread_px2;
+        let share = -(beyond * 2.0) + 1.0;
+        (spread_px2 + inside * near * near + outside * far * far) / share.larger(share.splat(0.3))
     }
 
     /// What the rim is to be grown by.
     #[inline(always)]
-    fn growth_px(&self, leak: &Leak, blur: &Blur) -> f64 {
-        let (near, far) = (self.cuts.inside_px, self.cuts.outside_px);
+    fn growth_px(&self, leak: &Leak<T>, blur: &Blur<T>) -> T {
+        let (near, far) = (self.seen.cuts.inside_px, self.seen.cuts.outside_px);
         let (inside, outside) = self.mixed;
-        let r = self.radius_px;
+        let r = self.seen.radius_px;
         let outer = (r + far) * blur.beyond(far).moved_px;
         let inner = (r - near) * blur.beyond(near).moved_px;
         let levels = outside * (r + 0.5 * far) * far - inside * (r - 0.5 * near) * near;
@@ -246,95 +310,40 @@ impl Edge<'_> {
 
 /// A blur, with what it carries past the cut that most rims have.
 #[derive(Clone, Copy, Debug)]
-struct Blur {
-    deviation_px: f64,
-    wide: Beyond,
+struct Blur<T> {
+    deviation_px: T,
+    wide: Beyond<T>,
 }
 
-impl Blur {
+impl<T: Lane> Blur<T> {
     #[inline(always)]
-    fn new(spread_px2: f64) -> Self {
-        let deviation_px = spread_px2.max(0.0).sqrt().clamp(BLUR_LIMITS_PX.0, BLUR_LIMITS_PX.1);
-        Self { deviation_px, wide: Beyond::new(WIDE_PX, deviation_px) }
+    fn new(spread_px2: T) -> Self {
+        let (least, most) = BLUR_LIMITS_PX;
+        let deviation_px = spread_px2.larger(spread_px2.splat(0.0)).root();
+        let deviation_px =
+            deviation_px.larger(spread_px2.splat(least)).smaller(spread_px2.splat(most));
+        Self { deviation_px, wide: Beyond::new(spread_px2.splat(WIDE_PX), deviation_px) }
     }
 
     #[inline(always)]
-    fn beyond(&self, distance_px: f64) -> Beyond {
-        if distance_px == WIDE_PX { self.wide } else { Beyond::new(distance_px, self.deviation_px) }
-    }
-}
-
-/// What of an edge's light lies beyond a cut parallel to it.
-#[derive(Clone, Copy, Debug)]
-struct Beyond {
-    /// ∫ Φ(-x/σ) dx, pixels.
-    moved_px: f64,
-    /// ∫ x Φ(-x/σ) dx / σ²; 1/4 for a cut on the edge.
-    spread: f64,
-}
-
-impl Beyond {
-    #[inline(always)]
-    fn density(z: f64) -> f64 {
-        (-0.5 * z * z).exp() * FRAC_1_SQRT_TAU
-    }
-
-    #[inline(always)]
-    fn new(distance_px: f64, blur_px: f64) -> Self {
-        let z = distance_px / blur_px;
-        let density = Self::density(z);
-        let tail = upper_tail(z.abs(), density);
-        let tail = if z < 0.0 { 1.0 - tail } else { tail };
-        Self {
-            moved_px: (blur_px * (density - z * tail)).max(0.0),
-            spread: 0.5 * ((1.0 - z * z) * tail + z * density).max(0.0),
+    fn beyond(&self, distance_px: f64) -> Beyond<T> {
+        if distance_px == WIDE_PX {
+            self.wide
+        } else {
+            Beyond::new(self.deviation_px.splat(distance_px), self.deviation_px)
         }
     }
-}
 
-/// 1/√(2π).
-const FRAC_1_SQRT_TAU: f64 = 0.398_942_280_401_432_7;
-
-/// Φ(-z) for z ≥ 0, given φ(z), to 1e-5 (Abramowitz and Stegun, 26.2.16).
-#[inline(always)]
-fn upper_tail(z: f64, density: f64) -> f64 {
-    let t = 1.0 / (1.0 + 0.33267 * z);
-    density * t * (0.436_183_6 + t * (-0.120_167_6 + t * 0.937_298_0))
-}
-
-/// φ(z).
-pub(crate) fn normal_density(z: f64) -> f64 {
-    Beyond::density(z)
-}
-
-/// Φ(z), to 1e-5.
-pub(crate) fn normal_share(z: f64) -> f64 {
-    let tail = upper_tail(z.abs(), Beyond::density(z));
-    if z < 0.0 { tail } else { 1.0 - tail }
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    /// Σ of `value` over the half line from `from`, by the midpoint rule.
-    fn integral(from: f64, value: impl Fn(f64) -> f64) -> f64 {
-        (0..20_000).map(|i| value(from + (f64::from(i) + 0.5) * 5e-4) * 5e-4).sum()
-    }
-
-    #[test]
-    fn closed_forms_equal_their_integrals() {
-        let blur_px = 0.8f64;
-        let beyond = |x: f64| Beyond::new(x, blur_px);
-        // Φ(-x/σ) is the slope of what lies beyond x.
-        let tail = |x: f64| (beyond(x - 1e-4).moved_px - beyond(x + 1e-4).moved_px) / 2e-4;
-        for distance_px in [0.1, 0.4, 1.3, 2.5] {
-            let moved = integral(distance_px, tail);
-            assert!((beyond(distance_px).moved_px - moved).abs() < 1e-4, "{distance_px}");
-            let spread = integral(distance_px, |x| x * tail(x)) / blur_px.powi(2);
-            assert!((beyond(distance_px).spread - spread).abs() < 1e-3, "{distance_px}");
+    /// Share of the contrast by which a level is off, whose cut has this radius.
+    #[inline(always)]
+    fn share(&self, taken: &Taken<T>, radius_px: T) -> T {
+        // So near to the edge, levels tell more of how a camera sharpens than of its blur.
+        if taken.distance_px < LEAST_DISTANCE_PX {
+            return radius_px.splat(0.0);
         }
-        assert!((beyond(0.0).spread - 0.25).abs() < 1e-4);
-        assert!((upper_tail(1.0, Beyond::density(1.0)) - 0.158_655).abs() < 2e-5);
+        let moved_px = self.beyond(taken.distance_px).moved_px;
+        let radius_px = radius_px.larger(radius_px.splat(0.0));
+        let share = radius_px * std::f64::consts::TAU * moved_px;
+        (share / taken.pixels).smaller(share.splat(MOST_MIXED))
     }
 }

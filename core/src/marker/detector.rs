@@ -11,6 +11,7 @@ use crate::{
     id::KindId,
     marker::{
         Ring,
+        abreast::{self, AbreastScratch},
         claim::Claim,
         code::CodeReader,
         code::measure::{self as coded, CodedKind},
@@ -52,6 +53,7 @@ pub struct Scratch {
     /// Width and height of the frames that there is room for.
     size: (usize, usize),
     pub(crate) measure: MeasureScratch,
+    pub(crate) abreast: AbreastScratch,
     pub(crate) search: SearchScratch,
     pub(crate) found: Vec<Ring>,
     pub(crate) claims: Vec<Claim>,
@@ -67,6 +69,7 @@ impl Scratch {
         }
         self.size = size;
         self.measure.make_room(size);
+        self.abreast.make_room(size.1);
         self.search.make_room(size.0);
         let most = max_roundels.min(MOST_ROOM);
         make_room(&mut self.found, most);
@@ -147,6 +150,24 @@ impl Detector {
         scratch.found.clear();
         self.search(frame, Window::of(frame), self.params.max_roundels, scratch);
         &scratch.found
+    }
+
+    /// Rings at the scratch's probes that are just where they are expected, side by side; others are left
+    /// to [`Detector::measure`].
+    pub(crate) fn measure_each(&self, frame: &Frame, scratch: &mut AbreastScratch) {
+        for ring in &mut scratch.rings {
+            *ring = None;
+        }
+        if !self.coded.is_empty() || self.kinds.is_empty() || !self.rules.similar {
+            return;
+        }
+        abreast::measure_each(frame, &self.rules, &self.kinds, scratch);
+        for ring in &mut scratch.rings {
+            let center = ring.as_ref().map(|ring| ring.outer.center);
+            if center.is_some_and(|center| self.mask.covers(center)) {
+                *ring = None;
+            }
+        }
     }
 
     /// The ring at a probe.

@@ -25,9 +25,9 @@ use crate::{
 /// Relative tolerance ρ_tol of eq. (2); a pixel of each side of the box comes on top.
 const BOX_TOLERANCE: f64 = 0.15;
 /// Relative tolerance ρ_prec of eq. (5), and what a rim of r pixels adds to it as 1/r.
-const ROUNDNESS_TOLERANCE: (f64, f64) = (0.02, 0.6);
+pub(crate) const ROUNDNESS_TOLERANCE: (f64, f64) = (0.02, 0.6);
 /// Distance of the centres as a share of the outer mean radius, and in pixels on top.
-const CENTER_TOLERANCE: (f64, f64) = (0.06, 0.4);
+pub(crate) const CENTER_TOLERANCE: (f64, f64) = (0.06, 0.4);
 /// Perspective moves the centres apart along the shorter axis, the more the shorter the focal length;
 /// this is the shortest that is allowed for, pixels …
 const LEAST_FOCAL_PX: f64 = 350.0;
@@ -36,14 +36,14 @@ const LEAST_FOCAL_PX: f64 = 350.0;
 const ASIDE_SHARE: f64 = 0.4;
 /// Difference of the two normalized shapes, and what a disc of r pixels adds to it as 1/r. Of 1,600
 /// rendered rings from 10 px on, two thirds of this is the most.
-const SIMILARITY_TOLERANCE: (f64, f64) = (0.06, 0.3);
+pub(crate) const SIMILARITY_TOLERANCE: (f64, f64) = (0.06, 0.3);
 /// Largest variance that blur and the pixels' width add to a shape, px²: a blur of 1.2 px.
-const MOST_SPREAD_PX2: f64 = 1.5;
+pub(crate) const MOST_SPREAD_PX2: f64 = 1.5;
 /// Pixels that a rim may be off by at any threshold, in the ratio of diameters.
 const RATIO_RIM_PX: f64 = 0.8;
 
 /// How far levels may lie beyond what a pixel can hold: a share of the contrast, and grey levels.
-const LEVEL_TOLERANCE: (f64, f64) = (0.1, 10.0);
+pub(crate) const LEVEL_TOLERANCE: (f64, f64) = (0.1, 10.0);
 
 /// What a roundel must look like.
 #[derive(Clone, Copy, Debug)]
@@ -71,6 +71,17 @@ pub(crate) struct Probe {
     pub polarity: Polarity,
     /// Where the rims of a ring that is followed ought to be.
     pub expected: Option<Expected>,
+}
+
+impl Probe {
+    /// The threshold in the frame's own levels.
+    #[inline(always)]
+    pub fn frame_threshold(&self) -> u8 {
+        match self.polarity {
+            Polarity::BlackRing => self.threshold,
+            Polarity::WhiteRing => 0u8.wrapping_sub(self.threshold),
+        }
+    }
 }
 
 /// What counting says of a segment: its pixels, and the sides of its box.

@@ -13,7 +13,7 @@
 //! weighs the rims must find them in the middle of their belts ([`Expected::is_met`]). What fails either
 //! is looked at by its segments.
 
-use fearless_simd::{Simd, prelude::*, u64x8};
+use fearless_simd::{Simd, prelude::*};
 use fearless_simd_macros::simd;
 
 use crate::{
@@ -117,8 +117,7 @@ pub(crate) fn belts_about<'a, S: Simd>(
         std::array::from_fn(|_| planes.next().expect("room was made for all planes"));
     // They all lie in the last one, which does not reach the patch's edge.
     let is_only = words == 1;
-    let nothing = Rows(u64x8::splat(simd, 0), u64x8::splat(simd, 0));
-    let mut wrong = nothing;
+    let mut wrong = Rows::none(simd);
     for row in (0..bottom - top).step_by(LANES) {
         // Closures over vectors are not sure to become part of this function.
         let (first, columns) = (top + row, words * WORD_PX);
@@ -153,8 +152,7 @@ pub(crate) fn belts_about<'a, S: Simd>(
     let length = (bottom - top) * words;
     let [disc_core, disc_belt, ring_core, ring_belt, black, near, far] =
         planes.map(|plane| &plane[..length]);
-    let is_wrong = (wrong.0 | wrong.1).as_slice().iter().any(|&bits| bits != 0);
-    if is_wrong || pixels_in(disc_core) < LEAST_WHITE || pixels_in(black) < LEAST_BLACK {
+    if wrong.any() || pixels_in(disc_core) < LEAST_WHITE || pixels_in(black) < LEAST_BLACK {
         return None;
     }
     Some(Followed {

@@ -14,10 +14,10 @@ use crate::{
 pub const RATIO_LIMITS: (f64, f64) = (0.2, 0.8);
 
 /// Rims may be off by this share of the outer radius …
-const SHIFT_SHARE: f64 = 0.02;
+pub(crate) const SHIFT_SHARE: f64 = 0.02;
 /// … and by this many pixels before a ring is no longer taken for the kind: saturated white blooms
 /// by half a pixel and more at each rim.
-const SHIFT_PX: f64 = 0.7;
+pub(crate) const SHIFT_PX: f64 = 0.7;
 
 /// The print. Plain kinds are told apart by the ratio of their diameters (paper, section 3.4).
 #[derive(Clone, Debug, PartialEq)]

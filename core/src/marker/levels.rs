@@ -18,6 +18,7 @@ use fearless_simd_macros::simd;
 
 use crate::{
     camera::PixelPoint,
+    lanes::Lane,
     marker::{
         belt::{Belts, pixels_in},
         blur::Weighed,
@@ -28,9 +29,9 @@ use crate::{
 
 /// The margin is white where its level does not fall outwards by more than this share of the contrast
 /// and so many grey levels …
-const MARGIN_FALL: (f64, f64) = (0.012, 0.6);
+pub(crate) const MARGIN_FALL: (f64, f64) = (0.012, 0.6);
 /// … and does not vary by more than this.
-const MARGIN_DEVIATION: (f64, f64) = (0.1, 3.0);
+pub(crate) const MARGIN_DEVIATION: (f64, f64) = (0.1, 3.0);
 /// Least level of the margin two or three pixels from the rim, as a share of the contrast, if it is to
 /// be wider than that.
 const NEAR_MARGIN: f64 = 0.5;
@@ -38,7 +39,7 @@ const NEAR_MARGIN: f64 = 0.5;
 const QUIET: f64 = 1.0;
 
 /// Differences of the means of two halves, grey levels by one.
-type Slope = (f64, f64);
+pub(crate) type Slope<T = f64> = (T, T);
 
 /// Pixels of a set: all, those before a column, and those of its first words.
 #[inline(always)]
@@ -137,21 +138,6 @@ impl Levels {
         self.near.mean() - black > NEAR_MARGIN * (white - black)
     }
 
-    /// Half the gradient's product with a rim's matrix, as a share of √M_uu and √M_vv and of the rim's
-    /// radius: γ/2 for a circle. Radii are those at which black and margin were looked at.
-    #[inline(always)]
-    fn gradient(&self, black_px: f64, margin_px: f64) -> (f64, f64) {
-        let (b, m) = self.slopes;
-        let squares = b.0 * b.0 + b.1 * b.1 + m.0 * m.0 + m.1 * m.1;
-        // What noise may have made is not made a movement.
-        let sure = squares / (squares + QUIET);
-        if sure.is_nan() {
-            return (0.0, 0.0);
-        }
-        let scale = 0.25 * std::f64::consts::FRAC_PI_4 * sure;
-        (scale * (b.0 / black_px + m.0 / margin_px), scale * (b.1 / black_px + m.1 / margin_px))
-    }
-
     /// By how much the lighting's gradient has moved the centres of outer and inner rim, whose belts
     /// have so many pixels.
     #[inline(always)]
@@ -162,7 +148,7 @@ impl Levels {
         contrast: f64,
     ) -> (PixelPoint, PixelPoint) {
         let (r_o, r_i) = (outer.rim.mean_radius_px(), inner.rim.mean_radius_px());
-        let gradient = self.gradient(0.5 * (r_o + r_i), r_o + MARGIN_PX);
+        let gradient = gradient(self.slopes, (r_o, r_i));
         let moved = |weighed: &Weighed, radius_px: f64, pixels: u32, contrast: f64| {
             let matrix = weighed.shape.matrix_of(&weighed.rim);
             let scale = f64::from(pixels) * radius_px / (contrast * weighed.shape.area_px2);
@@ -173,6 +159,22 @@ impl Levels {
         };
         (moved(outer, r_o, of_outer, -contrast), moved(inner, r_i, of_inner, contrast))
     }
+}
+
+/// Half the gradient's product with a rim's matrix, as a share of √M_uu and √M_vv and of the rim's
+/// radius: γ/2 for a circle. From the slopes of black and margin, and the radii of both rims.
+#[inline(always)]
+pub(crate) fn gradient<T: Lane>((b, m): (Slope<T>, Slope<T>), (r_o, r_i): (T, T)) -> (T, T) {
+    // Radii at which black and margin were looked at.
+    let (black_px, margin_px) = ((r_o + r_i) * 0.5, r_o + MARGIN_PX);
+    let squares = b.0 * b.0 + b.1 * b.1 + m.0 * m.0 + m.1 * m.1;
+    // What noise may have made is not made a movement; what is not a number neither.
+    let sure = squares / (squares + QUIET);
+    let is_number = sure.at_most(sure);
+    let scale = sure * (0.25 * std::f64::consts::FRAC_PI_4);
+    let none = scale.splat(0.0);
+    let along = (b.0 / black_px + m.0 / margin_px, b.1 / black_px + m.1 / margin_px);
+    (T::choose(is_number, scale * along.0, none), T::choose(is_number, scale * along.1, none))
 }
 
 /// Distance of the margin looked at from the outer rim.

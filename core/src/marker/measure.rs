@@ -40,7 +40,7 @@ use crate::{
         elliptical,
         examine::{Probe, Rules},
         follow::{Expected, Followed, belts_about, motion},
-        kind::{Kind, Polarity, RATIO_LIMITS, nearest_kind},
+        kind::{Kind, RATIO_LIMITS, nearest_kind},
         oval::Area,
         patch::{Patch, WORD_PX},
         reject::Reject,
@@ -54,7 +54,7 @@ use crate::{
 
 /// A ring is measured anew at its own threshold, eq. (3), if that is further from the first one than
 /// this share of the contrast; than the second, if the threshold has cut its rim.
-const RETHRESHOLD_SHARE: (f64, f64) = (0.15, 0.02);
+pub(crate) const RETHRESHOLD_SHARE: (f64, f64) = (0.15, 0.02);
 
 /// Turns in which the belts about expected rims are drawn.
 const FOLLOWING_TURNS: usize = 2;
@@ -115,12 +115,12 @@ fn measure_with<S: Simd>(
     let mut threshold = probe.threshold;
     let found = match followed(simd, frame, probe, rules, scratch) {
         Some(found) => {
-            threshold = own_threshold(&found.0);
+            threshold = own_threshold(found.0.black, found.0.white);
             found
         }
         None => {
             let mut found = rims(simd, frame, probe, rules, scratch)?;
-            let own = own_threshold(&found.0);
+            let own = own_threshold(found.0.black, found.0.white);
             let off = f64::from(own.abs_diff(threshold));
             let limit = if found.1.cut { RETHRESHOLD_SHARE.1 } else { RETHRESHOLD_SHARE.0 };
             if off > limit * (found.0.white - found.0.black) {
@@ -153,32 +153,19 @@ fn measure_with<S: Simd>(
         (Some(kind), outer, inner)
     };
     let ring = Ring { kind, threshold, black, white, unevenness, ..Ring::of_rims(outer, inner) };
-    Ok(match probe.polarity {
-        Polarity::BlackRing => ring,
-        Polarity::WhiteRing => Ring {
-            threshold: 0u8.wrapping_sub(threshold),
-            black: 255.0 - white,
-            white: 255.0 - black,
-            polarity: Polarity::WhiteRing,
-            ..ring
-        },
-    })
+    Ok(ring.seen_as(probe.polarity))
 }
 
 /// The level halfway between black and white.
 #[inline(always)]
-fn own_threshold(found: &Unblurred) -> u8 {
-    (0.5 * (found.black + found.white)).round().clamp(1.0, 255.0) as u8
+pub(crate) fn own_threshold(black: f64, white: f64) -> u8 {
+    (0.5 * (black + white)).round().clamp(1.0, 255.0) as u8
 }
 
 /// The probe's window of the frame.
 #[inline(always)]
 fn load<S: Simd>(simd: S, patch: &mut Patch, frame: &Frame, probe: &Probe) {
-    let threshold = match probe.polarity {
-        Polarity::BlackRing => probe.threshold,
-        Polarity::WhiteRing => 0u8.wrapping_sub(probe.threshold),
-    };
-    Patch::load(simd, patch, frame, probe.bounds, (threshold, probe.polarity));
+    Patch::load(simd, patch, frame, probe.bounds, (probe.frame_threshold(), probe.polarity));
 }
 
 /// The ring at the probe, by its segments.
@@ -228,7 +215,7 @@ fn followed<S: Simd>(
         let found = weigh(simd, frame, probe, rules, (patch, &places), depths).ok()?;
         let (outer, inner) = (found.0.outer, found.0.inner);
         if expected.is_met(&outer, &inner) {
-            let off = own_threshold(&found.0).abs_diff(probe.threshold);
+            let off = own_threshold(found.0.black, found.0.white).abs_diff(probe.threshold);
             let limit = RETHRESHOLD_SHARE.0 * (found.0.white - found.0.black);
             return (f64::from(off) <= limit).then_some(found);
         }

@@ -10,7 +10,8 @@
 //! | disc and black, followed by runs | `segments`, `spans` | 3.1, algorithm 1 |
 //! | the pixels near its rims | `belt`, `levels` | – |
 //! | the same of a ring that is followed | `follow`, `oval` | – |
-//! | rims to a fraction of a pixel | `weigh`, `blur` | eqs. (4), (6) |
+//! | several of these, side by side | `abreast` | – |
+//! | rims to a fraction of a pixel | `weigh`, `blur`, `normal` | eqs. (4), (6) |
 //! | areas, roundness, shapes | `examine`, `outline` | 3.1, 3.3, eqs. (1), (2), (5) |
 //! | kind by ratio of diameters | `kind` | 3.4 |
 //! | elliptical discs, by their axes | `elliptical` | 7.2, 7.4 |
@@ -35,6 +36,7 @@
 //! # Ok::<(), Box<dyn std::error::Error>>(())
 //! ```
 
+mod abreast;
 mod belt;
 mod blur;
 mod chord;
@@ -52,6 +54,7 @@ mod levels;
 mod mask;
 mod measure;
 mod middle;
+mod normal;
 mod outline;
 mod oval;
 mod param;
@@ -123,6 +126,21 @@ impl Ring {
             unevenness: 0.0,
             polarity: Polarity::BlackRing,
             code: None,
+        }
+    }
+
+    /// What was measured of a black ring in a picture with its levels turned over, if that was done.
+    #[inline(always)]
+    fn seen_as(self, polarity: Polarity) -> Self {
+        match polarity {
+            Polarity::BlackRing => self,
+            Polarity::WhiteRing => Self {
+                threshold: 0u8.wrapping_sub(self.threshold),
+                black: 255.0 - self.white,
+                white: 255.0 - self.black,
+                polarity: Polarity::WhiteRing,
+                ..self
+            },
         }
     }
 }

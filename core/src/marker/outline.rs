@@ -16,16 +16,42 @@ use fearless_simd_macros::simd;
 use crate::{
     camera::PixelPoint,
     ellipse::Symmetric2,
+    frame::Frame,
     marker::{
         patch::{Patch, WORD_PX},
         reject::Reject,
     },
+    segment::Window,
 };
 
 /// Points along the rim.
 const POINTS: usize = 32;
 /// Beyond this share more of the rim is gone than an ellipse can be trusted with.
 const LARGEST: f64 = 0.25;
+
+/// The pixels that hold a rim.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct Pixels<'a> {
+    /// From the window's first pixel on.
+    grey: &'a [u8],
+    stride: usize,
+    window: Window,
+}
+
+impl<'a> Pixels<'a> {
+    /// Of a patch.
+    pub fn of(patch: &'a Patch) -> Self {
+        // A row's words lie one after the other.
+        let (grey, stride) = (patch.grey.as_flattened(), patch.words * WORD_PX);
+        Self { grey, stride, window: patch.window }
+    }
+
+    /// Of a frame's window. Which of ring and disc is black makes no difference to how uneven they are.
+    pub fn within(frame: &Frame<'a>, window: Window) -> Self {
+        let (pixels, stride) = frame.pixels();
+        Self { grey: &pixels[window.top * stride + window.left..], stride, window }
+    }
+}
 
 /// How uneven the rim with this centre and [`crate::ellipse::Ellipse::matrix`] is, as [`deviation`]
 /// says, or that it is covered.
@@ -36,12 +62,12 @@ const LARGEST: f64 = 0.25;
 #[simd]
 pub(crate) fn unevenness<S: Simd>(
     simd: S,
-    patch: &Patch,
+    pixels: &Pixels,
     center: PixelPoint,
     matrix: &Symmetric2,
     contrast: f64,
 ) -> Result<f64, Reject> {
-    let uneven = deviation(simd, &levels(simd, patch, center, matrix)) / contrast;
+    let uneven = deviation(simd, &levels(simd, pixels, center, matrix)) / contrast;
     // Not a number where the contrast is none.
     if uneven <= LARGEST { Ok(uneven) } else { Err(Reject::Covered) }
 }
@@ -89,20 +115,19 @@ fn half<S: Simd>(simd: S, values: &[f32; POINTS], half: usize) -> f32x16<S> {
 #[simd]
 fn levels<S: Simd>(
     simd: S,
-    patch: &Patch,
+    pixels: &Pixels,
     center: PixelPoint,
     matrix: &Symmetric2,
 ) -> [f32x16<S>; 2] {
     let along_u = matrix.uu.sqrt() as f32;
     let shear = matrix.uv as f32 / along_u;
     let along_v = (matrix.vv as f32 - shear * shear).max(0.0).sqrt();
-    let center_u = (center.u - patch.window.left as f64) as f32;
-    let center_v = (center.v - patch.window.top as f64) as f32;
+    let Pixels { grey, stride, window } = *pixels;
+    let center_u = (center.u - window.left as f64) as f32;
+    let center_v = (center.v - window.top as f64) as f32;
     let zero = f32x16::splat(simd, 0.0);
-    let last_u = f32x16::splat(simd, patch.columns().saturating_sub(2) as f32);
-    let last_v = f32x16::splat(simd, patch.rows().saturating_sub(2) as f32);
-    // A row's words lie one after the other.
-    let (grey, stride) = (patch.grey.as_flattened(), patch.words * WORD_PX);
+    let last_u = f32x16::splat(simd, window.width().saturating_sub(2) as f32);
+    let last_v = f32x16::splat(simd, window.height().saturating_sub(2) as f32);
     let mut levels = [zero; 2];
     for (part, level) in levels.iter_mut().enumerate() {
         let (cos, sin) = (half(simd, &COS, part), half(simd, &SIN, part));

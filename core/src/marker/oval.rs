@@ -127,6 +127,26 @@ impl Oval {
         })
     }
 
+    /// As [`Oval::chords`], of an ellipse that lies in the first word: rows that have none end where they
+    /// begin, at 0.
+    #[inline(always)]
+    pub fn chords_within<S: Simd>(&self, simd: S, first_row: usize) -> Chords<S> {
+        let none = i32x16::splat(simd, 0);
+        let first_row = first_row as f32;
+        if first_row > self.last || first_row + (LANES as f32) <= self.first {
+            return Chords { first: none, end: none };
+        }
+        let (zero, one) = (f32x16::splat(simd, 0.0), f32x16::splat(simd, 1.0));
+        let dv = f32x16::load_array(simd, LANE) + (first_row - self.v);
+        let share = one - dv * dv * self.inverse_vv;
+        let middle = dv.mul_add(f32x16::splat(simd, self.slope), self.u);
+        let half = share.max(zero).sqrt() * self.half_max;
+        let first = (middle - half).ceil().to_int::<i32x16<S>>();
+        let end = (middle + half).to_int::<i32x16<S>>() + 1;
+        let is_crossed = share.simd_gt(zero);
+        Chords { first: is_crossed.select(first, none), end: is_crossed.select(end, none) }
+    }
+
     /// Its first column, and the column after the last, in sixteen rows of the patch.
     #[inline(always)]
     pub fn chords<S: Simd>(&self, simd: S, first_row: usize, columns: usize) -> Chords<S> {
@@ -155,16 +175,40 @@ pub(crate) struct Chords<S: Simd> {
 }
 
 impl<S: Simd> Chords<S> {
-    /// The pixels in a word of the rows. Where it is the only one, and they end before it does, that is a
-    /// difference of two powers.
+    /// First columns, and the columns after the last.
+    #[inline(always)]
+    pub fn ends(&self) -> (i32x16<S>, i32x16<S>) {
+        (self.first, self.end)
+    }
+
+    /// Number of columns, of [`Oval::chords_within`].
+    #[inline(always)]
+    pub fn pixels(&self) -> i32x16<S> {
+        self.end - self.first
+    }
+
+    /// Number of columns before this one, of [`Oval::chords_within`].
+    #[inline(always)]
+    pub fn pixels_before(&self, column: i32) -> i32x16<S> {
+        self.end.min(column) - self.first.min(column)
+    }
+
+    /// The pixels of rows of one word that begin before they end, which is before the last column:
+    /// differences of two powers.
+    #[inline(always)]
+    pub fn word(&self, simd: S) -> Rows<S> {
+        let first = self.first.bitcast::<u32x16<S>>().widen();
+        let end = self.end.bitcast::<u32x16<S>>().widen();
+        let one = u64x8::splat(simd, 1);
+        Rows((one << end.0) - (one << first.0), (one << end.1) - (one << first.1))
+    }
+
+    /// The pixels in a word of the rows; `is_only` where it is the only one, and they end before it does.
     #[inline(always)]
     pub fn bits(&self, simd: S, word: usize, is_only: bool) -> Rows<S> {
         if is_only {
             let end = self.end.min(WORD_PX as i32 - 1);
-            let first = self.first.min(end).bitcast::<u32x16<S>>().widen();
-            let end = end.bitcast::<u32x16<S>>().widen();
-            let one = u64x8::splat(simd, 1);
-            return Rows((one << end.0) - (one << first.0), (one << end.1) - (one << first.1));
+            return Chords { first: self.first.min(end), end }.word(simd);
         }
         let from = (word * WORD_PX) as i32;
         below(simd, self.end, from).without(below(simd, self.first, from))
@@ -176,6 +220,17 @@ impl<S: Simd> Chords<S> {
 pub(crate) struct Rows<S: Simd>(pub u64x8<S>, pub u64x8<S>);
 
 impl<S: Simd> Rows<S> {
+    #[inline(always)]
+    pub fn none(simd: S) -> Self {
+        Self(u64x8::splat(simd, 0), u64x8::splat(simd, 0))
+    }
+
+    /// Whether a bit is set.
+    #[inline(always)]
+    pub fn any(self) -> bool {
+        (self.0 | self.1).as_slice().iter().any(|&bits| bits != 0)
+    }
+
     #[inline(always)]
     pub fn load(simd: S, words: &[u64], (first, words_in_row): (usize, usize)) -> Self {
         if words_in_row == 1 {

@@ -53,6 +53,36 @@ impl Patch {
         self.window.width()
     }
 
+    /// Thresholds `window`, which must not be empty, into one word a row and copies nothing; only `white` is
+    /// of use then. Returns whether it is no wider, and the frame no narrower.
+    #[simd]
+    pub fn threshold<S: Simd>(
+        simd: S,
+        patch: &mut Patch,
+        frame: &Frame,
+        window: Window,
+        (threshold, polarity): (u8, Polarity),
+    ) -> bool {
+        if window.width() > WORD_PX || frame.width() < WORD_PX {
+            return false;
+        }
+        let left = window.left.min(frame.width() - WORD_PX);
+        patch.window = Window { left, right: left + WORD_PX, ..window };
+        patch.words = 1;
+        let room = window.height() + PADDING_ROWS;
+        if patch.white.len() < room {
+            patch.white.resize(room, 0);
+        }
+        let (flip, limit) = flip_and_limit(simd, threshold, polarity);
+        let (pixels, stride) = frame.pixels();
+        let rows = pixels[window.top * stride + left..].chunks(stride);
+        for (row, white) in rows.zip(&mut patch.white[..window.height()]) {
+            let row = row.first_chunk().expect("the columns are the frame's");
+            *white = (u8x64::load_array(simd, *row) ^ flip).simd_ge(limit).to_bitmask();
+        }
+        true
+    }
+
     /// Copies and thresholds `window`, which must not be empty. Whole words are taken where the frame
     /// is wide enough, so the patch may reach further to the sides than asked.
     #[simd]
@@ -77,12 +107,7 @@ impl Patch {
         if patch.white.len() < room {
             patch.white.resize(room, 0);
         }
-        let (flip, limit) = match polarity {
-            Polarity::BlackRing => (0, threshold),
-            // I < τ becomes 255 - I ≥ 256 - τ.
-            Polarity::WhiteRing => (255, 0u8.wrapping_sub(threshold)),
-        };
-        let (flip, limit) = (u8x64::splat(simd, flip), u8x64::splat(simd, limit));
+        let (flip, limit) = flip_and_limit(simd, threshold, polarity);
         if words == 1 && right - left == WORD_PX {
             let rows = patch.grey.iter_mut().zip(&mut patch.white).zip(&mut patch.black);
             for (v, ((to, white), black)) in (window.top..window.bottom).zip(rows) {
@@ -116,4 +141,15 @@ impl Patch {
             }
         }
     }
+}
+
+/// What turns over grey levels, and the first of the white ones after that.
+#[inline(always)]
+fn flip_and_limit<S: Simd>(simd: S, threshold: u8, polarity: Polarity) -> (u8x64<S>, u8x64<S>) {
+    let limit = match polarity {
+        Polarity::BlackRing => threshold,
+        // I < τ becomes 255 - I ≥ 256 - τ.
+        Polarity::WhiteRing => 0u8.wrapping_sub(threshold),
+    };
+    (u8x64::splat(simd, polarity.flip()), u8x64::splat(simd, limit))
 }

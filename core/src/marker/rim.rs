@@ -12,25 +12,30 @@
 //!
 //! which is eq. (8) with the sums where the print has products ([`crate::errata`]).
 
-use crate::ellipse::Ellipse;
+use crate::{ellipse::Ellipse, lanes::Lane};
 
 /// t of eq. (8), pixels, for rims as measured and the print's inner over outer diameter; positive if
 /// white looks too large. `None` if no t makes the ratio right.
 #[inline(always)]
 pub fn rim_shift_px(outer: &Ellipse, inner: &Ellipse, ratio: f64) -> Option<f64> {
+    let axes = |rim: &Ellipse| [rim.semi_major_px, rim.semi_minor_px];
+    let (shift_px, is_one) = shift_px(axes(outer), axes(inner), ratio);
+    is_one.then_some(shift_px)
+}
+
+/// [`rim_shift_px`] of semiaxes, and whether there is one.
+#[inline(always)]
+pub(crate) fn shift_px<T: Lane>(outer: [T; 2], inner: [T; 2], ratio: f64) -> (T, T::Mask) {
     let r = ratio * ratio;
     let a = 1.0 - r;
-    let b =
-        inner.semi_major_px + inner.semi_minor_px + r * (outer.semi_major_px + outer.semi_minor_px);
-    let c =
-        inner.semi_major_px * inner.semi_minor_px - r * outer.semi_major_px * outer.semi_minor_px;
-    let discriminant = b * b - 4.0 * a * c;
-    if discriminant.is_nan() || discriminant < 0.0 {
-        return None;
-    }
+    let b = inner[0] + inner[1] + (outer[0] + outer[1]) * r;
+    let c = inner[0] * inner[1] - outer[0] * r * outer[1];
+    let discriminant = b * b - c * (4.0 * a);
+    // Not a number is none.
+    let is_one = b.splat(0.0).at_most(discriminant);
     // The smaller root, in the form that loses no digits when c is near 0. The larger one exceeds
     // the inner semiaxes, which must stay positive.
-    Some(2.0 * c / (b + discriminant.sqrt()))
+    (c * 2.0 / (b + discriminant.root()), is_one)
 }
 
 /// Both rims (outer, inner) moved back by `shift_px`; `None` if one of them would vanish or the

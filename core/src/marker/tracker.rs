@@ -14,6 +14,7 @@ use crate::{
     id::TrackNumber,
     marker::{
         Ring, TrackedRing,
+        abreast::TOGETHER,
         claim::Claim,
         code::Vote,
         detector::{Detector, MOST_ROOM, Scratch},
@@ -107,7 +108,7 @@ impl Track {
         same.then_some(distance)
     }
 
-    fn update(&mut self, ring: Ring) {
+    fn update(&mut self, ring: &Ring, rims: Expected) {
         let frames = f64::from(self.missed.max(1));
         let (from, to) = (self.ring.outer.center, ring.outer.center);
         let motion = ((to.u - from.u) / frames, (to.v - from.v) / frames);
@@ -115,8 +116,8 @@ impl Track {
         self.velocity.0 += gain * (motion.0 - self.velocity.0);
         self.velocity.1 += gain * (motion.1 - self.velocity.1);
         ring.code.iter().for_each(|reading| self.vote.add(reading));
-        self.ring = ring;
-        self.rims = Expected::new(&ring.outer, &ring.inner);
+        self.ring = *ring;
+        self.rims = rims;
         self.missed = 0;
         self.seen = self.seen.saturating_add(1);
     }
@@ -194,27 +195,44 @@ impl Tracker {
     /// Measures every track's ring at its prediction.
     fn follow(&mut self, frame: &Frame) {
         self.occupied.begin(frame);
-        for track in &mut self.tracks {
+        for tracks in self.tracks.chunks_mut(TOGETHER) {
             let scratch = &mut self.scratch;
-            let measured = probe(frame, track)
-                .and_then(|probe| self.detector.measure(frame, &probe, &mut scratch.measure))
-                .and_then(|ring| {
+            scratch.abreast.probes = [None; TOGETHER];
+            for (probe, track) in scratch.abreast.probes.iter_mut().zip(&*tracks) {
+                *probe = probe_of(frame, track);
+            }
+            self.detector.measure_each(frame, &mut scratch.abreast);
+            for (place, track) in tracks.iter_mut().enumerate() {
+                let alone;
+                let ring = match (&scratch.abreast.rings[place], &scratch.abreast.probes[place]) {
+                    (Some(ring), _) => Ok(ring),
+                    (None, None) => Err(Reject::FrameEdge),
+                    (None, Some(probe)) => {
+                        alone = self.detector.measure(frame, probe, &mut scratch.measure);
+                        alone.as_ref().map_err(|&reject| reject)
+                    }
+                };
+                let measured = ring.and_then(|ring| {
                     let near = self.occupied.holds(ring.outer.center);
-                    if near && scratch.claims.iter().any(|claim| claim.covers(&ring)) {
+                    if near && scratch.claims.iter().any(|claim| claim.covers(ring)) {
                         return Err(Reject::Claimed);
                     }
-                    track.distance_px(&ring).map(|_| ring).ok_or(Reject::Gate)
+                    track.distance_px(ring).map(|_| ring).ok_or(Reject::Gate)
                 });
-            match measured {
-                Ok(ring) => {
-                    track.update(ring);
-                    let half_box_px = track.rims.outer.half_box_px();
-                    self.occupied.add(ring.outer.center, half_box_px);
-                    scratch.claims.push(Claim::of_box(&ring, half_box_px));
-                }
-                Err(reject) => {
-                    let (center, half_box_px) = (track.predicted(), track.ring.outer.half_box_px());
-                    scratch.rejects.add(Rejected { center, half_box_px, reject });
+                match measured {
+                    Ok(ring) => {
+                        let rims = scratch.abreast.rims(place);
+                        let rims = rims.unwrap_or_else(|| Expected::new(&ring.outer, &ring.inner));
+                        track.update(ring, rims);
+                        let half_box_px = track.rims.outer.half_box_px();
+                        self.occupied.add(ring.outer.center, half_box_px);
+                        scratch.claims.push(Claim::of_box(ring, half_box_px));
+                    }
+                    Err(reject) => {
+                        let center = track.predicted();
+                        let half_box_px = track.ring.outer.half_box_px();
+                        scratch.rejects.add(Rejected { center, half_box_px, reject });
+                    }
                 }
             }
         }
@@ -270,7 +288,7 @@ impl Tracker {
                 .filter_map(|track| track.distance_px(ring).map(|distance| (distance, track)))
                 .min_by(|a, b| a.0.total_cmp(&b.0));
             if let Some((_, track)) = near {
-                track.update(*ring);
+                track.update(ring, Expected::new(&ring.outer, &ring.inner));
             } else if self.tracks.len() < most {
                 self.tracks.push(Track::new(self.next_number, *ring));
                 self.next_number += 1;
@@ -327,14 +345,14 @@ impl Occupied {
 }
 
 /// Where to look for a track: within half a radius or so, since most move less from where they are
-/// expected. The few others are searched for.
-fn probe(frame: &Frame, track: &Track) -> Result<Probe, Reject> {
+/// expected. The few others are searched for. `None` beyond the frame's edge.
+fn probe_of(frame: &Frame, track: &Track) -> Option<Probe> {
     let at = track.predicted();
     let (half_u, half_v) = track.rims.outer.half_box_px();
     let inside =
         at.u >= 0.0 && at.v >= 0.0 && at.u < frame.width() as f64 && at.v < frame.height() as f64;
     if !inside {
-        return Err(Reject::FrameEdge);
+        return None;
     }
     let center = (
         (at.u.round() as usize).min(frame.width() - 1),
@@ -349,5 +367,5 @@ fn probe(frame: &Frame, track: &Track) -> Result<Probe, Reject> {
     };
     let from = track.ring.outer.center;
     let expected = Some(track.rims.moved(at.u - from.u, at.v - from.v));
-    Ok(Probe { center, threshold, bounds, polarity, expected })
+    Some(Probe { center, threshold, bounds, polarity, expected })
 }

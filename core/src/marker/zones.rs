@@ -15,7 +15,7 @@ use crate::{
         blur::{Cuts, Taken, Unblurred, Weighed, unblur},
         examine::{Counted, Probe, Rules, check_boxes, check_levels, check_shapes},
         levels::Levels,
-        outline::unevenness,
+        outline::{Pixels, unevenness},
         oval::Area,
         patch::{Patch, WORD_PX},
         reject::Reject,
@@ -29,7 +29,7 @@ const THIN_TURNS: usize = 2;
 /// Deviation of a blurred edge where none is measured, pixels.
 const USUAL_BLUR_PX: f64 = 0.75;
 /// Least distance of the outer rim from the frame's edge, pixels.
-const EDGE_PX: f64 = 1.0;
+pub(crate) const EDGE_PX: f64 = 1.0;
 
 /// What is known of the outer rim besides its ellipse.
 #[derive(Clone, Copy, Debug)]
@@ -133,7 +133,8 @@ pub(crate) fn weigh<S: Simd>(
     let similar = check_shapes((&outer.shape, &outer.rim), (&inner.shape, &inner.rim), rules)?;
     let matrix = outer.shape.matrix_of(&outer.rim);
     check_edge(frame, outer.shape.center, &matrix)?;
-    let unevenness = unevenness(simd, patch, outer.shape.center, &matrix, contrast)?;
+    let pixels = Pixels::of(patch);
+    let unevenness = unevenness(simd, &pixels, outer.shape.center, &matrix, contrast)?;
     if margin.is_some() {
         let belts = (pixels_in(of_outer.1), pixels_in(belts.disc_belt));
         let (of_outer, of_inner) = levels.movement((&outer, &inner), belts, contrast);

@@ -14,7 +14,7 @@ use crate::{
     camera::PixelPoint,
     ellipse::{Ellipse, Symmetric2},
     frame::Frame,
-    marker::{blur::normal_share, reject::Reject},
+    marker::{normal::normal_share, reject::Reject},
 };
 
 /// A rim more uneven than this is partly covered, or none.

@@ -16,12 +16,12 @@
 use nalgebra::{Matrix3, Vector3};
 
 use crate::marker::{
-    blur::{normal_density, normal_share},
     code::{
         CodeLayout,
         chart::Chart,
         contour::{Light, crossing},
     },
+    normal::{normal_density, normal_share},
 };
 
 /// Turns in which the rim is found.
