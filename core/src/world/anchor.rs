@@ -66,6 +66,11 @@ pub(super) struct Anchors {
 }
 
 impl Anchors {
+    /// Knows nothing of a camera.
+    pub(super) fn forget(&mut self, camera: CameraId) {
+        self.cameras.remove(&camera);
+    }
+
     /// Judges a frame's stamp by when it was received, and remembers it.
     pub(super) fn judge(
         &mut self,

@@ -132,6 +132,23 @@ impl Clocks {
         self.compare();
     }
 
+    /// Knows nothing of a camera's clock; what is known of the others by it stays.
+    pub(super) fn remove(&mut self, camera: CameraId) {
+        let Some(index) = self.index(camera) else { return };
+        self.fix_mean();
+        self.members.remove(index);
+        let base = index * NUMBERS;
+        let (mean, covariance) =
+            (std::mem::take(&mut self.mean), std::mem::take(&mut self.covariance));
+        self.mean = mean.remove_rows(base, NUMBERS);
+        self.covariance = covariance.remove_rows(base, NUMBERS).remove_columns(base, NUMBERS);
+        let size = self.members.len();
+        self.information = DMatrix::zeros(size, size);
+        self.score = DVector::zeros(size);
+        self.is_estimating = self.members.iter().any(|member| member.prior != ClockPrior::EXACT);
+        self.compare();
+    }
+
     /// Says whether a camera moves: what it sees is late by its own motion as well, and not compared.
     pub(super) fn set_aside(&mut self, camera: CameraId, aside: bool) {
         if aside {

@@ -3,6 +3,7 @@
 
 mod guarded;
 mod height;
+mod leave;
 mod parts;
 mod place;
 

@@ -62,6 +62,11 @@ struct Gap {
 }
 
 impl Gaps {
+    /// Waits for nothing of a camera any more.
+    pub(super) fn forget(&mut self, camera: CameraId) {
+        self.cameras.remove(&camera);
+    }
+
     /// Takes note of a frame, whatever becomes of it; gives how many of its camera are found missing.
     pub(super) fn see(
         &mut self,

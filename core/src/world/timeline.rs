@@ -62,6 +62,11 @@ pub(super) struct Timeline {
 }
 
 impl Timeline {
+    /// Knows none of a camera's frames.
+    pub(super) fn forget(&mut self, camera: CameraId) {
+        self.seen.remove(&camera);
+    }
+
     /// Newest capture time that was believed.
     pub(super) fn newest(&self) -> Option<Timestamp> {
         self.newest.map(|newest| newest.capture)
