@@ -29,8 +29,8 @@ const NANOSECONDS: [&str; 18] = [
     "PushProbeAnswer.replied_time_ns",
 ];
 /// Alternatives within a message, which have to have the same forms as messages.
-const ALTERNATIVES: [&str; 3] =
-    ["PushRequest.message", "PushResponse.message", "PushedFrame.picture"];
+const ALTERNATIVES: [&str; 4] =
+    ["PushRequest.message", "PushResponse.message", "PushedFrame.picture", "PushedPicture.picture"];
 
 /// Enumerations are integers on the wire and lower-case words in JSON.
 const ENUMERATIONS: [(&str, &str); 10] = [

@@ -12,6 +12,7 @@
 //! counted and told.
 
 use std::{
+    collections::BTreeMap,
     fs,
     path::Path,
     sync::Arc,
@@ -19,7 +20,7 @@ use std::{
     time::{Duration, Instant},
 };
 
-use roundel_core::{frame::Frame, time::Timestamp};
+use roundel_core::{frame::Frame, id::CameraId, time::Timestamp};
 use roundel_server::{
     clock::Clock,
     config::Config,
@@ -165,8 +166,8 @@ fn processor_s() -> f64 {
 }
 
 /// What cameras have done so far: frames, dropped, rings found.
-fn totals(cameras: &[CameraState]) -> [u64; 3] {
-    cameras.iter().fold([0; 3], |[frames, dropped, rings], camera| {
+fn totals(cameras: &BTreeMap<CameraId, CameraState>) -> [u64; 3] {
+    cameras.values().fold([0; 3], |[frames, dropped, rings], camera| {
         let found = camera.counts.precise + camera.counts.fast + camera.counts.unlocated;
         [frames + camera.frames, dropped + camera.dropped, rings + found]
     })
@@ -180,11 +181,12 @@ fn median(mut numbers: Vec<f64>) -> f64 {
 async fn run(mode: &str, cameras: usize, length: Duration, frames: &Arc<Vec<Vec<u8>>>) {
     let folder = std::env::temp_dir().join(format!("roundel-many-{}", std::process::id()));
     fs::create_dir_all(&folder).expect("a folder");
-    let server = Server::start_with_sources(config(mode, cameras, &folder), |setting| {
+    let shown = frames.clone();
+    let server = Server::start_with_sources(config(mode, cameras, &folder), move |setting| {
         // Cameras are not in step with one another.
         let phase_s = setting.index as f64 / (RATE_HZ * cameras as f64);
         let begin = setting.clock.now().plus_seconds(0.2 + phase_s);
-        let (frames, clock, stop) = (frames.clone(), setting.clock, setting.stop);
+        let (frames, clock, stop) = (shown.clone(), setting.clock, setting.stop);
         Box::new(Played { frames, begin, number: 0, clock, stop })
     })
     .await
@@ -201,7 +203,7 @@ async fn run(mode: &str, cameras: usize, length: Duration, frames: &Arc<Vec<Vec<
     let [frames, dropped, rings] = totals(&states);
     let [frames, dropped, rings] = [frames - before[0], dropped - before[1], rings - before[2]];
     let counts = server.hub().fusion_counts();
-    let detect_ms = median(states.iter().map(|camera| camera.detect_ms).collect());
+    let detect_ms = median(states.values().map(|camera| camera.detect_ms).collect());
     let objects = server.hub().snapshots().borrow().snapshot.objects.len();
     println!(
         "{cameras} cameras of {}x{} at {RATE_HZ} Hz, {ROUNDELS} roundels each, {mode}: {share:.2} of a core\n  \

@@ -10,7 +10,7 @@ use std::{
     path::Path,
     sync::{
         Arc,
-        mpsc::{Receiver, RecvTimeoutError, SyncSender, sync_channel},
+        mpsc::{Receiver, RecvTimeoutError, SyncSender, channel, sync_channel},
     },
     time::{Duration, Instant},
 };
@@ -87,8 +87,8 @@ impl Bench {
         }
         let config = Config::parse(&text, Path::new("")).expect("a configuration");
         let scenario = Scenario::r4_lite(1);
-        let mut senders = Vec::new();
-        let server = Server::start_with_sources(config, |setting| {
+        let (begun, senders) = channel();
+        let server = Server::start_with_sources(config, move |setting| {
             let camera = &setting.camera.calibration;
             let size = (camera.width(), camera.height());
             let mut pixels = vec![0; size.0 * size.1];
@@ -97,7 +97,7 @@ impl Bench {
                 .render(30, &mut pixels)
                 .expect("a buffer of its size");
             let (sender, frames) = sync_channel(1);
-            senders.push((sender, Arc::new(pixels)));
+            begun.send((sender, Arc::new(pixels))).expect("the bench waits for it");
             let newest = Pixels::default();
             Box::new(Fed { frames: Some(frames), newest, size, stop: setting.stop })
         })
@@ -108,7 +108,7 @@ impl Bench {
         let mut client = RoundelClient::new(endpoint.connect().await.expect("a connection"));
         let request = SubscribeSnapshotsRequest::default();
         let snapshots = client.subscribe_snapshots(request).await.expect("a stream").into_inner();
-        Self { server, cameras: senders, snapshots }
+        Self { server, cameras: senders.try_iter().collect(), snapshots }
     }
 
     /// Gives each camera its frame, and waits for the snapshot with all of them.

@@ -3,9 +3,11 @@
 
 mod calibration;
 pub mod push;
+mod setup;
 mod trial;
 
 pub use calibration::calibration;
+pub use setup::{setup, written};
 pub use trial::trial;
 
 use nalgebra::{UnitQuaternion, Vector3};
@@ -73,13 +75,19 @@ fn object_state(
         } else {
             Vec::new()
         },
-        cameras: state.cameras.iter().map(|&id| installation.camera_name(id).to_owned()).collect(),
+        cameras: names(installation, &state.cameras),
         observation_age_ns: pose_time.ns_since(state.newest_observation),
         residual: state.residual,
         acceleration: with_covariance.then(|| vector(&state.acceleration_m_s2)),
         roundel: installation.kind_name(state.kind).to_owned(),
         code: state.code.map(code),
     }
+}
+
+/// Of these cameras, those that are still there.
+fn names(installation: &Installation, cameras: &[CameraId]) -> Vec<String> {
+    let each = cameras.iter().filter_map(|id| installation.cameras.get(id));
+    each.map(|camera| camera.name.clone()).collect()
 }
 
 /// What one camera saw in one frame.
@@ -142,7 +150,7 @@ fn roundel_pose(pose: &RoundelPose) -> v1::RoundelPose {
 
 /// A camera with how it is doing.
 pub fn camera(installation: &Installation, id: CameraId, state: &CameraState) -> v1::Camera {
-    let info = installation.cameras.get(id.0 as usize);
+    let info = installation.cameras.get(&id);
     let ride = info.and_then(|info| info.ride.as_ref());
     let CameraPlace { status, placement, time, reason } = &state.place;
     let covariance = placement.as_ref().map(|placement| upper_triangle(&placement.covariance));
@@ -229,35 +237,17 @@ pub fn object(installation: &Installation, record: &ObjectRecord) -> v1::Object 
 }
 
 /// An event.
-pub fn event(installation: &Installation, event: &Event) -> v1::Event {
-    let of_camera = |kind, id| (kind, 0, installation.camera_name(id).to_owned());
-    let of_none = |kind| (kind, 0, String::new());
-    let (kind, object_id, camera) = match event.happening {
-        Happening::Object(id, kind) => (object_event_kind(kind), id.0, String::new()),
-        Happening::Camera(id, status) => of_camera(camera_event_kind(status), id),
-        Happening::RateOff(id) => of_camera(v1::EventKind::CameraRateOff, id),
-        Happening::RateAgrees(id) => of_camera(v1::EventKind::CameraRateAgrees, id),
-        Happening::ClockSet(id) => of_camera(v1::EventKind::CameraClockSet, id),
-        Happening::Placed(id) => of_camera(v1::EventKind::CameraPlaced, id),
-        Happening::Unplaced(id) => of_camera(v1::EventKind::CameraUnplaced, id),
-        Happening::Bumped(id) => of_camera(v1::EventKind::CameraBumped, id),
-        Happening::Returned(id) => of_camera(v1::EventKind::CameraReturned, id),
-        Happening::Drifted(id) => of_camera(v1::EventKind::CameraDrifted, id),
-        Happening::Contradicted => of_none(v1::EventKind::CamerasContradict),
-        Happening::Misplaced => of_none(v1::EventKind::CamerasMisplaced),
-        Happening::Agreed => of_none(v1::EventKind::CamerasAgree),
-        Happening::WrongHeight => of_none(v1::EventKind::HeightContradicted),
-        Happening::CalibrationBegun => of_none(v1::EventKind::CalibrationBegun),
-        Happening::CalibrationDone => of_none(v1::EventKind::CalibrationDone),
-        Happening::CalibrationFailed => of_none(v1::EventKind::CalibrationFailed),
-        Happening::CalibrationApplied => of_none(v1::EventKind::CalibrationApplied),
+pub fn event(event: &Event) -> v1::Event {
+    let object_id = match event.happening {
+        Happening::Object(id, _) => id.0,
+        _ => 0,
     };
     v1::Event {
         sequence: event.sequence,
         time_ns: event.time.as_ns(),
-        kind: kind as i32,
+        kind: event_kind(event.happening) as i32,
         object_id,
-        camera,
+        camera: event.camera.clone(),
         message: event.message.clone(),
     }
 }
@@ -304,6 +294,32 @@ fn pose_status(status: PoseStatus) -> v1::PoseStatus {
         }
         PoseStatus::Without(Unplaced::CarrierWithoutYaw) => v1::PoseStatus::CarrierWithoutYaw,
         PoseStatus::Without(Unplaced::CarrierUncertain) => v1::PoseStatus::CarrierUncertain,
+    }
+}
+
+fn event_kind(happening: Happening) -> v1::EventKind {
+    match happening {
+        Happening::Object(_, kind) => object_event_kind(kind),
+        Happening::Added(_) => v1::EventKind::CameraAdded,
+        Happening::Changed(_) => v1::EventKind::CameraChanged,
+        Happening::Removed(_) => v1::EventKind::CameraRemoved,
+        Happening::Camera(_, status) => camera_event_kind(status),
+        Happening::RateOff(_) => v1::EventKind::CameraRateOff,
+        Happening::RateAgrees(_) => v1::EventKind::CameraRateAgrees,
+        Happening::ClockSet(_) => v1::EventKind::CameraClockSet,
+        Happening::Placed(_) => v1::EventKind::CameraPlaced,
+        Happening::Unplaced(_) => v1::EventKind::CameraUnplaced,
+        Happening::Bumped(_) => v1::EventKind::CameraBumped,
+        Happening::Returned(_) => v1::EventKind::CameraReturned,
+        Happening::Drifted(_) => v1::EventKind::CameraDrifted,
+        Happening::Contradicted => v1::EventKind::CamerasContradict,
+        Happening::Misplaced => v1::EventKind::CamerasMisplaced,
+        Happening::Agreed => v1::EventKind::CamerasAgree,
+        Happening::WrongHeight => v1::EventKind::HeightContradicted,
+        Happening::CalibrationBegun => v1::EventKind::CalibrationBegun,
+        Happening::CalibrationDone => v1::EventKind::CalibrationDone,
+        Happening::CalibrationFailed => v1::EventKind::CalibrationFailed,
+        Happening::CalibrationApplied => v1::EventKind::CalibrationApplied,
     }
 }
 

@@ -1,14 +1,15 @@
 //! The fusion thread: the one owner of all tracks. Takes what workers saw, drives the pure machine
 //! of `core::world`, and publishes snapshots at steady ticks.
 
+mod order;
 mod riding;
 mod watching;
 
 use std::{
-    collections::BTreeMap,
+    collections::{BTreeMap, BTreeSet},
     sync::{
         Arc,
-        mpsc::{Receiver, RecvTimeoutError},
+        mpsc::{Receiver, RecvTimeoutError, Sender, channel},
     },
     time::{Duration, Instant},
 };
@@ -26,9 +27,10 @@ use crate::{
     stop::Stop,
     worker::{Sighted, meter::Median},
 };
+pub use order::{Known, Order, Stand, Timekeeping};
 use riding::Riding;
-pub use watching::Standing;
 use watching::Watching;
+pub use watching::WatchingParts;
 
 /// Frames from all cameras that may wait for fusion; full: the newest is dropped and counted.
 pub const QUEUE_FRAMES: usize = 256;
@@ -39,27 +41,48 @@ pub struct FusionTask {
     hub: Arc<Hub>,
     clock: Clock,
     received: Receiver<Sighted>,
+    orders: Receiver<Order>,
+    /// Those of which frames are used.
+    cameras: BTreeSet<CameraId>,
     latency_ms: BTreeMap<CameraId, Median>,
     /// What the newest snapshot says of each object, for messages about it.
-    known: BTreeMap<ObjectId, Known>,
+    known: BTreeMap<ObjectId, Subject>,
     riding: Riding,
     watching: Option<Watching>,
 }
 
 /// Kind, body and code of an object.
-type Known = (Option<KindId>, Option<BodyId>, Option<Code>);
+type Subject = (Option<KindId>, Option<BodyId>, Option<Code>);
 
 impl FusionTask {
-    /// A task for a fusion machine that was told already where cameras stand and what they ride on.
+    /// A task with a fusion machine that knows objects and landmarks. What it is to know of the installation's cameras
+    /// comes by [`FusionTask::taking_orders`], unless it was told already.
     pub fn new(fusion: Fusion, hub: Arc<Hub>, clock: Clock, received: Receiver<Sighted>) -> Self {
-        let (latency_ms, known) = (BTreeMap::new(), BTreeMap::new());
-        let riding = Riding::of(&hub);
-        Self { fusion, hub, clock, received, latency_ms, known, riding, watching: None }
+        let cameras = hub.installation().cameras.keys().copied().collect();
+        Self {
+            fusion,
+            hub,
+            clock,
+            received,
+            // Nobody sends any.
+            orders: channel().1,
+            cameras,
+            latency_ms: BTreeMap::new(),
+            known: BTreeMap::new(),
+            riding: Riding::default(),
+            watching: None,
+        }
     }
 
     /// The same, which notices cameras that no longer stand where they did.
-    pub fn watching(self, standing: Standing) -> Self {
-        Self { watching: Some(Watching::new(standing)), ..self }
+    pub fn watching(self, parts: WatchingParts) -> Self {
+        Self { watching: Some(Watching::new(parts)), ..self }
+    }
+
+    /// The same, which hears of cameras that come, change and go.
+    pub fn taking_orders(self) -> (Self, Sender<Order>) {
+        let (sender, orders) = channel();
+        (Self { orders, ..self }, sender)
     }
 
     /// Publishes a snapshot each `period` until the signal comes, and a last one then.
@@ -78,11 +101,13 @@ impl FusionTask {
         while let Ok(sighted) = self.received.try_recv() {
             self.observe(&sighted);
         }
+        self.obey();
         self.publish(self.clock.now());
     }
 
     fn take_until(&mut self, tick: Instant, stop: &Stop) {
         loop {
+            self.obey();
             let rest = tick.saturating_duration_since(Instant::now());
             if rest.is_zero() {
                 return;
@@ -101,6 +126,11 @@ impl FusionTask {
 
     fn observe(&mut self, sighted: &Sighted) {
         let camera = sighted.observations.camera;
+        // What it was told of came before the frame that was taken with it.
+        self.obey();
+        if !self.cameras.contains(&camera) {
+            return;
+        }
         if let Some(placement) = sighted.placement {
             self.fusion.set_camera(camera, Some(placement));
             self.watching.iter_mut().for_each(|watching| watching.place(camera, placement));
@@ -125,7 +155,8 @@ impl FusionTask {
     }
 
     fn tell_clock_set(&self, camera: CameraId) {
-        let name = self.hub.installation().camera_name(camera);
+        let installation = self.hub.installation();
+        let name = installation.camera_name(camera);
         let message = format!(
             "The clock of camera {name} was set, or counts from another epoch: its times are brought to \
              the server's, and what is left of the difference is found from what it sees."
@@ -143,7 +174,7 @@ impl FusionTask {
         }
         let events: Vec<Event> = self.fusion.drain_events().collect();
         for wrong in self.fusion.drain_wrong_heights() {
-            let message = height_sentence(self.hub.installation(), &wrong);
+            let message = height_sentence(&self.hub.installation(), &wrong);
             tracing::warn!("{message}");
             self.hub.publish_event(pose_time, Happening::WrongHeight, message);
         }
@@ -165,7 +196,8 @@ impl FusionTask {
 
     fn sentence(&self, event: &Event) -> String {
         let (kind, body, code) = self.known.get(&event.object).copied().unwrap_or_default();
-        let name = match (self.hub.installation().object_name(kind, body), code) {
+        let installation = self.hub.installation();
+        let name = match (installation.object_name(kind, body), code) {
             ("", None) => format!("Object {}", event.object),
             ("", Some(code)) => format!("Object {} (code {})", event.object, code.number),
             (name, _) => format!("Object {} ({name})", event.object),
@@ -220,7 +252,10 @@ mod tests {
             source_id: "s".into(),
             started: clock.now(),
             snapshot_rate_hz: 100.0,
-            cameras: vec![CameraInfo { name: "north".into(), ..CameraInfo::default() }],
+            cameras: Installation::numbered([CameraInfo {
+                name: "north".into(),
+                ..CameraInfo::default()
+            }]),
             kinds: vec!["robot".into()],
             object_names: BTreeMap::from([(KindId(0), "robot one".into())]),
             body_names: vec!["carrier".into()],
@@ -289,7 +324,7 @@ mod tests {
         let (events, _) = hub.events(10);
         let messages: Vec<&str> = events.iter().map(|event| event.message.as_str()).collect();
         assert_eq!(messages, [format!("Object {} (robot one) has appeared.", object.id)]);
-        assert!(hub.cameras()[0].latency_ms >= 0.0);
+        assert!(hub.cameras()[&CameraId(0)].latency_ms >= 0.0);
     }
 
     #[test]
@@ -314,7 +349,7 @@ mod tests {
         let told: Vec<_> = events.iter().map(|event| event.happening).collect();
         assert_eq!(told, [Happening::ClockSet(CameraId(0))]);
         assert!(events[0].message.contains("camera north was set"), "{}", events[0].message);
-        assert!(hub.cameras()[0].clock.is_some());
+        assert!(hub.cameras()[&CameraId(0)].clock.is_some());
     }
 
     #[test]
@@ -353,7 +388,7 @@ mod tests {
             seen_m: 0.2,
             cameras: vec![CameraId(0)],
         };
-        let sentence = height_sentence(hub.installation(), &wrong);
+        let sentence = height_sentence(&hub.installation(), &wrong);
         assert!(sentence.starts_with("\"carrier\": seen at a height of 0.20 m"), "{sentence}");
     }
 
@@ -362,7 +397,7 @@ mod tests {
         let clock = Clock::anchored_now();
         let hub = Arc::new(Hub::new(Installation {
             object_names: BTreeMap::new(),
-            ..hub(&clock).installation().clone()
+            ..Installation::clone(&hub(&clock).installation())
         }));
         let (_, receiver) = sync_channel(1);
         let fusion = Fusion::new(FusionParams::default());

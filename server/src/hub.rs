@@ -6,26 +6,31 @@
 //! told how many they missed; pictures are made only when somebody has asked for one.
 
 mod camera;
+mod event;
+mod installation;
 
 use std::{
     collections::{BTreeMap, VecDeque},
     sync::{
-        Arc, Mutex, MutexGuard, PoisonError,
-        atomic::{AtomicBool, Ordering},
+        Arc, Mutex, MutexGuard, PoisonError, RwLock,
+        atomic::{AtomicBool, AtomicU64, Ordering},
     },
 };
 
+use axum::body::Bytes;
 use roundel_core::{
     id::{BodyId, CameraId, KindId, ObjectId},
     marker::Code,
     time::Timestamp,
-    world::{self, FrameObservations, FusionCounts, LifeStage, Snapshot},
+    world::{FrameObservations, FusionCounts, LifeStage, Snapshot},
 };
-use tokio::sync::{broadcast, watch};
+use tokio::sync::{OnceCell, broadcast, watch};
 
 pub use camera::{
     CameraInfo, CameraPlace, CameraState, CameraStatus, DetectionCounts, PoseStatus, RideInfo,
 };
+pub use event::{Event, Happening};
+pub use installation::Installation;
 
 /// Observations that a slow reader may lag behind before it misses some.
 const OBSERVATIONS_KEPT: usize = 256;
@@ -33,54 +38,6 @@ const OBSERVATIONS_KEPT: usize = 256;
 pub const EVENTS_KEPT: usize = 1000;
 /// How long a lost object stays in the list of objects.
 const LOST_KEPT_SECONDS: f64 = 60.0;
-
-/// What is fixed while a server runs.
-#[derive(Clone, Debug)]
-pub struct Installation {
-    /// The configured name.
-    pub name: String,
-    /// Tells this run of this server from every other.
-    pub source_id: String,
-    /// When it started.
-    pub started: Timestamp,
-    /// Snapshots a second.
-    pub snapshot_rate_hz: f64,
-    /// Cameras by [`CameraId`].
-    pub cameras: Vec<CameraInfo>,
-    /// Names of the kinds of roundel, by [`KindId`].
-    pub kinds: Vec<String>,
-    /// Configured names of objects that are known by a whole kind, by that.
-    pub object_names: BTreeMap<KindId, String>,
-    /// Configured names of all others, by [`BodyId`].
-    pub body_names: Vec<String>,
-}
-
-impl Installation {
-    /// The camera's name; empty for an id of another installation.
-    pub fn camera_name(&self, id: CameraId) -> &str {
-        self.cameras.get(id.0 as usize).map_or("", |camera| &camera.name)
-    }
-
-    /// The camera of that name.
-    pub fn camera_id(&self, name: &str) -> Option<CameraId> {
-        let place = self.cameras.iter().position(|camera| camera.name == name)?;
-        u32::try_from(place).ok().map(CameraId)
-    }
-
-    /// The kind's name; empty for no kind.
-    pub fn kind_name(&self, kind: Option<KindId>) -> &str {
-        kind.and_then(|kind| self.kinds.get(usize::from(kind.0))).map_or("", String::as_str)
-    }
-
-    /// The configured name of an object, or empty.
-    pub fn object_name(&self, kind: Option<KindId>, body: Option<BodyId>) -> &str {
-        let name = match body {
-            Some(body) => self.body_names.get(body.0 as usize),
-            None => kind.and_then(|kind| self.object_names.get(&kind)),
-        };
-        name.map_or("", String::as_str)
-    }
-}
 
 /// A snapshot with what the server adds to it.
 #[derive(Clone, Debug, Default)]
@@ -94,7 +51,7 @@ pub struct FusedSnapshot {
 }
 
 /// A camera's frame with what was found in it.
-#[derive(Clone, Debug)]
+#[derive(Debug)]
 pub struct Picture {
     /// Columns, pixels.
     pub width: usize,
@@ -104,60 +61,19 @@ pub struct Picture {
     pub pixels: Vec<u8>,
     /// Found in this very frame.
     pub observations: Arc<FrameObservations>,
+    /// The same as a JPEG file, made once for all who look at it.
+    pub jpeg: OnceCell<Bytes>,
 }
 
-/// What an event is about.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Happening {
-    /// A change in an object's life.
-    Object(ObjectId, world::EventKind),
-    /// A camera's new status.
-    Camera(CameraId, CameraStatus),
-    /// A camera gives another number of frames a second than was promised.
-    RateOff(CameraId),
-    /// It gives what was promised again.
-    RateAgrees(CameraId),
-    /// A camera's clock was set, or is of another epoch.
-    ClockSet(CameraId),
-    /// Where a camera is became known.
-    Placed(CameraId),
-    /// Where a camera is has not been known for a while.
-    Unplaced(CameraId),
-    /// A camera moved, and is left out.
-    Bumped(CameraId),
-    /// Where it stands now is known.
-    Returned(CameraId),
-    /// A camera's place was corrected a little.
-    Drifted(CameraId),
-    /// Cameras contradict one another, and which of them moved cannot be known.
-    Contradicted,
-    /// Cameras never agreed: their configured poses are not exact enough.
-    Misplaced,
-    /// They agree again.
-    Agreed,
-    /// What drives is not as high as was configured.
-    WrongHeight,
-    /// A calibration of the arena records.
-    CalibrationBegun,
-    /// There is a result.
-    CalibrationDone,
-    /// There is none, and why.
-    CalibrationFailed,
-    /// Cameras take a result over, or a kept one is left out.
-    CalibrationApplied,
-}
-
-/// Something that happened once.
-#[derive(Clone, Debug)]
-pub struct Event {
-    /// Grows by one with each event.
-    pub sequence: u64,
-    /// When.
-    pub time: Timestamp,
-    /// What.
-    pub happening: Happening,
-    /// One sentence for a person.
-    pub message: String,
+impl Picture {
+    /// Of columns and rows, with what was found in it.
+    pub fn new(
+        (width, height): (usize, usize),
+        pixels: Vec<u8>,
+        observations: Arc<FrameObservations>,
+    ) -> Self {
+        Self { width, height, pixels, observations, jpeg: OnceCell::new() }
+    }
 }
 
 /// An object as the list of objects shows it.
@@ -181,6 +97,7 @@ pub struct ObjectRecord {
     pub observations: u64,
 }
 
+#[derive(Default)]
 struct CameraSlot {
     state: Mutex<CameraState>,
     picture_wanted: AtomicBool,
@@ -194,39 +111,67 @@ struct EventLog {
 
 /// The meeting point of producers and consumers.
 pub struct Hub {
-    installation: Installation,
+    installation: watch::Sender<Arc<Installation>>,
     snapshot: watch::Sender<Arc<FusedSnapshot>>,
     observations: broadcast::Sender<Arc<FrameObservations>>,
     events: broadcast::Sender<Arc<Event>>,
     event_log: Mutex<EventLog>,
     objects: Mutex<BTreeMap<ObjectId, ObjectRecord>>,
-    cameras: Vec<CameraSlot>,
+    /// One for each camera of the installation.
+    cameras: RwLock<BTreeMap<CameraId, Arc<CameraSlot>>>,
     fusion_counts: Mutex<FusionCounts>,
+    /// Cameras added, changed and removed.
+    changes: [AtomicU64; 3],
 }
 
 impl Hub {
     /// A hub with nothing in it yet.
     pub fn new(installation: Installation) -> Self {
-        let slot = |_: &CameraInfo| CameraSlot {
-            state: Mutex::default(),
-            picture_wanted: AtomicBool::new(false),
-            picture: watch::Sender::new(None),
-        };
+        let slot = |id: &CameraId| (*id, Arc::default());
         Self {
-            cameras: installation.cameras.iter().map(slot).collect(),
-            installation,
+            cameras: RwLock::new(installation.cameras.keys().map(slot).collect()),
+            installation: watch::Sender::new(Arc::new(installation)),
             snapshot: watch::Sender::default(),
             observations: broadcast::Sender::new(OBSERVATIONS_KEPT),
             events: broadcast::Sender::new(EVENTS_KEPT),
             event_log: Mutex::new(EventLog { next_sequence: 1, newest: VecDeque::new() }),
             objects: Mutex::default(),
             fusion_counts: Mutex::default(),
+            changes: Default::default(),
         }
     }
 
-    /// What is fixed while the server runs.
-    pub fn installation(&self) -> &Installation {
-        &self.installation
+    /// The installation as it is now.
+    pub fn installation(&self) -> Arc<Installation> {
+        self.installation.borrow().clone()
+    }
+
+    /// The same, and a wait for its changes.
+    pub fn installations(&self) -> watch::Receiver<Arc<Installation>> {
+        self.installation.subscribe()
+    }
+
+    /// Adds a camera, or says of one that is there what it is from now on; its state stays.
+    pub fn set_camera(&self, id: CameraId, info: CameraInfo) {
+        // Its slot is there before anybody learns of it.
+        let mut cameras = self.cameras.write().unwrap_or_else(PoisonError::into_inner);
+        cameras.entry(id).or_default();
+        drop(cameras);
+        self.installation.send_modify(|installation| {
+            Arc::make_mut(installation).cameras.insert(id, Arc::new(info));
+        });
+    }
+
+    /// Takes a camera out, with all that is held of it; whoever waits for its pictures waits no more.
+    pub fn remove_camera(&self, id: CameraId) {
+        self.installation.send_modify(|installation| {
+            Arc::make_mut(installation).cameras.remove(&id);
+        });
+        self.cameras.write().unwrap_or_else(PoisonError::into_inner).remove(&id);
+    }
+
+    fn slot(&self, id: CameraId) -> Option<Arc<CameraSlot>> {
+        self.cameras.read().unwrap_or_else(PoisonError::into_inner).get(&id).cloned()
     }
 
     /// Hands on a new snapshot; the sequence is counted here.
@@ -256,14 +201,29 @@ impl Hub {
 
     /// Remembers and hands on an event.
     pub fn publish_event(&self, time: Timestamp, happening: Happening, message: String) {
+        match happening {
+            Happening::Added(_) => self.changes[0].fetch_add(1, Ordering::Relaxed),
+            Happening::Changed(_) => self.changes[1].fetch_add(1, Ordering::Relaxed),
+            Happening::Removed(_) => self.changes[2].fetch_add(1, Ordering::Relaxed),
+            _ => 0,
+        };
+        let installation = self.installation();
+        let camera = happening.camera().map(|id| installation.camera_name(id).to_owned());
+        let camera = camera.unwrap_or_default();
         let mut log = lock(&self.event_log);
-        let event = Arc::new(Event { sequence: log.next_sequence, time, happening, message });
+        let event =
+            Arc::new(Event { sequence: log.next_sequence, time, happening, camera, message });
         log.next_sequence += 1;
         if log.newest.len() == EVENTS_KEPT {
             log.newest.pop_front();
         }
         log.newest.push_back(event.clone());
         let _ = self.events.send(event);
+    }
+
+    /// How many cameras were added, changed and removed since the start.
+    pub fn changes(&self) -> [u64; 3] {
+        [0, 1, 2].map(|index| self.changes[index].load(Ordering::Relaxed))
     }
 
     /// The newest remembered events, oldest first, at most `backlog`, and those from now on; none
@@ -279,9 +239,9 @@ impl Hub {
         lock(&self.objects).values().cloned().collect()
     }
 
-    /// Changes a camera's state; ids of another installation are ignored.
+    /// Changes a camera's state; of one that was removed nothing is kept.
     pub fn update_camera(&self, id: CameraId, change: impl FnOnce(&mut CameraState)) {
-        if let Some(slot) = self.cameras.get(id.0 as usize) {
+        if let Some(slot) = self.slot(id) {
             change(&mut lock(&slot.state));
         }
     }
@@ -296,34 +256,33 @@ impl Hub {
         *lock(&self.fusion_counts)
     }
 
-    /// Every camera's state, by [`CameraId`].
-    pub fn cameras(&self) -> Vec<CameraState> {
-        self.cameras.iter().map(|slot| lock(&slot.state).clone()).collect()
+    /// Every camera's state.
+    pub fn cameras(&self) -> BTreeMap<CameraId, CameraState> {
+        let cameras = self.cameras.read().unwrap_or_else(PoisonError::into_inner);
+        cameras.iter().map(|(id, slot)| (*id, lock(&slot.state).clone())).collect()
     }
 
-    /// One camera's state; `None` for an id of another installation.
+    /// One camera's state; `None` if there is no such camera.
     pub fn camera(&self, id: CameraId) -> Option<CameraState> {
-        self.cameras.get(id.0 as usize).map(|slot| lock(&slot.state).clone())
+        self.slot(id).map(|slot| lock(&slot.state).clone())
     }
 
     /// Asks the worker for a picture of its next frame, and gives the newest one and a wait for the
-    /// next; `None` for an id of another installation.
+    /// next; `None` if there is no such camera.
     pub fn request_picture(&self, id: CameraId) -> Option<watch::Receiver<Option<Arc<Picture>>>> {
-        let slot = self.cameras.get(id.0 as usize)?;
+        let slot = self.slot(id)?;
         slot.picture_wanted.store(true, Ordering::Release);
         Some(slot.picture.subscribe())
     }
 
     /// Whether somebody waits for a picture; asking takes the request.
     pub fn take_picture_request(&self, id: CameraId) -> bool {
-        self.cameras
-            .get(id.0 as usize)
-            .is_some_and(|slot| slot.picture_wanted.swap(false, Ordering::AcqRel))
+        self.slot(id).is_some_and(|slot| slot.picture_wanted.swap(false, Ordering::AcqRel))
     }
 
     /// Hands on a picture that was asked for.
     pub fn publish_picture(&self, id: CameraId, picture: Picture) {
-        if let Some(slot) = self.cameras.get(id.0 as usize) {
+        if let Some(slot) = self.slot(id) {
             slot.picture.send_replace(Some(Arc::new(picture)));
         }
     }

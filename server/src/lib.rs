@@ -11,6 +11,7 @@
 //! | [`hub`] | the newest of everything, for whoever asks | shared |
 //! | [`convert`] | the only place where core's types become proto's | – |
 //! | [`api`] | gRPC, REST, WebSocket, metrics and the dashboard on one port | async tasks |
+//! | [`roster`] | which cameras there are: added, changed and removed, and written back | shared |
 //! | [`trial`] | one try of a source, before a camera is configured with it | whoever asks |
 //! | [`serve`] | puts the above together, and takes it apart on shutdown | – |
 //! | [`cli`] | the commands of `roundel` | main thread |
@@ -27,6 +28,7 @@ pub mod fusion;
 pub mod hub;
 pub mod image_file;
 mod reason;
+pub mod roster;
 pub mod serve;
 pub mod source;
 pub mod stop;

@@ -13,6 +13,7 @@ use std::{
 };
 
 use roundel_core::{
+    id::CameraId,
     marker::{DetectorError, MaskError},
     world::BodyError,
 };
@@ -20,22 +21,24 @@ use thiserror::Error;
 use tokio::net::TcpListener;
 use tokio_util::sync::CancellationToken;
 
+pub use crate::roster::CameraSetting;
 use crate::{
     api,
     calibration::{
-        Calibrated, Calibrator, CalibratorParts,
-        file::{CalibrationFile, CalibrationFileError, Configured},
+        Calibrator, CalibratorParts,
+        file::{CalibrationFile, CalibrationFileError},
     },
     clock::Clock,
-    config::{CameraConfig, CameraPose, Config},
-    fusion::{FusionTask, QUEUE_FRAMES, Standing},
+    config::Config,
+    fusion::{FusionTask, QUEUE_FRAMES, WatchingParts},
     hub::{Happening, Hub},
-    source::{OpenSource, Playback, SourceAddress, SourceOpener, TimesError, push::Port},
+    roster::{self, Roster, RosterError, RosterParts, Sources},
+    source::{OpenSource, Playback, SourceOpener, TimesError, push::Ports},
     stop::Stop,
     trial::Trier,
-    worker::{self, Sighted, Worker, WorkerParts, adoption::Inbox, pipeline::Pipeline},
+    worker::{Sighted, Totals},
 };
-use setup::{camera_id, configured, fusion, installation, landmarks, pipeline, place, standing};
+use setup::{fusion, installation, landmarks};
 
 /// Time that shutdown may take in all.
 pub const GRACE: Duration = Duration::from_secs(5);
@@ -65,6 +68,9 @@ pub enum ServeError {
     /// A camera's mask is none.
     #[error(transparent)]
     Mask(#[from] MaskError),
+    /// A camera cannot be begun.
+    #[error(transparent)]
+    Roster(#[from] RosterError),
     /// An object cannot be followed.
     #[error("object \"{name}\": {source}")]
     Object {
@@ -106,22 +112,6 @@ fn remedy(error: &io::Error) -> &'static str {
     }
 }
 
-/// What a source has to fit into.
-pub struct CameraSetting<'a> {
-    /// The camera's place in the configuration.
-    pub index: usize,
-    /// Its configuration.
-    pub camera: &'a CameraConfig,
-    /// The server's clock.
-    pub clock: Clock,
-    /// The time line of recorded and simulated frames.
-    pub playback: Playback,
-    /// Ends every wait of the source.
-    pub stop: Stop,
-    /// Where the frames of one with a `push:` source arrive.
-    pub port: Option<Arc<Port>>,
-}
-
 /// A running server. Dropping it without [`Server::shutdown`] ends its threads too, but does not
 /// wait for them.
 pub struct Server {
@@ -130,10 +120,9 @@ pub struct Server {
     clock: Clock,
     playback: Playback,
     calibrator: Arc<Calibrator>,
-    stop_cameras: Stop,
+    roster: Option<Arc<Roster>>,
     stop_fusion: Stop,
     cancel_clients: CancellationToken,
-    cameras: Vec<JoinHandle<()>>,
     fusion: Option<JoinHandle<()>>,
     api: Option<tokio::task::JoinHandle<()>>,
 }
@@ -152,12 +141,12 @@ impl Server {
         .await
     }
 
-    /// The same with frames of the caller's own: `source` is asked once for each camera. Its
+    /// The same with frames of the caller's own: `source` is asked each time that a camera's worker begins. Its
     /// sources give frames of the size of the camera's calibration, with capture times on the
     /// setting's clock, and end their waits on its stop signal.
     pub async fn start_with_sources(
-        mut config: Config,
-        mut source: impl FnMut(CameraSetting<'_>) -> Box<dyn OpenSource>,
+        config: Config,
+        source: impl FnMut(CameraSetting<'_>) -> Box<dyn OpenSource> + Send + 'static,
     ) -> Result<Self, ServeError> {
         let address = config.server.listen;
         let listening = |source| ServeError::Listen { address, source };
@@ -165,53 +154,34 @@ impl Server {
         let address = listener.local_addr().map_err(listening)?;
         let (clock, playback) = Playback::begin(config.cameras.iter().map(|c| &c.address))?;
         let hub = Arc::new(Hub::new(installation(&config, clock.now())));
-        let calibrated = config.cameras.iter().map(calibrated).collect();
-        let file = kept_calibration(&mut config, &hub, clock)?;
+        let mut calibrated = config.clone();
+        let file = kept_calibration(&mut calibrated, &hub, clock)?;
         let calibrator = Arc::new(Calibrator::new(CalibratorParts {
             hub: hub.clone(),
             clock,
-            cameras: calibrated,
+            cameras: (0..)
+                .map(CameraId)
+                .zip(config.cameras.iter().map(roster::setup::calibrated))
+                .collect(),
             landmarks: landmarks(&config),
             path: config.server.calibration.clone(),
             file,
         }));
         let mut server = Self {
             address,
-            hub: hub.clone(),
+            hub,
             clock,
             playback,
-            calibrator: calibrator.clone(),
-            stop_cameras: Stop::default(),
+            calibrator,
+            roster: None,
             stop_fusion: Stop::default(),
             cancel_clients: CancellationToken::new(),
-            cameras: Vec::new(),
             fusion: None,
             api: None,
         };
-        let ports: Vec<Option<Arc<Port>>> = config.cameras.iter().map(port).collect();
-        server.start_threads(&config, &ports, &mut source)?;
-        let trier = config.server.setup.then(|| {
-            Arc::new(Trier::new(config.kinds.clone(), config.folder.clone(), clock, playback))
-        });
-        let limits = api::Limits {
-            max_clients: config.limits.max_clients,
-            grace: CLIENT_GRACE,
-            ..api::Limits::default()
-        };
-        let cancel = server.cancel_clients.clone();
-        server.api = Some(tokio::spawn(api::serve(
-            listener,
-            api::Served {
-                hub,
-                clock,
-                calibrator,
-                ports,
-                late_window_ms: config.fusion.late_window_s * 1e3,
-                trier,
-            },
-            limits,
-            cancel,
-        )));
+        let ports = Arc::new(Ports::default());
+        server.start_threads(&config, &calibrated, (ports.clone(), Box::new(source)))?;
+        server.start_api(listener, &config, ports);
         Ok(server)
     }
 
@@ -240,67 +210,83 @@ impl Server {
         &self.calibrator
     }
 
+    /// The cameras that there are, and how they become others.
+    pub fn roster(&self) -> Option<&Arc<Roster>> {
+        self.roster.as_ref()
+    }
+
     fn start_threads(
         &mut self,
         config: &Config,
-        ports: &[Option<Arc<Port>>],
-        source: &mut dyn FnMut(CameraSetting<'_>) -> Box<dyn OpenSource>,
+        calibrated: &Config,
+        (ports, sources): (Arc<Ports>, Sources),
     ) -> Result<(), ServeError> {
         // Full: observations are dropped and counted, see `worker`.
         let (to_fusion, from_workers) = sync_channel::<Sighted>(QUEUE_FRAMES);
-        let mut task = FusionTask::new(fusion(config)?, self.hub.clone(), self.clock, from_workers);
+        let (machine, bodies) = fusion(config)?;
+        let mut task = FusionTask::new(machine, self.hub.clone(), self.clock, from_workers);
         if config.server.watches {
-            task = task.watching(Standing {
-                cameras: standing(config),
-                configured: configured(config),
-                landmarks: landmarks(config),
-                calibrator: self.calibrator.clone(),
-            });
+            let (landmarks, calibrator) = (landmarks(config), self.calibrator.clone());
+            task = task.watching(WatchingParts { landmarks, calibrator });
         } else {
             tracing::warn!(
                 "cameras are not watched (`watch = false` in [server]): one that is bumped goes on to be used"
             );
         }
+        let (task, orders) = task.taking_orders();
         let period = Duration::from_secs_f64(1.0 / config.server.snapshot_rate_hz);
         let stop = self.stop_fusion.clone();
         self.fusion = Some(spawn("fusion".to_owned(), move || task.run(period, &stop))?);
-        for (index, camera) in config.cameras.iter().enumerate() {
-            let worker = Worker::new(WorkerParts {
-                id: camera_id(index),
-                name: camera.name.clone(),
-                opener: source(CameraSetting {
-                    index,
-                    camera,
-                    clock: self.clock,
-                    playback: self.playback,
-                    stop: self.stop_cameras.clone(),
-                    port: ports.get(index).cloned().flatten(),
-                }),
-                pipeline: Pipeline::new(pipeline(camera, config)?)?,
-                place: place(camera, config),
-                calibration_version: version_of(camera, &self.calibrator),
-                inbox: self.calibrator.inbox(camera_id(index)),
-                hub: self.hub.clone(),
-                fusion: to_fusion.clone(),
-                clock: self.clock,
-                promised_hz: camera.rate_hz,
-            });
-            let stop = self.stop_cameras.clone();
-            let name = format!("camera {}", camera.name);
-            self.cameras.push(spawn(name, move || worker::run(worker, &stop))?);
-        }
+        let parts = RosterParts {
+            config: config.clone(),
+            bodies,
+            hub: self.hub.clone(),
+            clock: self.clock,
+            playback: self.playback,
+            calibrator: self.calibrator.clone(),
+            ports,
+            to_fusion,
+            orders,
+            sources,
+        };
+        self.roster = Some(Arc::new(Roster::start(parts, calibrated)?));
         Ok(())
+    }
+
+    fn start_api(&mut self, listener: TcpListener, config: &Config, ports: Arc<Ports>) {
+        let limits = api::Limits {
+            max_clients: config.limits.max_clients,
+            grace: CLIENT_GRACE,
+            ..api::Limits::default()
+        };
+        let (kinds, folder) = (config.kinds.clone(), config.folder.clone());
+        let trier = || Arc::new(Trier::new(kinds, folder, self.clock, self.playback));
+        let served = api::Served {
+            hub: self.hub.clone(),
+            clock: self.clock,
+            calibrator: self.calibrator.clone(),
+            ports,
+            late_window_ms: config.fusion.late_window_s * 1e3,
+            trier: config.server.setup.then(trier),
+            roster: self.roster.clone().filter(|_| config.server.setup),
+        };
+        let cancel = self.cancel_clients.clone();
+        self.api = Some(tokio::spawn(api::serve(listener, served, limits, cancel)));
+    }
+
+    fn end_cameras(&self) -> Vec<JoinHandle<Totals>> {
+        self.roster.as_ref().map(|roster| roster.end()).unwrap_or_default()
     }
 
     /// Ends cameras, then fusion, then clients; at most [`GRACE`] long. What does not end in time is
     /// left behind with a warning.
     pub async fn shutdown(mut self) {
         let deadline = Instant::now() + (GRACE - CLIENT_GRACE);
-        self.stop_cameras.stop();
+        let cameras = self.end_cameras();
         if let Some(calibration) = self.calibrator.shut_down() {
             join(calibration, deadline).await;
         }
-        for camera in std::mem::take(&mut self.cameras) {
+        for camera in cameras {
             join(camera, deadline).await;
         }
         self.stop_fusion.stop();
@@ -318,25 +304,10 @@ impl Server {
 
 impl Drop for Server {
     fn drop(&mut self) {
-        self.stop_cameras.stop();
+        self.end_cameras();
         self.calibrator.shut_down();
         self.stop_fusion.stop();
         self.cancel_clients.cancel();
-    }
-}
-
-/// Where remote programs feed a camera.
-fn port(camera: &CameraConfig) -> Option<Arc<Port>> {
-    matches!(camera.address, SourceAddress::Push(_)).then(Arc::default)
-}
-
-/// What the calibrator is told of a camera, before a kept calibration is merged.
-fn calibrated(camera: &CameraConfig) -> Calibrated {
-    let rides = matches!(camera.pose, CameraPose::Rides(_));
-    Calibrated {
-        name: camera.name.clone(),
-        configured: (!rides).then(|| Configured::of(camera)),
-        inbox: Inbox::default(),
     }
 }
 
@@ -361,18 +332,16 @@ fn kept_calibration(
     Ok(file)
 }
 
-/// Of the calibration that a camera starts with.
-fn version_of(camera: &CameraConfig, calibrator: &Calibrator) -> u64 {
-    if matches!(camera.pose, CameraPose::Calibrated(_)) { calibrator.version() } else { 0 }
-}
-
-fn spawn(name: String, run: impl FnOnce() + Send + 'static) -> Result<JoinHandle<()>, ServeError> {
+fn spawn<T: Send + 'static>(
+    name: String,
+    run: impl FnOnce() -> T + Send + 'static,
+) -> Result<JoinHandle<T>, ServeError> {
     let builder = thread::Builder::new().name(name.clone());
     builder.spawn(run).map_err(|source| ServeError::Thread { name, source })
 }
 
 /// Waits for a thread without holding up the runtime.
-async fn join(thread: JoinHandle<()>, deadline: Instant) {
+async fn join<T>(thread: JoinHandle<T>, deadline: Instant) {
     const LOOK_EVERY: Duration = Duration::from_millis(5);
     while !thread.is_finished() {
         if Instant::now() >= deadline {

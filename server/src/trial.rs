@@ -258,6 +258,7 @@ impl Trier {
             mask: Mask::default(),
             camera: camera.map_err(|error| internal(&error))?,
             line_time_s: 0.0,
+            counts: Default::default(),
         })
         .map_err(|error| internal(&error))
     }

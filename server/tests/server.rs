@@ -82,7 +82,7 @@ async fn cameras(
 ) -> Vec<CameraState> {
     let look = async {
         loop {
-            let cameras = server.hub().cameras();
+            let cameras: Vec<CameraState> = server.hub().cameras().into_values().collect();
             if wanted(&cameras) {
                 return cameras;
             }

@@ -14,6 +14,7 @@ import { fileURLToPath, pathToFileURL } from "node:url";
 import { WebSocketServer } from "ws";
 
 import { Calibrator } from "./calibrator.mjs";
+import { Roster } from "./roster.mjs";
 import { World } from "./world.mjs";
 
 const DASHBOARD = join(dirname(fileURLToPath(import.meta.url)), "../../client/dashboard");
@@ -27,13 +28,13 @@ const TYPES = {
 };
 
 /**
- * @param {{port?: number, world?: World, calibrator?: Calibrator}} [options] port 0 takes a free one
+ * @param {{port?: number, world?: World, calibrator?: Calibrator, roster?: Roster}} [options] port 0 takes a free one
  * @returns {Promise<{url: string, world: World, close: () => Promise<void>}>}
  */
-export async function startMock({ port = 0, world = new World(), calibrator } = {}) {
+export async function startMock({ port = 0, world = new World(), calibrator, roster = new Roster(world) } = {}) {
   calibrator ??= new Calibrator(world.cameras().map((camera) => camera.name));
   const server = createServer((request, response) => {
-    answer({ world, calibrator }, request, response).catch((error) => {
+    answer({ world, calibrator, roster }, request, response).catch((error) => {
       response.writeHead(500).end(String(error));
     });
   });
@@ -66,17 +67,22 @@ export async function startMock({ port = 0, world = new World(), calibrator } = 
   };
 }
 
-async function answer({ world, calibrator }, request, response) {
+async function bodyOf(request) {
+  const chunks = [];
+  for await (const chunk of request) chunks.push(chunk);
+  return chunks.length > 0 ? JSON.parse(Buffer.concat(chunks).toString()) : null;
+}
+
+async function answer({ world, calibrator, roster }, request, response) {
   const { pathname } = new URL(request.url, "http://mock");
-  if (pathname.startsWith("/api/v1/calibration")) {
-    const chunks = [];
-    for await (const chunk of request) chunks.push(chunk);
-    const body = chunks.length > 0 ? JSON.parse(Buffer.concat(chunks).toString()) : null;
-    const path = pathname.slice("/api/v1/calibration".length);
-    const [status, message] = calibrator.answer(request.method, path, body);
+  const say = ([status, message]) => {
     response.writeHead(status, { "content-type": "application/json" }).end(JSON.stringify(message));
-    return;
+  };
+  if (pathname.startsWith("/api/v1/calibration")) {
+    return say(calibrator.answer(request.method, pathname.slice("/api/v1/calibration".length), await bodyOf(request)));
   }
+  const setup = roster.answer(request.method, pathname.slice("/api/v1".length), await bodyOf(request));
+  if (setup) return say(setup);
   const json = (value) => {
     response.writeHead(200, { "content-type": "application/json" }).end(JSON.stringify(value));
   };

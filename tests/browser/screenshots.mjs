@@ -43,6 +43,15 @@ await calibrating.page.waitForTimeout(500);
 await shot(calibrating.page, "wide-light-calibration");
 await calibrating.context.close();
 
+const adding = await openDashboard(browser, server.url, { viewport: WIDE, colorScheme: "light" });
+await adding.page.locator("#add-camera").click();
+await adding.page.locator("#setup-source").fill("v4l2:/dev/video0");
+await adding.page.getByLabel("As measured").check();
+await adding.page.locator("#setup-save").click();
+await adding.page.waitForTimeout(500);
+await shot(adding.page, "wide-light-setup");
+await adding.context.close();
+
 if (server.world) {
   const troubled = await openDashboard(browser, server.url, { viewport: WIDE, colorScheme: "light" });
   server.world.failCamera("north-west", "the folder frames/north-west has no images; put PNG or JPEG files there");

@@ -48,8 +48,11 @@ function clockText(clock) {
   return clock ? `${clock.offsetMs < 0 ? "" : "+"}${fixed(clock.offsetMs, 2)} ± ${fixed(clock.deviationMs, 2)} ms` : "trusted";
 }
 
-/** @param {import("./store.js").Store} store */
-export function showCameras(store) {
+/**
+ * @param {import("./store.js").Store} store
+ * @param {(name: string) => void} edit opens a camera's setup
+ */
+export function showCameras(store, edit) {
   const list = find("#camera-cards");
   const empty = find("#cameras-empty");
   const summary = find("#cameras-summary");
@@ -68,7 +71,7 @@ export function showCameras(store) {
     for (const camera of store.cameras) {
       let card = cards.get(camera.name);
       if (!card) {
-        card = new Card(camera.name, viewer);
+        card = new Card(camera.name, viewer, edit);
         cards.set(camera.name, card);
         list.append(card.root);
       }
@@ -131,8 +134,9 @@ class Card {
   /**
    * @param {string} name
    * @param {Viewer} viewer
+   * @param {(name: string) => void} edit
    */
-  constructor(name, viewer) {
+  constructor(name, viewer, edit) {
     const image = new Image();
     image.alt = `What camera ${name} sees, with its detections drawn in`;
     this.picture = new Picture(image, name);
@@ -154,9 +158,11 @@ class Card {
       ]),
     );
     this.head = element("h3", {}, [name]);
+    const change = element("button", { type: "button", class: "quiet", "aria-haspopup": "dialog", "aria-label": `Set up camera ${name}` }, ["Edit…"]);
+    change.addEventListener("click", () => edit(name));
     this.root = element("li", { class: "card", "data-camera-card": name }, [
       this.frame,
-      element("div", { class: "card-head" }, [this.head, this.status]),
+      element("div", { class: "card-head" }, [this.head, this.status, change]),
       this.place,
       this.sender,
       this.note,

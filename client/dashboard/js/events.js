@@ -28,6 +28,9 @@ const SIGNS = new Map([
   ["cameras_misplaced", "failed"],
   ["camera_rate_off", "predicted"],
   ["camera_rate_agrees", "running"],
+  ["camera_added", "starting"],
+  ["camera_changed", "starting"],
+  ["camera_removed", "finished"],
 ]);
 
 /** @param {import("./store.js").Store} store */

@@ -10,8 +10,8 @@ import { showList } from "./list.js";
 import { showMasthead } from "./masthead.js";
 import { readInfo } from "./message.js";
 import { showPanel } from "./panel.js";
+import { showSetup } from "./setup.js";
 import { Store } from "./store.js";
-import { showTrial } from "./trial.js";
 
 /** Snapshots asked for each second: half a screen's rate is fluent, and easy on a phone. */
 const MAX_RATE_HZ = 30;
@@ -20,9 +20,9 @@ const store = new Store();
 const arena = new Arena(store);
 showList(store);
 showPanel(store);
-showCameras(store);
+const setup = showSetup();
+showCameras(store, setup.edit);
 showCalibration(store);
-showTrial();
 showEvents(store);
 
 for (const input of document.querySelectorAll("input[name=exaggeration]")) {

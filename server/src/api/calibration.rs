@@ -71,7 +71,7 @@ pub async fn apply(State(api): State<Arc<Api>>) -> Result<Json<v1::Calibration>,
 
 pub(super) fn newest(api: &Api) -> v1::Calibration {
     let status = api.calibrator.status().borrow().clone();
-    convert::calibration(api.hub.installation(), &status, api.calibrator.version())
+    convert::calibration(&api.hub.installation(), &status, api.calibrator.version())
 }
 
 pub(super) fn begin(

@@ -91,7 +91,7 @@ impl Feed {
             let Some(missed) = self.pace.admit(fused.sequence, fused.fused_time) else {
                 continue;
             };
-            let mut message = self.selection.filter.message(self.api.hub.installation(), &fused);
+            let mut message = self.selection.filter.message(&self.api.hub.installation(), &fused);
             message.missed = missed;
             message.sent_time_ns = self.api.clock.now().as_ns();
             self.api.counters.snapshots_sent.fetch_add(1, Ordering::Relaxed);

@@ -3,7 +3,9 @@
 //! Health knows two names: the empty one serves as long as the process works; that of the service
 //! serves while `/readyz` says so, too.
 
-use std::{collections::BTreeMap, pin::Pin, sync::Arc};
+mod observer;
+
+use std::{pin::Pin, sync::Arc};
 
 use axum::Router;
 use futures::{Stream, StreamExt, stream};
@@ -20,9 +22,10 @@ use super::{
     feed::Feed,
     push,
     selection::{MESSAGE_FIELDS, Selection},
-    trial,
+    setup, trial,
 };
 use crate::{convert, hub};
+use observer::Observer;
 
 /// Largest request; lists of ids are the only large thing in one.
 const MAX_REQUEST_BYTES: usize = 256 * 1024;
@@ -55,7 +58,7 @@ pub fn router(api: &Arc<Api>) -> (Router, HealthReporter) {
 
 /// Ends a stream with UNAVAILABLE when the server goes down.
 fn until_shutdown<T: Send + 'static>(
-    messages: impl Stream<Item = T> + Send + 'static,
+    messages: impl Stream<Item = Result<T, Status>> + Send + 'static,
     cancel: CancellationToken,
 ) -> Messages<T> {
     let end = stream::once(async move {
@@ -67,7 +70,7 @@ fn until_shutdown<T: Send + 'static>(
     Box::pin(marked.scan(false, |ended, message| {
         let next = match message {
             _ if *ended => None,
-            Some(message) => Some(Ok(message)),
+            Some(message) => Some(message),
             None => {
                 *ended = true;
                 Some(Err(ApiError::Unavailable(SHUTTING_DOWN.into()).into()))
@@ -91,7 +94,7 @@ impl v1::roundel_server::Roundel for Service {
         let feed = Feed::new(self.api.clone(), selection);
         let messages = stream::unfold(feed, |mut feed| async move {
             let message = feed.next().await?;
-            Some((message, feed))
+            Some((Ok(message), feed))
         });
         Ok(Response::new(until_shutdown(messages, self.api.cancel.clone())))
     }
@@ -100,7 +103,7 @@ impl v1::roundel_server::Roundel for Service {
         &self,
         request: Request<v1::SubscribeObservationsRequest>,
     ) -> Result<Response<Self::SubscribeObservationsStream>, Status> {
-        let observer = Observer::new(&self.api, &request.into_inner().cameras)?;
+        let observer = Observer::new(&self.api, request.into_inner().cameras)?;
         let messages = stream::unfold(observer, |mut observer| async move {
             let message = observer.next().await?;
             Some((message, observer))
@@ -119,9 +122,7 @@ impl v1::roundel_server::Roundel for Service {
             let event = next_event(&mut receiver).await?;
             Some((event, receiver))
         });
-        let messages = stream::iter(remembered)
-            .chain(new)
-            .map(move |event| convert::event(api.hub.installation(), &event));
+        let messages = stream::iter(remembered).chain(new).map(|event| Ok(convert::event(&event)));
         Ok(Response::new(until_shutdown(messages, self.api.cancel.clone())))
     }
 
@@ -173,7 +174,7 @@ impl v1::roundel_server::Roundel for Service {
             status.changed().await.ok()?;
             let _ = status.borrow_and_update();
             let message = calibration::newest(&api);
-            Some((message, (api, status)))
+            Some((Ok(message), (api, status)))
         });
         Ok(Response::new(until_shutdown(messages, self.api.cancel.clone())))
     }
@@ -200,11 +201,40 @@ impl v1::roundel_server::Roundel for Service {
         Ok(Response::new(trial::try_source(&self.api, request.into_inner()).await?))
     }
 
+    async fn get_camera_setup(
+        &self,
+        request: Request<v1::GetCameraSetupRequest>,
+    ) -> Result<Response<v1::CameraSetup>, Status> {
+        Ok(Response::new(setup::written(&self.api, request.into_inner().name).await?))
+    }
+
+    async fn add_camera(
+        &self,
+        request: Request<v1::AddCameraRequest>,
+    ) -> Result<Response<v1::CameraChange>, Status> {
+        let camera = request.into_inner().camera.unwrap_or_default();
+        Ok(Response::new(setup::add_camera(&self.api, camera).await?))
+    }
+
+    async fn change_camera(
+        &self,
+        request: Request<v1::ChangeCameraRequest>,
+    ) -> Result<Response<v1::CameraChange>, Status> {
+        Ok(Response::new(setup::change_camera(&self.api, request.into_inner()).await?))
+    }
+
+    async fn remove_camera(
+        &self,
+        request: Request<v1::RemoveCameraRequest>,
+    ) -> Result<Response<v1::CameraChange>, Status> {
+        Ok(Response::new(setup::remove_camera(&self.api, request.into_inner().name).await?))
+    }
+
     async fn get_server_info(
         &self,
         _: Request<v1::GetServerInfoRequest>,
     ) -> Result<Response<v1::ServerInfo>, Status> {
-        Ok(Response::new(convert::server_info(self.api.hub.installation())))
+        Ok(Response::new(convert::server_info(&self.api.hub.installation())))
     }
 }
 
@@ -216,29 +246,45 @@ pub(super) fn newest_snapshot(api: &Api, selection: &Selection) -> Result<v1::Sn
             "no snapshot yet: fusion has not made its first one; try again in a moment".into(),
         ));
     }
-    let mut message = selection.filter.message(api.hub.installation(), &fused);
+    let mut message = selection.filter.message(&api.hub.installation(), &fused);
     message.sent_time_ns = api.clock.now().as_ns();
     Ok(message)
 }
 
 /// Every camera, in the order of the configuration.
 pub(super) fn cameras(api: &Api) -> Vec<v1::Camera> {
-    let states = api.hub.cameras();
-    let ids = (0..).map(CameraId);
-    ids.zip(&states).map(|(id, state)| convert::camera(api.hub.installation(), id, state)).collect()
+    let (installation, states) = (api.hub.installation(), api.hub.cameras());
+    let each = states.iter().filter(|(id, _)| installation.cameras.contains_key(id));
+    each.map(|(id, state)| convert::camera(&installation, *id, state)).collect()
+}
+
+/// One camera.
+pub(super) fn camera(api: &Api, id: CameraId) -> Result<v1::Camera, ApiError> {
+    match api.hub.camera(id) {
+        Some(state) => Ok(convert::camera(&api.hub.installation(), id, &state)),
+        None => Err(removed(api, id)),
+    }
+}
+
+/// The error of a camera that was there when the request came.
+pub(super) fn removed(api: &Api, id: CameraId) -> ApiError {
+    let installation = api.hub.installation();
+    let names: Vec<&str> = installation.cameras.values().map(|c| c.name.as_str()).collect();
+    let known = format!("it was removed; there are: {}", names.join(", "));
+    ApiError::NotFound { what: "camera", name: format!("{}", id.0), known }
 }
 
 /// Every object that is remembered, by id.
 pub(super) fn objects(api: &Api) -> Vec<v1::Object> {
     let records = api.hub.objects();
-    records.iter().map(|record| convert::object(api.hub.installation(), record)).collect()
+    records.iter().map(|record| convert::object(&api.hub.installation(), record)).collect()
 }
 
 /// The id of the camera of that name, or an error that names those there are.
 pub(super) fn camera_id(api: &Api, name: &str) -> Result<CameraId, ApiError> {
     let installation = api.hub.installation();
     installation.camera_id(name).ok_or_else(|| {
-        let names: Vec<&str> = installation.cameras.iter().map(|c| c.name.as_str()).collect();
+        let names: Vec<&str> = installation.cameras.values().map(|c| c.name.as_str()).collect();
         let known = if names.is_empty() {
             "this installation has none".to_owned()
         } else {
@@ -267,43 +313,6 @@ pub(super) async fn next_event(
             Ok(event) => return Some(event),
             Err(RecvError::Lagged(_)) => {}
             Err(RecvError::Closed) => return None,
-        }
-    }
-}
-
-/// What one subscriber sees of the cameras' observations.
-struct Observer {
-    api: Arc<Api>,
-    receiver: broadcast::Receiver<Arc<roundel_core::world::FrameObservations>>,
-    /// Empty: all.
-    cameras: Vec<CameraId>,
-    /// The newest frame sent, by camera.
-    newest: BTreeMap<CameraId, u64>,
-}
-
-impl Observer {
-    fn new(api: &Arc<Api>, names: &[String]) -> Result<Self, ApiError> {
-        let cameras = names.iter().map(|name| camera_id(api, name)).collect::<Result<_, _>>()?;
-        let receiver = api.hub.observations();
-        Ok(Self { api: api.clone(), receiver, cameras, newest: BTreeMap::new() })
-    }
-
-    async fn next(&mut self) -> Option<v1::FrameObservations> {
-        loop {
-            let frame = match self.receiver.recv().await {
-                Ok(frame) => frame,
-                // What was missed shows in the numbers of the frames that follow.
-                Err(RecvError::Lagged(_)) => continue,
-                Err(RecvError::Closed) => return None,
-            };
-            if !self.cameras.is_empty() && !self.cameras.contains(&frame.camera) {
-                continue;
-            }
-            let before = self.newest.insert(frame.camera, frame.frame);
-            let mut message = convert::observations(self.api.hub.installation(), &frame);
-            // A camera counts its frames without gaps, so a gap is what this subscriber missed.
-            message.missed = before.map_or(0, |before| frame.frame.saturating_sub(before + 1));
-            return Some(message);
         }
     }
 }

@@ -17,7 +17,10 @@ use axum::{
     http::{StatusCode, header},
     response::{IntoResponse, Response},
 };
-use roundel_core::world::{FusionCounts, LifeStage};
+use roundel_core::{
+    id::CameraId,
+    world::{FusionCounts, LifeStage},
+};
 use roundel_proto::v1::roundel_server;
 use serde::Serialize;
 use tokio::time::sleep;
@@ -26,7 +29,7 @@ use tonic_health::{ServingStatus, server::HealthReporter};
 use utoipa::ToSchema;
 
 use super::{Api, grpc};
-use crate::hub::CameraStatus;
+use crate::hub::{CameraState, CameraStatus};
 
 /// A snapshot older than this, or than this many periods, means that fusion does not publish.
 const STALE_SECONDS: f64 = 1.0;
@@ -93,11 +96,11 @@ fn missing(api: &Api) -> Vec<String> {
     let cameras = api.hub.cameras();
     if cameras.is_empty() {
         missing.push("the configuration names no camera".to_owned());
-    } else if !cameras.iter().any(|camera| camera.status == CameraStatus::Running) {
-        let each = installation.cameras.iter().zip(&cameras);
-        let states: Vec<String> = each
-            .map(|(info, state)| format!("{} is {}", info.name, status_word(state.status)))
-            .collect();
+    } else if !cameras.values().any(|camera| camera.status == CameraStatus::Running) {
+        let shown = |(id, state): (&CameraId, &CameraState)| {
+            format!("{} is {}", installation.camera_name(*id), status_word(state.status))
+        };
+        let states: Vec<String> = cameras.iter().map(shown).collect();
         missing.push(format!("no camera runs: {}", states.join(", ")));
     }
     missing
@@ -128,7 +131,7 @@ pub async fn report_readiness(api: Arc<Api>, reporter: HealthReporter) {
 pub async fn metrics(State(api): State<Arc<Api>>) -> Response {
     let mut page = Page::default();
     write_server(&mut page, &api);
-    camera::write_cameras(&mut page, api.hub.installation(), &api.hub.cameras());
+    camera::write_cameras(&mut page, &api.hub.installation(), &api.hub.cameras());
     write_fusion(&mut page, &api);
     write_clients(&mut page, &api);
     ([(header::CONTENT_TYPE, "text/plain; version=0.0.4; charset=utf-8")], page.text)
@@ -148,6 +151,13 @@ fn write_server(page: &mut Page, api: &Api) {
     page.single("roundel_start_time_seconds", "gauge", "Start of the server, Unix time.", start_s);
     let ready = f64::from(u8::from(missing(api).is_empty()));
     page.single("roundel_ready", "gauge", "1 while /readyz says yes.", ready);
+    let cameras = installation.cameras.len() as f64;
+    page.single("roundel_cameras", "gauge", "Cameras that are configured now.", cameras);
+    let name = "roundel_camera_changes_total";
+    page.family(name, "counter", "Cameras that were set up anew while the server runs.");
+    for (change, count) in ["added", "changed", "removed"].into_iter().zip(api.hub.changes()) {
+        page.sample(name, &[("change", change)], count as f64);
+    }
 }
 
 fn write_fusion(page: &mut Page, api: &Api) {

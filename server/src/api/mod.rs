@@ -10,6 +10,7 @@
 //! | [`grpc`] | the service of `proto/roundel/v1/roundel.proto` |
 //! | [`push`] | the service of `push.proto`: remote programs feed cameras |
 //! | [`rest`], [`calibration`], [`openapi`] | `/api/v1/…` and its description |
+//! | [`setup`] | cameras that are added, changed and removed |
 //! | [`trial`] | one try of a source |
 //! | [`ws`] | `/api/v1/stream` |
 //! | [`metrics`] | `/metrics`, `/healthz`, `/readyz` |
@@ -35,6 +36,7 @@ pub mod push;
 pub mod query;
 pub mod rest;
 pub mod selection;
+pub mod setup;
 pub mod trial;
 pub mod ws;
 
@@ -48,7 +50,10 @@ use tokio::net::TcpListener;
 use tokio_util::sync::CancellationToken;
 
 use self::error::ApiError;
-use crate::{calibration::Calibrator, clock::Clock, hub::Hub, source::push::Port, trial::Trier};
+use crate::{
+    calibration::Calibrator, clock::Clock, hub::Hub, roster::Roster, source::push::Ports,
+    trial::Trier,
+};
 
 /// What the port allows.
 #[derive(Clone, Copy, Debug)]
@@ -95,11 +100,13 @@ pub struct Served {
     /// Finds where cameras stand.
     pub calibrator: Arc<Calibrator>,
     /// Where remote programs feed cameras, by camera; `None`: one that is not fed.
-    pub ports: Vec<Option<Arc<Port>>>,
+    pub ports: Arc<Ports>,
     /// Observations that are older against the newest of all cameras are of no use, milliseconds.
     pub late_window_ms: f64,
     /// Tries sources; `None`: clients may not.
     pub trier: Option<Arc<Trier>>,
+    /// Adds, changes and removes cameras; `None`: clients may not.
+    pub roster: Option<Arc<Roster>>,
 }
 
 /// What every handler of a request shares.
@@ -110,19 +117,20 @@ pub struct Api {
     pub clock: Clock,
     /// Finds where cameras stand.
     pub calibrator: Arc<Calibrator>,
-    /// Where remote programs feed cameras, by camera.
-    pub ports: Vec<Option<Arc<Port>>>,
+    /// Where remote programs feed cameras.
+    pub ports: Arc<Ports>,
     /// As in [`Served`].
     pub late_window_ms: f64,
     /// Tries sources, where clients may have them tried.
     pub trier: Option<Arc<Trier>>,
+    /// Adds, changes and removes cameras, where clients may have that done.
+    pub roster: Option<Arc<Roster>>,
     /// Set when the server goes down.
     pub cancel: CancellationToken,
     /// What the port allows.
     pub limits: Limits,
     /// What the port has done so far.
     pub counters: Counters,
-    pictures: picture::Gallery,
 }
 
 /// Serves every API on `listener` until `cancel`, and then until the last client has gone, at most
@@ -136,8 +144,7 @@ pub async fn serve(
     limits: Limits,
     cancel: CancellationToken,
 ) {
-    let Served { hub, clock, calibrator, ports, late_window_ms, trier } = served;
-    let pictures = picture::Gallery::new(hub.installation().cameras.len());
+    let Served { hub, clock, calibrator, ports, late_window_ms, trier, roster } = served;
     let counters = Counters::default();
     let api = Arc::new(Api {
         hub,
@@ -146,10 +153,10 @@ pub async fn serve(
         ports,
         late_window_ms,
         trier,
+        roster,
         cancel,
         limits,
         counters,
-        pictures,
     });
     let (grpc_router, health) = grpc::router(&api);
     let http_router = http_router(api.clone());

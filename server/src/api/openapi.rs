@@ -6,7 +6,7 @@ use axum::Json;
 use utoipa::{OpenApi, openapi};
 use utoipa_axum::{router::OpenApiRouter, routes};
 
-use super::{Api, calibration, metrics, rest, trial, ws};
+use super::{Api, calibration, metrics, rest, setup, trial, ws};
 
 #[derive(OpenApi)]
 #[openapi(info(
@@ -23,8 +23,9 @@ pub fn described_routes() -> OpenApiRouter<Arc<Api>> {
         .routes(routes!(rest::snapshot))
         .routes(routes!(rest::objects))
         .routes(routes!(rest::object))
-        .routes(routes!(rest::cameras))
-        .routes(routes!(rest::camera))
+        .routes(routes!(rest::cameras, setup::add))
+        .routes(routes!(rest::camera, setup::change, setup::remove))
+        .routes(routes!(setup::show))
         .routes(routes!(rest::frame))
         .routes(routes!(rest::events))
         .routes(routes!(trial::test))

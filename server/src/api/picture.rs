@@ -7,55 +7,23 @@ use std::sync::Arc;
 
 use axum::body::Bytes;
 use jpeg_encoder::{ColorType, Encoder};
-use roundel_core::{camera::PixelPoint, id::CameraId};
-use tokio::sync::Mutex;
+use roundel_core::camera::PixelPoint;
 
 use super::error::ApiError;
 use crate::{drawing::Canvas, hub::Picture};
 
 const QUALITY: u8 = 80;
 
-/// The newest JPEG of each camera, so that it is made once however many look at it.
-pub struct Gallery {
-    newest: Vec<Mutex<Option<Encoded>>>,
-}
-
-/// A picture, and what was made of it.
-struct Encoded {
-    picture: Arc<Picture>,
-    jpeg: Bytes,
-}
-
-impl Gallery {
-    /// For so many cameras.
-    pub fn new(cameras: usize) -> Self {
-        Self { newest: (0..cameras).map(|_| Mutex::default()).collect() }
-    }
-
-    /// The picture of that camera as JPEG, with the edges of its masked regions.
-    pub async fn jpeg(
-        &self,
-        camera: CameraId,
-        picture: Arc<Picture>,
-        mask: &[Vec<PixelPoint>],
-    ) -> Result<Bytes, ApiError> {
-        let Some(slot) = self.newest.get(camera.0 as usize) else {
-            return Err(ApiError::Internal(format!("camera {} has no place here", camera.0)));
-        };
-        // Whoever comes second waits here for the first one's work, and takes it.
-        let mut newest = slot.lock().await;
-        if let Some(encoded) = newest.as_ref()
-            && Arc::ptr_eq(&encoded.picture, &picture)
-        {
-            return Ok(encoded.jpeg.clone());
-        }
+/// The picture as JPEG, with the edges of its camera's masked regions.
+pub async fn jpeg(picture: &Arc<Picture>, mask: &[Vec<PixelPoint>]) -> Result<Bytes, ApiError> {
+    // Whoever comes second waits here for the first one's work, and takes it.
+    let jpeg = picture.jpeg.get_or_try_init(|| async {
         let (drawn, mask) = (picture.clone(), mask.to_vec());
-        let jpeg = tokio::task::spawn_blocking(move || encode(&drawn, &mask)).await.map_err(
-            |error| ApiError::Internal(format!("drawing the picture ended early: {error}")),
-        )??;
-        *newest = Some(Encoded { picture, jpeg: jpeg.clone() });
-        Ok(jpeg)
-    }
+        tokio::task::spawn_blocking(move || encode(&drawn, &mask)).await.map_err(|error| {
+            ApiError::Internal(format!("drawing the picture ended early: {error}"))
+        })?
+    });
+    jpeg.await.cloned()
 }
 
 /// Draws the mask and the detections into the picture and encodes it.

@@ -93,7 +93,12 @@ async fn converse(
     let attachment = port.attach(&read(&greeting, times, peer)).map_err(ApiError::from)?;
     let hold = Hold { api, camera, port, attachment: Some(attachment) };
     hold.show();
-    Talk { hold, times, answers, told_version: None }.welcome_and_take(&mut messages).await
+    let port = hold.port.clone();
+    let talk = Talk { hold, times, answers, told: None };
+    tokio::select! {
+        outcome = talk.welcome_and_take(&mut messages) => outcome,
+        () = port.closed() => Err(ApiError::from(PushError::Closed).into()),
+    }
 }
 
 fn read(greeting: &v1::PushGreeting, times: Times, peer: Option<Peer>) -> Greeting {
@@ -109,10 +114,10 @@ fn read(greeting: &v1::PushGreeting, times: Times, peer: Option<Peer>) -> Greeti
 
 fn port(api: &Api, name: &str) -> Result<(CameraId, Arc<Port>), ApiError> {
     let id = grpc::camera_id(api, name)?;
-    let port = api.ports.get(id.0 as usize).cloned().flatten();
+    let port = api.ports.get(id);
     let port = port.ok_or_else(|| {
-        let info = api.hub.installation().cameras.get(id.0 as usize);
-        let source = info.map_or("", |info| &info.source);
+        let installation = api.hub.installation();
+        let source = installation.cameras.get(&id).map_or("", |info| &info.source);
         ApiError::FailedPrecondition(format!(
             "camera {name:?} takes its frames from `{source}`: only one with source = \"push:\" can be fed"
         ))
@@ -153,8 +158,8 @@ struct Talk<'a> {
     hold: Hold<'a>,
     times: Times,
     answers: &'a mpsc::Sender<Result<v1::PushResponse, Status>>,
-    /// Of the calibration that the sender was told.
-    told_version: Option<u64>,
+    /// What the sender was told of the camera's lens.
+    told: Option<v1::PushedCalibration>,
 }
 
 impl Talk<'_> {
@@ -188,7 +193,7 @@ impl Talk<'_> {
         let (sequence, (what, clock)) = match request.message {
             Some(Asked::Frame(frame)) => (frame.sequence, convert::frame(frame)?),
             Some(Asked::Observations(seen)) => {
-                (seen.sequence, convert::seen(self.hold.api.hub.installation(), seen)?)
+                (seen.sequence, convert::seen(&self.hold.api.hub.installation(), seen)?)
             }
             Some(Asked::Trouble(v1::PushedTrouble { error })) => {
                 return Ok(self.hold.attachment()?.trouble(error)?);
@@ -202,6 +207,7 @@ impl Talk<'_> {
                 self.answer(Answer::ProbeAnswer(times)).await;
                 return Ok(());
             }
+            Some(Asked::Picture(_)) => return Ok(()),
             Some(Asked::Greeting(_)) => {
                 return Err(ApiError::invalid("message", "one greeting", "another one"));
             }
@@ -217,14 +223,12 @@ impl Talk<'_> {
 
     /// Tells the lens and the place's version, where they are new.
     async fn tell_calibration(&mut self) {
-        let mut told = None;
+        let mut newest = None;
         self.hold.api.hub.update_camera(self.hold.camera, |state| {
-            if self.told_version != Some(state.calibration_version) {
-                told = convert::pushed_calibration(state);
-            }
+            newest = convert::pushed_calibration(state);
         });
-        if let Some(calibration) = told {
-            self.told_version = Some(calibration.version);
+        if let Some(calibration) = newest.filter(|newest| self.told.as_ref() != Some(newest)) {
+            self.told = Some(calibration.clone());
             self.answer(Answer::Calibration(calibration)).await;
         }
     }
@@ -241,6 +245,7 @@ impl From<PushError> for ApiError {
         match error {
             PushError::Taken { .. } => Self::FailedPrecondition(error.to_string()),
             PushError::Superseded => Self::Aborted(error.to_string()),
+            PushError::Closed => Self::FailedPrecondition(error.to_string()),
             PushError::Sequence => Self::invalid("sequence", "a number from 1", 0),
         }
     }

@@ -17,7 +17,7 @@ use utoipa::ToSchema;
 use super::{
     Api,
     error::{ApiError, ErrorBody},
-    grpc,
+    grpc, picture,
     query::Parameters,
     selection::{QUERY_FIELDS, Selection},
 };
@@ -31,9 +31,9 @@ const CAPTURE_TIME_HEADER: HeaderName = HeaderName::from_static("roundel-capture
 const DEFAULT_BACKLOG: u32 = 50;
 
 /// The changing part of a path.
-type Segment = Result<Path<String>, PathRejection>;
+pub(super) type Segment = Result<Path<String>, PathRejection>;
 
-fn text_of(segment: Segment) -> Result<String, ApiError> {
+pub(super) fn text_of(segment: Segment) -> Result<String, ApiError> {
     match segment {
         Ok(Path(text)) => Ok(text),
         Err(error) => Err(ApiError::invalid("path", "percent-encoded UTF-8", error)),
@@ -110,9 +110,9 @@ pub async fn object(
     };
     let installation = api.hub.installation();
     let fused = api.hub.snapshots().borrow().clone();
-    let message = Selection::default().filter.message(installation, &fused);
+    let message = Selection::default().filter.message(&installation, &fused);
     let state = message.objects.into_iter().find(|state| state.object_id == number);
-    Ok(Json(ObjectWithState { object: convert::object(installation, record), state }))
+    Ok(Json(ObjectWithState { object: convert::object(&installation, record), state }))
 }
 
 /// Every camera, in the order of the configuration.
@@ -139,9 +139,7 @@ pub async fn camera(
 ) -> Result<Json<v1::Camera>, ApiError> {
     let name = text_of(name)?;
     let id = grpc::camera_id(&api, &name)?;
-    let states = api.hub.cameras();
-    let state = states.get(id.0 as usize).cloned().unwrap_or_default();
-    Ok(Json(convert::camera(api.hub.installation(), id, &state)))
+    grpc::camera(&api, id).map(Json)
 }
 
 /// The camera's newest frame, with what was found in it drawn in.
@@ -161,7 +159,7 @@ pub async fn frame(State(api): State<Arc<Api>>, name: Segment) -> Result<Respons
     let name = text_of(name)?;
     let id = grpc::camera_id(&api, &name)?;
     let Some(mut pictures) = api.hub.request_picture(id) else {
-        return Err(ApiError::Internal(format!("camera {name:?} has no place in the hub")));
+        return Err(grpc::removed(&api, id));
     };
     let fresh = timeout(PICTURE_WAIT, pictures.changed());
     tokio::select! {
@@ -171,11 +169,9 @@ pub async fn frame(State(api): State<Arc<Api>>, name: Segment) -> Result<Respons
     }
     let newest = pictures.borrow().clone();
     let Some(picture) = newest else {
-        let states = api.hub.cameras();
-        let state = states.get(id.0 as usize).cloned().unwrap_or_default();
-        let shown = convert::camera(api.hub.installation(), id, &state);
+        let shown = grpc::camera(&api, id)?;
         let status = roundel_proto::json::camera_status::word(shown.status);
-        let why = match &state.link {
+        let why = match &shown.link {
             _ if !shown.error.is_empty() => &shown.error,
             Some(_) => "its frames are searched where they are taken, and not sent",
             None => "no frame came yet",
@@ -185,9 +181,8 @@ pub async fn frame(State(api): State<Arc<Api>>, name: Segment) -> Result<Respons
         )));
     };
     let capture_time = picture.observations.capture_time.as_ns();
-    let info = api.hub.installation().cameras.get(id.0 as usize);
-    let mask = info.map_or(&[][..], |info| &info.mask);
-    let jpeg = api.pictures.jpeg(id, picture, mask).await?;
+    let info = api.hub.installation().cameras.get(&id).cloned();
+    let jpeg = picture::jpeg(&picture, info.as_ref().map_or(&[], |info| &info.mask)).await?;
     let headers = [
         (header::CONTENT_TYPE, HeaderValue::from_static("image/jpeg")),
         (header::CACHE_CONTROL, HeaderValue::from_static("no-store")),
@@ -218,8 +213,7 @@ pub async fn events(State(api): State<Arc<Api>>, uri: Uri) -> Result<Json<EventL
     parameters.finish()?;
     let backlog = grpc::checked_backlog(backlog.unwrap_or(DEFAULT_BACKLOG), "backlog")?;
     let (remembered, _) = api.hub.events(backlog);
-    let installation = api.hub.installation();
-    let events = remembered.iter().map(|event| convert::event(installation, event)).collect();
+    let events = remembered.iter().map(|event| convert::event(event)).collect();
     Ok(Json(EventList { events }))
 }
 
@@ -229,5 +223,5 @@ pub async fn events(State(api): State<Arc<Api>>, uri: Uri) -> Result<Json<EventL
     responses((status = 200, description = "the server", body = v1::ServerInfo)),
 )]
 pub async fn info(State(api): State<Arc<Api>>) -> Json<v1::ServerInfo> {
-    Json(convert::server_info(api.hub.installation()))
+    Json(convert::server_info(&api.hub.installation()))
 }

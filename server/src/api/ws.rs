@@ -170,7 +170,7 @@ impl Session {
 
     async fn converse(&mut self, socket: &mut WebSocket) -> Result<(), End> {
         for event in std::mem::take(&mut self.remembered) {
-            let event = convert::event(self.api.hub.installation(), &event);
+            let event = convert::event(&event);
             self.send(socket, &Outgoing::Event(event)).await?;
         }
         let mut pings = interval_at(Instant::now() + PING_INTERVAL, PING_INTERVAL);
@@ -199,7 +199,7 @@ impl Session {
                 () = next_tick(&mut self.cameras) => Outgoing::Cameras(grpc::cameras(&self.api)),
                 event = next_event(&mut self.events) => {
                     let event = event.ok_or(End::Shutdown)?;
-                    Outgoing::Event(convert::event(self.api.hub.installation(), &event))
+                    Outgoing::Event(convert::event(&event))
                 }
             };
             self.send(socket, &message).await?;

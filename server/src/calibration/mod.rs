@@ -5,6 +5,7 @@
 //! | --- | --- |
 //! | `recorder` | what cameras see for a minute, and what is missing meanwhile |
 //! | `task` | recording → solving → taking over, on a thread of its own |
+//! | `member` | cameras that come, change and go |
 //! | `takeover` | cameras stand where they were found to, now and at the next start |
 //! | [`report`] | what came out, and what a person should know, by name |
 //! | [`file`] | the versioned file that keeps it |
@@ -14,6 +15,7 @@
 //! lost; and written to the calibration file, from which the next start takes it.
 
 pub mod file;
+mod member;
 mod recorder;
 pub mod report;
 mod takeover;
@@ -144,6 +146,7 @@ pub enum CalibrateError {
 }
 
 /// One camera, as the calibrator knows it.
+#[derive(Clone)]
 pub struct Calibrated {
     /// As configured.
     pub name: String,
@@ -159,8 +162,8 @@ pub struct CalibratorParts {
     pub hub: Arc<Hub>,
     /// The server's clock.
     pub clock: Clock,
-    /// By [`CameraId`].
-    pub cameras: Vec<Calibrated>,
+    /// All cameras.
+    pub cameras: BTreeMap<CameraId, Calibrated>,
     /// The reference roundels, in the order of the configuration.
     pub landmarks: Vec<Landmark>,
     /// Where results are kept, if anywhere.
@@ -179,7 +182,7 @@ pub struct Calibrator {
 struct Shared {
     hub: Arc<Hub>,
     clock: Clock,
-    cameras: Vec<Calibrated>,
+    cameras: Mutex<BTreeMap<CameraId, Calibrated>>,
     landmarks: Vec<Landmark>,
     path: Option<PathBuf>,
     file: Mutex<CalibrationFile>,
@@ -190,7 +193,8 @@ impl Calibrator {
     /// One that has not calibrated anything.
     pub fn new(parts: CalibratorParts) -> Self {
         let CalibratorParts { hub, clock, cameras, landmarks, path, file } = parts;
-        let (file, status) = (Mutex::new(file), watch::Sender::default());
+        let (file, cameras) = (Mutex::new(file), Mutex::new(cameras));
+        let status = watch::Sender::default();
         let shared = Shared { hub, clock, cameras, landmarks, path, file, status };
         Self { shared: Arc::new(shared), running: Mutex::default() }
     }
@@ -248,8 +252,8 @@ impl Calibrator {
 
     /// Where a camera's worker is to look.
     pub fn inbox(&self, id: CameraId) -> Inbox {
-        let camera = self.shared.cameras.get(id.0 as usize);
-        camera.map(|camera| camera.inbox.clone()).unwrap_or_default()
+        let cameras = lock(&self.shared.cameras);
+        cameras.get(&id).map(|camera| camera.inbox.clone()).unwrap_or_default()
     }
 
     /// The version that is in use; 0: none.
@@ -270,7 +274,7 @@ impl Shared {
         if !(SECONDS[0]..=SECONDS[1]).contains(&wanted.seconds) {
             return Err(CalibrateError::Seconds(wanted.seconds));
         }
-        if self.cameras.iter().all(|camera| camera.configured.is_none()) {
+        if lock(&self.cameras).values().all(|camera| camera.configured.is_none()) {
             return Err(CalibrateError::Cameras);
         }
         let found = self.landmarks.len();

@@ -1,5 +1,7 @@
 //! What a calibration found, in the installation's own names.
 
+use std::collections::BTreeMap;
+
 use roundel_core::{
     calib::arena::{ArenaCalibration, CalibratedCamera, Names},
     camera::Camera,
@@ -89,11 +91,11 @@ impl Names for Configured<'_> {
 pub(super) fn report(
     found: ArenaCalibration,
     installation: &Installation,
-    states: &[CameraState],
+    states: &BTreeMap<CameraId, CameraState>,
     solve_s: f64,
 ) -> Report {
     let names = Configured(installation);
-    let state = |id: CameraId| states.get(id.0 as usize);
+    let state = |id: CameraId| states.get(&id);
     let told = found
         .findings
         .iter()

@@ -7,7 +7,10 @@ use super::{
     file::{CalibratedCamera, CalibrationFile},
     lock,
 };
-use crate::{hub::Happening, worker::adoption::Adoption};
+use crate::{
+    hub::{Happening, PoseStatus},
+    worker::{Place, adoption::Adoption},
+};
 
 /// One camera's place with its lens.
 type Found = (CameraId, CameraPlacement, Camera);
@@ -35,9 +38,7 @@ impl Shared {
 
     /// One camera's place, with the lens that it has.
     pub(super) fn adopt(&self, camera: CameraId, placement: CameraPlacement) {
-        let states = self.hub.cameras();
-        let Some(lens) = states.get(camera.0 as usize).and_then(|state| state.camera.clone())
-        else {
+        let Some(lens) = self.hub.camera(camera).and_then(|state| state.camera) else {
             return;
         };
         let (_, kept) = self.take_over(std::iter::once((camera, placement, lens)));
@@ -52,17 +53,19 @@ impl Shared {
         file.version += 1;
         file.made_unix_s = self.clock.now().as_ns().div_euclid(1_000_000_000);
         let version = file.version;
+        let cameras = lock(&self.cameras);
         for (id, placement, lens) in found {
-            let Some(camera) = self.cameras.get(id.0 as usize) else { continue };
+            let Some(camera) = cameras.get(&id) else { continue };
             let Some(configured) = camera.configured.clone() else { continue };
             let stored = CalibratedCamera::new(camera.name.clone(), &placement, &lens, configured);
             file.set(stored);
-            camera.inbox.put(Adoption { lens, placement, version });
+            let place = Place::Standing(PoseStatus::Calibrated, Box::new(placement));
+            camera.inbox.put(Adoption { lens, place, version });
         }
         (version, self.keep(&file))
     }
 
-    fn keep(&self, file: &CalibrationFile) -> Result<String, String> {
+    pub(super) fn keep(&self, file: &CalibrationFile) -> Result<String, String> {
         let Some(path) = &self.path else {
             return Ok("it is kept until this server ends".to_owned());
         };

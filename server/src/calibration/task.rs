@@ -14,7 +14,7 @@ use roundel_core::{
 use tokio::sync::broadcast::error::TryRecvError;
 
 use super::{
-    Apply, Shared, Stage, Status, Wanted,
+    Apply, Shared, Stage, Status, Wanted, lock,
     recorder::Recorder,
     report::{Configured, Report, report},
 };
@@ -103,10 +103,10 @@ fn solve(
     match found {
         Ok(found) => {
             let states = shared.hub.cameras();
-            Ok(report(found, installation, &states, begun.elapsed().as_secs_f64()))
+            Ok(report(found, &installation, &states, begun.elapsed().as_secs_f64()))
         }
         Err(ArenaError::Cancelled) => Err("cancelled".to_owned()),
-        Err(error) => Err(error.told(&Configured(installation))),
+        Err(error) => Err(error.told(&Configured(&installation))),
     }
 }
 
@@ -114,11 +114,9 @@ impl Shared {
     /// Those that stand and whose lens is known.
     fn lenses(&self) -> Lenses {
         let states = self.hub.cameras();
-        let standing = (0..).map(CameraId).zip(&self.cameras).zip(&states);
-        standing
-            .filter(|((_, camera), _)| camera.configured.is_some())
-            .filter_map(|((id, _), state)| Some((id, state.camera.clone()?)))
-            .collect()
+        let cameras = lock(&self.cameras);
+        let standing = cameras.iter().filter(|(_, camera)| camera.configured.is_some());
+        standing.filter_map(|(id, _)| Some((*id, states.get(id)?.camera.clone()?))).collect()
     }
 
     pub(super) fn begin(&self, wanted: &Wanted) {

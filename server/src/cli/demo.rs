@@ -1,17 +1,20 @@
 //! `roundel demo`: a simulated arena through the whole server, compared with the truth.
 
 use std::{
+    collections::BTreeMap,
     io::{self, Write as _},
     net::SocketAddr,
-    path::PathBuf,
+    path::Path,
     process::ExitCode,
     time::Duration,
 };
 
-use anyhow::Context;
+use anyhow::{Context, anyhow};
 use clap::{Args, ValueEnum};
+use nalgebra::Vector3;
 use roundel_core::{
-    marker::Mode,
+    id::CameraId,
+    marker::{CodeLayout, Pattern},
     sim::{RobotTruth, Scenario},
 };
 
@@ -20,12 +23,10 @@ use super::{
     truth::Score,
 };
 use crate::{
-    config::{
-        CameraConfig, CameraPose, Config, FusionConfig, LimitsConfig, ReferenceConfig, ServerConfig,
-    },
+    config::{Config, Problem, ReferenceConfig, ServerConfig},
     hub::CameraState,
     serve::Server,
-    source::{SimAddress, SimPreset, SourceAddress, simulated_scenario},
+    source::{SimAddress, SimPreset, simulated_scenario},
 };
 
 /// Time from the first tracked object in which tracks settle; it does not count.
@@ -84,7 +85,7 @@ pub(super) async fn run(arguments: DemoArgs) -> anyhow::Result<ExitCode> {
         camera: 0,
     };
     let scenario = simulated_scenario(&address).context("cannot simulate this arena")?;
-    let config = config(&scenario, &address, arguments.listen);
+    let config = config(&scenario, &address, arguments.listen)?;
     let mut signals = Signals::listen()?;
     let server = Server::start(config).await?;
     announce(&server)?;
@@ -109,42 +110,61 @@ fn say(line: &str) -> io::Result<()> {
     stdout.flush()
 }
 
-/// The scenario's cameras as an installation.
-fn config(scenario: &Scenario, address: &SimAddress, listen: SocketAddr) -> Config {
-    let cameras = scenario.cameras().iter().enumerate().map(|(index, camera)| {
-        let address = SimAddress { camera: index, ..address.clone() };
-        CameraConfig {
-            name: camera.name.clone(),
-            source: address.to_string(),
-            address: SourceAddress::Sim(address),
-            calibration: camera.camera.clone(),
-            pose: CameraPose::Known(camera.world_from_camera),
-            line_time_s: camera.line_time_s,
-            clock_uncertainty_s: 0.0,
-            rate_hz: None,
-            mode: Mode::default(),
-            mask: Vec::new(),
-        }
-    });
-    Config {
-        name: "demo".to_owned(),
-        folder: PathBuf::new(),
-        server: ServerConfig {
-            listen,
-            snapshot_rate_hz: 60.0,
-            calibration: None,
-            watches: true,
-            setup: listen.ip().is_loopback(),
-        },
+/// The scenario's cameras as an installation. It has a text like any other, so that its cameras can be changed; where
+/// the scenario's numbers are more exact than text, they count.
+fn config(scenario: &Scenario, address: &SimAddress, listen: SocketAddr) -> anyhow::Result<Config> {
+    let parsed = Config::parse(&text(scenario, address), Path::new(""));
+    let told = |problems: Vec<Problem>| {
+        let messages: Vec<String> = problems.into_iter().map(|problem| problem.message).collect();
+        anyhow!("internal error, please report it: {}", messages.join("; "))
+    };
+    let config = parsed.map_err(told)?;
+    let setup = listen.ip().is_loopback();
+    Ok(Config {
+        server: ServerConfig { listen, setup, ..config.server },
         kinds: scenario.params().kinds.clone(),
-        motions: Vec::new(),
-        cameras: cameras.collect(),
         references: references(scenario),
-        objects: Vec::new(),
-        fusion: FusionConfig::default(),
-        limits: LimitsConfig::default(),
-        node: None,
+        ..config
+    })
+}
+
+fn text(scenario: &Scenario, address: &SimAddress) -> String {
+    let mut text = "name = \"demo\"\n".to_owned();
+    let mm = |metres: f64| (metres * 1e6).round() * 1e-3;
+    for kind in &scenario.params().kinds {
+        let inside = match &kind.pattern {
+            Pattern::Plain => String::new(),
+            Pattern::Coded(CodeLayout { bits, min_distance }) => {
+                format!("code = {{ bits = {bits}, min_distance = {min_distance} }}\n")
+            }
+            Pattern::Elliptical { minor_diameter_m } => {
+                format!("inner_minor_mm = {}\n", mm(*minor_diameter_m))
+            }
+        };
+        let (outer_mm, inner_mm) = (mm(kind.outer_diameter_m), mm(kind.inner_diameter_m));
+        text += &format!(
+            "\n[[roundel]]\nname = {:?}\nouter_mm = {outer_mm}\ninner_mm = {inner_mm}\n{inside}",
+            kind.name
+        );
     }
+    for (index, camera) in scenario.cameras().iter().enumerate() {
+        let source = SimAddress { camera: index, ..address.clone() };
+        text += &format!("\n[[camera]]\nname = {:?}\nsource = \"{source}\"\n", camera.name);
+    }
+    for ReferenceConfig { kind, code, position_m, orientation, .. } in references(scenario) {
+        let name = &scenario.params().kinds[usize::from(kind.0)].name;
+        let number = code.map(|code| format!("code = {}\n", code.number)).unwrap_or_default();
+        let turned = orientation.map(|turn| {
+            let way = |axis: Vector3<f64>| format!("{:?}", (turn * axis).as_slice());
+            format!("right = {}\ntop = {}\n", way(Vector3::x()), way(Vector3::y()))
+        });
+        text += &format!(
+            "\n[[reference]]\nroundel = {name:?}\n{number}position_m = {:?}\n{}",
+            position_m.as_slice(),
+            turned.unwrap_or_default()
+        );
+    }
+    text
 }
 
 /// Robots with codes that never move, so that this arena can be calibrated.
@@ -196,9 +216,9 @@ async fn report(server: &Server, scenario: &Scenario, total: &mut Score) -> io::
 }
 
 /// The cameras' rates, and the worst of their times.
-fn cameras(states: &[CameraState]) -> String {
-    let rates: Vec<String> = states.iter().map(|state| format!("{:.1}", state.rate_hz)).collect();
-    let worst = |value: fn(&CameraState) -> f64| states.iter().map(value).fold(0.0, f64::max);
+fn cameras(states: &BTreeMap<CameraId, CameraState>) -> String {
+    let rates: Vec<String> = states.values().map(|state| format!("{:.1}", state.rate_hz)).collect();
+    let worst = |value: fn(&CameraState) -> f64| states.values().map(value).fold(0.0, f64::max);
     format!(
         "cameras {} Hz, detection {:.1} ms, latency {:.1} ms",
         rates.join(" "),
@@ -207,7 +227,7 @@ fn cameras(states: &[CameraState]) -> String {
     )
 }
 
-fn frames(states: &[CameraState]) -> String {
-    let sum = |value: fn(&CameraState) -> u64| states.iter().map(value).sum::<u64>();
+fn frames(states: &BTreeMap<CameraId, CameraState>) -> String {
+    let sum = |value: fn(&CameraState) -> u64| states.values().map(value).sum::<u64>();
     format!("{} frames, {} left out", sum(|state| state.frames), sum(|state| state.dropped))
 }

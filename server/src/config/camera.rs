@@ -18,7 +18,8 @@ use crate::{
     source::{SourceAddress, simulated_camera, without_credentials},
 };
 
-const CAMERA_KEYS: [&str; 9] = [
+/// The keys of a `[[camera]]`.
+pub const CAMERA_KEYS: [&str; 9] = [
     "name",
     "source",
     "calibration",

@@ -6,7 +6,7 @@ use roundel_core::marker::Mode;
 use toml::{Spanned, de::DeTable};
 
 use super::{
-    Config, FusionConfig, LimitsConfig, ServerConfig,
+    Config, ConfigFile, FusionConfig, LimitsConfig, ServerConfig,
     camera::{Known, MODES, cameras},
     error::Problem,
     object::objects,
@@ -50,8 +50,11 @@ pub(super) fn parse(text: &str, folder: &Path, is_node: bool) -> Result<Config, 
             "the format is described at https://toml.io",
         );
     }
-    let config =
-        if errors.is_empty() { Some(root(&document, folder, &problems, is_node)) } else { None };
+    let config = if errors.is_empty() {
+        Some(root(&document, text, folder, &problems, is_node))
+    } else {
+        None
+    };
     match config {
         Some(Some(config)) if !problems.any() => Ok(config),
         _ => Err(problems.into_sorted()),
@@ -60,6 +63,7 @@ pub(super) fn parse(text: &str, folder: &Path, is_node: bool) -> Result<Config, 
 
 fn root(
     document: &Spanned<DeTable<'_>>,
+    text: &str,
     folder: &Path,
     problems: &Problems<'_>,
     is_node: bool,
@@ -78,6 +82,7 @@ fn root(
     let fusion = fusion(&root);
     let limits = limits(&root);
     Some(Config {
+        file: ConfigFile::new(None, text.to_owned()),
         folder: folder.to_owned(),
         name,
         server: server?,

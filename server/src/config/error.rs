@@ -50,6 +50,14 @@ impl Place {
             width: source[start..end].chars().count().max(1),
         }
     }
+
+    /// The byte of `source` that it begins at.
+    pub fn offset(&self, source: &str) -> usize {
+        let lines = source.split_inclusive('\n').take(self.line - 1);
+        let before: usize = lines.map(str::len).sum();
+        let line = source[before.min(source.len())..].chars();
+        before + line.take(self.column - 1).map(char::len_utf8).sum::<usize>()
+    }
 }
 
 fn floor_char_boundary(source: &str, mut at: usize) -> usize {
@@ -103,6 +111,7 @@ mod tests {
         let start = source.find("# x").unwrap();
         let place = Place::of(source, &(start..start + 20));
         assert_eq!((place.line, place.column, place.width), (2, 16, 3));
+        assert_eq!(place.offset(source), start);
         let past_the_end = Place::of(source, &(900..901));
         assert_eq!((past_the_end.line, past_the_end.width), (4, 1));
     }

@@ -7,7 +7,9 @@
 
 mod camera;
 mod document;
+pub mod edit;
 mod error;
+mod file;
 mod geometry;
 mod mask;
 mod object;
@@ -32,6 +34,7 @@ use roundel_core::{
 };
 
 pub use error::{ConfigError, Place, Problem};
+pub use file::{ConfigFile, ConfigFileError};
 
 use crate::source::SourceAddress;
 
@@ -41,6 +44,8 @@ const MAX_BYTES: u64 = 4 << 20;
 /// An installation, as configured.
 #[derive(Clone, Debug)]
 pub struct Config {
+    /// What it was read from.
+    pub file: ConfigFile,
     /// Relative paths in it begin here.
     pub folder: PathBuf,
     /// Shown to clients and on the dashboard.
@@ -237,10 +242,11 @@ impl Config {
             .map_err(|problems| ConfigError { path: path.to_owned(), problems })?;
         let beside = || path.with_extension("calibration.toml");
         config.server.calibration.get_or_insert_with(beside);
+        config.file = ConfigFile::new(Some(path.to_owned()), text);
         Ok(config)
     }
 
-    /// Reads a configuration's text; paths in it are relative to `folder`.
+    /// Reads a configuration's text, which is kept nowhere; paths in it are relative to `folder`.
     pub fn parse(text: &str, folder: &Path) -> Result<Self, Vec<Problem>> {
         document::parse(text, folder, false)
     }

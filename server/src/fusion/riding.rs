@@ -26,22 +26,21 @@ struct Rider {
 }
 
 /// All cameras that ride.
-#[derive(Debug)]
+#[derive(Debug, Default)]
 pub(super) struct Riding {
     riders: Vec<Rider>,
 }
 
 impl Riding {
-    pub(super) fn of(hub: &Hub) -> Self {
-        let cameras = (0..).map(CameraId).zip(&hub.installation().cameras);
-        let rider = |(camera, ride): (CameraId, RideInfo)| Rider {
-            camera,
-            ride,
-            away_since: None,
-            told: None,
-        };
-        let riders = cameras.filter_map(|(camera, info)| Some((camera, info.ride.clone()?)));
-        Self { riders: riders.map(rider).collect() }
+    /// A camera rides from now on.
+    pub(super) fn set(&mut self, camera: CameraId, ride: RideInfo) {
+        self.remove(camera);
+        self.riders.push(Rider { camera, ride, away_since: None, told: None });
+    }
+
+    /// It rides no more.
+    pub(super) fn remove(&mut self, camera: CameraId) {
+        self.riders.retain(|rider| rider.camera != camera);
     }
 
     /// Shows where each of them is at an instant. `gives_frames` says of a camera whether it has shown
@@ -57,7 +56,8 @@ impl Riding {
             let camera = rider.camera;
             let place = place(&rider.ride, fusion.camera_place(camera, time), time);
             if let Some(is_placed) = rider.news(&place, time, gives_frames(camera)) {
-                let name = hub.installation().camera_name(camera);
+                let installation = hub.installation();
+                let name = installation.camera_name(camera);
                 let (happening, message) = if is_placed {
                     let carrier = &rider.ride.carrier;
                     let message = format!("Camera {name} has its place, on \"{carrier}\".");

@@ -4,7 +4,7 @@
 //! that it poisons nothing. Its new place goes the way of every calibration: through the calibrator, which
 //! keeps it, to its worker, which hands it to fusion with the next frame.
 
-use std::{collections::BTreeMap, sync::Arc};
+use std::sync::Arc;
 
 use roundel_core::{
     calib::watch::{Watch, WatchEvent, WatchParams},
@@ -18,12 +18,8 @@ use crate::{
     hub::{CameraPlace, Happening, Hub, Installation, PoseStatus},
 };
 
-/// What is known of cameras from the start.
-pub struct Standing {
-    /// Those whose place is known.
-    pub cameras: BTreeMap<CameraId, CameraPlacement>,
-    /// Those of them whose place a person has written, which may be rough.
-    pub configured: Vec<CameraId>,
+/// What the watch needs beside cameras.
+pub struct WatchingParts {
     /// The reference roundels.
     pub landmarks: Vec<Landmark>,
     /// Keeps what is found out.
@@ -37,15 +33,24 @@ pub(super) struct Watching {
 }
 
 impl Watching {
-    pub(super) fn new(standing: Standing) -> Self {
+    pub(super) fn new(parts: WatchingParts) -> Self {
         let mut watch = Watch::new(WatchParams::default());
-        watch.set_landmarks(&standing.landmarks);
-        for (camera, placement) in &standing.cameras {
-            watch.set_camera(*camera, *placement);
+        watch.set_landmarks(&parts.landmarks);
+        Self { watch, calibrator: parts.calibrator, cameras: Vec::new() }
+    }
+
+    /// Where a camera stands was said; if a person has written it, it may be rough.
+    pub(super) fn set(&mut self, camera: CameraId, placement: CameraPlacement, is_written: bool) {
+        self.place(camera, placement);
+        if is_written {
+            self.watch.distrust(camera);
         }
-        standing.configured.iter().for_each(|camera| watch.distrust(*camera));
-        let cameras = standing.cameras.into_keys().collect();
-        Self { watch, calibrator: standing.calibrator, cameras }
+    }
+
+    /// A camera is gone, or does not stand where that is known.
+    pub(super) fn remove(&mut self, camera: CameraId) {
+        self.watch.remove_camera(camera);
+        self.cameras.retain(|it| *it != camera);
     }
 
     /// A camera's place is known anew.
@@ -64,7 +69,7 @@ impl Watching {
     /// Puts into effect what has become known until `now`.
     pub(super) fn advance(&mut self, now: Timestamp, fusion: &mut Fusion, hub: &Hub) {
         for held in fusion.drain_held_back() {
-            log_held(&held, hub.installation());
+            log_held(&held, &hub.installation());
             self.watch.hold(held.camera, held.step == HeldStep::Begun);
         }
         for event in self.watch.advance(now) {
@@ -160,6 +165,8 @@ fn log_held(held: &HeldBack, installation: &Installation) {
 
 #[cfg(test)]
 mod tests {
+    use std::collections::BTreeMap;
+
     use roundel_core::{
         rigid::{Covariance6, Rigid},
         world::FusionParams,
@@ -190,7 +197,7 @@ mod tests {
             source_id: "s".into(),
             started: clock.now(),
             snapshot_rate_hz: 60.0,
-            cameras: vec![camera("north"), camera("south")],
+            cameras: Installation::numbered([camera("north"), camera("south")]),
             kinds: Vec::new(),
             object_names: BTreeMap::new(),
             body_names: Vec::new(),
@@ -206,18 +213,15 @@ mod tests {
         let calibrator = Arc::new(Calibrator::new(CalibratorParts {
             hub: hub.clone(),
             clock,
-            cameras: vec![camera("north"), camera("south")],
+            cameras: [(NORTH, camera("north")), (SOUTH, camera("south"))].into(),
             landmarks: Vec::new(),
             path: None,
             file: CalibrationFile::default(),
         }));
-        let cameras = [(NORTH, placement(0.0)), (SOUTH, placement(1.0))].into();
-        Watching::new(Standing {
-            cameras,
-            configured: vec![NORTH],
-            landmarks: Vec::new(),
-            calibrator,
-        })
+        let mut watching = Watching::new(WatchingParts { landmarks: Vec::new(), calibrator });
+        watching.set(NORTH, placement(0.0), true);
+        watching.set(SOUTH, placement(1.0), false);
+        watching
     }
 
     #[test]
@@ -235,7 +239,7 @@ mod tests {
             "{message}"
         );
         assert!(fusion.camera_place(NORTH, clock.now()).is_err(), "it is not used");
-        let place = hub.cameras().swap_remove(0).place;
+        let place = hub.camera(NORTH).unwrap().place;
         assert_eq!((place.status, place.placement), (PoseStatus::Quarantined, None));
         assert!(place.reason.contains("bumped"), "{}", place.reason);
     }
@@ -284,6 +288,6 @@ mod tests {
         let mut fusion = Fusion::new(FusionParams::default());
         watching.advance(clock.now(), &mut fusion, &hub);
         let states = hub.cameras();
-        assert!(states.iter().all(|state| state.health.is_some()), "{states:?}");
+        assert!(states.values().all(|state| state.health.is_some()), "{states:?}");
     }
 }

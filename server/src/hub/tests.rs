@@ -6,7 +6,10 @@ fn hub() -> Hub {
         source_id: "s".into(),
         started: Timestamp::default(),
         snapshot_rate_hz: 60.0,
-        cameras: vec![CameraInfo { name: "north".into(), ..CameraInfo::default() }],
+        cameras: Installation::numbered([CameraInfo {
+            name: "north".into(),
+            ..CameraInfo::default()
+        }]),
         kinds: vec!["robot".into()],
         object_names: BTreeMap::new(),
         body_names: vec![],

@@ -17,28 +17,22 @@ use std::{
 };
 
 use roundel_client::{Client, PushOptions, PushStatus, Pusher};
-use roundel_core::{
-    rigid::{Covariance6, Rigid},
-    world::CameraPlacement,
-};
+use roundel_core::id::CameraId;
 use roundel_proto::v1;
 use tokio::task::JoinSet;
 
-use super::{
-    GRACE, ServeError, join,
-    setup::{camera_id, installation, pipeline},
-    spawn,
-};
+use super::{GRACE, ServeError, join, setup::installation, spawn};
 use crate::{
     clock::Clock,
     config::Config,
     convert::push::{pushed_observations, told_camera},
     fusion::QUEUE_FRAMES,
     hub::{CameraStatus, Hub},
+    roster::setup::pipeline,
     source::{OpenSource, Playback, SourceAddress, SourceOpener},
     stop::Stop,
     worker::{
-        self, Place, Sighted, Worker, WorkerParts,
+        self, Place, Sighted, Totals, Worker, WorkerParts,
         adoption::{Adoption, Inbox},
         pipeline::Pipeline,
     },
@@ -68,7 +62,7 @@ pub struct Node {
     hub: Arc<Hub>,
     pushers: Arc<Vec<Pusher>>,
     stop: Stop,
-    cameras: Vec<JoinHandle<()>>,
+    cameras: Vec<JoinHandle<Totals>>,
     forwarder: JoinHandle<()>,
     listeners: JoinSet<()>,
 }
@@ -128,11 +122,12 @@ impl Node {
             listeners.spawn(listener.tell(pusher.statuses()));
             pushers.push(pusher);
             let setting = NodeSetting { index, config, clock, playback, stop: stop.clone() };
+            let (id, before) = (CameraId(index as u32), Totals::default());
             let worker = Worker::new(WorkerParts {
-                id: camera_id(index),
+                id,
                 name: camera.name.clone(),
                 opener: source(setting),
-                pipeline: Pipeline::new(pipeline(camera, config)?)?,
+                pipeline: Pipeline::new(pipeline(camera, config, before.detection)?)?,
                 // The server finds it; nothing is placed here.
                 place: Place::Rides,
                 calibration_version: 0,
@@ -141,6 +136,7 @@ impl Node {
                 fusion: to_server.clone(),
                 clock,
                 promised_hz: camera.rate_hz,
+                before,
             });
             let stop = stop.clone();
             let name = format!("camera {}", camera.name);
@@ -161,15 +157,20 @@ impl Node {
 
     /// What became of each camera's frames so far.
     pub fn reports(&self) -> Vec<NodeReport> {
-        let states = self.hub.cameras();
-        let cameras = self.hub.installation().cameras.iter().zip(&states).zip(self.pushers.iter());
-        let report = |((info, state), pusher): (
-            (&crate::hub::CameraInfo, &crate::hub::CameraState),
-            &Pusher,
-        )| {
-            NodeReport { camera: info.name.clone(), frames: state.frames, pushed: pusher.status() }
+        let cameras = Self::searched(&self.hub).into_iter().zip(self.pushers.iter());
+        let report = |((camera, frames), pusher): ((String, u64), &Pusher)| NodeReport {
+            camera,
+            frames,
+            pushed: pusher.status(),
         };
         cameras.map(report).collect()
+    }
+
+    /// Every camera's name, and how many of its frames were searched.
+    fn searched(hub: &Hub) -> Vec<(String, u64)> {
+        let (installation, states) = (hub.installation(), hub.cameras());
+        let name = |id: CameraId| installation.camera_name(id).to_owned();
+        states.iter().map(|(id, state)| (name(*id), state.frames)).collect()
     }
 
     /// Ends cameras, sends what they saw last, and says what became of everything.
@@ -183,12 +184,10 @@ impl Node {
         join(self.forwarder, deadline).await;
         self.listeners.shutdown().await;
         let mut reports = Vec::new();
-        let states = self.hub.cameras();
-        let names = self.hub.installation().cameras.iter().map(|info| info.name.clone());
         let Some(pushers) = Arc::into_inner(self.pushers) else { return reports };
-        for ((pusher, state), camera) in pushers.into_iter().zip(states).zip(names) {
+        for (pusher, (camera, frames)) in pushers.into_iter().zip(Self::searched(&self.hub)) {
             let pushed = pusher.finish(LAST_WORDS).await;
-            reports.push(NodeReport { camera, frames: state.frames, pushed });
+            reports.push(NodeReport { camera, frames, pushed });
         }
         reports
     }
@@ -246,7 +245,7 @@ impl Forwarder {
             return;
         };
         if self.troubles.of(index).is_none() {
-            pusher.observations(pushed_observations(self.hub.installation(), seen, &state));
+            pusher.observations(pushed_observations(&self.hub.installation(), seen, &state));
             self.told[index].clear();
         }
     }
@@ -257,7 +256,7 @@ impl Forwarder {
         while let Ok(sighted) = self.from_workers.try_recv() {
             self.forward(&sighted);
         }
-        for (index, state) in states.into_iter().enumerate() {
+        for (index, state) in states.into_values().enumerate() {
             let trouble = match (self.troubles.of(index), state.status) {
                 (Some(trouble), _) => trouble,
                 (None, CameraStatus::Failed) => state.error,
@@ -314,9 +313,8 @@ impl Listener {
                     .to_owned(),
             );
         };
-        let (world_from_camera, covariance) = (Rigid::identity(), Covariance6::zeros());
-        let placement = CameraPlacement { world_from_camera, covariance };
-        self.inbox.put(Adoption { lens, placement, version: told.version });
+        // Where it stands, nobody asks here.
+        self.inbox.put(Adoption { lens, place: Place::Kept, version: told.version });
         tracing::info!(
             camera = self.name,
             version = told.version,

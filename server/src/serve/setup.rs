@@ -1,35 +1,19 @@
-//! From the configuration to what the parts of a server are told: fusion, the hub, the cameras' workers.
+//! From the configuration to what the parts of a server are told of all but cameras: fusion, the hub.
 
 use std::collections::BTreeMap;
 
-use nalgebra::Vector3;
 use roundel_core::{
-    id::{BodyId, CameraId, KindId},
-    marker::{Mask, MaskError, Params},
-    rigid::Covariance6,
+    id::{BodyId, KindId},
     time::Timestamp,
-    world::{
-        CameraMount, CameraPlacement, Carrier, ClockPrior, Fusion, FusionParams, Landmark,
-        reference::Reference,
-    },
+    world::{Fusion, FusionParams, Landmark},
 };
 
 use super::ServeError;
 use crate::{
-    config::{
-        CameraConfig, CameraPose, Carried, Config, ObjectConfig, ReferenceConfig, RideConfig,
-    },
-    hub::{CameraInfo, Installation, PoseStatus, RideInfo},
-    worker::{Place, pipeline::PipelineParts},
+    config::{Carried, Config, ObjectConfig, ReferenceConfig},
+    hub::Installation,
+    roster::setup::info,
 };
-
-/// How much faster or slower than the others a camera's clock may run: quartz without care.
-const CLOCK_SKEW: f64 = 1e-4;
-
-/// Cameras are numbered as they are configured.
-pub(super) fn camera_id(index: usize) -> CameraId {
-    CameraId(u32::try_from(index).unwrap_or(u32::MAX))
-}
 
 /// What the hub says of the installation.
 pub(super) fn installation(config: &Config, started: Timestamp) -> Installation {
@@ -39,16 +23,7 @@ pub(super) fn installation(config: &Config, started: Timestamp) -> Installation 
         source_id: format!("{}-{unique:016x}", config.name),
         started,
         snapshot_rate_hz: config.server.snapshot_rate_hz,
-        cameras: config
-            .cameras
-            .iter()
-            .map(|camera| CameraInfo {
-                name: camera.name.clone(),
-                source: camera.source.clone(),
-                mask: camera.mask.clone(),
-                ride: ride(camera, config),
-            })
-            .collect(),
+        cameras: Installation::numbered(config.cameras.iter().map(|camera| info(camera, config))),
         kinds: config.kinds.iter().map(|kind| kind.name.clone()).collect(),
         object_names: config
             .objects
@@ -68,17 +43,8 @@ pub(super) fn installation(config: &Config, started: Timestamp) -> Installation 
     }
 }
 
-fn ride(camera: &CameraConfig, config: &Config) -> Option<RideInfo> {
-    let CameraPose::Rides(RideConfig { object, object_from_camera, localizes }) = camera.pose
-    else {
-        return None;
-    };
-    let carrier = config.objects.get(object)?.name.clone();
-    Some(RideInfo { carrier, object_from_camera, localizes })
-}
-
-/// A fusion machine that knows objects, motions, landmarks, clocks and cameras.
-pub(super) fn fusion(config: &Config) -> Result<Fusion, ServeError> {
+/// A fusion machine that knows objects, motions and landmarks, and the bodies of the configured objects.
+pub(super) fn fusion(config: &Config) -> Result<(Fusion, Vec<Option<BodyId>>), ServeError> {
     let ns = |seconds: f64| (seconds * 1e9).round() as i64;
     let defaults = FusionParams::default();
     let mut fusion = Fusion::new(FusionParams {
@@ -109,32 +75,7 @@ pub(super) fn fusion(config: &Config) -> Result<Fusion, ServeError> {
         });
     }
     fusion.set_landmarks(landmarks(config));
-    for (index, camera) in config.cameras.iter().enumerate() {
-        if camera.clock_uncertainty_s > 0.0 {
-            let prior = ClockPrior { offset_s: camera.clock_uncertainty_s, skew: CLOCK_SKEW };
-            fusion.set_clock(camera_id(index), prior);
-        }
-        place_camera(&mut fusion, camera_id(index), camera, &bodies);
-    }
-    Ok(fusion)
-}
-
-/// Cameras that stand where that is known.
-pub(super) fn standing(config: &Config) -> BTreeMap<CameraId, CameraPlacement> {
-    let known = config.cameras.iter().enumerate().filter_map(|(index, camera)| {
-        match place(camera, config) {
-            Place::Standing(_, placement) => Some((camera_id(index), *placement)),
-            Place::Unknown { .. } | Place::Rides => None,
-        }
-    });
-    known.collect()
-}
-
-/// Of these, cameras whose place a person has written.
-pub(super) fn configured(config: &Config) -> Vec<CameraId> {
-    let cameras = config.cameras.iter().enumerate();
-    let written = cameras.filter(|(_, camera)| matches!(camera.pose, CameraPose::Known(_)));
-    written.map(|(index, _)| camera_id(index)).collect()
+    Ok((fusion, bodies))
 }
 
 /// The reference roundels, in the order of the configuration.
@@ -145,69 +86,4 @@ pub(super) fn landmarks(config: &Config) -> Vec<Landmark> {
         ..Landmark::new(reference.kind, reference.code, reference.position_m)
     };
     config.references.iter().map(landmark).collect()
-}
-
-/// Tells fusion what is known of a camera's place; `bodies` are those of the configured objects.
-fn place_camera(
-    fusion: &mut Fusion,
-    id: CameraId,
-    camera: &CameraConfig,
-    bodies: &[Option<BodyId>],
-) {
-    let covariance = Covariance6::zeros();
-    match camera.pose {
-        CameraPose::Known(world_from_camera) => {
-            fusion.set_camera(id, Some(CameraPlacement { world_from_camera, covariance }));
-        }
-        CameraPose::Calibrated(ref placement) => fusion.set_camera(id, Some(**placement)),
-        CameraPose::Unknown => {}
-        CameraPose::Rides(RideConfig { object, object_from_camera, localizes }) => {
-            let body = bodies.get(object).copied().flatten();
-            let carrier = body.map(Carrier::Body);
-            let mount =
-                |carrier| CameraMount { carrier, object_from_camera, covariance, localizes };
-            fusion.set_mount(id, carrier.map(mount));
-        }
-    }
-}
-
-/// How a camera's frames are searched.
-pub(super) fn pipeline(camera: &CameraConfig, config: &Config) -> Result<PipelineParts, MaskError> {
-    Ok(PipelineParts {
-        kinds: config.kinds.clone(),
-        params: Params {
-            mode: camera.mode,
-            max_roundels: config.limits.max_roundels_per_camera,
-            ..Params::default()
-        },
-        mask: Mask::of_polygons(&camera.mask)?,
-        camera: camera.calibration.clone(),
-        line_time_s: camera.line_time_s,
-    })
-}
-
-/// What a camera's worker is told of its place.
-pub(super) fn place(camera: &CameraConfig, config: &Config) -> Place {
-    match camera.pose {
-        CameraPose::Known(world_from_camera) => {
-            let covariance = Covariance6::zeros();
-            let placement = CameraPlacement { world_from_camera, covariance };
-            Place::Standing(PoseStatus::Configured, Box::new(placement))
-        }
-        CameraPose::Calibrated(ref placement) => {
-            Place::Standing(PoseStatus::Calibrated, placement.clone())
-        }
-        CameraPose::Unknown => Place::Unknown {
-            references: config
-                .references
-                .iter()
-                .map(|reference| Reference {
-                    position_m: reference.position_m,
-                    normal: reference.orientation.map(|turn| turn * Vector3::z()),
-                })
-                .collect(),
-            kinds: config.references.iter().map(|reference| reference.kind).collect(),
-        },
-        CameraPose::Rides(_) => Place::Rides,
-    }
 }

@@ -2,7 +2,9 @@
 
 use std::sync::{Arc, Mutex, PoisonError};
 
-use roundel_core::{camera::Camera, world::CameraPlacement};
+use roundel_core::camera::Camera;
+
+use super::Place;
 
 /// What a camera is from its next frame on.
 #[derive(Clone, Debug)]
@@ -10,7 +12,7 @@ pub struct Adoption {
     /// Its lens.
     pub lens: Camera,
     /// Where it stands.
-    pub placement: CameraPlacement,
+    pub place: Place,
     /// Of the calibration that says so.
     pub version: u64,
 }

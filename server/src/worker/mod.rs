@@ -39,7 +39,7 @@ pub use supervisor::{Pauses, run};
 
 use crate::{
     clock::Clock,
-    hub::{CameraPlace, CameraStatus, Happening, Hub, Picture, PoseStatus},
+    hub::{CameraPlace, CameraStatus, DetectionCounts, Happening, Hub, Picture, PoseStatus},
     source::{Arrival, LentFrame, OpenSource, SourceError},
 };
 use adoption::{Adoption, Inbox};
@@ -71,6 +71,43 @@ pub enum Place {
     },
     /// On an object: fusion says where.
     Rides,
+    /// Where it did before: nothing is said of it anew.
+    Kept,
+}
+
+impl Place {
+    /// What the hub shows of it before a frame has come; `None`: what it shows already, or what fusion says.
+    pub fn shown(&self) -> Option<CameraPlace> {
+        match self {
+            Self::Standing(status, placement) => Some(CameraPlace::standing(*status, **placement)),
+            Self::Unknown { .. } => Some(CameraPlace::searching(
+                "it looks for the reference roundels, of which it must see three",
+            )),
+            Self::Rides | Self::Kept => None,
+        }
+    }
+
+    fn search(&self) -> Option<Placing> {
+        match self {
+            Self::Unknown { references, kinds } => {
+                Some(Placing::new(references.clone(), kinds.clone()))
+            }
+            Self::Standing(..) | Self::Rides | Self::Kept => None,
+        }
+    }
+}
+
+/// What a worker has counted.
+#[derive(Clone, Copy, Debug, Default)]
+pub struct Totals {
+    /// Frames processed, which their numbers go on from.
+    pub frames: u64,
+    /// Frames that gave way to newer ones.
+    pub dropped: u64,
+    /// Frames that arrived broken.
+    pub broken: u64,
+    /// What became of rings and candidates.
+    pub detection: DetectionCounts,
 }
 
 /// What a worker is made of.
@@ -97,6 +134,8 @@ pub struct WorkerParts {
     pub clock: Clock,
     /// Frames a second that the camera is to give, as a person has said; `None`: as its driver says.
     pub promised_hz: Option<f64>,
+    /// What the camera's worker before this one has counted.
+    pub before: Totals,
 }
 
 /// One camera's worker.
@@ -131,32 +170,25 @@ enum End {
 impl Worker {
     /// A worker that has not begun.
     pub fn new(parts: WorkerParts) -> Self {
-        let placing = match &parts.place {
-            Place::Standing(..) | Place::Rides => None,
-            Place::Unknown { references, kinds } => {
-                Some(Placing::new(references.clone(), kinds.clone()))
-            }
-        };
-        let place = match &parts.place {
-            Place::Standing(status, placement) => Some(CameraPlace::standing(*status, **placement)),
-            Place::Unknown { .. } => Some(CameraPlace::searching(
-                "it looks for the reference roundels, of which it must see three",
-            )),
-            // Fusion says where.
-            Place::Rides => None,
-        };
-        let camera = parts.pipeline.camera().clone();
+        let placing = parts.place.search();
+        let (place, camera) = (parts.place.shown(), parts.pipeline.camera().clone());
         parts.hub.update_camera(parts.id, |state| {
             place.into_iter().for_each(|place| state.place = place);
             state.camera = Some(camera);
             state.calibration_version = parts.calibration_version;
+            // Of one before it that is nobody's news any more.
+            state.status = CameraStatus::Starting;
+            state.error.clear();
+            state.rate_reason.clear();
+            (state.rate_hz, state.promised_hz, state.detections) = (0.0, 0.0, 0);
         });
+        let Totals { frames, dropped, broken, .. } = parts.before;
         Self {
             parts,
             placing,
             placement: None,
-            frames: 0,
-            dropped: 0,
+            frames,
+            dropped,
             rate: Rate::default(),
             pace: Pace::default(),
             detect_ms: Median::default(),
@@ -165,9 +197,14 @@ impl Worker {
             blur_px: Median::default(),
             noise: Median::default(),
             decode_ms: Median::default(),
-            broken: 0,
+            broken,
             running_since: None,
         }
+    }
+
+    fn totals(&self) -> Totals {
+        let Self { frames, dropped, broken, .. } = *self;
+        Totals { frames, dropped, broken, detection: *self.parts.pipeline.counts() }
     }
 
     /// Opens the source and works until it ends.
@@ -250,13 +287,20 @@ impl Worker {
     }
 
     /// From this frame on. Fusion hears of the place with what is seen in it.
-    fn adopt(&mut self, Adoption { lens, placement, version }: Adoption) {
-        self.placing = None;
-        self.placement = Some(placement);
+    fn adopt(&mut self, Adoption { lens, place, version }: Adoption) {
+        match &place {
+            Place::Kept => {}
+            Place::Standing(_, placement) => {
+                (self.placing, self.placement) = (None, Some(**placement));
+            }
+            Place::Unknown { .. } | Place::Rides => {
+                (self.placing, self.placement) = (place.search(), None);
+            }
+        }
         self.parts.calibration_version = version;
         self.parts.pipeline.set_camera(&lens);
         self.parts.hub.update_camera(self.parts.id, |state| {
-            state.place = CameraPlace::standing(PoseStatus::Calibrated, placement);
+            place.shown().into_iter().for_each(|place| state.place = place);
             state.camera = Some(lens);
             state.calibration_version = version;
         });
@@ -333,8 +377,8 @@ impl Worker {
         if hub.take_picture_request(id) {
             let (width, height) = (lent.frame.width(), lent.frame.height());
             let pixels = (0..height).flat_map(|v| lent.frame.row(v)).copied().collect();
-            let observations = observations.clone();
-            hub.publish_picture(id, Picture { width, height, pixels, observations });
+            let picture = Picture::new((width, height), pixels, observations.clone());
+            hub.publish_picture(id, picture);
         }
         hub.update_camera(id, |state| {
             state.frames = self.frames;

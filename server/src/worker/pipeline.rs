@@ -27,6 +27,8 @@ pub struct PipelineParts {
     pub camera: Camera,
     /// Time between the exposures of two image rows.
     pub line_time_s: f64,
+    /// What became of rings and candidates before.
+    pub counts: DetectionCounts,
 }
 
 /// Of what camera a frame is, and which of its frames.
@@ -69,10 +71,10 @@ pub struct Pipeline {
 impl Pipeline {
     /// A pipeline that has not seen a frame.
     pub fn new(parts: PipelineParts) -> Result<Self, DetectorError> {
-        let PipelineParts { kinds, params, mask, camera, line_time_s } = parts;
+        let PipelineParts { kinds, params, mask, camera, line_time_s, counts } = parts;
         let locator = Locator::new(camera, kinds.clone(), params.mode).with_line_time(line_time_s);
         let tracker = Tracker::new(Detector::new(kinds, params)?.with_mask(mask));
-        let (counts, times) = (DetectionCounts::default(), StageTimes::default());
+        let times = StageTimes::default();
         Ok(Self {
             tracker,
             locator,
@@ -211,6 +213,7 @@ mod tests {
             mask: Mask::default(),
             camera: camera(300.0),
             line_time_s: 0.0,
+            counts: DetectionCounts::default(),
         }
     }
 

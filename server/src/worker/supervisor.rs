@@ -9,7 +9,7 @@ use std::{
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 
-use super::{End, Worker};
+use super::{End, Totals, Worker};
 use crate::{
     hub::{CameraStatus, Happening},
     stop::Stop,
@@ -50,8 +50,8 @@ impl Pauses {
 }
 
 /// Runs a worker until its source is finished or the signal comes; every failure, panics included,
-/// is shown as the camera's state and tried again.
-pub fn run(mut worker: Worker, stop: &Stop) {
+/// is shown as the camera's state and tried again. Gives what it has counted.
+pub fn run(mut worker: Worker, stop: &Stop) -> Totals {
     let mut pauses = Pauses::new(u64::from(worker.parts.id.0));
     while !stop.is_stopped() {
         // A worker begins each play by putting its state in order, so a panic leaves nothing behind
@@ -59,11 +59,11 @@ pub fn run(mut worker: Worker, stop: &Stop) {
         let outcome = catch_unwind(AssertUnwindSafe(|| worker.play()));
         worker.count_skipped();
         let failure = match outcome {
-            Ok(End::Stopped) => return,
+            Ok(End::Stopped) => return worker.totals(),
             Ok(End::Finished) => {
                 let message = format!("Camera {} has no more frames.", worker.parts.name);
                 report(&worker, CameraStatus::Finished, "", message);
-                return;
+                return worker.totals();
             }
             Ok(End::Failed(message)) => message,
             Err(panic) => format!("internal error, please report it: {}", panic_message(&*panic)),
@@ -76,10 +76,11 @@ pub fn run(mut worker: Worker, stop: &Stop) {
         report(&worker, CameraStatus::Failed, &failure, message);
         tracing::info!(camera = worker.parts.name, pause_s = pause.as_secs_f64(), "trying again");
         if worker.parts.opener.pause(pause, stop) {
-            return;
+            return worker.totals();
         }
         worker.parts.hub.update_camera(worker.parts.id, |state| state.restarts += 1);
     }
+    worker.totals()
 }
 
 /// Shows the new status; what was shown already is no event again.
@@ -215,7 +216,10 @@ mod tests {
             source_id: "s".into(),
             started: clock.now(),
             snapshot_rate_hz: 60.0,
-            cameras: vec![CameraInfo { name: "north".into(), ..CameraInfo::default() }],
+            cameras: Installation::numbered([CameraInfo {
+                name: "north".into(),
+                ..CameraInfo::default()
+            }]),
             kinds: Vec::new(),
             object_names: BTreeMap::new(),
             body_names: vec![],
@@ -238,6 +242,7 @@ mod tests {
             mask: Mask::default(),
             camera: camera(),
             line_time_s: 0.0,
+            counts: Default::default(),
         });
         Worker::new(WorkerParts {
             id: CameraId(0),
@@ -251,6 +256,7 @@ mod tests {
             fusion,
             clock,
             promised_hz: None,
+            before: Totals::default(),
         })
     }
 
@@ -276,7 +282,7 @@ mod tests {
         assert!(events[1].message.contains("internal error"), "{}", events[1].message);
         assert!(events[1].message.contains("the cable bit me"), "{}", events[1].message);
         assert!(events[2].message.contains("unplugged"), "{}", events[2].message);
-        let state = &hub.cameras()[0];
+        let state = &hub.cameras()[&CameraId(0)];
         assert_eq!((state.status, state.restarts, state.frames), (CameraStatus::Finished, 2, 3));
         // Two left out by the source before each frame, two that fusion had no room for, and one after the last
         // frame of each of three attempts.
@@ -302,9 +308,10 @@ mod tests {
             world_from_camera: Rigid::translation(1.0, 2.0, 3.0),
             covariance: Covariance6::identity(),
         };
-        inbox.put(Adoption { lens: camera(), placement, version: 6 });
+        let place = Place::Standing(PoseStatus::Calibrated, Box::new(placement));
+        inbox.put(Adoption { lens: camera(), place: place.clone(), version: 6 });
         let lens = Camera::new(longer.clone()).unwrap();
-        inbox.put(Adoption { lens, placement, version: 7 });
+        inbox.put(Adoption { lens, place, version: 7 });
         run(worker, &Stop::default());
 
         let sighted: Vec<Sighted> = from_worker.try_iter().collect();
@@ -317,7 +324,7 @@ mod tests {
             [true, false, false],
             "told once, with the first frame that it holds for"
         );
-        let state = &hub.cameras()[0];
+        let state = &hub.cameras()[&CameraId(0)];
         assert_eq!(state.calibration_version, 7);
         assert_eq!(state.place, CameraPlace::standing(PoseStatus::Calibrated, placement));
         assert_eq!(state.camera.as_ref().unwrap().intrinsics(), &longer);

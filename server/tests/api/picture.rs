@@ -35,19 +35,15 @@ fn coded_picture(frame: u64, outer: Ellipse, code: Option<CodeReading>) -> Pictu
     let ring = Ring { code, ..Ring::of_rims(outer, inner) };
     let time = Timestamp::from_ns(CAPTURE_NS);
     let detection = Detection { track: TrackNumber(42), ring, capture_time: time, pose: None };
-    Picture {
-        width: WIDTH,
-        height: HEIGHT,
-        pixels: vec![128; WIDTH * HEIGHT],
-        observations: Arc::new(FrameObservations {
-            camera: CameraId(0),
-            frame,
-            capture_time: time,
-            received_time: time,
-            calibration_version: 1,
-            detections: vec![detection],
-        }),
-    }
+    let observations = Arc::new(FrameObservations {
+        camera: CameraId(0),
+        frame,
+        capture_time: time,
+        received_time: time,
+        calibration_version: 1,
+        detections: vec![detection],
+    });
+    Picture::new((WIDTH, HEIGHT), vec![128; WIDTH * HEIGHT], observations)
 }
 
 fn ellipse(u: f64, v: f64, semi_major_px: f64, semi_minor_px: f64) -> Ellipse {

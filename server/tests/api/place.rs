@@ -9,7 +9,7 @@ use roundel_core::{
 };
 use roundel_server::{
     api::Limits,
-    hub::{CameraPlace, Happening, Hub, PoseStatus, RideInfo},
+    hub::{CameraInfo, CameraPlace, Happening, Hub, PoseStatus, RideInfo},
 };
 use serde_json::{Value, json};
 
@@ -17,14 +17,16 @@ use super::rig::{Rig, hub};
 
 /// The second camera rides on the carrier, looking down.
 fn hub_with_rider() -> std::sync::Arc<Hub> {
-    let mut installation = hub("run").installation().clone();
+    let hub = hub("run");
     let down = UnitQuaternion::from_axis_angle(&Vector3::x_axis(), std::f64::consts::PI);
-    installation.cameras[1].ride = Some(RideInfo {
+    let mut info = CameraInfo::clone(&hub.installation().cameras[&CameraId(1)]);
+    info.ride = Some(RideInfo {
         carrier: "carrier".into(),
         object_from_camera: Rigid::from_parts(Vector3::new(0.0, 0.0, -0.1).into(), down),
         localizes: true,
     });
-    std::sync::Arc::new(Hub::new(installation))
+    hub.set_camera(CameraId(1), info);
+    hub
 }
 
 fn placement(x_m: f64, variance: f64) -> CameraPlacement {

@@ -51,7 +51,7 @@ pub fn hub(source_id: &str) -> Arc<Hub> {
         source_id: source_id.into(),
         started: Clock::anchored_now().now(),
         snapshot_rate_hz: 60.0,
-        cameras: vec![camera("north"), camera("south side")],
+        cameras: Installation::numbered([camera("north"), camera("south side")]),
         kinds: vec!["robot".into(), "cart".into()],
         object_names: BTreeMap::from([(KindId(1), "cart \"one\"".into())]),
         body_names: vec!["carrier".into()],
@@ -70,14 +70,20 @@ impl Rig {
         let calibrator = Arc::new(Calibrator::new(CalibratorParts {
             hub: hub.clone(),
             clock,
-            cameras: Vec::new(),
+            cameras: BTreeMap::new(),
             landmarks: Vec::new(),
             path: None,
             file: CalibrationFile::default(),
         }));
-        let (ports, late_window_ms) = (Vec::new(), 300.0);
-        let trier = None;
-        let served = Served { hub: hub.clone(), clock, calibrator, ports, late_window_ms, trier };
+        let served = Served {
+            hub: hub.clone(),
+            clock,
+            calibrator,
+            ports: Arc::default(),
+            late_window_ms: 300.0,
+            trier: None,
+            roster: None,
+        };
         let server = tokio::spawn(api::serve(listener, served, limits, cancel.clone()));
         Self { hub, clock, address, cancel, server }
     }

@@ -60,7 +60,7 @@ async fn play(url: &str) {
     let mut base = None;
     let end = async {
         loop {
-            let state = server.hub().cameras().remove(0);
+            let state = server.hub().cameras().into_values().next().unwrap();
             base = state.capture_clock.map(|clock| clock.base).or(base);
             if state.status == CameraStatus::Failed {
                 return state;

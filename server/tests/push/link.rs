@@ -11,7 +11,7 @@ use roundel_core::{
 use roundel_server::{
     hub::{CameraState, CameraStatus, Happening, PoseStatus},
     serve::node::NodeReport,
-    worker::adoption::Adoption,
+    worker::{Place, adoption::Adoption},
 };
 use tokio::time::sleep;
 
@@ -211,7 +211,11 @@ async fn a_calibration_reaches_the_node_between_two_frames() {
         covariance: Covariance6::zeros(),
     };
     let lens = roundel_core::camera::Camera::new(longer).unwrap();
-    rig.server.calibrator().inbox(CameraId(0)).put(Adoption { lens, placement, version: 7 });
+    rig.server.calibrator().inbox(CameraId(0)).put(Adoption {
+        lens,
+        place: Place::Standing(PoseStatus::Calibrated, Box::new(placement)),
+        version: 7,
+    });
     let depth_m = |version| {
         let mut depth_m = None;
         while let Ok(frame) = seen.try_recv() {

@@ -8,7 +8,7 @@ use std::{
     time::Duration,
 };
 
-use roundel_core::world::FrameObservations;
+use roundel_core::{id::CameraId, world::FrameObservations};
 use roundel_server::{hub::CameraStatus, source::TimeBase};
 use tokio::{sync::broadcast::error::RecvError, time::timeout};
 
@@ -212,7 +212,7 @@ async fn user_and_password_are_sent_and_not_shown() {
     let address = camera.address();
     let rig = Rig::start(&format!("http://lab:geh%65im@{address}/stream")).await;
     rig.until("frames", |state| state.frames > 3).await;
-    let shown = rig.server.hub().installation().cameras[0].source.clone();
+    let shown = rig.server.hub().installation().cameras[&CameraId(0)].source.clone();
     assert_eq!(shown, format!("http://{address}/stream"));
     rig.server.shutdown().await;
     assert!(heard.lock().unwrap().starts_with("GET /stream HTTP/1.1"));

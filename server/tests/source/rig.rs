@@ -2,7 +2,10 @@
 
 use std::{path::Path, time::Duration};
 
-use roundel_core::camera::{Camera, Intrinsics, Lens};
+use roundel_core::{
+    camera::{Camera, Intrinsics, Lens},
+    id::CameraId,
+};
 use roundel_server::{
     camera_file,
     config::Config,
@@ -54,7 +57,7 @@ impl Rig {
     pub async fn until(&self, what: &str, wanted: impl Fn(&CameraState) -> bool) -> CameraState {
         let look = async {
             loop {
-                let state = self.server.hub().cameras().remove(0);
+                let state = self.server.hub().camera(CameraId(0)).unwrap();
                 if wanted(&state) {
                     return state;
                 }

@@ -142,6 +142,11 @@ impl Backlog {
         oldest.map_or(self.captured + 1, |entry| entry.sequence)
     }
 
+    /// How many before [`Self::next_sequence`] were dropped; who gets a later one knows of those between by their numbers.
+    pub(super) fn dropped_before_next(&self) -> u64 {
+        self.next_sequence() - 1 - self.acknowledged
+    }
+
     /// Nothing is sent any more.
     pub(super) fn give_up(&mut self) {
         self.dropped += (self.waiting.len() + self.under_way.len()) as u64;
@@ -187,10 +192,10 @@ mod tests {
         backlog.acknowledge(1);
         // Two under way, of which the server got one; those of the last 300 ms wait.
         assert_eq!(add_up(&backlog), [1, 266, 33]);
-        assert_eq!(backlog.next_sequence(), 2);
+        assert_eq!((backlog.next_sequence(), backlog.dropped_before_next()), (2, 0));
         backlog.welcome(2, 300 * MS, 2_990 * MS);
         assert_eq!(add_up(&backlog), [2, 267, 31]);
-        assert_eq!(backlog.next_sequence(), 270);
+        assert_eq!((backlog.next_sequence(), backlog.dropped_before_next()), (270, 267));
         let mut sent = Vec::new();
         while let Some((sequence, _)) = backlog.take(2_990 * MS) {
             sent.push(sequence);

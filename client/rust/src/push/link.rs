@@ -67,12 +67,17 @@ async fn connection(
         Some((request, received))
     });
     let mut client = PushClient::new(channel).max_encoding_message_size(MAX_MESSAGE_BYTES);
+    let (next_sequence, dropped) = {
+        let backlog = &shared.lock().backlog;
+        (backlog.next_sequence(), backlog.dropped_before_next())
+    };
     let greeting = v1::PushGreeting {
         camera: shared.options.camera.clone(),
         sender: shared.options.sender.clone(),
         run_id: shared.run_id.clone(),
         times: shared.options.times as i32,
-        next_sequence: shared.lock().backlog.next_sequence(),
+        next_sequence,
+        dropped,
     };
     // Room for the first one is there.
     let _ = outgoing.send(message(Request::Greeting(greeting))).await;
@@ -155,7 +160,9 @@ impl Talk<'_> {
 
     fn has_work(&self) -> bool {
         let state = self.shared.lock();
-        (state.trouble.is_some() && !state.trouble_told) || state.backlog.can_take()
+        (state.trouble.is_some() && !state.trouble_told)
+            || state.picture.is_some()
+            || state.backlog.can_take()
     }
 
     /// A probe that finds no room is not sent: it would only measure the queue.
@@ -188,6 +195,12 @@ impl Talk<'_> {
             } else if let Some(error) = state.trouble.clone().filter(|_| !state.trouble_told) {
                 state.trouble_told = true;
                 room.send(message(Request::Trouble(v1::PushedTrouble { error })));
+            } else if let Some(mut picture) = state.picture.take() {
+                drop(state);
+                if let Some(seen) = &mut picture.observations {
+                    move_times(seen, offset.map_or(0, |offset| offset.offset_ns));
+                }
+                room.send(message(Request::Picture(picture)));
             } else {
                 return;
             }
@@ -224,6 +237,9 @@ impl Talk<'_> {
             Response::Calibration(calibration) => {
                 self.shared.calibration.send_replace(Some(calibration));
             }
+            Response::PictureRequest(_) => {
+                self.shared.picture_requests.send_modify(|requests| *requests += 1);
+            }
         }
     }
 }
@@ -249,11 +265,15 @@ fn on_servers_clock(sequence: u64, item: &Item, offset: Option<super::ClockOffse
             seen.sequence = sequence;
             seen.clock = clock(seen.clock);
             if let Some(frame) = &mut seen.observations {
-                let times = [&mut frame.capture_time_ns, &mut frame.received_time_ns];
-                let rows = frame.detections.iter_mut().map(|it| &mut it.capture_time_ns);
-                rows.chain(times).for_each(|time| *time = time.saturating_add(offset_ns));
+                move_times(frame, offset_ns);
             }
             Request::Observations(seen)
         }
     }
+}
+
+fn move_times(frame: &mut v1::FrameObservations, offset_ns: i64) {
+    let times = [&mut frame.capture_time_ns, &mut frame.received_time_ns];
+    let rows = frame.detections.iter_mut().map(|it| &mut it.capture_time_ns);
+    rows.chain(times).for_each(|time| *time = time.saturating_add(offset_ns));
 }

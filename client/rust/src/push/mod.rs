@@ -147,6 +147,7 @@ struct Shared {
     news: Notify,
     status: watch::Sender<PushStatus>,
     calibration: watch::Sender<Option<v1::PushedCalibration>>,
+    picture_requests: watch::Sender<u64>,
     options: PushOptions,
     run_id: String,
 }
@@ -158,6 +159,8 @@ struct State {
     trouble: Option<String>,
     /// Whether this connection's server knows.
     trouble_told: bool,
+    /// To be sent, since it was asked for.
+    picture: Option<v1::PushedPicture>,
 }
 
 impl Shared {
@@ -207,10 +210,12 @@ impl Client {
                 clock: ServerClock::default(),
                 trouble: None,
                 trouble_told: false,
+                picture: None,
             }),
             news: Notify::new(),
             status: watch::Sender::default(),
             calibration: watch::Sender::new(None),
+            picture_requests: watch::Sender::new(0),
             options,
             run_id: format!("{:016x}{:016x}", fastrand::u64(..), fastrand::u64(..)),
         });
@@ -253,6 +258,19 @@ impl Pusher {
             state.trouble = Some(error.into());
             state.trouble_told = false;
         }
+        self.shared.news.notify_one();
+    }
+
+    /// Counts how often the server has asked for a picture; each time a sender of observations answers with
+    /// [`Pusher::picture`], if it can.
+    pub fn picture_requests(&self) -> watch::Receiver<u64> {
+        self.shared.picture_requests.subscribe()
+    }
+
+    /// Leaves a picture for people to look at, as the server has asked. Of two that wait the newer one is sent; all times
+    /// in it are of the clock of the options.
+    pub fn picture(&self, picture: v1::PushedPicture) {
+        self.shared.lock().picture = Some(picture);
         self.shared.news.notify_one();
     }
 

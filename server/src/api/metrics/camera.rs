@@ -1,10 +1,12 @@
 //! What `/metrics` says of each camera.
 
-use roundel_core::marker::Reject;
+use std::{collections::BTreeMap, sync::Arc};
+
+use roundel_core::{id::CameraId, marker::Reject};
 
 use super::Page;
 use crate::{
-    hub::{CameraState, CameraStatus, Installation, PoseStatus},
+    hub::{CameraInfo, CameraState, CameraStatus, Installation, PoseStatus},
     reason,
 };
 
@@ -141,14 +143,23 @@ const CAMERA_FAMILIES: [CameraFamily; 25] = [
     ),
 ];
 
-pub(super) fn write_cameras(page: &mut Page, installation: &Installation, cameras: &[CameraState]) {
+pub(super) fn write_cameras(
+    page: &mut Page,
+    installation: &Installation,
+    cameras: &BTreeMap<CameraId, CameraState>,
+) {
+    let named = |(id, info): (&CameraId, &Arc<CameraInfo>)| {
+        cameras.get(id).map(|state| (info.name.clone(), state))
+    };
+    let named: Vec<(String, &CameraState)> =
+        installation.cameras.iter().filter_map(named).collect();
+    let each = || named.iter().map(|(name, state)| (name.as_str(), *state));
     for (name, kind, help, number) in CAMERA_FAMILIES {
         page.family(name, kind, help);
-        for (info, state) in installation.cameras.iter().zip(cameras) {
-            page.sample(name, &[("camera", &info.name)], number(state));
+        for (camera, state) in each() {
+            page.sample(name, &[("camera", camera)], number(state));
         }
     }
-    let each = || installation.cameras.iter().map(|info| info.name.as_str()).zip(cameras);
     write_stages(page, each());
     write_detections(page, each());
 }

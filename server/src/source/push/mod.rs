@@ -4,6 +4,7 @@
 //! as from any other source. What is put in was taken: it is acknowledged to the sender and never asked for again.
 
 mod port;
+mod ports;
 
 use std::{
     sync::Arc,
@@ -13,6 +14,7 @@ use std::{
 use roundel_core::{frame::Frame, time::Timestamp, world::FrameObservations};
 
 pub use port::{Attachment, Greeting, Link, Port, PushError};
+pub use ports::Ports;
 
 use super::{
     Arrival, CaptureClock, FrameInfo, FrameSource, LentFrame, Sighting, SourceError, bad_frame,

@@ -12,6 +12,7 @@ use std::{
 
 use thiserror::Error;
 use tokio::sync::Notify;
+use tokio_util::sync::CancellationToken;
 
 use super::{Payload, Pushed, Times};
 use crate::{source::SourceError, stop::Stop};
@@ -75,6 +76,9 @@ pub enum PushError {
     /// The same sender has come back over another connection.
     #[error("the same run of this sender has connected anew")]
     Superseded,
+    /// There is no camera to be fed any more.
+    #[error("this camera was removed, or takes its frames from elsewhere now")]
+    Closed,
     /// Numbers begin at 1.
     #[error("sequence: expected a number from 1, found 0")]
     Sequence,
@@ -99,6 +103,8 @@ struct State {
     changes: u64,
     /// `changes` when the worker was last told that it has to wait.
     told: Option<u64>,
+    /// Its camera is fed no more.
+    closed: bool,
 }
 
 impl State {
@@ -134,11 +140,28 @@ pub struct Port {
     state: Mutex<State>,
     news: Condvar,
     room: Notify,
+    closing: CancellationToken,
 }
 
 impl Port {
     fn lock(&self) -> MutexGuard<'_, State> {
         self.state.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+
+    /// Sends away who feeds it, for good.
+    pub(super) fn close(&self) {
+        let mut state = self.lock();
+        state.closed = true;
+        state.queue.clear();
+        drop(state);
+        self.closing.cancel();
+        self.news.notify_one();
+        self.room.notify_waiters();
+    }
+
+    /// Ends when its camera is fed no more.
+    pub async fn closed(&self) {
+        self.closing.cancelled().await;
     }
 
     /// Who feeds it, and how that goes.
@@ -150,6 +173,9 @@ impl Port {
     /// heard for a while.
     pub fn attach(self: &Arc<Self>, greeting: &Greeting) -> Result<Attachment, PushError> {
         let mut state = self.lock();
+        if state.closed {
+            return Err(PushError::Closed);
+        }
         let is_live = state.attached.is_some()
             && state.heard.is_some_and(|heard| heard.elapsed() < SILENT_AFTER);
         if is_live && state.run_id != greeting.run_id {
@@ -272,6 +298,9 @@ impl Attachment {
     /// The state, while it is this connection that feeds the camera.
     fn held(&self) -> Result<MutexGuard<'_, State>, PushError> {
         let mut state = self.port.lock();
+        if state.closed {
+            return Err(PushError::Closed);
+        }
         if state.attached != Some(self.number) {
             return Err(PushError::Superseded);
         }

@@ -1,0 +1,197 @@
+//! Cameras that are added, changed and removed while they are being served, over REST; the same functions answer gRPC.
+
+use std::sync::Arc;
+
+use axum::{
+    Json,
+    extract::{State, rejection::JsonRejection},
+};
+use roundel_core::id::CameraId;
+use roundel_proto::v1;
+use serde_json::{Map, Value};
+
+use super::{
+    Api,
+    error::{ApiError, ErrorBody, SHUTTING_DOWN},
+    grpc,
+    rest::{Segment, text_of},
+};
+use crate::{
+    config::edit::CAMERA_KEYS,
+    convert,
+    roster::{Roster, RosterError},
+};
+
+const EXAMPLE: &str = r#"{"name": "north", "source": "v4l2:/dev/video0", "calibration": "north.yaml", "pose": {"unknown": true}}"#;
+
+/// A camera as the configuration says it.
+#[utoipa::path(
+    get, path = "/api/v1/cameras/{name}/setup", tag = "cameras",
+    params(("name" = String, Path, description = "the camera's name")),
+    responses(
+        (status = 200, description = "what is written there, but for user and password", body = v1::CameraSetup),
+        (status = 404, description = "names the cameras that there are", body = ErrorBody),
+        (status = 409, description = "clients may not", body = ErrorBody),
+    ),
+)]
+pub async fn show(
+    State(api): State<Arc<Api>>,
+    name: Segment,
+) -> Result<Json<v1::CameraSetup>, ApiError> {
+    written(&api, text_of(name)?).await.map(Json)
+}
+
+/// Adds a camera while everything else goes on, and writes it into the configuration.
+#[utoipa::path(
+    post, path = "/api/v1/cameras", tag = "cameras",
+    request_body = v1::CameraSetup,
+    responses(
+        (status = 200, description = "it is there, and tries to open its source", body = v1::CameraChange),
+        (status = 400, description = "names the wrong field", body = ErrorBody),
+        (status = 409, description = "the configuration cannot be written, the arena is being calibrated, or clients may not", body = ErrorBody),
+    ),
+)]
+pub async fn add(
+    State(api): State<Arc<Api>>,
+    body: Result<Json<v1::CameraSetup>, JsonRejection>,
+) -> Result<Json<v1::CameraChange>, ApiError> {
+    add_camera(&api, ApiError::body(body, EXAMPLE)?).await.map(Json)
+}
+
+/// Changes a camera while everything else goes on, and writes that into the configuration.
+///
+/// What the body does not name stays as it is; null takes a key out. Only another source, size, name, rate, mode, mask
+/// or line time has the camera begin anew; a lens and a pose are taken over between two frames. Files that the
+/// configuration names are read anew in any case.
+#[utoipa::path(
+    patch, path = "/api/v1/cameras/{name}", tag = "cameras",
+    params(("name" = String, Path, description = "the camera's name")),
+    request_body = v1::CameraSetup,
+    responses(
+        (status = 200, description = "it is as wanted", body = v1::CameraChange),
+        (status = 400, description = "names the wrong field", body = ErrorBody),
+        (status = 404, description = "names the cameras that there are", body = ErrorBody),
+        (status = 409, description = "the configuration cannot be written, the arena is being calibrated, or clients may not", body = ErrorBody),
+    ),
+)]
+pub async fn change(
+    State(api): State<Arc<Api>>,
+    name: Segment,
+    body: Result<Json<Map<String, Value>>, JsonRejection>,
+) -> Result<Json<v1::CameraChange>, ApiError> {
+    let (name, mut body) = (text_of(name)?, ApiError::body(body, EXAMPLE)?);
+    let fields = body.keys().cloned().collect();
+    body.retain(|_, value| !value.is_null());
+    let camera = serde_json::from_value(Value::Object(body))
+        .map_err(|error| ApiError::invalid("body", format!("JSON such as {EXAMPLE}"), error))?;
+    let request = v1::ChangeCameraRequest { name, camera: Some(camera), fields };
+    change_camera(&api, request).await.map(Json)
+}
+
+/// Removes a camera while everything else goes on, and takes it out of the configuration.
+#[utoipa::path(
+    delete, path = "/api/v1/cameras/{name}", tag = "cameras",
+    params(("name" = String, Path, description = "the camera's name")),
+    responses(
+        (status = 200, description = "it is there no more", body = v1::CameraChange),
+        (status = 404, description = "names the cameras that there are", body = ErrorBody),
+        (status = 409, description = "it is the last one, the configuration cannot be written, the arena is being calibrated, or clients may not", body = ErrorBody),
+    ),
+)]
+pub async fn remove(
+    State(api): State<Arc<Api>>,
+    name: Segment,
+) -> Result<Json<v1::CameraChange>, ApiError> {
+    remove_camera(&api, text_of(name)?).await.map(Json)
+}
+
+pub(super) async fn written(api: &Arc<Api>, name: String) -> Result<v1::CameraSetup, ApiError> {
+    on_roster(api, Some(&name), move |roster, name| roster.written(name))
+        .await
+        .map(|it| convert::setup(&it))
+}
+
+pub(super) async fn add_camera(
+    api: &Arc<Api>,
+    camera: v1::CameraSetup,
+) -> Result<v1::CameraChange, ApiError> {
+    let (name, camera) = (camera.name.clone(), convert::written(camera));
+    let kept = on_roster(api, None, move |roster, _| roster.add(&camera)).await?;
+    change_of(api, &name, kept)
+}
+
+pub(super) async fn change_camera(
+    api: &Arc<Api>,
+    request: v1::ChangeCameraRequest,
+) -> Result<v1::CameraChange, ApiError> {
+    let v1::ChangeCameraRequest { name, camera, fields } = request;
+    if let Some(unknown) = fields.iter().find(|field| !CAMERA_KEYS.contains(&field.as_str())) {
+        let expected = format!("any of {}", CAMERA_KEYS.join(", "));
+        return Err(ApiError::invalid("fields", expected, format!("{unknown:?}")));
+    }
+    let camera = convert::written(camera.unwrap_or_default());
+    let change = move |roster: &Roster, name: &str| {
+        let fields: Vec<&str> = fields.iter().map(String::as_str).collect();
+        roster.change(name, &camera, &fields)
+    };
+    let (name, kept) = on_roster(api, Some(&name), change).await?;
+    change_of(api, &name, kept)
+}
+
+pub(super) async fn remove_camera(
+    api: &Arc<Api>,
+    name: String,
+) -> Result<v1::CameraChange, ApiError> {
+    let kept = on_roster(api, Some(&name), |roster, name| roster.remove(name)).await?;
+    Ok(v1::CameraChange { camera: None, kept })
+}
+
+/// Does something with the roster, on a thread that may wait for files and workers; the camera of that name, if one is
+/// named, has to be there.
+async fn on_roster<T: Send + 'static>(
+    api: &Arc<Api>,
+    name: Option<&str>,
+    act: impl FnOnce(&Roster, &str) -> Result<T, RosterError> + Send + 'static,
+) -> Result<T, ApiError> {
+    let Some(roster) = api.roster.clone() else {
+        return Err(ApiError::FailedPrecondition(
+            "this server is open to a network, and lets no client set up its cameras: `setup = true` under [server] \
+             allows it, to everybody who reaches its port; or edit the configuration and start the server anew"
+                .into(),
+        ));
+    };
+    let _: Option<CameraId> = name.map(|name| grpc::camera_id(api, name)).transpose()?;
+    let name = name.unwrap_or_default().to_owned();
+    let done = tokio::task::spawn_blocking(move || act(&roster, &name)).await;
+    let done = done.map_err(|error| {
+        ApiError::Internal(format!("the change of a camera ended badly: {error}"))
+    })?;
+    Ok(done?)
+}
+
+fn change_of(api: &Api, name: &str, kept: String) -> Result<v1::CameraChange, ApiError> {
+    let camera = grpc::camera(api, grpc::camera_id(api, name)?)?;
+    Ok(v1::CameraChange { camera: Some(camera), kept })
+}
+
+impl From<RosterError> for ApiError {
+    fn from(error: RosterError) -> Self {
+        let message = error.to_string();
+        match error {
+            RosterError::Wrong { key, .. } => {
+                Self::Invalid { field: key.unwrap_or("camera"), message }
+            }
+            RosterError::NoCamera(name) => {
+                let known = "it was removed meanwhile, or has another name now".to_owned();
+                Self::NotFound { what: "camera", name, known }
+            }
+            RosterError::Last | RosterError::Calibrating | RosterError::File(_) => {
+                Self::FailedPrecondition(message)
+            }
+            RosterError::Mask(_) => Self::Invalid { field: "mask", message },
+            RosterError::Ending => Self::Unavailable(SHUTTING_DOWN.into()),
+            RosterError::Thread { .. } => Self::ResourceExhausted(message),
+            RosterError::Detector(_) => Self::Internal(message),
+        }
+    }
+}

@@ -1,0 +1,155 @@
+use super::*;
+
+const TEXT: &str = r#"# The lab.
+name = "lab"
+
+# ---- Cameras ----
+
+# The one by the door.
+[[camera]]
+name = "north"   # as on its label
+source = "http://10.0.0.2/stream"
+rate_hz = 30 # by its menu
+pose = "unknown"
+
+[[camera]]
+source = 'v4l2:/dev/video0'
+name = "south"
+mask = [[[0, 0], [320, 0.5], [0, 200]]]
+[camera.pose]
+# By tape measure.
+position_m = [0.0, 1.0, 2.0]
+orientation_xyzw = [1, 0, 0, 0]
+
+# What robots carry.
+[[roundel]]
+name = "robot"
+"#;
+
+fn south_pose() -> WrittenPose {
+    WrittenPose::At {
+        position_m: [0.0, 1.0, 2.0],
+        orientation_xyzw: [1.0, 0.0, 0.0, 0.0],
+        object: None,
+        localizes: false,
+    }
+}
+
+#[test]
+fn what_is_written_is_read() {
+    let north = read(TEXT, "north").unwrap();
+    let expected = WrittenCamera {
+        name: "north".into(),
+        source: "http://10.0.0.2/stream".into(),
+        rate_hz: Some(30.0),
+        pose: Some(WrittenPose::Unknown),
+        ..WrittenCamera::default()
+    };
+    assert_eq!(north, expected);
+    let south = read(TEXT, "south").unwrap();
+    assert_eq!(south.pose, Some(south_pose()));
+    assert_eq!(south.mask, [vec![[0.0, 0.0], [320.0, 0.5], [0.0, 200.0]]]);
+    assert_eq!(read(TEXT, "east"), Err(EditError::NoCamera("east".into())));
+}
+
+#[test]
+fn one_that_is_added_stands_behind_the_last_and_nothing_else_moves() {
+    let camera = WrittenCamera {
+        name: "ea\"st".into(),
+        source: "sim:r4_lite?camera=2".into(),
+        rate_hz: Some(29.97),
+        pose: Some(WrittenPose::At {
+            position_m: [1.0, -2.5, 3.0],
+            orientation_xyzw: [1.0, 0.0, 0.0, 0.0],
+            object: Some("drone".into()),
+            localizes: true,
+        }),
+        mask: vec![vec![[0.0, 0.0], [9.0, 0.0], [0.0, 9.0]]],
+        ..WrittenCamera::default()
+    };
+    let text = add(TEXT, &camera).unwrap();
+    let added = "\n[[camera]]\nname = 'ea\"st'\nsource = \"sim:r4_lite?camera=2\"\n\
+                 pose = { position_m = [1.0, -2.5, 3.0], orientation_xyzw = [1.0, 0.0, 0.0, 0.0], object = \"drone\", \
+                 localizes = true }\nrate_hz = 29.97\nmask = [[[0.0, 0.0], [9.0, 0.0], [0.0, 9.0]]]\n";
+    assert_eq!(
+        text,
+        TEXT.replace("\n# What robots carry.", &format!("{added}\n# What robots carry."))
+    );
+    assert_eq!(read(&text, "ea\"st").unwrap(), camera);
+    assert_eq!(remove(&text, "ea\"st").unwrap(), TEXT, "gone without a trace");
+}
+
+#[test]
+fn what_changes_keeps_its_comments_and_what_does_not_its_form() {
+    let camera = WrittenCamera {
+        name: "door".into(),
+        rate_hz: Some(30.0),
+        pose: Some(south_pose()),
+        mode: Some("fast".into()),
+        ..WrittenCamera::default()
+    };
+    let text = change(TEXT, "north", &camera, &["name", "rate_hz", "pose", "mode"]).unwrap();
+    let expected = TEXT
+        .replace("name = \"north\"", "name = \"door\"")
+        .replace(
+            "pose = \"unknown\"\n",
+            "pose = { position_m = [0.0, 1.0, 2.0], orientation_xyzw = [1.0, 0.0, 0.0, 0.0] }\nmode = \"fast\"\n",
+        );
+    assert_eq!(text, expected);
+    // A table under its own header stays one, and a key that is to be no more goes.
+    let moved = WrittenPose::At {
+        position_m: [0.0, 1.5, 2.0],
+        orientation_xyzw: [1.0, 0.0, 0.0, 0.0],
+        object: None,
+        localizes: false,
+    };
+    let camera = WrittenCamera { pose: Some(moved), ..WrittenCamera::default() };
+    let text = change(TEXT, "south", &camera, &["pose", "mask"]).unwrap();
+    let expected = TEXT
+        .replace("[0.0, 1.0, 2.0]", "[0.0, 1.5, 2.0]")
+        .replace("[1, 0, 0, 0]", "[1.0, 0.0, 0.0, 0.0]")
+        .replace("mask = [[[0, 0], [320, 0.5], [0, 200]]]\n", "");
+    assert_eq!(text, expected);
+    let camera = WrittenCamera { pose: Some(WrittenPose::Unknown), ..WrittenCamera::default() };
+    let text = change(TEXT, "south", &camera, &["pose"]).unwrap();
+    assert_eq!(read(&text, "south").unwrap().pose, Some(WrittenPose::Unknown), "{text}");
+}
+
+#[test]
+fn one_that_goes_takes_its_own_comment_and_no_other() {
+    let text = remove(TEXT, "north").unwrap();
+    let (begin, end) = (TEXT.find("# The one").unwrap(), TEXT.find("[[camera]]\nsource").unwrap());
+    assert_eq!(text, [&TEXT[..begin], &TEXT[end..]].concat());
+    let text = remove(TEXT, "south").unwrap();
+    let (begin, end) = (TEXT.find("\n[[camera]]\nsource").unwrap(), TEXT.find("\n# What").unwrap());
+    assert_eq!(text, [&TEXT[..begin], &TEXT[end..]].concat());
+    let last = "a = 1\n\n# Cameras\n\n# One.\n[[camera]]\nname = \"a\"\n\n# The end.\n";
+    assert_eq!(remove(last, "a").unwrap(), "a = 1\n\n# Cameras\n\n# The end.\n");
+}
+
+#[test]
+fn cameras_in_one_line_are_changed_as_well() {
+    let text =
+        "camera = [{ name = \"a\", source = \"sim:\" }, { name = \"b\", source = \"sim:\" }]\n";
+    let camera = WrittenCamera { source: "push:".into(), ..WrittenCamera::default() };
+    let changed = change(text, "b", &camera, &["source"]).unwrap();
+    assert_eq!(changed, text.replace("\"b\", source = \"sim:\"", "\"b\", source = \"push:\""));
+    let camera = WrittenCamera { name: "c".into(), source: "sim:".into(), ..camera };
+    let added = add(text, &camera).unwrap();
+    assert_eq!(read(&added, "c").unwrap(), camera);
+    assert_eq!(read(&remove(&added, "a").unwrap(), "c").unwrap(), camera);
+}
+
+#[test]
+fn the_key_at_a_place_is_found_with_its_camera() {
+    let at = |words: &str| key_at(TEXT, TEXT.find(words).unwrap());
+    assert_eq!(at("name = \"north\""), Some((0, "name")));
+    assert_eq!(at("30 # by"), Some((0, "rate_hz")));
+    assert_eq!(at("by its menu"), None);
+    assert_eq!(at("320, 0.5"), Some((1, "mask")));
+    assert_eq!(at("orientation_xyzw"), Some((1, "pose")));
+    assert_eq!(at("name = \"robot\""), None);
+    assert_eq!(key_named("missing key `pose` in [[camera]]"), Some("pose"));
+    assert_eq!(key_named("`outer_mm` is not `mode`"), Some("mode"));
+    assert_eq!(key_named("nothing at all"), None);
+}

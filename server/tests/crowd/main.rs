@@ -1,0 +1,82 @@
+//! Changes by the dozen: one after the other they leave nothing behind, and at once none is lost. A program of its own,
+//! since threads and memory are those of the whole.
+
+#[path = "../setup/rig.rs"]
+#[allow(dead_code, reason = "the other tests use the rest")]
+mod rig;
+
+use std::fs;
+
+use axum::http::Method;
+use roundel_server::config::Config;
+use serde_json::json;
+
+use rig::{CONFIG, Rig, come_about, third};
+
+fn threads() -> usize {
+    fs::read_dir("/proc/self/task").unwrap().count()
+}
+
+/// Threads of workers, by the names that they have.
+fn workers() -> usize {
+    let names = fs::read_dir("/proc/self/task").unwrap().flatten();
+    let name =
+        |task: fs::DirEntry| fs::read_to_string(task.path().join("comm")).unwrap_or_default();
+    names.map(name).filter(|name| name.starts_with("camera ")).count()
+}
+
+/// Everything that belongs to this process, kilobytes.
+fn memory_kb() -> u64 {
+    let status = fs::read_to_string("/proc/self/status").unwrap();
+    let line = status.lines().find(|line| line.starts_with("VmRSS:")).unwrap();
+    line.split_whitespace().nth(1).unwrap().parse().unwrap()
+}
+
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn fifty_come_and_go_and_nothing_is_left_and_many_at_once_are_all_there() {
+    let rig = Rig::start().await;
+    rig.running("a").await;
+    let once = async |round: usize| {
+        let mut camera = third();
+        camera["name"] = json!(format!("c{}", round % 3));
+        rig.done(Method::POST, "/cameras", Some(camera)).await;
+        let name = format!("c{}", round % 3);
+        rig.until("frames", &name, |state| state.frames > 0).await;
+        rig.ask(Method::GET, &format!("/cameras/{name}/frame.jpg"), None).await;
+        rig.done(Method::DELETE, &format!("/cameras/{name}"), None).await;
+    };
+    for round in 0..10 {
+        once(round).await;
+    }
+    let (before, kb) = (workers(), memory_kb());
+    for round in 0..50 {
+        once(round).await;
+    }
+    assert_eq!(workers(), before, "of {} threads", threads());
+    // A camera's worker, pictures and buffers are about a megabyte; fifty of them would show.
+    let grown_kb = memory_kb().saturating_sub(kb);
+    println!("{grown_kb} kB more after fifty cameras, {} threads", threads());
+    assert!(grown_kb < 16 * 1024, "{grown_kb} kB more after fifty cameras");
+    assert_eq!(rig.file(), CONFIG, "not a byte is another");
+    assert_eq!(rig.server.hub().cameras().len(), 2);
+    let running = rig.running("a").await;
+    assert_eq!(running.restarts, 0);
+
+    let edits = (0..8).map(|number| {
+        let mut camera = third();
+        camera["name"] = json!(format!("n{number}"));
+        rig.done(Method::POST, "/cameras", Some(camera))
+    });
+    let modes = ["a", "b"].map(|name| {
+        let path = format!("/cameras/{name}");
+        async { rig.done(Method::PATCH, &{ path }, Some(json!({ "mode": "fast" }))).await }
+    });
+    futures::future::join(futures::future::join_all(edits), futures::future::join_all(modes)).await;
+    let config = Config::load(&rig.folder.path().join("lab.toml")).unwrap();
+    assert_eq!(config.cameras.len(), 10);
+    assert_eq!(rig.file().matches("mode = \"fast\"").count(), 2);
+    let all = || Some(()).filter(|()| rig.server.hub().cameras().values().all(|it| it.frames > 3));
+    come_about("frames of all", all, || rig.server.hub().cameras()).await;
+    rig.server.shutdown().await;
+    assert_eq!(workers(), 0);
+}

@@ -1,0 +1,72 @@
+//! The configuration's file: what is not written is not done.
+
+use std::{fs, os::unix::fs::PermissionsExt, path::Path};
+
+use axum::http::Method;
+use roundel_server::{config::Config, serve::Server};
+use serde_json::json;
+
+use crate::rig::{CONFIG, Rig, lab, third};
+
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn a_file_that_somebody_changed_or_locked_is_not_written_and_nothing_is_done() {
+    let rig = Rig::start().await;
+    let path = rig.folder.path().join("lab.toml");
+    let mine = format!("{CONFIG}# mine\n");
+    fs::write(&path, &mine).unwrap();
+    for (method, path, body) in [
+        (Method::POST, "/cameras", Some(third())),
+        (Method::PATCH, "/cameras/a", Some(json!({ "source": "push:" }))),
+        (Method::DELETE, "/cameras/a", None),
+    ] {
+        let (status, message) = rig.refused(method, path, body).await;
+        assert_eq!(status, 409);
+        assert!(message.contains("lab.toml was changed since this server read it"), "{message}");
+    }
+    assert_eq!(rig.file(), mine);
+    assert_eq!(rig.server.hub().cameras().len(), 2);
+    assert_eq!(rig.running("a").await.restarts, 0);
+
+    fs::write(&path, CONFIG).unwrap();
+    fs::set_permissions(&path, fs::Permissions::from_mode(0o444)).unwrap();
+    let (status, message) = rig.refused(Method::POST, "/cameras", Some(third())).await;
+    assert_eq!(status, 409);
+    assert!(message.contains("read-only"), "{message}");
+    assert_eq!(rig.file(), CONFIG);
+    fs::set_permissions(&path, fs::Permissions::from_mode(0o644)).unwrap();
+    rig.done(Method::POST, "/cameras", Some(third())).await;
+    rig.server.shutdown().await;
+}
+
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn what_was_written_is_what_the_next_start_reads() {
+    let rig = Rig::start().await;
+    rig.done(Method::POST, "/cameras", Some(third())).await;
+    rig.done(Method::PATCH, "/cameras/b", Some(json!({ "name": "window", "mode": "fast" }))).await;
+    rig.done(Method::DELETE, "/cameras/a", None).await;
+    let Rig { server, folder } = rig;
+    let names = |server: &Server| -> Vec<String> {
+        server.hub().installation().cameras.values().map(|camera| camera.name.clone()).collect()
+    };
+    let before = names(&server);
+    server.shutdown().await;
+    let server =
+        Server::start(Config::load(&folder.path().join("lab.toml")).unwrap()).await.unwrap();
+    assert_eq!(
+        (names(&server), &before),
+        (vec!["window".to_owned(), "c".to_owned()], &names(&server))
+    );
+    server.shutdown().await;
+}
+
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn without_a_file_a_change_lasts_until_the_end_and_says_so() {
+    let folder = lab(CONFIG);
+    let config = Config::parse(CONFIG, Path::new(folder.path())).unwrap();
+    let rig = Rig { server: Server::start(config).await.unwrap(), folder };
+    let answer = rig.done(Method::POST, "/cameras", Some(third())).await;
+    assert!(answer["kept"].as_str().unwrap().contains("until this server ends"), "{answer}");
+    rig.running("c").await;
+    assert_eq!(rig.file(), CONFIG);
+    rig.server.shutdown().await;
+}

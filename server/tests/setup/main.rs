@@ -1,0 +1,8 @@
+//! Cameras that are added, changed and removed over the APIs while a whole server runs: what becomes of the others, of
+//! clients, and of the configuration's file.
+
+mod add;
+mod change;
+mod file;
+mod remove;
+mod rig;

@@ -1,0 +1,199 @@
+/** Cameras tried, added, changed and removed by click, on an invented server. */
+
+import assert from "node:assert/strict";
+import { readFile } from "node:fs/promises";
+import { createRequire } from "node:module";
+import { after, before, describe, test } from "node:test";
+
+import { launch, openDashboard } from "./harness.mjs";
+import { startMock } from "./mock.mjs";
+import { Roster } from "./roster.mjs";
+import { World } from "./world.mjs";
+
+let browser;
+before(async () => {
+  browser = await launch();
+});
+after(() => browser?.close());
+
+/** @param {object} options of the roster @param {(page: import("playwright-core").Page, roster: Roster) => Promise<void>} body */
+async function withRoster(options, body, context = {}) {
+  const world = new World();
+  const roster = new Roster(world, options);
+  const server = await startMock({ world, roster });
+  try {
+    const opened = await openDashboard(browser, server.url, context);
+    await body(opened.page, roster);
+    await opened.context.close();
+  } finally {
+    await server.close();
+  }
+}
+
+async function openNew(page) {
+  await page.locator("#add-camera").click();
+  await page.locator("#setup[open]").waitFor();
+}
+
+async function openOf(page, name) {
+  await page.getByRole("button", { name: `Set up camera ${name}` }).click();
+  await page.locator("#setup-title", { hasText: `Camera ${name}` }).waitFor();
+  await page.locator("#setup-remove").waitFor();
+}
+
+const closed = (page) => page.locator("#setup:not([open])").waitFor({ state: "attached" });
+const trouble = (page, field, text) => page.locator(`#setup-${field}-trouble`, { hasText: text }).waitFor();
+const answered = (roster, method) => roster.asked.filter((asked) => asked.method === method).at(-1);
+
+describe("the setup of cameras", () => {
+  test("tries a source, and says what it gives or why it does not", async () => {
+    await withRoster({}, async (page, roster) => {
+      await openNew(page);
+      await page.locator("#setup-try").click();
+      await trouble(page, "source", "Fill in the source first.");
+      await page.locator("#setup-source").fill("http://10.0.0.2/stream");
+      await page.locator("#setup-try").click();
+      await page.locator("#setup-words", { hasText: "640 × 480 pixels, 25.0 frames a second (30.0 promised); 3 roundels" }).waitFor();
+      assert.equal(await page.locator("#setup-source-trouble").isVisible(), false);
+      await page.locator("#setup-source").fill("http://closed/stream");
+      await page.locator("#setup-try").click();
+      await trouble(page, "source", "connection refused: is the camera on?");
+      await page.locator("#setup-source").fill("10.0.0.2");
+      await page.locator("#setup-try").click();
+      await trouble(page, "source", "expected a URL, found \"10.0.0.2\"");
+      assert.equal(await page.locator("#setup-source").getAttribute("aria-invalid"), "true");
+      assert.deepEqual(answered(roster, "POST").body, { source: "10.0.0.2" });
+    });
+  });
+
+  test("adds a camera that finds its place, once every error at its field is mended", async () => {
+    await withRoster({}, async (page, roster) => {
+      await openNew(page);
+      await page.locator("#setup-save").click();
+      await trouble(page, "name", "missing key");
+      await page.locator("#setup-name").fill("south-west");
+      await page.locator("#setup-source").fill("v4l2:/dev/video0");
+      await page.locator("#setup-save").click();
+      await trouble(page, "name", "give each camera its own name");
+      await page.locator("#setup-name").fill("door");
+      await page.locator("#setup-save").click();
+      await trouble(page, "calibration", "missing key");
+      assert.equal(await page.locator("#setup-name-trouble").isVisible(), false, "what is mended is blamed no more");
+      await page.locator("#setup-calibration").fill("door.yaml");
+      await page.locator("#setup summary").click();
+      await page.locator("#setup-rate_hz").fill("-1");
+      await page.locator("#setup-save").click();
+      await trouble(page, "rate_hz", "must be a number above 0");
+      await page.locator("#setup-rate_hz").fill("30");
+      await page.locator("#setup-save").click();
+      await closed(page);
+      assert.deepEqual(answered(roster, "POST").body, {
+        name: "door",
+        source: "v4l2:/dev/video0",
+        calibration: "door.yaml",
+        pose: { unknown: true },
+        rate_hz: 30,
+      });
+      await page.locator('[data-camera-card="door"]').waitFor();
+      await page.locator("#event-rows", { hasText: "Camera door was added; it is kept in lab.toml." }).waitFor();
+    });
+  });
+
+  test("adds one where it was measured to stand", async () => {
+    await withRoster({}, async (page, roster) => {
+      await openNew(page);
+      await page.locator("#setup-name").fill("top");
+      await page.locator("#setup-source").fill("push:");
+      await page.locator("#setup-calibration").fill("top.yaml");
+      await page.getByLabel("As measured").check();
+      await page.locator("#setup-save").click();
+      await trouble(page, "pose", "Fill in all numbers");
+      for (const [axis, value] of [["at-x", "1"], ["at-y", "2"], ["at-z", "4"], ["to-x", "1"], ["to-y", "2"], ["to-z", "4"]]) {
+        await page.locator(`#setup-${axis}`).fill(value);
+      }
+      await page.locator("#setup-save").click();
+      await trouble(page, "pose", "another place than where it stands");
+      await page.locator("#setup-to-z").fill("0");
+      await page.locator("#setup-save").click();
+      await closed(page);
+      const { pose } = answered(roster, "POST").body;
+      // Straight down: x to the right, y up in the picture.
+      assert.deepEqual(pose, { pose: { position: { x: 1, y: 2, z: 4 }, orientation: { x: 1, y: 0, z: 0, w: 0 } } });
+    });
+  });
+
+  test("changes only what was changed", async () => {
+    await withRoster({}, async (page, roster) => {
+      await openOf(page, "north-west");
+      assert.equal(await page.locator("#setup-source").inputValue(), "sim:?seed=1&camera=2");
+      assert.equal(await page.getByLabel("As measured").isChecked(), true);
+      assert.equal(await page.locator("#setup-to-z").inputValue(), "0");
+      await page.locator("#setup-name").fill("window");
+      await page.locator("#setup-save").click();
+      await closed(page);
+      assert.deepEqual(answered(roster, "PATCH"), { method: "PATCH", path: "/cameras/north-west", body: { name: "window" } });
+      await page.locator('[data-camera-card="window"]').waitFor();
+      await page.locator('[data-camera-card="north-west"]').waitFor({ state: "detached" });
+      await openOf(page, "window");
+      await page.locator("#setup-at-z").fill("4.5");
+      await page.locator("#setup-calibration").fill("");
+      await page.locator("#setup-save").click();
+      await closed(page);
+      const { body } = answered(roster, "PATCH");
+      assert.deepEqual(Object.keys(body).sort(), ["calibration", "pose"]);
+      assert.equal(body.calibration, null);
+      assert.equal(body.pose.pose.position.z, 4.5);
+    });
+  });
+
+  test("removes a camera when asked twice, and asks anew the next time", async () => {
+    await withRoster({}, async (page, roster) => {
+      await openOf(page, "south-east");
+      await page.locator("#setup-remove").click();
+      await page.locator("#setup-remove", { hasText: "Remove south-east" }).waitFor();
+      assert.equal(answered(roster, "DELETE"), undefined);
+      await page.locator("#setup .icon-button").click();
+      await openOf(page, "south-east");
+      assert.equal(await page.locator("#setup-remove").textContent(), "Remove…");
+      await page.locator("#setup-remove").click();
+      await page.locator("#setup-remove").click();
+      await closed(page);
+      assert.equal(answered(roster, "DELETE").path, "/cameras/south-east");
+      await page.locator('[data-camera-card="south-east"]').waitFor({ state: "detached" });
+      await page.locator("#event-rows", { hasText: "Camera south-east was removed" }).waitFor();
+    });
+  });
+
+  test("says why a server lets nobody", async () => {
+    await withRoster({ refuses: "this server is open to a network: `setup = true` under [server] allows it" }, async (page) => {
+      await openNew(page);
+      await page.locator("#setup-name").fill("door");
+      await page.locator("#setup-source").fill("push:");
+      await page.locator("#setup-save").click();
+      await page.locator("#setup-trouble", { hasText: "open to a network" }).waitFor();
+    });
+  });
+
+  for (const context of [{}, { colorScheme: "dark", viewport: { width: 390, height: 844 } }]) {
+    test(`axe finds nothing serious with ${JSON.stringify(context)}`, async () => {
+      const axe = await readFile(createRequire(import.meta.url).resolve("axe-core/axe.min.js"), "utf8");
+      await withRoster(
+        {},
+        async (page) => {
+          await openNew(page);
+          await page.getByLabel("As measured").check();
+          await page.locator("#setup summary").click();
+          await page.locator("#setup-save").click();
+          await trouble(page, "pose", "Fill in");
+          await page.evaluate(axe);
+          const { violations } = await page.evaluate(() => globalThis.axe.run("#setup"));
+          const serious = violations.filter((it) => ["serious", "critical"].includes(it.impact));
+          assert.deepEqual(serious.map((it) => [it.id, it.nodes.map((node) => node.html)]), []);
+          const { width } = await page.locator("#setup").boundingBox();
+          assert.ok(width <= page.viewportSize().width, `${width} px wide`);
+        },
+        context,
+      );
+    });
+  }
+});
