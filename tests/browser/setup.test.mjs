@@ -36,7 +36,7 @@ async function openNew(page) {
 }
 
 async function openOf(page, name) {
-  await page.getByRole("button", { name: `Set up camera ${name}` }).click();
+  await page.getByRole("button", { name: `Edit camera ${name}` }).click();
   await page.locator("#setup-title", { hasText: `Camera ${name}` }).waitFor();
   await page.locator("#setup-remove").waitFor();
 }

@@ -158,7 +158,7 @@ class Card {
       ]),
     );
     this.head = element("h3", {}, [name]);
-    const change = element("button", { type: "button", class: "quiet", "aria-haspopup": "dialog", "aria-label": `Set up camera ${name}` }, ["Edit…"]);
+    const change = element("button", { type: "button", class: "quiet", "aria-haspopup": "dialog", "aria-label": `Edit camera ${name}` }, ["Edit"]);
     change.addEventListener("click", () => edit(name));
     this.root = element("li", { class: "card", "data-camera-card": name }, [
       this.frame,

@@ -30,6 +30,7 @@ mod client;
 mod error;
 mod push;
 mod riding;
+mod setup;
 mod snapshot;
 mod state;
 mod subscription;

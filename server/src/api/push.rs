@@ -17,6 +17,7 @@ use super::{
 };
 use crate::{
     convert::push::{self as convert, WireError},
+    hub::Picture,
     source::push::{Attachment, Greeting, Port, PushError, Pushed, Times},
 };
 
@@ -94,7 +95,7 @@ async fn converse(
     let hold = Hold { api, camera, port, attachment: Some(attachment) };
     hold.show();
     let port = hold.port.clone();
-    let talk = Talk { hold, times, answers, told: None };
+    let talk = Talk { hold, times, answers, told: None, sends_detections: false };
     tokio::select! {
         outcome = talk.welcome_and_take(&mut messages) => outcome,
         () = port.closed() => Err(ApiError::from(PushError::Closed).into()),
@@ -109,6 +110,7 @@ fn read(greeting: &v1::PushGreeting, times: Times, peer: Option<Peer>) -> Greeti
         run_id: greeting.run_id.chars().take(MAX_NAME).collect(),
         times,
         next_sequence: greeting.next_sequence,
+        dropped: greeting.dropped,
     }
 }
 
@@ -160,6 +162,8 @@ struct Talk<'a> {
     answers: &'a mpsc::Sender<Result<v1::PushResponse, Status>>,
     /// What the sender was told of the camera's lens.
     told: Option<v1::PushedCalibration>,
+    /// Of pictures, the worker has them.
+    sends_detections: bool,
 }
 
 impl Talk<'_> {
@@ -184,6 +188,7 @@ impl Talk<'_> {
             self.take(request).await?;
             self.hold.show();
             self.tell_calibration().await;
+            self.ask_for_picture().await;
         }
         Ok(())
     }
@@ -193,6 +198,7 @@ impl Talk<'_> {
         let (sequence, (what, clock)) = match request.message {
             Some(Asked::Frame(frame)) => (frame.sequence, convert::frame(frame)?),
             Some(Asked::Observations(seen)) => {
+                self.sends_detections = true;
                 (seen.sequence, convert::seen(&self.hold.api.hub.installation(), seen)?)
             }
             Some(Asked::Trouble(v1::PushedTrouble { error })) => {
@@ -207,7 +213,7 @@ impl Talk<'_> {
                 self.answer(Answer::ProbeAnswer(times)).await;
                 return Ok(());
             }
-            Some(Asked::Picture(_)) => return Ok(()),
+            Some(Asked::Picture(picture)) => return self.take_picture(picture).await,
             Some(Asked::Greeting(_)) => {
                 return Err(ApiError::invalid("message", "one greeting", "another one"));
             }
@@ -219,6 +225,33 @@ impl Talk<'_> {
         self.hold.attachment()?.put(sequence, pushed).await?;
         self.answer(Answer::Acknowledgement(v1::PushAcknowledgement { sequence })).await;
         Ok(())
+    }
+
+    /// Whoever sees what the camera sees has to be asked for a picture, if somebody wants one.
+    async fn ask_for_picture(&self) {
+        let Hold { api, camera, .. } = &self.hold;
+        if self.sends_detections && api.hub.take_picture_request(*camera) {
+            self.answer(Answer::PictureRequest(v1::PushPictureRequest {})).await;
+        }
+    }
+
+    async fn take_picture(&self, picture: v1::PushedPicture) -> Result<(), ApiError> {
+        let Hold { api, camera, .. } = &self.hold;
+        let no_picture = match convert::still(&api.hub.installation(), picture)? {
+            Ok((still, seen)) => {
+                let model = api.hub.camera(*camera).and_then(|state| state.camera);
+                let size = model.map_or((0, 0), |model| (model.width(), model.height()));
+                // Some milliseconds, which others should not wait for.
+                let pixels = tokio::task::spawn_blocking(move || still.pixels(size)).await;
+                let pixels = pixels.unwrap_or_else(|error| Err(error.to_string()));
+                pixels.map(|pixels| {
+                    let picture = Picture::new(size, pixels, Arc::new(seen));
+                    api.hub.publish_picture(*camera, picture);
+                })
+            }
+            Err(why) => Err(why),
+        };
+        Ok(self.hold.attachment()?.pictured(no_picture.err().unwrap_or_default())?)
     }
 
     /// Tells the lens and the place's version, where they are new.

@@ -171,10 +171,14 @@ pub async fn frame(State(api): State<Arc<Api>>, name: Segment) -> Result<Respons
     let Some(picture) = newest else {
         let shown = grpc::camera(&api, id)?;
         let status = roundel_proto::json::camera_status::word(shown.status);
-        let why = match &shown.link {
+        let link = api.hub.camera(id).and_then(|state| state.link);
+        let why = match &link {
             _ if !shown.error.is_empty() => &shown.error,
-            Some(_) => "its frames are searched where they are taken, and not sent",
-            None => "no frame came yet",
+            Some(link) if !link.no_picture.is_empty() => &link.no_picture,
+            Some(link) if link.received > 0 => {
+                "its frames are searched where they are taken, and who sends what is seen gave none when asked"
+            }
+            _ => "no frame came yet",
         };
         return Err(ApiError::Unavailable(format!(
             "no picture from camera {name:?} within a second: it is {status} ({why})"

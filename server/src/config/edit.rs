@@ -215,11 +215,15 @@ pub fn key_at(text: &str, at: usize) -> Option<(usize, &'static str)> {
     };
     let is_there = |table: &dyn TableLike, key: &str| {
         let Some((name, item)) = table.get_key_value(key) else { return false };
-        let begin = name.span().map_or(usize::MAX, |span| span.start);
-        let holds = |span: std::ops::Range<usize>| {
-            (begin.min(span.start)..span.end.max(span.start + 1)).contains(&at)
-        };
-        item.span().is_some_and(holds)
+        let begins = [name.span(), item.span()].into_iter().flatten().map(|span| span.start);
+        let Some(begin) = begins.min() else { return false };
+        let mut end = item.span().map_or(0, |span| span.end);
+        // The span of a table with a header of its own is that of the header.
+        if let Item::Table(table) = item {
+            let ends = table.iter().filter_map(|(_, item)| Some(item.span()?.end));
+            end = ends.fold(end, usize::max);
+        }
+        (begin..end).contains(&at)
     };
     tables.into_iter().enumerate().find_map(|(index, table)| {
         let key = CAMERA_KEYS.into_iter().find(|key| is_there(table, key))?;

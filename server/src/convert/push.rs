@@ -18,7 +18,7 @@ use crate::{
     hub::{CameraState, Installation},
     source::{
         CaptureClock, TimeBase,
-        push::{Link, Payload, RemoteFigures, Times},
+        push::{Link, Payload, RemoteFigures, Still, Times},
     },
 };
 
@@ -66,6 +66,25 @@ pub fn frame(frame: v1::PushedFrame) -> Result<(Payload, Option<CaptureClock>), 
     Ok((payload, clock))
 }
 
+/// A picture with what was seen in it, for people to look at; or why there is none.
+pub fn still(
+    installation: &Installation,
+    picture: v1::PushedPicture,
+) -> Result<Result<(Still, world::FrameObservations), String>, WireError> {
+    let v1::PushedPicture { error, picture, observations } = picture;
+    let still = match picture {
+        _ if !error.is_empty() => return Ok(Err(error)),
+        Some(v1::pushed_picture::Picture::Jpeg(file)) => Still::Jpeg(file),
+        Some(v1::pushed_picture::Picture::Grey(grey)) => {
+            Still::Grey(grey.pixels, (grey.width as usize, grey.height as usize))
+        }
+        None => return Err(wrong("picture", "`jpeg`, `grey` or `error`", "neither")),
+    };
+    let seen =
+        read_observations(installation, observations.unwrap_or_default(), "picture.observations")?;
+    Ok(Ok((still, seen)))
+}
+
 /// What was seen in a frame, and its clock.
 pub fn seen(
     installation: &Installation,
@@ -75,18 +94,7 @@ pub fn seen(
     let Some(frame) = message.observations else {
         return Err(wrong("observations.observations", "what was seen in a frame", "nothing"));
     };
-    let detections = frame.detections.iter().enumerate().map(|(index, detection)| {
-        let field = |name: &str| format!("observations.detections[{index}]{name}");
-        read_detection(installation, detection, &field)
-    });
-    let observations = world::FrameObservations {
-        camera: CameraId(0),
-        frame: 0,
-        capture_time: Timestamp::from_ns(frame.capture_time_ns),
-        received_time: Timestamp::from_ns(frame.received_time_ns),
-        calibration_version: frame.calibration_version,
-        detections: detections.collect::<Result<_, _>>()?,
-    };
+    let observations = read_observations(installation, frame, "observations")?;
     let figures = message.figures.map(|figures| RemoteFigures {
         width: figures.width as usize,
         height: figures.height as usize,
@@ -98,6 +106,25 @@ pub fn seen(
         noise: figures.noise,
     });
     Ok((Payload::Seen(Box::new(observations), figures), clock))
+}
+
+fn read_observations(
+    installation: &Installation,
+    frame: v1::FrameObservations,
+    field: &str,
+) -> Result<world::FrameObservations, WireError> {
+    let detections = frame.detections.iter().enumerate().map(|(index, detection)| {
+        let field = |name: &str| format!("{field}.detections[{index}]{name}");
+        read_detection(installation, detection, &field)
+    });
+    Ok(world::FrameObservations {
+        camera: CameraId(0),
+        frame: 0,
+        capture_time: Timestamp::from_ns(frame.capture_time_ns),
+        received_time: Timestamp::from_ns(frame.received_time_ns),
+        calibration_version: frame.calibration_version,
+        detections: detections.collect::<Result<_, _>>()?,
+    })
 }
 
 /// The clock of what is sent; `None` within: it says no more than how far off it may be.

@@ -7,6 +7,8 @@
 //! The server's word on lenses counts: what its configuration or a calibration of the arena says of a camera's lens is
 //! taken over between two frames. Where cameras stand does not matter here.
 
+mod picture;
+
 use std::{
     sync::{
         Arc, Mutex, PoisonError,
@@ -143,6 +145,9 @@ impl Node {
             cameras.push(spawn(name, move || worker::run(worker, &stop))?);
         }
         let pushers = Arc::new(pushers);
+        for index in 0..pushers.len() {
+            listeners.spawn(picture::show(hub.clone(), pushers.clone(), index));
+        }
         let told = vec![String::new(); pushers.len()];
         let forwarder =
             Forwarder { hub: hub.clone(), pushers: pushers.clone(), troubles, from_workers, told };

@@ -57,6 +57,11 @@ impl LumaDecoder {
         decoder.decode_into(&mut self.pixels).map_err(|error| broken(&error))
     }
 
+    /// What was decoded last, row by row.
+    pub(super) fn into_pixels(self) -> Vec<u8> {
+        self.pixels
+    }
+
     /// What was decoded last; before that, an error.
     pub(super) fn frame(&self) -> Result<Frame<'_>, SourceError> {
         let (width, height) = self.size;

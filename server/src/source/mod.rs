@@ -163,6 +163,11 @@ pub trait OpenSource: Send {
         stop.wait(pause)
     }
 
+    /// Whether there is nothing to be opened: somebody comes, or does not.
+    fn is_fed(&self) -> bool {
+        false
+    }
+
     /// Frames that never came and that no later frame has told of yet; asked each time that a source has ended.
     fn take_skipped(&mut self) -> u64 {
         0
@@ -259,6 +264,10 @@ impl OpenSource for SourceOpener {
             SourceAddress::Push(_) => self.port.pause(pause, stop),
             _ => stop.wait(pause),
         }
+    }
+
+    fn is_fed(&self) -> bool {
+        matches!(self.address, SourceAddress::Push(_))
     }
 
     fn take_skipped(&mut self) -> u64 {

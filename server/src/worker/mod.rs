@@ -157,6 +157,8 @@ pub struct Worker {
     broken: u64,
     /// Since when frames arrive.
     running_since: Option<Instant>,
+    /// Whether any have arrived before.
+    has_run: bool,
 }
 
 /// Why a worker stopped taking frames.
@@ -199,6 +201,7 @@ impl Worker {
             decode_ms: Median::default(),
             broken,
             running_since: None,
+            has_run: false,
         }
     }
 
@@ -306,13 +309,17 @@ impl Worker {
         });
     }
 
-    fn report_running(&self, (width, height): (usize, usize), now: Timestamp) {
+    fn report_running(&mut self, (width, height): (usize, usize), now: Timestamp) {
         let (id, name) = (self.parts.id, &self.parts.name);
         tracing::info!(camera = name, width, height, "frames arrive");
+        // Nobody opens one that is fed: what counts is that it has come back.
+        let came_back = self.has_run && self.parts.opener.is_fed();
+        self.has_run = true;
         self.parts.hub.update_camera(id, |state| {
             state.status = CameraStatus::Running;
             state.error.clear();
             (state.width, state.height) = (width, height);
+            state.restarts += u64::from(came_back);
         });
         let happening = Happening::Camera(id, CameraStatus::Running);
         self.parts.hub.publish_event(now, happening, format!("Camera {name} is running."));

@@ -78,7 +78,9 @@ pub fn run(mut worker: Worker, stop: &Stop) -> Totals {
         if worker.parts.opener.pause(pause, stop) {
             return worker.totals();
         }
-        worker.parts.hub.update_camera(worker.parts.id, |state| state.restarts += 1);
+        if !worker.parts.opener.is_fed() {
+            worker.parts.hub.update_camera(worker.parts.id, |state| state.restarts += 1);
+        }
     }
     worker.totals()
 }

@@ -195,6 +195,7 @@ async fn every_route_is_described_and_every_description_answers() {
         "/api/v1/cameras",
         "/api/v1/cameras/{name}",
         "/api/v1/cameras/{name}/frame.jpg",
+        "/api/v1/cameras/{name}/setup",
         "/api/v1/events",
         "/api/v1/info",
         "/api/v1/objects",

@@ -112,6 +112,9 @@ async fn a_node_outlives_a_cut_link_and_the_counts_add_up() {
         assert_eq!(state.frames, link.received, "{link:?}");
         assert!(link.clock_deviation_ms > 0.0 && link.round_trip_ms > 0.0, "{link:?}");
     }
+    // One for each time that it was gone after it had given frames; the wait for the first ones is none.
+    let restarts = [states[0].restarts, states[1].restarts];
+    assert!((1..=2).contains(&restarts[0]) && restarts[1] == 0, "{restarts:?}");
     let counts = counts();
     // sent = taken (used, or late) + dropped, exactly; each frame holds one roundel.
     assert_eq!(counts.frames, sent, "{counts:#?}");

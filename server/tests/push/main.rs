@@ -2,6 +2,7 @@
 
 mod clean;
 mod link;
+mod picture;
 mod proxy;
 mod refused;
 mod rig;

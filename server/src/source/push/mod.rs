@@ -5,6 +5,7 @@
 
 mod port;
 mod ports;
+mod still;
 
 use std::{
     sync::Arc,
@@ -15,6 +16,7 @@ use roundel_core::{frame::Frame, time::Timestamp, world::FrameObservations};
 
 pub use port::{Attachment, Greeting, Link, Port, PushError};
 pub use ports::Ports;
+pub use still::Still;
 
 use super::{
     Arrival, CaptureClock, FrameInfo, FrameSource, LentFrame, Sighting, SourceError, bad_frame,

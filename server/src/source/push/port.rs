@@ -37,6 +37,8 @@ pub struct Greeting {
     pub times: Times,
     /// The least sequence that is still to come.
     pub next_sequence: u64,
+    /// Those of this run before it that will never come.
+    pub dropped: u64,
 }
 
 /// Who feeds a camera, and how that goes.
@@ -58,6 +60,8 @@ pub struct Link {
     pub round_trip_ms: f64,
     /// Deviation of the difference of the clocks, milliseconds; 0: unknown.
     pub clock_deviation_ms: f64,
+    /// Why it gives no picture; empty if it does, or was not asked.
+    pub no_picture: String,
 }
 
 /// Why something is not taken.
@@ -187,6 +191,10 @@ impl Port {
         } else {
             state.run_id.clone_from(&greeting.run_id);
             state.newest = greeting.next_sequence.saturating_sub(1);
+            // It cannot have dropped more than it had.
+            let dropped = greeting.dropped.min(state.newest);
+            state.link.missing += dropped;
+            state.skipped += dropped;
             0
         };
         state.attachments += 1;
@@ -353,6 +361,12 @@ impl Attachment {
         state.give_up_before(next_sequence);
         state.link.round_trip_ms = round_trip_ms;
         state.link.clock_deviation_ms = clock_deviation_ms;
+        Ok(())
+    }
+
+    /// The sender has given a picture, or says why it cannot.
+    pub fn pictured(&self, no_picture: String) -> Result<(), PushError> {
+        self.held()?.link.no_picture = no_picture;
         Ok(())
     }
 

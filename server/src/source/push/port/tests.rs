@@ -50,6 +50,21 @@ fn counts(port: &Port) -> [u64; 3] {
 }
 
 #[tokio::test]
+async fn what_was_dropped_before_the_first_connection_is_known() {
+    let port = Arc::new(Port::default());
+    let sender = port.attach(&Greeting { dropped: 7, ..greeting("a", 10) }).unwrap();
+    assert_eq!(counts(&port), [0, 7, 0]);
+    sender.put(10, seen()).await.unwrap();
+    assert_eq!(next(&port).unwrap(), 7, "the worker hears of them");
+    drop(sender);
+    // Of the same run all is known by its numbers, and nobody drops more than there was.
+    port.attach(&Greeting { dropped: 9, ..greeting("a", 11) }).unwrap();
+    assert_eq!(counts(&port), [1, 7, 0]);
+    port.attach(&Greeting { dropped: 90, ..greeting("b", 3) }).unwrap();
+    assert_eq!(counts(&port), [1, 9, 0]);
+}
+
+#[tokio::test]
 async fn what_comes_twice_counts_once_and_what_never_comes_is_known() {
     let port = Arc::new(Port::default());
     let sender = port.attach(&greeting("a", 4)).unwrap();
