@@ -22,8 +22,9 @@
 //!
 //! N being what measurements' noise makes of the velocity's variance, and r how much of its error is still the same:
 //! the autocorrelation of white noise through the steady filter, s ω² / (s² + √2 ω s + ω²). ln A then follows the slope
-//! of d's log-likelihood as the densities do ([`super::density`]). The mean of d² less that noise goes as τ² from 0.03
-//! to 0.13 s, for robots on sines as for those that are pushed at random. What noise makes of â counts as A.
+//! of d's log-likelihood as the densities do ([`super::density`], with the curvature that is observed: d is compared some
+//! twenty times a second, and what begins far above would fall for seconds). The mean of d² less that noise goes as τ²
+//! from 0.03 to 0.13 s, for robots on sines as for those that are pushed at random. What noise makes of â counts as A.
 //!
 //! The velocity's own lag is what accelerations did within the last √2/ω and is not known yet, so that both err in the
 //! same direction: over t the variance of the velocity grows by A t (t + √2/ω).
@@ -139,7 +140,7 @@ impl Acceleration {
             0.5 * unsteady[axis] / variance * (off_m_s[axis] * off_m_s[axis] / variance - 1.0)
         });
         self.unsteady.forget(age_s);
-        self.unsteady.learn(&slope);
+        self.unsteady.learn_observed(&slope);
     }
 
     /// Its value now.
