@@ -11,6 +11,8 @@
 //! drawing the frames took before. A frame that was dropped, or in which fewer than all roundels were found, is
 //! counted and told.
 
+mod shared;
+
 use std::{
     collections::BTreeMap,
     fs,
@@ -29,20 +31,11 @@ use roundel_server::{
     source::{FrameInfo, FrameSource, LentFrame, OpenSource, SourceError},
     stop::Stop,
 };
+use shared::{ROUND, ROUNDELS, SIZE, draw, processor_s};
 
-const SIZE: (usize, usize) = (1280, 720);
 const RATE_HZ: f64 = 30.0;
-const ROUNDELS: usize = 20;
-/// Outer diameter in the picture.
-const DIAMETER_PX: f64 = 30.0;
-/// Frames until everything is where it was.
-const ROUND: usize = 60;
-/// Radius of each roundel's path: 31 px/s at most.
-const PATH_PX: f64 = 10.0;
 /// Before anything is measured.
 const WARM_UP: Duration = Duration::from_secs(2);
-/// Of `/proc/self/stat`, the same on all Linux systems that are.
-const TICKS_PER_S: f64 = 100.0;
 
 fn main() {
     let (mut seconds, mut cameras) = (20.0, 16);
@@ -66,37 +59,6 @@ fn main() {
     for mode in ["precise", "fast"] {
         runtime.block_on(run(mode, cameras, Duration::from_secs_f64(seconds), &frames));
     }
-}
-
-/// Roundels on a grid, each on a circle about its place, with a little noise.
-fn draw(number: usize) -> Vec<u8> {
-    let turn = std::f64::consts::TAU * number as f64 / ROUND as f64;
-    let centers: Vec<(f64, f64)> = (0..ROUNDELS)
-        .map(|index| {
-            let (column, row) = (index % 5, index / 5);
-            let (sin, cos) = (turn + index as f64).sin_cos();
-            let (u, v) = (128.0 + 256.0 * column as f64, 90.0 + 180.0 * row as f64);
-            (u + PATH_PX * cos, v + PATH_PX * sin)
-        })
-        .collect();
-    let (outer, inner) = (0.5 * DIAMETER_PX, 0.2 * DIAMETER_PX);
-    let mut noise = 0x9e37_79b9_u32.wrapping_mul(number as u32 + 1) | 1;
-    let mut pixels = Vec::with_capacity(SIZE.0 * SIZE.1);
-    for v in 0..SIZE.1 {
-        for u in 0..SIZE.0 {
-            // Xorshift, for steady noise of about 2 grey levels.
-            noise ^= noise << 13;
-            noise ^= noise >> 17;
-            noise ^= noise << 5;
-            let (column, row) = ((u / 256).min(4), (v / 180).min(3));
-            let (center_u, center_v) = centers[row * 5 + column];
-            let radius = (u as f64 - center_u).hypot(v as f64 - center_v);
-            let within = |rim: f64| (rim - radius + 0.5).clamp(0.0, 1.0);
-            let level = 210.0 - 180.0 * (within(outer) - within(inner));
-            pixels.push((level + f64::from(noise % 7) - 3.0).round() as u8);
-        }
-    }
-    pixels
 }
 
 /// A camera that plays the frames round and round, each when it is due.
@@ -154,15 +116,6 @@ fn config(mode: &str, cameras: usize, folder: &Path) -> Config {
         ));
     }
     Config::parse(&text, folder).unwrap_or_else(|problems| panic!("{problems:#?}"))
-}
-
-/// Processor time of this process, seconds.
-fn processor_s() -> f64 {
-    let line = fs::read_to_string("/proc/self/stat").expect("Linux' /proc/self/stat");
-    // Fields are counted from behind the name, which may hold anything: utime and stime are the 14th and 15th.
-    let fields = line.rsplit(')').next().unwrap_or_default().split_whitespace();
-    let ticks: f64 = fields.skip(11).take(2).filter_map(|field| field.parse::<f64>().ok()).sum();
-    ticks / TICKS_PER_S
 }
 
 /// What cameras have done so far: frames, dropped, rings found.
