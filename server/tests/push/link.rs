@@ -30,20 +30,16 @@ fn adds_up(report: &NodeReport) {
     assert_eq!(pushed.waiting, 0, "{report:#?}");
 }
 
-/// What became of detections in fusion's table: it adds up to all that were handed to it.
+/// What became of detections in fusion's table: it adds up to all that were handed to it. What was gated began a track of
+/// its own, or was contradicted.
 fn detections_by_fate(counts: &FusionCounts) -> u64 {
-    let FusionCounts { used, late, duplicate, jumped, no_camera_pose, .. } = *counts;
-    let FusionCounts { held, no_pose, invalid, gated, over_max_objects, joined, .. } = *counts;
-    used + late
-        + duplicate
-        + jumped
-        + no_camera_pose
-        + held
-        + no_pose
-        + invalid
-        + gated
-        + over_max_objects
-        + joined
+    let FusionCounts { used, late, duplicate, jumped, no_camera_pose, held, .. } = *counts;
+    let FusionCounts { of_carriers, of_landmarks, no_pose, invalid, contradicted, .. } = *counts;
+    let FusionCounts { over_max_objects, joined, left_out, .. } = *counts;
+    let taken = [used, joined, left_out, of_carriers, of_landmarks];
+    let refused = [late, duplicate, jumped, no_camera_pose, held, no_pose, invalid];
+    let in_the_end = [contradicted, over_max_objects];
+    taken.iter().chain(&refused).chain(&in_the_end).sum()
 }
 
 /// Two nodes; the link of the first is cut for more than 10 s, twice as long as anything here waits for an answer.
