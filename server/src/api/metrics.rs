@@ -196,6 +196,12 @@ fn write_fusion_counts(page: &mut Page, counts: &FusionCounts) {
     ] {
         page.sample(name, &[("outcome", outcome)], count as f64);
     }
+    write_fates(page, counts);
+    write_fusion_events(page, counts);
+}
+
+/// What became of detections: each counts once, so that all of them add up.
+fn write_fates(page: &mut Page, counts: &FusionCounts) {
     // What carries a camera being out of sight is counted by itself.
     let unknown_place =
         counts.no_camera_pose.saturating_sub(counts.carrier_unseen + counts.carrier_unturned);
@@ -213,7 +219,6 @@ fn write_fusion_counts(page: &mut Page, counts: &FusionCounts) {
         ("of_carrier", counts.of_carriers),
         ("no_pose", counts.no_pose),
         ("invalid", counts.invalid),
-        ("gated", counts.gated),
         ("contradicted", counts.contradicted),
         ("over_max_objects", counts.over_max_objects),
         ("joined", counts.joined),
@@ -222,6 +227,9 @@ fn write_fusion_counts(page: &mut Page, counts: &FusionCounts) {
     ] {
         page.sample(name, &[("outcome", outcome)], count as f64);
     }
+}
+
+fn write_fusion_events(page: &mut Page, counts: &FusionCounts) {
     for (name, help, count) in [
         (
             "roundel_fusion_missing_frames_total",
@@ -232,6 +240,11 @@ fn write_fusion_counts(page: &mut Page, counts: &FusionCounts) {
             "roundel_fusion_out_of_order_total",
             "Detections used that came after newer ones of their object.",
             counts.out_of_order,
+        ),
+        (
+            "roundel_fusion_gated_total",
+            "Detections outside the gate of the object that their camera took them for: contradicted, or used for another.",
+            counts.gated,
         ),
         (
             "roundel_fusion_held_frames_total",

@@ -22,7 +22,11 @@ use crate::{
     roster::{Roster, RosterError},
 };
 
-const EXAMPLE: &str = r#"{"name": "north", "source": "v4l2:/dev/video0", "calibration": "north.yaml", "pose": {"unknown": true}}"#;
+const EXAMPLE: &str = concat!(
+    r#"{"name": "north", "source": "v4l2:/dev/video0", "calibration": "north.yaml", "#,
+    r#""pose": {"pose": {"position": {"x": 0, "y": 0, "z": 3}, "orientation": {"x": 1, "y": 0, "z": 0, "w": 0}}}} "#,
+    r#"(or "pose": {"unknown": true})"#
+);
 
 /// A camera as the configuration says it.
 #[utoipa::path(

@@ -333,7 +333,7 @@ async fn metrics_tell_of_cameras_objects_and_clients() {
         "roundel_fusion_frames_total{outcome=\"taken\"} 7",
         "roundel_fusion_frames_total{outcome=\"late\"} 3",
         "roundel_fusion_detections_total{outcome=\"used\"} 70",
-        "roundel_fusion_detections_total{outcome=\"gated\"} 2",
+        "roundel_fusion_gated_total 2",
         "roundel_fusion_detections_total{outcome=\"contradicted\"} 1",
         "roundel_fusion_detections_total{outcome=\"joined\"} 40",
         "roundel_fusion_detections_total{outcome=\"left_out\"} 4",
