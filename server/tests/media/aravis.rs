@@ -95,17 +95,20 @@ fn frames_of_a_gige_camera_are_counted_and_it_comes_back() {
     let (mut opener, clock) = opener(URL, SIZE);
     let mut source = open_again(&mut opener);
     let (mut numbers, mut left_out, mut off_ms) = (Vec::new(), 0, Vec::new());
-    while numbers.len() < 50 {
+    while numbers.len() < 75 {
         let lent = source.next_frame().unwrap();
         // Its corner counts the frames.
         numbers.push(lent.frame.row(0)[0]);
         left_out += lent.info.skipped;
-        assert_eq!(lent.info.clock.base, TimeBase::Driver);
+        assert_eq!(lent.info.clock.base, TimeBase::Camera);
         let age_s = clock.now().seconds_since(lent.info.capture_time);
         assert!((0.0..1.0).contains(&age_s), "{age_s} s old");
         // It takes one whenever Unix time is a multiple of its period.
         let phase_ns = (lent.info.capture_time.as_ns() + PERIOD_NS / 2).rem_euclid(PERIOD_NS);
-        off_ms.push((phase_ns - PERIOD_NS / 2) as f64 * 1e-6);
+        // Until one came quickly, all that is known is how long the others took.
+        if numbers.len() > 25 {
+            off_ms.push((phase_ns - PERIOD_NS / 2) as f64 * 1e-6);
+        }
     }
     assert_eq!(source.promised_hz(), Some(25.0));
     let sent: u64 = numbers.windows(2).map(|pair| u64::from(pair[1].wrapping_sub(pair[0]))).sum();
@@ -113,7 +116,9 @@ fn frames_of_a_gige_camera_are_counted_and_it_comes_back() {
     println!("{} of {} frames came", numbers.len() as u64 + left_out, sent + 1);
     off_ms.sort_by(f64::total_cmp);
     println!("off by {:.2} ms median, {:.2} to {:.2}", off_ms[25], off_ms[0], off_ms[49]);
-    assert!(off_ms[3] > -5.0 && off_ms[45] < 5.0, "{off_ms:?}");
+    // Late together by drawing and sending the quickest frame, and steady.
+    assert!(off_ms[3] > -1.0 && off_ms[45] < 15.0, "{off_ms:?}");
+    assert!(off_ms[45] - off_ms[3] < 5.0, "{off_ms:?}");
 
     camera.signal("STOP");
     let stalled = until_the_end(&mut *source);

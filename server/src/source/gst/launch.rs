@@ -13,6 +13,8 @@ const SINK: &str = "roundel";
 /// What takes the address.
 pub(super) const ORIGIN: &str = "origin";
 const BACKLOG: &str = "backlog";
+/// Sources that stamp frames by their camera's counter.
+const OWN_COUNTERS: [&str; 1] = ["aravissrc"];
 /// What waits to be decoded at most: more of it means that decoding is slower than the camera.
 const BACKLOG_TIME: gst::ClockTime = gst::ClockTime::from_seconds(2);
 const BACKLOG_BYTES: u32 = 32 << 20;
@@ -78,6 +80,14 @@ pub(super) fn launch(address: &MediaAddress) -> Result<Launched, String> {
         set_origin(&origin, address);
     }
     Ok(Launched { pipeline, sink, decoding })
+}
+
+/// Whether frames are stamped by a counter of the camera's own.
+pub(super) fn counts_itself(pipeline: &gst::Pipeline) -> bool {
+    let counts = |element: gst::Element| {
+        element.factory().is_some_and(|it| OWN_COUNTERS.contains(&it.name().as_str()))
+    };
+    pipeline.iterate_recurse().into_iter().flatten().any(counts)
 }
 
 /// Of those that the address names and those that GStreamer adds.

@@ -8,7 +8,7 @@
 //! | --- | --- |
 //! | `rtsp://` | the camera's NTP time, from its sender reports. While it has sent none: arrival. Where its clock is not that of this machine: the same brought to the server's clock |
 //! | `file:` | when it is due; `speed=max`: when it is given |
-//! | `gst:` | base time + time stamp: of a live source, its driver's |
+//! | `gst:` | base time + time stamp: of a live source, its driver's. Of a source that counts by its camera's clock from the first frame's arrival on, as `aravissrc` does, the count brought to the server's clock: by itself it would drift away |
 
 mod decoding;
 mod launch;
@@ -73,6 +73,8 @@ pub(super) struct GstSource {
     /// What the pipeline could not find.
     missing: Vec<String>,
     decoding: Decoding,
+    /// Whether time stamps are the camera's count, and not this machine's clock.
+    counts_itself: bool,
     /// Frames a second, as the newest frame's source has it.
     promised_hz: Option<f64>,
 }
@@ -89,6 +91,7 @@ impl GstSource {
         let bus = pipeline.bus().ok_or_else(|| failed("the pipeline has no bus".to_owned()))?;
         number_frames(&sink);
         pipeline.use_clock(Some(&gst::SystemClock::obtain()));
+        let counts_itself = launch::counts_itself(&pipeline);
         let mut source = Self {
             pipeline,
             bus,
@@ -103,6 +106,7 @@ impl GstSource {
             patience: FIRST_FRAME,
             missing: Vec::new(),
             decoding,
+            counts_itself,
             promised_hz: None,
         };
         if source.pipeline.set_state(gst::State::Playing).is_err() {
@@ -203,6 +207,10 @@ impl GstSource {
         let segment = sample.segment().and_then(|segment| segment.downcast_ref::<gst::ClockTime>());
         let running = segment.zip(buffer.and_then(|buffer| buffer.pts()));
         let running = running.and_then(|(segment, pts)| segment.to_running_time(pts));
+        if let Some(count) = running.filter(|_| self.counts_itself) {
+            let count_ns = i64::try_from(count.nseconds()).unwrap_or(i64::MAX);
+            return (self.timeline.capture_time(count_ns, now), CaptureClock::CAMERA);
+        }
         let due = running.zip(self.pipeline.base_time()).map(|(running, base)| base + running);
         let due = due.zip(self.pipeline.clock().map(|clock| clock.time()));
         let capture_time = due.map_or(now, |(due, clock_now)| {
