@@ -320,38 +320,40 @@ mod tests {
             let kinds = [0.4, 0.5].map(|ratio| Kind::plain("black", 0.1, 0.1 * ratio));
             let white = kinds.clone().map(|kind| Kind { polarity: Polarity::WhiteRing, ..kind });
             let kinds = [kinds, white].concat();
-            let mut scratch = AbreastScratch { probes, ..AbreastScratch::default() };
-            measure_each(&frame, &rules(), &kinds, &mut scratch);
-            let found = scratch.rings;
-            // Some are left to themselves, few of them.
-            prop_assert!(found.iter().flatten().count() >= TOGETHER - 2, "{:?}", found);
-            let mut alone = MeasureScratch::default();
-            for place in 0..TOGETHER {
-                let Some(ring) = &found[place] else { continue };
-                let probe = probes[place].as_ref().unwrap();
-                let plain = measure(&frame, probe, &rules(), &kinds, &mut alone).unwrap();
-                prop_assert_eq!(
-                    (ring.kind, ring.threshold, ring.polarity),
-                    (plain.kind, plain.threshold, plain.polarity)
-                );
-                let numbers = |ring: &Ring| {
-                    let of = |rim: &Ellipse| {
-                        let (sin, cos) = (2.0 * rim.angle_rad).sin_cos();
-                        let (a, b) = (rim.semi_major_px, rim.semi_minor_px);
-                        [rim.center.u, rim.center.v, a, b, (a - b) * sin, (a - b) * cos]
-                    };
-                    let rest = [ring.black, ring.white, 100.0 * ring.unevenness];
-                    [of(&ring.outer).as_slice(), &of(&ring.inner), &rest].concat()
-                };
-                for (ours, plain) in numbers(ring).into_iter().zip(numbers(&plain)) {
-                    prop_assert!((ours - plain).abs() < 1e-4, "{ours} {plain}");
-                }
-                // To the last bit, whichever are beside it.
-                scratch.probes = [None; TOGETHER];
-                scratch.probes[TOGETHER - 1 - place] = probes[place];
-                scratch.rings = [None; TOGETHER];
+            for level in [Level::new(), Level::baseline()] {
+                let mut scratch = AbreastScratch { level, probes, ..AbreastScratch::default() };
                 measure_each(&frame, &rules(), &kinds, &mut scratch);
-                prop_assert_eq!(scratch.rings[TOGETHER - 1 - place], Some(*ring));
+                let found = scratch.rings;
+                // Some are left to themselves, few of them.
+                prop_assert!(found.iter().flatten().count() >= TOGETHER - 2, "{:?}", found);
+                let mut alone = MeasureScratch::default();
+                for place in 0..TOGETHER {
+                    let Some(ring) = &found[place] else { continue };
+                    let probe = probes[place].as_ref().unwrap();
+                    let plain = measure(&frame, probe, &rules(), &kinds, &mut alone).unwrap();
+                    prop_assert_eq!(
+                        (ring.kind, ring.threshold, ring.polarity),
+                        (plain.kind, plain.threshold, plain.polarity)
+                    );
+                    let numbers = |ring: &Ring| {
+                        let of = |rim: &Ellipse| {
+                            let (sin, cos) = (2.0 * rim.angle_rad).sin_cos();
+                            let (a, b) = (rim.semi_major_px, rim.semi_minor_px);
+                            [rim.center.u, rim.center.v, a, b, (a - b) * sin, (a - b) * cos]
+                        };
+                        let rest = [ring.black, ring.white, 100.0 * ring.unevenness];
+                        [of(&ring.outer).as_slice(), &of(&ring.inner), &rest].concat()
+                    };
+                    for (ours, plain) in numbers(ring).into_iter().zip(numbers(&plain)) {
+                        prop_assert!((ours - plain).abs() < 1e-4, "{ours} {plain}");
+                    }
+                    // To the last bit, whichever are beside it.
+                    scratch.probes = [None; TOGETHER];
+                    scratch.probes[TOGETHER - 1 - place] = probes[place];
+                    scratch.rings = [None; TOGETHER];
+                    measure_each(&frame, &rules(), &kinds, &mut scratch);
+                    prop_assert_eq!(scratch.rings[TOGETHER - 1 - place], Some(*ring));
+                }
             }
         }
     }

@@ -322,6 +322,7 @@ mod tests {
             ratio in 0.45..0.5f64,
             angle_rad in -1.5..1.5f64,
             is_white: bool,
+            is_baseline: bool,
             seed: u64,
         ) {
             let rim = |share: f64| Ellipse {
@@ -340,7 +341,8 @@ mod tests {
             let (mut patch, mut words) = (Patch::default(), Patch::default());
             let (mut planes, mut table) = (Planes::default(), Table::default());
             let mut scratch = BeltScratch::new();
-            let (summed, found) = dispatch!(Level::new(), simd => {
+            let level = if is_baseline { Level::baseline() } else { Level::new() };
+            let (summed, found) = dispatch!(level, simd => {
                 Patch::load(simd, &mut patch, &frame, bounds, (threshold, polarity));
                 assert!(Patch::threshold(simd, &mut words, &frame, bounds, (threshold, polarity)));
                 let to = (&mut table, 3);
