@@ -85,6 +85,19 @@ pub(crate) struct Followed<'a> {
 
 const PLANES: usize = 7;
 
+/// Where belts begin and end, from the inside out: the disc's, the ring's, and those of the margin.
+#[inline(always)]
+pub(crate) fn belt_ovals(outer: &Placed, inner: &Placed) -> [Oval; 6] {
+    [
+        inner.grown(-WIDE_PX),
+        inner.grown(WIDE_PX),
+        outer.grown(-WIDE_PX),
+        outer.grown(WIDE_PX),
+        outer.grown(WIDE_PX + CROSS_PX),
+        outer.grown(2.0 * WIDE_PX),
+    ]
+}
+
 /// The belts about expected rims of which the disc has been found; `None` where they would not lie in
 /// the patch, where the black is too narrow for them, and where the pixels between them are not black or
 /// white as they ought to be.
@@ -97,14 +110,7 @@ pub(crate) fn belts_about<'a, S: Simd>(
 ) -> Option<Followed<'a>> {
     let (outer, inner) = (Placed::new(&expected.outer, patch), Placed::new(&expected.inner, patch));
     let words = patch.words;
-    let ovals = [
-        inner.grown(-WIDE_PX),
-        inner.grown(WIDE_PX),
-        outer.grown(-WIDE_PX),
-        outer.grown(WIDE_PX),
-        outer.grown(WIDE_PX + CROSS_PX),
-        outer.grown(2.0 * WIDE_PX),
-    ];
+    let ovals = belt_ovals(&outer, &inner);
     let (top, bottom) = ovals[5].rows(patch.rows())?;
     ovals[5].area(patch, top)?;
     // Rows are drawn by sixteen; of the last ones none is needed.

@@ -7,7 +7,7 @@
 //! Grown by x along its normals, an ellipse has both semiaxes longer by x, so M' = M + 2x √M + x² I, and
 //! √M = (M + ab I)/(a + b) has no need of the axes' directions.
 
-use fearless_simd::{Simd, f32x16, i32x16, prelude::*, u32x16, u64x8};
+use fearless_simd::{Simd, f32x16, i32x16, mask32x16, prelude::*, u32x16, u64x8};
 
 use crate::{
     ellipse::{Ellipse, Symmetric2},
@@ -127,44 +127,54 @@ impl Oval {
         })
     }
 
-    /// As [`Oval::chords`], of an ellipse that lies in the first word: rows that have none end where they
-    /// begin, at 0.
+    /// Where it crosses sixteen rows of the patch; `None` if it crosses none of them.
     #[inline(always)]
-    pub fn chords_within<S: Simd>(&self, simd: S, first_row: usize) -> Chords<S> {
-        let none = i32x16::splat(simd, 0);
+    fn crossed<S: Simd>(&self, simd: S, first_row: usize) -> Option<Crossed<S>> {
         let first_row = first_row as f32;
         if first_row > self.last || first_row + (LANES as f32) <= self.first {
-            return Chords { first: none, end: none };
+            return None;
         }
         let (zero, one) = (f32x16::splat(simd, 0.0), f32x16::splat(simd, 1.0));
         let dv = f32x16::load_array(simd, LANE) + (first_row - self.v);
         let share = one - dv * dv * self.inverse_vv;
         let middle = dv.mul_add(f32x16::splat(simd, self.slope), self.u);
         let half = share.max(zero).sqrt() * self.half_max;
+        Some(Crossed { middle, half, is_crossed: share.simd_gt(zero) })
+    }
+
+    /// As [`Oval::chords`], of an ellipse that lies in the first word: rows that have none end where they
+    /// begin, at 0.
+    #[inline(always)]
+    pub fn chords_within<S: Simd>(&self, simd: S, first_row: usize) -> Chords<S> {
+        let none = i32x16::splat(simd, 0);
+        let Some(Crossed { middle, half, is_crossed }) = self.crossed(simd, first_row) else {
+            return Chords { first: none, end: none };
+        };
         let first = (middle - half).ceil().to_int::<i32x16<S>>();
         let end = (middle + half).to_int::<i32x16<S>>() + 1;
-        let is_crossed = share.simd_gt(zero);
         Chords { first: is_crossed.select(first, none), end: is_crossed.select(end, none) }
     }
 
     /// Its first column, and the column after the last, in sixteen rows of the patch.
     #[inline(always)]
     pub fn chords<S: Simd>(&self, simd: S, first_row: usize, columns: usize) -> Chords<S> {
-        let first_row = first_row as f32;
-        if first_row > self.last || first_row + (LANES as f32) <= self.first {
+        let Some(Crossed { middle, half, is_crossed }) = self.crossed(simd, first_row) else {
             let none = i32x16::splat(simd, 0);
             return Chords { first: none, end: none };
-        }
-        let (zero, one) = (f32x16::splat(simd, 0.0), f32x16::splat(simd, 1.0));
-        let dv = f32x16::load_array(simd, LANE) + (first_row - self.v);
-        let share = one - dv * dv * self.inverse_vv;
-        let middle = dv.mul_add(f32x16::splat(simd, self.slope), self.u);
-        let half = share.max(zero).sqrt() * self.half_max;
-        let end = share.simd_gt(zero).select((middle + half).floor() + 1.0, zero);
+        };
+        let zero = f32x16::splat(simd, 0.0);
+        let end = is_crossed.select((middle + half).floor() + 1.0, zero);
         let most = columns as f32;
         let (first, end) = ((middle - half).ceil().max(zero).min(most), end.max(zero).min(most));
         Chords { first: first.to_int(), end: end.to_int() }
     }
+}
+
+/// Middles of sixteen rows' chords, half their lengths, and which rows have one.
+struct Crossed<S: Simd> {
+    middle: f32x16<S>,
+    half: f32x16<S>,
+    is_crossed: mask32x16<S>,
 }
 
 /// First columns of sixteen rows, and the columns after the last.

@@ -18,9 +18,9 @@ use super::{
 use crate::{
     frame::Frame,
     marker::{
-        belt::{CROSS_PX, LEAST_BLACK, LEAST_WHITE, WIDE_PX},
+        belt::{LEAST_BLACK, LEAST_WHITE},
         examine::Probe,
-        follow::Expected,
+        follow::{Expected, belt_ovals},
         oval::{Area, Chords, LANE, LANES as ROWS_AT_ONCE, Placed, Rows},
         patch::{Patch, WORD_PX},
     },
@@ -185,14 +185,7 @@ fn draw<S: Simd>(
     planes: &mut Planes,
 ) -> Option<Drawn<S>> {
     let (outer, inner) = (Placed::new(&expected.outer, patch), Placed::new(&expected.inner, patch));
-    let ovals = [
-        inner.grown(-WIDE_PX),
-        inner.grown(WIDE_PX),
-        outer.grown(-WIDE_PX),
-        outer.grown(WIDE_PX),
-        outer.grown(WIDE_PX + CROSS_PX),
-        outer.grown(2.0 * WIDE_PX),
-    ];
+    let ovals = belt_ovals(&outer, &inner);
     let (top, bottom) = ovals[5].rows(patch.rows())?;
     ovals[5].area(patch, top)?;
     if bottom - top > MOST_ROWS {
