@@ -31,7 +31,7 @@ const GAP_M: f64 = 0.75;
 /// Between the arena's edge and the outermost lane.
 const EDGE_M: f64 = 0.4;
 /// The lowest a flying robot's roundel goes.
-const FLYING_LOW_M: f64 = 1.0;
+pub(super) const FLYING_LOW_M: f64 = 1.0;
 /// Share of the image's height by which a lane keeps away from the image's border.
 const BORDER_SHARE: f64 = 0.035;
 

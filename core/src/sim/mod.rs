@@ -1,8 +1,8 @@
 //! Simulated scenarios, rendered to pixels: the demo's world, and a truth to test against.
 //!
 //! [`ScenarioParams`] → [`Scenario`] (cameras, and each robot's pose at any time) → [`Renderer`] (one
-//! camera's 8-bit frames). Everything follows from the parameters and their seed; nothing is stored
-//! from frame to frame, so frames can be painted in any order and on any thread.
+//! camera's 8-bit frames). Everything follows from the parameters, their seed, and what robots were told since
+//! ([`Scenario::drive`]); nothing is stored from frame to frame, so frames can be painted in any order and on any thread.
 //!
 //! What judges Roundel's precision is another renderer, in the workspace's `tests/`: this one shares
 //! its lens model with the detector that it feeds.
@@ -22,6 +22,7 @@
 mod canvas;
 #[cfg(test)]
 mod contour;
+mod course;
 mod floor;
 mod jet;
 mod layout;
@@ -36,6 +37,7 @@ mod rig;
 mod scenario;
 mod teeth;
 
+pub use course::Drive;
 pub use params::{CameraMount, ImageParams, Optics, ScenarioError, ScenarioParams};
 pub use render::{BufferError, Renderer};
 pub use rig::{SimCamera, look_at};

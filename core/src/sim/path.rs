@@ -53,7 +53,7 @@ pub(super) struct Motion {
     pub position_m: Vector3<f64>,
     pub velocity_m_s: Vector3<f64>,
     pub acceleration_m_s2: Vector3<f64>,
-    jerk_m_s3: Vector3<f64>,
+    pub jerk_m_s3: Vector3<f64>,
 }
 
 /// Orientation (world_from_roundel) and angular velocity (world frame).

@@ -71,6 +71,11 @@ impl Renderer {
         &self.camera
     }
 
+    /// Has robots move as this scenario, one of the same parameters, has them from now on.
+    pub fn follow(&mut self, scenario: &Scenario) {
+        self.scenario.follow(scenario);
+    }
+
     /// Paints frame number `frame` into `pixels`, row by row without gaps, and gives its capture
     /// time (middle of the exposure at the middle row), seconds after the scenario's start. The same
     /// number always gives the same pixels.

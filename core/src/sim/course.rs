@@ -1,0 +1,267 @@
+//! What a robot does once somebody drives it: legs of smooth changes of velocity, one after the other.
+//!
+//! In: the velocity wanted, from when and until when, and pushes. Out: where the robot is at any time, as a closed form,
+//! so that cameras that ask at different times see one world. On a leg the velocity approaches the wanted one u like
+//! a critically damped oscillator of ω = 4 rad/s: with e = v - u, e'' + 2 ω e' + ω² e = 0, so
+//!
+//! e(t) = (e₀ + c t) e^(-ωt), c = e₀' + ω e₀, and its integral is e₀ (1 - E)/ω + c (1 - E (1 + ωt))/ω², E = e^(-ωt).
+//!
+//! Velocity and acceleration have no steps from leg to leg, nor from the robot's own way to the first leg. A step of the
+//! wanted velocity by 1 m/s takes 1.5 m/s² at most. Who runs into a wall of the arena slides along it; only there the
+//! velocity has steps.
+
+use std::collections::VecDeque;
+
+use nalgebra::{UnitQuaternion, Vector3};
+
+use super::path::{Attitude, Motion, Path};
+
+/// ω.
+const QUICKNESS_RAD_S: f64 = 4.0;
+/// Legs are kept for so long after their end; nobody asks for what was before.
+const KEPT_S: f64 = 10.0;
+
+/// A velocity that is wanted for a while.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Drive {
+    /// World frame, m/s.
+    pub velocity_m_s: Vector3<f64>,
+    /// From when until when, seconds after the scenario's start.
+    pub span_s: [f64; 2],
+}
+
+impl Drive {
+    fn at(drive: Option<&Drive>, time_s: f64) -> Vector3<f64> {
+        drive.filter(|drive| drive.holds(time_s)).map_or_else(Vector3::zeros, |d| d.velocity_m_s)
+    }
+
+    fn holds(&self, time_s: f64) -> bool {
+        (self.span_s[0]..self.span_s[1]).contains(&time_s)
+    }
+}
+
+/// Where a robot may be, world frame, metres.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Walls {
+    pub min_m: Vector3<f64>,
+    pub max_m: Vector3<f64>,
+}
+
+/// One robot that is driven.
+#[derive(Clone, Debug)]
+pub(super) struct Course {
+    legs: VecDeque<Leg>,
+    /// Whether older legs were forgotten.
+    is_cut: bool,
+    /// How a robot on the ground stood when it was taken over: it drives sideways as well.
+    orientation: UnitQuaternion<f64>,
+    walls: Walls,
+    told: Option<Drive>,
+    push: Option<Drive>,
+}
+
+#[derive(Clone, Copy, Debug)]
+struct Leg {
+    start_s: f64,
+    position_m: Vector3<f64>,
+    /// u.
+    wanted_m_s: Vector3<f64>,
+    /// e₀ and e₀'.
+    excess_m_s: Vector3<f64>,
+    excess_rate_m_s2: Vector3<f64>,
+}
+
+impl Leg {
+    fn motion(&self, time_s: f64) -> Motion {
+        let (t, w) = ((time_s - self.start_s).max(0.0), QUICKNESS_RAD_S);
+        let fading = (-w * t).exp();
+        let c = self.excess_rate_m_s2 + self.excess_m_s * w;
+        let e = (self.excess_m_s + c * t) * fading;
+        let e1 = c * fading - e * w;
+        let travelled =
+            self.excess_m_s * ((1.0 - fading) / w) + c * ((1.0 - fading * (1.0 + w * t)) / (w * w));
+        Motion {
+            position_m: self.position_m + self.wanted_m_s * t + travelled,
+            velocity_m_s: self.wanted_m_s + e,
+            acceleration_m_s2: e1,
+            jerk_m_s3: e1 * (-2.0 * w) - e * (w * w),
+        }
+    }
+}
+
+impl Course {
+    /// Of a robot that leaves its own way at `time_s`.
+    pub fn leaving(path: &Path, time_s: f64, walls: Walls) -> Self {
+        let orientation = path.attitude(time_s, &path.motion(time_s)).orientation;
+        let legs = VecDeque::new();
+        Self { legs, is_cut: false, orientation, walls, told: None, push: None }
+    }
+
+    /// Replaces what the robot was told before.
+    pub fn tell(&mut self, path: &Path, drive: Drive) {
+        self.told = Some(drive);
+        self.plan(path, drive.span_s[0]);
+    }
+
+    /// Replaces an earlier push.
+    pub fn push(&mut self, path: &Path, push: Drive) {
+        self.push = Some(push);
+        self.plan(path, push.span_s[0]);
+    }
+
+    /// Where the robot is and how it moves.
+    pub fn motion(&self, path: &Path, time_s: f64) -> Motion {
+        let free = match self.legs.iter().rev().find(|leg| leg.start_s <= time_s) {
+            Some(leg) => leg.motion(time_s),
+            None => match self.legs.front() {
+                Some(oldest) if self.is_cut => oldest.motion(oldest.start_s),
+                _ => return path.motion(time_s),
+            },
+        };
+        self.within_walls(free)
+    }
+
+    /// How it is turned meanwhile.
+    pub fn attitude(&self, path: &Path, time_s: f64, motion: &Motion) -> Attitude {
+        if path.is_flying() || self.legs.front().is_none_or(|leg| time_s < leg.start_s) {
+            return path.attitude(time_s, motion);
+        }
+        Attitude { orientation: self.orientation, angular_velocity_rad_s: Vector3::zeros() }
+    }
+
+    /// Makes the legs from `from_s` on anew.
+    fn plan(&mut self, path: &Path, from_s: f64) {
+        let begin = self.motion(path, from_s);
+        self.legs.retain(|leg| leg.start_s < from_s);
+        let spans = [&self.told, &self.push].into_iter().flatten().flat_map(|drive| drive.span_s);
+        let mut changes: Vec<f64> = spans.filter(|&time_s| time_s > from_s).collect();
+        changes.push(from_s);
+        changes.sort_by(f64::total_cmp);
+        let mut state = begin;
+        for start_s in changes {
+            if let Some(leg) = self.legs.back().filter(|leg| leg.start_s >= from_s) {
+                state = self.within_walls(leg.motion(start_s));
+            }
+            let wanted_m_s =
+                Drive::at(self.told.as_ref(), start_s) + Drive::at(self.push.as_ref(), start_s);
+            self.legs.push_back(Leg {
+                start_s,
+                position_m: state.position_m,
+                wanted_m_s,
+                excess_m_s: state.velocity_m_s - wanted_m_s,
+                excess_rate_m_s2: state.acceleration_m_s2,
+            });
+        }
+        while self.legs.get(1).is_some_and(|next| next.start_s < from_s - KEPT_S) {
+            self.legs.pop_front();
+            self.is_cut = true;
+        }
+    }
+
+    fn within_walls(&self, mut motion: Motion) -> Motion {
+        for axis in 0..3 {
+            let (min, max) = (self.walls.min_m[axis], self.walls.max_m[axis]);
+            let inside = motion.position_m[axis].clamp(min, max);
+            if inside != motion.position_m[axis] || min == max {
+                motion.position_m[axis] = inside;
+                motion.velocity_m_s[axis] = 0.0;
+                motion.acceleration_m_s2[axis] = 0.0;
+                motion.jerk_m_s3[axis] = 0.0;
+            }
+        }
+        motion
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    const WALLS: Walls =
+        Walls { min_m: Vector3::new(-5.0, -4.0, 0.3), max_m: Vector3::new(5.0, 4.0, 0.3) };
+
+    fn parked() -> Path {
+        Path::Still { position_m: Vector3::new(1.0, -1.0, 0.3), yaw_rad: 0.4 }
+    }
+
+    fn drive(velocity_m_s: [f64; 3], span_s: [f64; 2]) -> Drive {
+        Drive { velocity_m_s: velocity_m_s.into(), span_s }
+    }
+
+    /// Told at 1 s, pushed at 1.6 s, told otherwise at 2 s, and silent since.
+    fn course(path: &Path) -> Course {
+        let mut course = Course::leaving(path, 1.0, WALLS);
+        course.tell(path, drive([1.0, 0.0, 0.0], [1.0, 2.5]));
+        course.push(path, drive([0.0, 1.5, 0.0], [1.6, 2.2]));
+        course.tell(path, drive([-0.5, 0.5, 0.0], [2.0, 2.5]));
+        course
+    }
+
+    #[test]
+    fn motion_is_the_derivative_of_motion_and_has_no_steps() {
+        let (path, step_s) = (parked(), 1e-5);
+        let course = course(&path);
+        // Where legs begin, too.
+        for time_s in (0..600).map(|i| f64::from(i) * 0.01) {
+            let [before, here, after] =
+                [-step_s, 0.0, step_s].map(|off_s| course.motion(&path, time_s + off_s));
+            let velocity = (after.position_m - before.position_m) / (2.0 * step_s);
+            assert!((velocity - here.velocity_m_s).norm() < 1e-4, "{time_s}: {velocity}");
+            let acceleration = (after.velocity_m_s - before.velocity_m_s) / (2.0 * step_s);
+            assert!((acceleration - here.acceleration_m_s2).norm() < 1e-3, "{time_s}: {here:?}");
+        }
+    }
+
+    #[test]
+    fn a_robot_comes_to_what_it_is_told_and_stops_in_silence() {
+        let path = parked();
+        let mut course = Course::leaving(&path, 1.0, WALLS);
+        course.tell(&path, drive([0.5, -0.25, 0.0], [1.0, 4.0]));
+        let told = course.motion(&path, 3.9).velocity_m_s;
+        assert!((told - Vector3::new(0.5, -0.25, 0.0)).norm() < 1e-3, "{told}");
+        let later = course.motion(&path, 8.0);
+        assert!(later.velocity_m_s.norm() < 1e-4, "{later:?}");
+        // Three seconds of it, less what the start lost and more what the stop took: the same.
+        let moved = later.position_m - path.motion(0.0).position_m;
+        assert!((moved - Vector3::new(1.5, -0.75, 0.0)).norm() < 1e-4, "{moved}");
+    }
+
+    #[test]
+    fn what_was_does_not_change_with_what_is_told() {
+        let path = parked();
+        let (whole, mut cut) = (course(&path), course(&path));
+        cut.tell(&path, drive([0.0, -1.0, 0.0], [2.3, 9.0]));
+        for time_s in [0.0, 1.2, 1.9, 2.29] {
+            assert_eq!(
+                whole.motion(&path, time_s).position_m,
+                cut.motion(&path, time_s).position_m
+            );
+        }
+        assert_ne!(whole.motion(&path, 3.0).position_m, cut.motion(&path, 3.0).position_m);
+    }
+
+    #[test]
+    fn walls_hold_a_robot_and_let_it_go_again() {
+        let path = parked();
+        let mut course = Course::leaving(&path, 0.0, WALLS);
+        course.tell(&path, drive([1.0, 0.2, 1.0], [0.0, 10.0]));
+        let held = course.motion(&path, 9.0);
+        assert_eq!((held.position_m.x, held.position_m.z), (5.0, 0.3));
+        assert_eq!((held.velocity_m_s.x, held.velocity_m_s.z), (0.0, 0.0));
+        course.tell(&path, drive([-1.0, 0.0, 0.0], [9.0, 12.0]));
+        let free = course.motion(&path, 11.0);
+        assert!(free.position_m.x < 4.0, "{free:?}");
+    }
+
+    #[test]
+    fn a_long_drive_takes_no_more_room_than_a_short_one() {
+        let path = parked();
+        let mut course = Course::leaving(&path, 0.0, WALLS);
+        for step in 0..10_000 {
+            let time_s = f64::from(step) * 0.05;
+            course.tell(&path, drive([0.1, 0.0, 0.0], [time_s, time_s + 0.5]));
+        }
+        assert!(course.legs.len() < 210, "{}", course.legs.len());
+        assert_eq!(course.motion(&path, 1.0).position_m, course.motion(&path, 2.0).position_m);
+    }
+}
