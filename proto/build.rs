@@ -5,10 +5,10 @@ use std::path::PathBuf;
 
 use prost::Message;
 
-const FILES: [&str; 1] = ["roundel/v1/roundel.proto"];
+const FILES: [&str; 2] = ["roundel/v1/roundel.proto", "roundel/v1/stream.proto"];
 
 /// Nanoseconds exceed what a JSON number holds exactly (2^53), so in JSON they are strings.
-const NANOSECONDS: [&str; 18] = [
+const NANOSECONDS: [&str; 24] = [
     "Snapshot.pose_time_ns",
     "Snapshot.capture_time_ns",
     "Snapshot.fused_time_ns",
@@ -22,6 +22,12 @@ const NANOSECONDS: [&str; 18] = [
     "Object.last_seen_time_ns",
     "ServerInfo.started_time_ns",
     "Camera.pose_time_ns",
+    "GetTimeRequest.sent_time_ns",
+    "ServerTime.sent_time_ns",
+    "ServerTime.received_time_ns",
+    "ServerTime.replied_time_ns",
+    "DriveRobotsResponse.effective_time_ns",
+    "PushRobotResponse.effective_time_ns",
     "PushedFrame.capture_time_ns",
     "PushProbe.sent_time_ns",
     "PushProbeAnswer.sent_time_ns",
@@ -29,8 +35,13 @@ const NANOSECONDS: [&str; 18] = [
     "PushProbeAnswer.replied_time_ns",
 ];
 /// Alternatives within a message, which have to have the same forms as messages.
-const ALTERNATIVES: [&str; 4] =
-    ["PushRequest.message", "PushResponse.message", "PushedFrame.picture", "PushedPicture.picture"];
+const ALTERNATIVES: [&str; 5] = [
+    "PushRequest.message",
+    "PushResponse.message",
+    "PushedFrame.picture",
+    "PushedPicture.picture",
+    "StreamMessage.message",
+];
 
 /// Enumerations are integers on the wire and lower-case words in JSON.
 const ENUMERATIONS: [(&str, &str); 10] = [

@@ -75,7 +75,7 @@ fn object(id: u64) -> ObjectState {
 fn selection(omit_covariance: bool, horizon_ms: Option<f64>) -> Selection {
     let request =
         v1::SubscribeSnapshotsRequest { omit_covariance, horizon_ms, ..Default::default() };
-    Selection::new(request, &MESSAGE_FIELDS).expect("a valid selection")
+    Selection::new(request, &[], &MESSAGE_FIELDS).expect("a valid selection")
 }
 
 fn snapshot(criterion: &mut Criterion) {

@@ -33,7 +33,7 @@ use crate::{
     fusion::{FusionTask, QUEUE_FRAMES, WatchingParts},
     hub::{Happening, Hub},
     roster::{self, Roster, RosterError, RosterParts, Sources},
-    source::{OpenSource, Playback, SourceOpener, TimesError, push::Ports},
+    source::{OpenSource, Playback, SourceOpener, TimesError, fleet::Fleets, push::Ports},
     stop::Stop,
     trial::Trier,
     worker::{Sighted, Totals},
@@ -120,6 +120,7 @@ pub struct Server {
     clock: Clock,
     playback: Playback,
     calibrator: Arc<Calibrator>,
+    fleets: Arc<Fleets>,
     roster: Option<Arc<Roster>>,
     stop_fusion: Stop,
     cancel_clients: CancellationToken,
@@ -132,13 +133,15 @@ impl Server {
     ///
     /// A camera whose source cannot be opened is no error: it is shown as failed and tried again.
     pub async fn start(config: Config) -> Result<Self, ServeError> {
-        Self::start_with_sources(config, |setting| {
+        let fleets = Arc::<Fleets>::default();
+        let shared = fleets.clone();
+        let source = move |setting: CameraSetting<'_>| -> Box<dyn OpenSource> {
             let CameraSetting { camera, clock, playback, stop, port, .. } = setting;
             let size = (camera.calibration.width(), camera.calibration.height());
             let opener = SourceOpener::new(camera.address.clone(), size, clock, playback, stop);
-            Box::new(opener.with_port(port.unwrap_or_default()))
-        })
-        .await
+            Box::new(opener.with_port(port.unwrap_or_default()).with_fleets(shared.clone()))
+        };
+        Self::start_with_fleets(config, fleets, source).await
     }
 
     /// The same with frames of the caller's own: `source` is asked each time that a camera's worker begins. Its
@@ -146,6 +149,14 @@ impl Server {
     /// setting's clock, and end their waits on its stop signal.
     pub async fn start_with_sources(
         config: Config,
+        source: impl FnMut(CameraSetting<'_>) -> Box<dyn OpenSource> + Send + 'static,
+    ) -> Result<Self, ServeError> {
+        Self::start_with_fleets(config, Arc::default(), source).await
+    }
+
+    async fn start_with_fleets(
+        config: Config,
+        fleets: Arc<Fleets>,
         source: impl FnMut(CameraSetting<'_>) -> Box<dyn OpenSource> + Send + 'static,
     ) -> Result<Self, ServeError> {
         let address = config.server.listen;
@@ -173,6 +184,7 @@ impl Server {
             clock,
             playback,
             calibrator,
+            fleets,
             roster: None,
             stop_fusion: Stop::default(),
             cancel_clients: CancellationToken::new(),
@@ -203,6 +215,11 @@ impl Server {
     /// The time line of its recorded and simulated sources.
     pub fn playback(&self) -> Playback {
         self.playback
+    }
+
+    /// Its simulated worlds.
+    pub fn fleets(&self) -> &Arc<Fleets> {
+        &self.fleets
     }
 
     /// What calibrates its arena.
@@ -265,6 +282,7 @@ impl Server {
             hub: self.hub.clone(),
             clock: self.clock,
             calibrator: self.calibrator.clone(),
+            fleets: self.fleets.clone(),
             ports,
             late_window_ms: config.fusion.late_window_s * 1e3,
             trier: config.server.setup.then(trier),

@@ -6,6 +6,7 @@ use axum::{
     http::StatusCode,
     response::{IntoResponse, Response},
 };
+use roundel_proto::v1;
 use serde::Serialize;
 use tonic::{Code, Status};
 use utoipa::ToSchema;
@@ -124,6 +125,13 @@ impl From<ApiError> for Status {
     fn from(error: ApiError) -> Self {
         let (_, code, _) = error.codes();
         Status::new(code, error.to_string())
+    }
+}
+
+impl From<ApiError> for v1::StreamError {
+    fn from(error: ApiError) -> Self {
+        let (code, _, _) = error.codes();
+        Self { code: code.to_owned(), message: error.to_string() }
     }
 }
 

@@ -6,12 +6,16 @@
 
 use std::sync::{Arc, atomic::Ordering};
 
+use axum::body::Bytes;
 use roundel_core::time::Timestamp;
-use roundel_proto::v1;
 use tokio::sync::watch;
 
 use crate::{
-    api::{Api, selection::Selection},
+    api::{
+        Api,
+        encoded::{Form, Own},
+        selection::Selection,
+    },
     hub::FusedSnapshot,
 };
 
@@ -61,6 +65,15 @@ impl Pace {
     }
 }
 
+/// A snapshot for one subscriber.
+#[derive(Clone, Debug)]
+pub struct Due {
+    /// What is its own.
+    pub own: Own,
+    /// What it shares with others.
+    pub shared: Bytes,
+}
+
 /// The snapshots of one subscriber, from the newest one on.
 pub struct Feed {
     api: Arc<Api>,
@@ -82,21 +95,21 @@ impl Feed {
         Self { api, receiver, selection, pace }
     }
 
-    /// The next snapshot that is due; `None` when there will be no more. Nothing is lost if the
+    /// The next snapshot that is due, in the form wanted; `None` when there will be no more. Nothing is lost if the
     /// wait is given up.
-    pub async fn next(&mut self) -> Option<v1::Snapshot> {
+    pub async fn next(&mut self, form: Form) -> Option<Due> {
         loop {
             self.receiver.changed().await.ok()?;
             let fused = self.receiver.borrow_and_update().clone();
             let Some(missed) = self.pace.admit(fused.sequence, fused.fused_time) else {
                 continue;
             };
-            let mut message = self.selection.filter.message(&self.api.hub.installation(), &fused);
-            message.missed = missed;
-            message.sent_time_ns = self.api.clock.now().as_ns();
+            let (api, filter) = (&self.api, &self.selection.filter);
+            let shared = api.encoder.shared(&api.hub, &fused, filter, form);
+            let own = Own { sent_time_ns: api.clock.now().as_ns(), missed };
             self.api.counters.snapshots_sent.fetch_add(1, Ordering::Relaxed);
             self.api.counters.snapshots_missed.fetch_add(missed, Ordering::Relaxed);
-            return Some(message);
+            return Some(Due { own, shared });
         }
     }
 }

@@ -312,6 +312,12 @@ fn write_clients(page: &mut Page, api: &Api) {
             "Snapshots that subscribers wanted and were too slow for.",
             &counters.snapshots_missed,
         ),
+        (
+            "roundel_subscribers_cut_total",
+            "counter",
+            "Subscribers cut off since they took no snapshots.",
+            &counters.subscribers_cut,
+        ),
     ] {
         page.single(name, kind, help, counter.load(Ordering::Relaxed) as f64);
     }

@@ -11,10 +11,12 @@
 //! | [`push`] | the service of `push.proto`: remote programs feed cameras |
 //! | [`rest`], [`calibration`], [`openapi`] | `/api/v1/…` and its description |
 //! | [`setup`] | cameras that are added, changed and removed |
+//! | [`simulation`] | simulated robots that clients drive |
 //! | [`trial`] | one try of a source |
 //! | [`ws`] | `/api/v1/stream` |
 //! | [`metrics`] | `/metrics`, `/healthz`, `/readyz` |
 //! | [`page`] | the dashboard's files |
+//! | [`encoded`] | snapshots as bytes, once for all who want the same |
 //! | [`selection`], [`feed`] | which snapshots a subscriber gets, and what is in them |
 //! | [`picture`] | a frame with its detections drawn in, as JPEG |
 //! | [`error`] | what can be wrong, and how each protocol says so |
@@ -24,6 +26,7 @@
 //! read at all is cut off.
 
 pub mod calibration;
+pub mod encoded;
 pub mod error;
 pub mod feed;
 pub mod grpc;
@@ -37,6 +40,7 @@ pub mod query;
 pub mod rest;
 pub mod selection;
 pub mod setup;
+pub mod simulation;
 pub mod trial;
 pub mod ws;
 
@@ -49,9 +53,13 @@ use axum::{Router, middleware};
 use tokio::net::TcpListener;
 use tokio_util::sync::CancellationToken;
 
-use self::error::ApiError;
+use self::{encoded::Encoder, error::ApiError};
 use crate::{
-    calibration::Calibrator, clock::Clock, hub::Hub, roster::Roster, source::push::Ports,
+    calibration::Calibrator,
+    clock::Clock,
+    hub::Hub,
+    roster::Roster,
+    source::{fleet::Fleets, push::Ports},
     trial::Trier,
 };
 
@@ -62,7 +70,7 @@ pub struct Limits {
     pub max_clients: usize,
     /// How long clients may take to end after the shutdown's begin, before they are cut off.
     pub grace: Duration,
-    /// How long a WebSocket client may take no bytes before it is cut off.
+    /// How long a subscriber may take no bytes before it is cut off.
     pub send_timeout: Duration,
 }
 
@@ -87,6 +95,8 @@ pub struct Counters {
     pub snapshot_subscribers: AtomicU64,
     /// Snapshots handed to subscribers.
     pub snapshots_sent: AtomicU64,
+    /// Subscribers that were cut off since they took nothing.
+    pub subscribers_cut: AtomicU64,
     /// Snapshots that subscribers wanted and were too slow for.
     pub snapshots_missed: AtomicU64,
 }
@@ -99,6 +109,8 @@ pub struct Served {
     pub clock: Clock,
     /// Finds where cameras stand.
     pub calibrator: Arc<Calibrator>,
+    /// Simulated robots, which clients may drive.
+    pub fleets: Arc<Fleets>,
     /// Where remote programs feed cameras, by camera; `None`: one that is not fed.
     pub ports: Arc<Ports>,
     /// Observations that are older against the newest of all cameras are of no use, milliseconds.
@@ -117,6 +129,8 @@ pub struct Api {
     pub clock: Clock,
     /// Finds where cameras stand.
     pub calibrator: Arc<Calibrator>,
+    /// Simulated robots, which clients may drive.
+    pub fleets: Arc<Fleets>,
     /// Where remote programs feed cameras.
     pub ports: Arc<Ports>,
     /// As in [`Served`].
@@ -131,6 +145,8 @@ pub struct Api {
     pub limits: Limits,
     /// What the port has done so far.
     pub counters: Counters,
+    /// Snapshots as subscribers want them.
+    pub encoder: Encoder,
 }
 
 /// Serves every API on `listener` until `cancel`, and then until the last client has gone, at most
@@ -144,12 +160,13 @@ pub async fn serve(
     limits: Limits,
     cancel: CancellationToken,
 ) {
-    let Served { hub, clock, calibrator, ports, late_window_ms, trier, roster } = served;
+    let Served { hub, clock, calibrator, fleets, ports, late_window_ms, trier, roster } = served;
     let counters = Counters::default();
     let api = Arc::new(Api {
         hub,
         clock,
         calibrator,
+        fleets,
         ports,
         late_window_ms,
         trier,
@@ -157,6 +174,7 @@ pub async fn serve(
         cancel,
         limits,
         counters,
+        encoder: Encoder::default(),
     });
     let (grpc_router, health) = grpc::router(&api);
     let http_router = http_router(api.clone());

@@ -6,7 +6,7 @@ use axum::Json;
 use utoipa::{OpenApi, openapi};
 use utoipa_axum::{router::OpenApiRouter, routes};
 
-use super::{Api, calibration, metrics, rest, setup, trial, ws};
+use super::{Api, calibration, metrics, rest, setup, simulation, trial, ws};
 
 #[derive(OpenApi)]
 #[openapi(info(
@@ -32,6 +32,8 @@ pub fn described_routes() -> OpenApiRouter<Arc<Api>> {
         .routes(routes!(rest::info))
         .routes(routes!(calibration::show, calibration::start, calibration::cancel))
         .routes(routes!(calibration::apply))
+        .routes(routes!(simulation::drive))
+        .routes(routes!(simulation::push))
         .routes(routes!(ws::stream))
         .routes(routes!(document))
         .routes(routes!(metrics::metrics))

@@ -28,10 +28,11 @@ use tokio::{
     task::JoinSet,
     time::{sleep, timeout},
 };
+use tokio_util::sync::CancellationToken;
 use tonic::Status;
-use tower::ServiceExt;
+use tower::{Layer, ServiceExt, service_fn};
 
-use super::{Api, error::ApiError, push::Peer};
+use super::{Api, error::ApiError, grpc::Cut, push::Peer};
 
 /// Bytes that the kernel may hold unsent for a client. More would be stale snapshots: a slow client
 /// is to find the newest one when it comes back.
@@ -64,9 +65,30 @@ pub(super) struct Dispatch {
 
 impl Dispatch {
     async fn answer(self, request: Request<Incoming>) -> Result<Response<Body>, Infallible> {
+        if is_grpc_web(&request) {
+            return self.answer_web(request).await;
+        }
         let router = if is_grpc(&request) { self.grpc_router } else { self.http_router };
         router.oneshot(request.map(Body::new)).await
     }
+
+    /// gRPC as pages in browsers speak it: over HTTP/1.1 too, with the trailers in the body.
+    async fn answer_web(self, request: Request<Incoming>) -> Result<Response<Body>, Infallible> {
+        let plain = service_fn(move |request: Request<tonic::body::Body>| {
+            let router = self.grpc_router.clone();
+            async move {
+                let response = router.oneshot(request.map(Body::new)).await?;
+                Ok::<_, Infallible>(response.map(tonic::body::Body::new))
+            }
+        });
+        let service = tonic_web::GrpcWebLayer::new().layer(plain);
+        Ok(service.oneshot(request).await?.map(Body::new))
+    }
+}
+
+fn is_grpc_web<B>(request: &Request<B>) -> bool {
+    let content_type = request.headers().get(header::CONTENT_TYPE);
+    content_type.is_some_and(|value| value.as_bytes().starts_with(b"application/grpc-web"))
 }
 
 /// Merging both routers would let tonic answer unknown REST paths.
@@ -150,8 +172,11 @@ async fn converse(stream: Counted, dispatch: Dispatch, api: Arc<Api>) {
         return;
     }
     let peer = stream.stream.peer_addr().ok().map(Peer);
+    let cut = Cut(CancellationToken::new());
+    let given = cut.clone();
     let service = hyper::service::service_fn(move |mut request: Request<Incoming>| {
         peer.map(|peer| request.extensions_mut().insert(peer));
+        request.extensions_mut().insert(given.clone());
         dispatch.clone().answer(request)
     });
     let protocol = protocol();
@@ -159,6 +184,7 @@ async fn converse(stream: Counted, dispatch: Dispatch, api: Arc<Api>) {
         pin!(protocol.serve_connection_with_upgrades(TokioIo::new(stream), service));
     let ended = tokio::select! {
         ended = connection.as_mut() => ended,
+        () = cut.0.cancelled() => return,
         () = api.cancel.cancelled() => {
             connection.as_mut().graceful_shutdown();
             connection.await

@@ -74,7 +74,7 @@ impl Parameters {
         }
     }
 
-    /// What a snapshot is to hold: `ids`, `min`, `max`, `horizon_ms`, `omit_covariance`.
+    /// What a snapshot is to hold: `ids`, `roundels`, `min`, `max`, `horizon_ms`, `omit_covariance`.
     pub fn take_selection(&mut self) -> Result<v1::SubscribeSnapshotsRequest, ApiError> {
         let object_ids = self.take_list("ids", "ids with commas between, such as 1,2")?;
         let (min, max) = (self.take_corner("min")?, self.take_corner("max")?);
@@ -84,6 +84,7 @@ impl Parameters {
             region,
             max_rate_hz: None,
             horizon_ms: self.take_parsed("horizon_ms", "a number of milliseconds")?,
+            roundels: self.take_list("roundels", "names of kinds")?,
             omit_covariance: self.take_parsed("omit_covariance", "true or false")?.unwrap_or(false),
         })
     }

@@ -45,6 +45,7 @@ pub(super) fn text_of(segment: Segment) -> Result<String, ApiError> {
     get, path = "/api/v1/snapshot", tag = "poses",
     params(
         ("ids" = Option<String>, Query, description = "only these objects, commas between", example = "1,2"),
+        ("roundels" = Option<String>, Query, description = "only objects of these kinds of roundel, commas between", example = "robot"),
         ("min" = Option<String>, Query, description = "with max: only objects in this box of the world frame; its smallest corner, metres", example = "-1,-1,0"),
         ("max" = Option<String>, Query, description = "the box's largest corner, metres", example = "1,1,2"),
         ("horizon_ms" = Option<f64>, Query, description = "predict every pose this far past the server's pose time, 0 to 1000"),
@@ -63,7 +64,7 @@ pub async fn snapshot(
     let mut parameters = Parameters::of(&uri)?;
     let request = parameters.take_selection()?;
     parameters.finish()?;
-    let selection = Selection::new(request, &QUERY_FIELDS)?;
+    let selection = Selection::new(request, &api.hub.installation().kinds, &QUERY_FIELDS)?;
     grpc::newest_snapshot(&api, &selection).map(Json)
 }
 

@@ -10,7 +10,10 @@ use std::{
 };
 
 use nalgebra::Vector3;
-use roundel_core::{id::ObjectId, world};
+use roundel_core::{
+    id::{KindId, ObjectId},
+    world,
+};
 use roundel_proto::v1;
 
 use crate::{
@@ -30,6 +33,7 @@ pub struct FieldNames {
     max: &'static str,
     max_rate_hz: &'static str,
     horizon_ms: &'static str,
+    roundels: &'static str,
 }
 
 /// In gRPC messages.
@@ -39,6 +43,7 @@ pub const MESSAGE_FIELDS: FieldNames = FieldNames {
     max: "region.max",
     max_rate_hz: "max_rate_hz",
     horizon_ms: "horizon_ms",
+    roundels: "roundels",
 };
 
 /// In queries of REST and the WebSocket.
@@ -48,6 +53,7 @@ pub const QUERY_FIELDS: FieldNames = FieldNames {
     max: "max",
     max_rate_hz: "max_rate_hz",
     horizon_ms: "horizon_ms",
+    roundels: "roundels",
 };
 
 /// An axis-aligned box in the world frame, metres; its faces belong to it, and a side may be
@@ -69,6 +75,8 @@ impl Region {
 pub struct Filter {
     /// Ascending, each once; empty: all.
     ids: Vec<ObjectId>,
+    /// Likewise, of the kinds.
+    kinds: Vec<KindId>,
     region: Option<Region>,
     horizon_s: f64,
     omit_covariance: bool,
@@ -77,12 +85,12 @@ pub struct Filter {
 impl Filter {
     /// Everything that takes part in comparing and hashing. Zero has one sign here, and no number
     /// is NaN, so that bits stand for values.
-    fn key(&self) -> (&[ObjectId], Option<[u64; 6]>, u64, bool) {
+    fn key(&self) -> (&[ObjectId], &[KindId], Option<[u64; 6]>, u64, bool) {
         let region = self.region.as_ref().map(|region| {
             let (min, max) = (&region.min_m, &region.max_m);
             [min.x, min.y, min.z, max.x, max.y, max.z].map(|side| (side + 0.0).to_bits())
         });
-        (&self.ids, region, (self.horizon_s + 0.0).to_bits(), self.omit_covariance)
+        (&self.ids, &self.kinds, region, (self.horizon_s + 0.0).to_bits(), self.omit_covariance)
     }
 
     /// The message that this filter makes of a snapshot; `sent_time_ns` and `missed` belong to the
@@ -94,8 +102,12 @@ impl Filter {
 
     fn choose<'a>(&self, snapshot: &'a world::Snapshot) -> Cow<'a, world::Snapshot> {
         let mut chosen = Cow::Borrowed(snapshot);
-        if !self.ids.is_empty() {
-            let wanted = |state: &&world::ObjectState| self.ids.binary_search(&state.id).is_ok();
+        if !self.ids.is_empty() || !self.kinds.is_empty() {
+            let wanted = |state: &&world::ObjectState| {
+                let is_one = self.ids.is_empty() || self.ids.binary_search(&state.id).is_ok();
+                let is_kind = |kind| self.kinds.binary_search(&kind).is_ok();
+                is_one && (self.kinds.is_empty() || state.kind.is_some_and(is_kind))
+            };
             chosen = Cow::Owned(world::Snapshot {
                 objects: snapshot.objects.iter().filter(wanted).cloned().collect(),
                 ..*snapshot
@@ -137,9 +149,10 @@ pub struct Selection {
 }
 
 impl Selection {
-    /// Checks a request; errors call the fields by `names`.
+    /// Checks a request to a server of these kinds of roundel; errors call the fields by `names`.
     pub fn new(
         request: v1::SubscribeSnapshotsRequest,
+        kinds: &[String],
         names: &FieldNames,
     ) -> Result<Self, ApiError> {
         let region = request.region.map(|region| checked_region(region, names)).transpose()?;
@@ -157,6 +170,7 @@ impl Selection {
         Ok(Self {
             filter: Filter {
                 ids: checked_ids(&request.object_ids, names)?,
+                kinds: checked_kinds(&request.roundels, kinds, names)?,
                 region,
                 horizon_s: horizon_ms * 1e-3,
                 omit_covariance: request.omit_covariance,
@@ -174,6 +188,24 @@ fn checked_ids(ids: &[u64], names: &FieldNames) -> Result<Vec<ObjectId>, ApiErro
     ids.sort_unstable();
     ids.dedup();
     Ok(ids)
+}
+
+fn checked_kinds(
+    wanted: &[String],
+    known: &[String],
+    names: &FieldNames,
+) -> Result<Vec<KindId>, ApiError> {
+    let kind = |name: &String| match known.iter().position(|known| known == name) {
+        Some(place) => Ok(KindId(place as u16)),
+        None => {
+            let expected = format!("any of {}", known.join(", "));
+            Err(ApiError::invalid(names.roundels, expected, format!("{name:?}")))
+        }
+    };
+    let mut kinds = wanted.iter().map(kind).collect::<Result<Vec<KindId>, ApiError>>()?;
+    kinds.sort_unstable();
+    kinds.dedup();
+    Ok(kinds)
 }
 
 fn checked_region(region: v1::Box, names: &FieldNames) -> Result<Region, ApiError> {
@@ -214,7 +246,11 @@ mod tests {
             horizon_ms: Some(horizon_ms),
             ..Default::default()
         };
-        Selection::new(request, &MESSAGE_FIELDS).unwrap().filter
+        Selection::new(request, &kinds(), &MESSAGE_FIELDS).unwrap().filter
+    }
+
+    fn kinds() -> Vec<String> {
+        vec!["robot".into(), "cart".into()]
     }
 
     #[test]
@@ -232,7 +268,20 @@ mod tests {
             filter(&[1, 2], 0.0, 0.5),
             Filter { omit_covariance: true, ..filter(&[1, 2], 0.0, 0.0) },
             Filter { region: None, ..filter(&[1, 2], 0.0, 0.0) },
+            Filter { kinds: vec![KindId(1)], ..filter(&[1, 2], 0.0, 0.0) },
         ];
-        assert_eq!(HashSet::from(different).len(), 6);
+        assert_eq!(HashSet::from(different).len(), 7);
+    }
+
+    #[test]
+    fn an_unknown_kind_is_refused_with_those_there_are() {
+        let request = |name: &str| v1::SubscribeSnapshotsRequest {
+            roundels: vec!["cart".into(), name.into()],
+            ..Default::default()
+        };
+        let selection = |name| Selection::new(request(name), &kinds(), &MESSAGE_FIELDS);
+        assert_eq!(selection("robot").unwrap().filter.kinds, [KindId(0), KindId(1)]);
+        let error = selection("robots").unwrap_err().to_string();
+        assert_eq!(error, "roundels: expected any of robot, cart, found \"robots\"");
     }
 }

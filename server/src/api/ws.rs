@@ -1,9 +1,14 @@
 //! `/api/v1/stream`: one WebSocket with everything that a page needs.
 //!
 //! Text messages with one key each: `{"snapshot":…}`, `{"cameras":[…]}` twice a second, and
-//! `{"event":…}`, beginning with the newest remembered ones. What the client sends is ignored.
+//! `{"event":…}`, beginning with the newest remembered ones; or, by subprotocol, the same in protobuf
+//! (`stream.proto`). The client changes what it wants by a message on the open socket; one that says nothing to the
+//! point is answered with `{"error":…}`, and everything goes on as before.
 
-use std::{sync::Arc, time::Duration};
+use std::{
+    sync::{Arc, atomic::Ordering},
+    time::Duration,
+};
 
 use axum::{
     extract::{
@@ -12,6 +17,10 @@ use axum::{
     },
     http::Uri,
     response::Response,
+};
+use prost::{
+    Message as _,
+    encoding::{WireType, encode_key, encode_varint},
 };
 use roundel_proto::v1;
 use serde::Serialize;
@@ -22,15 +31,16 @@ use tokio::{
 
 use super::{
     Api,
+    encoded::Form,
     error::{ApiError, ErrorBody, SHUTTING_DOWN},
-    feed::Feed,
+    feed::{Due, Feed},
     grpc,
     query::Parameters,
-    selection::{QUERY_FIELDS, Selection},
+    selection::{MESSAGE_FIELDS, QUERY_FIELDS, Selection},
 };
 use crate::{convert, hub};
 
-/// Largest message that a client may send; it is read and forgotten.
+/// Largest message that a client may send.
 const MAX_INCOMING_BYTES: usize = 64 * 1024;
 /// How often a client is asked whether it lives.
 const PING_INTERVAL: Duration = Duration::from_secs(5);
@@ -42,6 +52,10 @@ const CLOSE_TIMEOUT: Duration = Duration::from_millis(500);
 const CAMERA_INTERVAL: Duration = Duration::from_millis(500);
 /// Remembered events that are sent first.
 const EVENT_BACKLOG: usize = 50;
+/// Subprotocols: how messages are written, the first one if the client names none.
+const PROTOCOLS: [&str; 2] = ["roundel.v1.json", "roundel.v1.protobuf"];
+/// Said to a client that sends something else than it should.
+const REQUEST_EXAMPLE: &str = r#"a message such as {"snapshots": {"object_ids": [1, 2], "max_rate_hz": 30}, "cameras": true, "events": true}"#;
 /// What can be included.
 const PARTS: [&str; 3] = ["snapshots", "cameras", "events"];
 
@@ -54,7 +68,27 @@ struct Wanted {
 }
 
 impl Wanted {
-    fn of(uri: &Uri) -> Result<Self, ApiError> {
+    fn requested(message: &Message, form: Form, kinds: &[String]) -> Result<Self, ApiError> {
+        let wrong = |found: String| ApiError::invalid("message", REQUEST_EXAMPLE, found);
+        let request: v1::StreamRequest = match (message, form) {
+            (Message::Text(text), _) => {
+                serde_json::from_str(text).map_err(|error| wrong(error.to_string()))?
+            }
+            (Message::Binary(bytes), Form::Protobuf) => {
+                v1::StreamRequest::decode(bytes.as_ref())
+                    .map_err(|error| wrong(error.to_string()))?
+            }
+            _ => return Err(wrong("binary bytes, which are for roundel.v1.protobuf".into())),
+        };
+        let selection = |request| Selection::new(request, kinds, &MESSAGE_FIELDS);
+        Ok(Self {
+            snapshots: request.snapshots.map(selection).transpose()?,
+            cameras: request.cameras,
+            events: request.events,
+        })
+    }
+
+    fn of(uri: &Uri, kinds: &[String]) -> Result<Self, ApiError> {
         let mut parameters = Parameters::of(uri)?;
         let mut include: Vec<String> = parameters.take_list("include", "")?;
         let max_rate_hz = parameters.take_parsed("max_rate_hz", "a number of hertz")?;
@@ -67,7 +101,7 @@ impl Wanted {
         if include.is_empty() {
             include.push(PARTS[0].to_owned());
         }
-        let selection = Selection::new(request, &QUERY_FIELDS)?;
+        let selection = Selection::new(request, kinds, &QUERY_FIELDS)?;
         let is_included = |part: &str| include.iter().any(|included| included == part);
         Ok(Self {
             snapshots: is_included(PARTS[0]).then_some(selection),
@@ -80,20 +114,23 @@ impl Wanted {
 /// Opens the stream; a WebSocket handshake.
 ///
 /// A client that reads too slowly gets the newest snapshot and the number that it missed; one that
-/// does not read at all is cut off after 10 s.
+/// does not read at all is cut off after 10 s. The subprotocol `roundel.v1.protobuf` gives binary messages (StreamMessage
+/// of `stream.proto`) instead of text. A message `{"snapshots": {…}, "cameras": true, "events": true}` (StreamRequest)
+/// on the open socket replaces what was asked for before.
 #[utoipa::path(
     get, path = "/api/v1/stream", tag = "poses",
     params(
         ("include" = Option<String>, Query, description = "any of snapshots,cameras,events; snapshots if left out", example = "snapshots,cameras,events"),
         ("max_rate_hz" = Option<f64>, Query, description = "at most this many snapshots a second"),
         ("ids" = Option<String>, Query, description = "only these objects, commas between", example = "1,2"),
+        ("roundels" = Option<String>, Query, description = "only objects of these kinds of roundel, commas between", example = "robot"),
         ("min" = Option<String>, Query, description = "with max: only objects in this box of the world frame; its smallest corner, metres", example = "-1,-1,0"),
         ("max" = Option<String>, Query, description = "the box's largest corner, metres", example = "1,1,2"),
         ("horizon_ms" = Option<f64>, Query, description = "predict every pose this far past the server's pose time, 0 to 1000"),
         ("omit_covariance" = Option<bool>, Query, description = "leave the covariances out"),
     ),
     responses(
-        (status = 101, description = "text messages with one key each: {\"snapshot\":Snapshot}, {\"cameras\":[Camera]} twice a second, {\"event\":Event}"),
+        (status = 101, description = "text messages with one key each: {\"snapshot\":Snapshot}, {\"cameras\":[Camera]} twice a second, {\"event\":Event}; {\"error\":{code, message}} if a message of the client is wrong"),
         (status = 400, description = "names the wrong parameter", body = ErrorBody),
         (status = 426, description = "no WebSocket handshake", body = ErrorBody),
     ),
@@ -103,19 +140,60 @@ pub async fn stream(
     uri: Uri,
     upgrade: Result<WebSocketUpgrade, rejection::WebSocketUpgradeRejection>,
 ) -> Result<Response, ApiError> {
-    let wanted = Wanted::of(&uri)?;
+    let wanted = Wanted::of(&uri, &api.hub.installation().kinds)?;
     let upgrade = upgrade.map_err(|error| ApiError::UpgradeRequired(error.to_string()))?;
     let upgrade = upgrade.max_message_size(MAX_INCOMING_BYTES).max_frame_size(MAX_INCOMING_BYTES);
-    Ok(upgrade.on_upgrade(|socket| Session::new(api, wanted).run(socket)))
+    let upgrade = upgrade.protocols(PROTOCOLS);
+    let chosen = upgrade.selected_protocol().and_then(|protocol| protocol.to_str().ok());
+    let form = if chosen == Some(PROTOCOLS[1]) { Form::Protobuf } else { Form::Json };
+    Ok(upgrade.on_upgrade(move |socket| Session::new(api, wanted, form).run(socket)))
 }
 
 /// What is sent: one key each.
 #[derive(Serialize)]
 #[serde(rename_all = "lowercase")]
 enum Outgoing {
-    Snapshot(v1::Snapshot),
+    #[serde(skip)]
+    Snapshot(Due),
     Cameras(Vec<v1::Camera>),
     Event(v1::Event),
+    Error(v1::StreamError),
+}
+
+impl Outgoing {
+    fn written(self, form: Form) -> Result<Message, serde_json::Error> {
+        use v1::stream_message::Message as Alternative;
+        let alternative = match (form, self) {
+            (Form::Json, Self::Snapshot(Due { own, shared })) => {
+                // The encoder has written it as text.
+                let whole = own.json(&String::from_utf8_lossy(&shared));
+                return Ok(Message::text(format!(r#"{{"snapshot":{whole}}}"#)));
+            }
+            (Form::Json, other) => return serde_json::to_string(&other).map(Message::text),
+            (Form::Protobuf, Self::Snapshot(Due { own, shared })) => {
+                return Ok(Message::binary(protobuf_snapshot(&own.protobuf(), &shared)));
+            }
+            (Form::Protobuf, Self::Cameras(cameras)) => {
+                Alternative::Cameras(v1::ListCamerasResponse { cameras })
+            }
+            (Form::Protobuf, Self::Event(event)) => Alternative::Event(event),
+            (Form::Protobuf, Self::Error(error)) => Alternative::Error(error),
+        };
+        let message = v1::StreamMessage { message: Some(alternative) };
+        Ok(Message::binary(message.encode_to_vec()))
+    }
+}
+
+/// A StreamMessage of a snapshot whose fields are these two.
+fn protobuf_snapshot(own: &[u8], shared: &[u8]) -> Vec<u8> {
+    const SNAPSHOT_FIELD: u32 = 1;
+    let length = own.len() + shared.len();
+    let mut bytes = Vec::with_capacity(length + 8);
+    encode_key(SNAPSHOT_FIELD, WireType::LengthDelimited, &mut bytes);
+    encode_varint(length as u64, &mut bytes);
+    bytes.extend_from_slice(own);
+    bytes.extend_from_slice(shared);
+    bytes
 }
 
 /// Why a session ends.
@@ -129,6 +207,7 @@ enum End {
 /// One open WebSocket.
 struct Session {
     api: Arc<Api>,
+    form: Form,
     feed: Option<Feed>,
     cameras: Option<Interval>,
     remembered: Vec<Arc<hub::Event>>,
@@ -136,20 +215,29 @@ struct Session {
 }
 
 impl Session {
-    fn new(api: Arc<Api>, wanted: Wanted) -> Self {
+    fn new(api: Arc<Api>, wanted: Wanted, form: Form) -> Self {
+        let mut session =
+            Self { api, form, feed: None, cameras: None, remembered: Vec::new(), events: None };
+        session.change(wanted);
+        session
+    }
+
+    /// Wants something else from now on.
+    fn change(&mut self, wanted: Wanted) {
+        let api = &self.api;
         let feed = wanted.snapshots.map(|selection| Feed::new(api.clone(), selection));
         let cameras = wanted.cameras.then(|| {
             let mut ticks = interval(CAMERA_INTERVAL);
             ticks.set_missed_tick_behavior(MissedTickBehavior::Delay);
             ticks
         });
-        let (remembered, events) = if wanted.events {
+        if !wanted.events {
+            self.events = None;
+        } else if self.events.is_none() {
             let (remembered, receiver) = api.hub.events(EVENT_BACKLOG);
-            (remembered, Some(receiver))
-        } else {
-            (Vec::new(), None)
-        };
-        Self { api, feed, cameras, remembered, events }
+            (self.remembered, self.events) = (remembered, Some(receiver));
+        }
+        (self.feed, self.cameras) = (feed, cameras);
     }
 
     async fn run(mut self, mut socket: WebSocket) {
@@ -169,20 +257,22 @@ impl Session {
     }
 
     async fn converse(&mut self, socket: &mut WebSocket) -> Result<(), End> {
-        for event in std::mem::take(&mut self.remembered) {
-            let event = convert::event(&event);
-            self.send(socket, &Outgoing::Event(event)).await?;
-        }
         let mut pings = interval_at(Instant::now() + PING_INTERVAL, PING_INTERVAL);
         pings.set_missed_tick_behavior(MissedTickBehavior::Delay);
         let mut last_heard = Instant::now();
         loop {
+            for event in std::mem::take(&mut self.remembered) {
+                self.send(socket, Outgoing::Event(convert::event(&event))).await?;
+            }
             let message = tokio::select! {
                 () = self.api.cancel.cancelled() => return Err(End::Shutdown),
                 incoming = socket.recv() => match incoming {
-                    Some(Ok(_)) => {
+                    Some(Ok(message)) => {
                         last_heard = Instant::now();
-                        continue;
+                        match self.heard(&message) {
+                            Ok(()) => continue,
+                            Err(error) => Outgoing::Error(error.into()),
+                        }
                     }
                     Some(Err(_)) | None => return Err(End::Gone),
                 },
@@ -193,7 +283,7 @@ impl Session {
                     self.transmit(socket, Message::Ping(Default::default())).await?;
                     continue;
                 }
-                snapshot = next_snapshot(&mut self.feed) => {
+                snapshot = next_snapshot(&mut self.feed, self.form) => {
                     Outgoing::Snapshot(snapshot.ok_or(End::Shutdown)?)
                 }
                 () = next_tick(&mut self.cameras) => Outgoing::Cameras(grpc::cameras(&self.api)),
@@ -202,13 +292,22 @@ impl Session {
                     Outgoing::Event(convert::event(&event))
                 }
             };
-            self.send(socket, &message).await?;
+            self.send(socket, message).await?;
         }
     }
 
-    async fn send(&self, socket: &mut WebSocket, message: &Outgoing) -> Result<(), End> {
-        match serde_json::to_string(message) {
-            Ok(text) => self.transmit(socket, Message::text(text)).await,
+    /// Does what a client says.
+    fn heard(&mut self, message: &Message) -> Result<(), ApiError> {
+        if matches!(message, Message::Text(_) | Message::Binary(_)) {
+            let kinds = self.api.hub.installation();
+            self.change(Wanted::requested(message, self.form, &kinds.kinds)?);
+        }
+        Ok(())
+    }
+
+    async fn send(&self, socket: &mut WebSocket, message: Outgoing) -> Result<(), End> {
+        match message.written(self.form) {
+            Ok(message) => self.transmit(socket, message).await,
             Err(error) => {
                 tracing::error!(%error, "could not write a message as JSON");
                 Ok(())
@@ -221,16 +320,20 @@ impl Session {
         tokio::select! {
             sent = timeout(self.api.limits.send_timeout, socket.send(message)) => match sent {
                 Ok(Ok(())) => Ok(()),
-                Ok(Err(_)) | Err(_) => Err(End::Gone),
+                Ok(Err(_)) => Err(End::Gone),
+                Err(_) => {
+                    self.api.counters.subscribers_cut.fetch_add(1, Ordering::Relaxed);
+                    Err(End::Gone)
+                }
             },
             () = self.api.cancel.cancelled() => Err(End::Shutdown),
         }
     }
 }
 
-async fn next_snapshot(feed: &mut Option<Feed>) -> Option<v1::Snapshot> {
+async fn next_snapshot(feed: &mut Option<Feed>, form: Form) -> Option<Due> {
     match feed {
-        Some(feed) => feed.next().await,
+        Some(feed) => feed.next(form).await,
         None => std::future::pending().await,
     }
 }

@@ -26,7 +26,7 @@ use crate::{
     config::{Config, Problem, ReferenceConfig, ServerConfig},
     hub::CameraState,
     serve::Server,
-    source::{SimAddress, SimPreset, simulated_scenario},
+    source::{SimAddress, SimPreset, fleet::Fleet, simulated_scenario},
 };
 
 /// Time from the first tracked object in which tracks settle; it does not count.
@@ -88,6 +88,7 @@ pub(super) async fn run(arguments: DemoArgs) -> anyhow::Result<ExitCode> {
     let config = config(&scenario, &address, arguments.listen)?;
     let mut signals = Signals::listen()?;
     let server = Server::start(config).await?;
+    let fleet = server.fleets().of(&address, server.playback().origin)?;
     announce(&server)?;
     say(&format!("dashboard: http://{}/ (Ctrl-C ends the demo)", server.local_addr()))?;
     let mut total = Score::default();
@@ -95,7 +96,7 @@ pub(super) async fn run(arguments: DemoArgs) -> anyhow::Result<ExitCode> {
         () = signals.next() => {}
         () = elapsed(arguments.duration) => {}
         // Whoever read the lines has gone.
-        _ = report(&server, &scenario, &mut total) => {}
+        _ = report(&server, &fleet, &mut total) => {}
     }
     let frames = frames(&server.hub().cameras());
     shut_down(server).await;
@@ -181,7 +182,7 @@ fn references(scenario: &Scenario) -> Vec<ReferenceConfig> {
 }
 
 /// Compares every snapshot with the truth and prints a line each second, until nobody reads them.
-async fn report(server: &Server, scenario: &Scenario, total: &mut Score) -> io::Result<()> {
+async fn report(server: &Server, fleet: &Fleet, total: &mut Score) -> io::Result<()> {
     let origin = server.playback().origin;
     let mut snapshots = server.hub().snapshots();
     let mut ticks = tokio::time::interval(REPORT_EVERY);
@@ -201,7 +202,7 @@ async fn report(server: &Server, scenario: &Scenario, total: &mut Score) -> io::
                     settled_s = time_s + SETTLING_S;
                 }
                 if time_s >= settled_s {
-                    second.add(scenario, &fused.snapshot, time_s);
+                    second.add(&fleet.scenario(), &fused.snapshot, time_s);
                 }
             }
             _ = ticks.tick() => {

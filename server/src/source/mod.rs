@@ -3,7 +3,7 @@
 //! | module | source |
 //! | --- | --- |
 //! | `images` | `images:` – files played in real time |
-//! | `sim` | `sim:` – a simulated camera, rendered while it is watched |
+//! | `sim` | `sim:` – a simulated camera, rendered while it is watched; its robots can be driven ([`fleet`]) |
 //! | `playback` | when each of their frames is due |
 //! | `http` | `http://…` – MJPEG of network cameras, or their snapshots |
 //! | [`v4l2`] | `v4l2:` – cameras of this machine; on Linux |
@@ -49,7 +49,7 @@ pub use address::{
     SimPreset, SourceAddress, Transport, without_credentials,
 };
 pub use playback::{Playback, TimesError};
-pub use sim::{SIM_LATENCY_S, simulated_camera, simulated_scenario};
+pub use sim::{SIM_LATENCY_S, fleet, simulated_camera, simulated_scenario};
 pub use timing::{CaptureClock, TimeBase};
 
 use crate::{clock::Clock, stop::Stop};
@@ -186,6 +186,8 @@ pub struct SourceOpener {
     began: Option<Timestamp>,
     /// Where a remote program's frames arrive.
     port: Arc<push::Port>,
+    /// The simulated worlds of this server.
+    fleets: Arc<fleet::Fleets>,
 }
 
 impl SourceOpener {
@@ -197,12 +199,18 @@ impl SourceOpener {
         playback: Playback,
         stop: Stop,
     ) -> Self {
-        Self { address, size, clock, playback, stop, began: None, port: Arc::default() }
+        let (port, fleets) = Default::default();
+        Self { address, size, clock, playback, stop, began: None, port, fleets }
     }
 
     /// The same, with the port at which a `push:` source's frames arrive.
     pub fn with_port(self, port: Arc<push::Port>) -> Self {
         Self { port, ..self }
+    }
+
+    /// The same, with the worlds that `sim:` sources share.
+    pub fn with_fleets(self, fleets: Arc<fleet::Fleets>) -> Self {
+        Self { fleets, ..self }
     }
 }
 
@@ -223,7 +231,7 @@ impl OpenSource for SourceOpener {
             }
             SourceAddress::Sim(address) => Ok(Box::new(sim::SimSource::open(
                 address,
-                self.playback.origin,
+                (&self.fleets, self.playback.origin),
                 self.clock,
                 self.stop.clone(),
             )?)),

@@ -100,6 +100,13 @@ async fn a_selection_chooses_objects_and_fields() {
     assert!(snapshot.objects.iter().all(|o| o.covariance.is_empty()));
     assert!(snapshot.objects.iter().all(|o| o.velocity_covariance.is_empty()));
 
+    let request = v1::SubscribeSnapshotsRequest {
+        object_ids: vec![1, 2, 4],
+        roundels: vec!["cart".into()],
+        ..Default::default()
+    };
+    assert_eq!(ids(&next(&mut subscribe(&rig, request).await).await), [2, 4]);
+
     // Faces belong to the box, and a side may be infinite.
     let (min, max) = (corner(2.0, f64::NEG_INFINITY, 0.0), corner(4.0, 0.0, f64::INFINITY));
     let region = Some(v1::Box { min, max });

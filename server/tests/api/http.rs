@@ -200,6 +200,8 @@ async fn every_route_is_described_and_every_description_answers() {
         "/api/v1/info",
         "/api/v1/objects",
         "/api/v1/objects/{id}",
+        "/api/v1/simulation/drive",
+        "/api/v1/simulation/push",
         "/api/v1/snapshot",
         "/api/v1/sources/test",
         "/api/v1/stream",

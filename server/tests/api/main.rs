@@ -1,10 +1,13 @@
 //! The APIs over real sockets on loopback, with a hub that the test feeds: no cameras, no fusion.
 
 mod client;
+mod fuzz;
 mod grpc;
 mod http;
 mod picture;
 mod place;
 mod port;
 mod rig;
+mod simulation;
+mod web;
 mod websocket;

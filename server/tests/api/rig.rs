@@ -79,6 +79,7 @@ impl Rig {
             hub: hub.clone(),
             clock,
             calibrator,
+            fleets: Arc::default(),
             ports: Arc::default(),
             late_window_ms: 300.0,
             trier: None,

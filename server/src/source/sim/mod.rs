@@ -1,5 +1,9 @@
 //! `sim:` – one camera of a simulated arena, rendered in the worker's own thread.
 
+pub mod fleet;
+
+use std::sync::Arc;
+
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 use roundel_core::{
@@ -8,6 +12,7 @@ use roundel_core::{
     time::Timestamp,
 };
 
+use self::fleet::{Fleet, Fleets};
 use super::{FrameInfo, FrameSource, LentFrame, SimAddress, SimPreset, SourceError, bad_frame};
 use crate::{clock::Clock, stop::Stop};
 
@@ -42,6 +47,9 @@ pub fn simulated_camera(address: &SimAddress) -> Result<SimCamera, ScenarioError
 
 /// Renders frames when they are due.
 pub(super) struct SimSource {
+    fleet: Arc<Fleet>,
+    /// As the robots move in the newest frame.
+    scenario: Arc<Scenario>,
     renderer: Renderer,
     camera: SimCamera,
     origin: Timestamp,
@@ -56,16 +64,18 @@ impl SimSource {
     /// The scenario's start is at `origin`, for every camera of it.
     pub(super) fn open(
         address: &SimAddress,
-        origin: Timestamp,
+        (fleets, origin): (&Fleets, Timestamp),
         clock: Clock,
         stop: Stop,
     ) -> Result<Self, SourceError> {
         let failed = |error: ScenarioError| SourceError::Failed(error.to_string());
-        let scenario = simulated_scenario(address).map_err(failed)?;
+        let fleet = fleets.of(address, origin).map_err(failed)?;
+        let scenario = fleet.scenario();
         let renderer = Renderer::new(&scenario, address.camera).map_err(failed)?;
         let camera = renderer.camera().clone();
         let latency = ChaCha8Rng::seed_from_u64(address.seed ^ address.camera as u64);
-        Ok(Self { renderer, camera, origin, clock, stop, latency, next: None, pixels: Vec::new() })
+        let (next, pixels) = (None, Vec::new());
+        Ok(Self { fleet, scenario, renderer, camera, origin, clock, stop, latency, next, pixels })
     }
 
     /// The newest frame that was taken by now; 0 before the first.
@@ -81,6 +91,11 @@ impl FrameSource for SimSource {
         let frame = self.next.map_or(newest, |next| next.max(newest));
         let skipped = self.next.map_or(0, |next| frame - next);
         let (width, height) = (self.camera.camera.width(), self.camera.camera.height());
+        let scenario = self.fleet.scenario();
+        if !Arc::ptr_eq(&scenario, &self.scenario) {
+            self.renderer.follow(&scenario);
+            self.scenario = scenario;
+        }
         self.pixels.resize(width * height, 0);
         let time_s = self
             .renderer

@@ -1,0 +1,100 @@
+//! What subscribers received, and what the server took for it.
+
+use std::{
+    fs,
+    sync::{Arc, Mutex, PoisonError},
+    time::{Duration, Instant, SystemTime, UNIX_EPOCH},
+};
+
+use crate::serve::RATE_HZ;
+
+/// Of `/proc/PID/stat`, the same on all Linux systems that are.
+const TICKS_PER_S: f64 = 100.0;
+
+/// What all subscribers received so far.
+#[derive(Clone, Default)]
+pub struct Readings(Arc<Mutex<Received>>);
+
+#[derive(Default)]
+struct Received {
+    latencies_us: Vec<u32>,
+    missed: u64,
+}
+
+impl Readings {
+    /// A message was read to its end.
+    pub fn add(&self, fused_time_ns: i64, missed: u64) {
+        let now = SystemTime::now().duration_since(UNIX_EPOCH).unwrap_or_default().as_nanos();
+        let latency_us = (now as i64 - fused_time_ns).max(0) / 1000;
+        let mut received = self.0.lock().unwrap_or_else(PoisonError::into_inner);
+        received.latencies_us.push(latency_us.min(i64::from(u32::MAX)) as u32);
+        received.missed += missed;
+    }
+
+    /// Forgets all.
+    pub fn clear(&self) {
+        *self.0.lock().unwrap_or_else(PoisonError::into_inner) = Received::default();
+    }
+
+    /// For a person.
+    pub fn line(&self, readers: usize, length: Duration) -> String {
+        let mut received = self.0.lock().unwrap_or_else(PoisonError::into_inner);
+        received.latencies_us.sort_unstable();
+        let count = received.latencies_us.len();
+        let at = |share: f64| {
+            let place = ((count as f64 * share) as usize).min(count.saturating_sub(1));
+            received.latencies_us.get(place).map_or(f64::NAN, |us| f64::from(*us) * 1e-3)
+        };
+        let due = readers as f64 * length.as_secs_f64() * RATE_HZ;
+        format!(
+            "{readers} readers, {:.1} % of {due:.0} snapshots received, {} skipped; fused to received p50 {:.2} ms, p99 {:.2}, most {:.1}",
+            100.0 * count as f64 / due,
+            received.missed,
+            at(0.5),
+            at(0.99),
+            at(1.0),
+        )
+    }
+}
+
+/// What a process has taken of the machine so far, and what this one has.
+pub struct Usage {
+    at: Instant,
+    processor_s: f64,
+    own_s: f64,
+    /// Resident.
+    pub memory_mb: f64,
+}
+
+impl Usage {
+    /// Of a process of that id.
+    pub fn of(process: u32) -> Self {
+        let status = fs::read_to_string(format!("/proc/{process}/status")).unwrap_or_default();
+        let resident = status.lines().find_map(|line| line.strip_prefix("VmRSS:"));
+        let kb = resident.and_then(|rest| rest.split_whitespace().next()?.parse::<f64>().ok());
+        Self {
+            at: Instant::now(),
+            processor_s: processor_s(&process.to_string()),
+            own_s: processor_s("self"),
+            memory_mb: kb.unwrap_or(f64::NAN) / 1024.0,
+        }
+    }
+
+    /// Cores that it took.
+    pub fn cores_since(&self, before: &Self) -> f64 {
+        (self.processor_s - before.processor_s) / (self.at - before.at).as_secs_f64()
+    }
+
+    /// Cores that this process took.
+    pub fn others_since(&self, before: &Self) -> f64 {
+        (self.own_s - before.own_s) / (self.at - before.at).as_secs_f64()
+    }
+}
+
+fn processor_s(process: &str) -> f64 {
+    let line = fs::read_to_string(format!("/proc/{process}/stat")).expect("Linux' /proc/PID/stat");
+    // Fields are counted from behind the name: utime and stime are the 14th and 15th.
+    let fields = line.rsplit(')').next().unwrap_or_default().split_whitespace();
+    let ticks: f64 = fields.skip(11).take(2).filter_map(|field| field.parse::<f64>().ok()).sum();
+    ticks / TICKS_PER_S
+}

@@ -1,0 +1,73 @@
+//! Pages that cost as little as they can: WebSockets (RFC 6455) by hand, JSON that is only looked into.
+
+use std::net::SocketAddr;
+
+use tokio::{
+    io::{AsyncReadExt, AsyncWriteExt},
+    net::TcpStream,
+};
+
+use crate::measure::Readings;
+
+const PING: u8 = 9;
+const PONG: u8 = 10;
+/// Of a message, as much as has its times.
+const LOOKED_AT: usize = 512;
+
+/// Reads all that comes.
+pub async fn read(address: SocketAddr, covariances: bool, readings: Readings) {
+    let mut stream = TcpStream::connect(address).await.expect("a connection");
+    stream.set_nodelay(true).expect("an option");
+    let ask = format!(
+        "GET /api/v1/stream?omit_covariance={} HTTP/1.1\r\nhost: {address}\r\nconnection: upgrade\r\n\
+         upgrade: websocket\r\nsec-websocket-version: 13\r\nsec-websocket-key: AAAAAAAAAAAAAAAAAAAAAA==\r\n\r\n",
+        !covariances
+    );
+    stream.write_all(ask.as_bytes()).await.expect("a connection");
+    let mut buffer = vec![0; 512 * 1024];
+    let (mut filled, mut is_open) = (0, false);
+    loop {
+        let count = stream.read(&mut buffer[filled..]).await.unwrap_or_default();
+        assert!(count > 0, "the server hung up on a page that reads");
+        filled += count;
+        let mut used = 0;
+        if !is_open {
+            let Some(end) = buffer[..filled].windows(4).position(|bytes| bytes == b"\r\n\r\n")
+            else {
+                continue;
+            };
+            assert!(buffer.starts_with(b"HTTP/1.1 101"), "no WebSocket");
+            (used, is_open) = (end + 4, true);
+        }
+        while let Some((opcode, payload, length)) = frame(&buffer[used..filled]) {
+            if opcode == PING {
+                // Of no bytes, masked with zeros.
+                stream.write_all(&[0x80 | PONG, 0x80, 0, 0, 0, 0]).await.expect("a connection");
+            } else if let Some((fused_time_ns, missed)) = looked_into(payload) {
+                readings.add(fused_time_ns, missed);
+            }
+            used += length;
+        }
+        buffer.copy_within(used..filled, 0);
+        filled -= used;
+    }
+}
+
+/// The first frame, if it is all there: its kind, what it holds, and its length in all.
+fn frame(bytes: &[u8]) -> Option<(u8, &[u8], usize)> {
+    let (head, length) = match *bytes.get(1)? {
+        126 => (4, usize::from(u16::from_be_bytes(bytes.get(2..4)?.try_into().ok()?))),
+        127 => (10, u64::from_be_bytes(bytes.get(2..10)?.try_into().ok()?) as usize),
+        short => (2, usize::from(short)),
+    };
+    Some((bytes[0] & 0x0f, bytes.get(head..head + length)?, head + length))
+}
+
+fn looked_into(message: &[u8]) -> Option<(i64, u64)> {
+    let text = std::str::from_utf8(message.get(..message.len().min(LOOKED_AT))?).ok()?;
+    let number = |key: &str| {
+        let (_, rest) = text.split_once(key)?;
+        rest.split(|c: char| !c.is_ascii_digit()).next()?.parse::<u64>().ok()
+    };
+    Some((number("\"fused_time_ns\":\"")? as i64, number("\"missed\":")?))
+}
