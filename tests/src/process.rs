@@ -32,12 +32,25 @@ pub fn roundel() -> anyhow::Result<PathBuf> {
     found.clone().map_err(anyhow::Error::msg)
 }
 
+/// An example of the Rust client, of this test's profile, built if it is missing or older than its sources.
+pub fn example(name: &str) -> anyhow::Result<PathBuf> {
+    let file = format!("examples/{name}{}", std::env::consts::EXE_SUFFIX);
+    up_to_date(&file, &["-p", "roundel-client", "-p", "roundel-tests", "--example", name])
+}
+
 fn find_or_build() -> anyhow::Result<PathBuf> {
+    let file = format!("roundel{}", std::env::consts::EXE_SUFFIX);
+    // Naming this crate too keeps the features, and so most of what is built already.
+    up_to_date(&file, &["-p", "roundel-server", "-p", "roundel-tests", "--bin", "roundel"])
+}
+
+/// A file of this test's profile, which cargo makes of these targets.
+fn up_to_date(file: &str, targets: &[&str]) -> anyhow::Result<PathBuf> {
     // target/PROFILE/deps/test-HASH
     let test = std::env::current_exe()?;
     let profile_folder =
         test.ancestors().nth(2).context("expected the test in target/PROFILE/deps")?;
-    let binary = profile_folder.join(format!("roundel{}", std::env::consts::EXE_SUFFIX));
+    let binary = profile_folder.join(file);
     let built = fs::metadata(&binary).and_then(|data| data.modified()).ok();
     if built.is_some_and(|built| newest_source(&workspace_root()) <= built) {
         return Ok(binary);
@@ -48,14 +61,14 @@ fn find_or_build() -> anyhow::Result<PathBuf> {
     };
     let target = profile_folder.parent().context("expected target/PROFILE")?;
     let cargo = std::env::var_os("CARGO").unwrap_or_else(|| "cargo".into());
-    // Naming this crate too keeps the features, and so most of what is built already.
     let output = Command::new(cargo)
         .current_dir(workspace_root())
-        .args(["build", "-p", "roundel-server", "-p", "roundel-tests", "--bin", "roundel"])
+        .arg("build")
+        .args(targets)
         .args(["--profile", profile, "--target-dir"])
         .arg(target)
         .output()
-        .context("cargo could not be started to build the roundel binary")?;
+        .context("cargo could not be started to build what the test runs")?;
     ensure!(
         output.status.success() && binary.exists(),
         "expected cargo to build {}, found:\n{}",
@@ -85,6 +98,7 @@ fn newest_source(root: &Path) -> SystemTime {
         "server/src",
         "client/rust/Cargo.toml",
         "client/rust/src",
+        "client/rust/examples",
         "client/dashboard",
     ];
     parts.iter().map(|part| newest(&root.join(part))).max().unwrap_or(SystemTime::UNIX_EPOCH)

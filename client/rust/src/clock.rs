@@ -8,12 +8,64 @@
 
 use std::collections::VecDeque;
 
-use super::ClockOffset;
+use std::time::{SystemTime, UNIX_EPOCH};
+
+use crate::{Client, Error, v1};
 
 /// Probes that are looked at.
 const KEPT: usize = 64;
 /// Two clocks' quartz drift apart by at most so much.
 const DRIFT: f64 = 1e-4;
+
+/// Probes that measure an offset when it is asked for once.
+const PROBES: usize = 8;
+
+/// The server's clock against this program's.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct ClockOffset {
+    /// Server's less this program's, ns.
+    pub offset_ns: i64,
+    /// Standard deviation, ns: that of the share of the round trip that nobody knows, and what quartz may have
+    /// drifted since.
+    pub deviation_ns: i64,
+    /// The round trip that it comes from, ns.
+    pub round_trip_ns: i64,
+}
+
+impl ClockOffset {
+    /// The server's time now, ns since the Unix epoch, as far as this is known.
+    pub fn server_now_ns(&self) -> i64 {
+        own_now_ns().saturating_add(self.offset_ns)
+    }
+}
+
+impl Client {
+    /// By how much the server's clock is ahead of this machine's Unix clock, from a few probes.
+    ///
+    /// # Errors
+    /// [`Error::Server`] if no probe made sense, since a clock was set meanwhile; and those of the connection.
+    pub async fn clock_offset(&self) -> Result<ClockOffset, Error> {
+        let mut clock = ServerClock::default();
+        for _ in 0..PROBES {
+            let request = v1::GetTimeRequest { sent_time_ns: own_now_ns() };
+            let answer = self.service().get_time(request).await;
+            let back_ns = own_now_ns();
+            let time = answer.map_err(|status| self.error(&status))?.into_inner();
+            clock
+                .learn([time.sent_time_ns, back_ns], [time.received_time_ns, time.replied_time_ns]);
+        }
+        clock.offset_at(own_now_ns()).ok_or_else(|| Error::Server {
+            code: tonic::Code::Aborted,
+            message: "no probe of its clock made sense; a clock was set meanwhile".to_owned(),
+        })
+    }
+}
+
+/// This machine's Unix clock.
+fn own_now_ns() -> i64 {
+    let since = SystemTime::now().duration_since(UNIX_EPOCH).unwrap_or_default();
+    i64::try_from(since.as_nanos()).unwrap_or(i64::MAX)
+}
 
 #[derive(Clone, Copy, Debug)]
 struct Probe {
@@ -32,7 +84,7 @@ impl Probe {
 
 /// What is known of the server's clock.
 #[derive(Clone, Debug, Default)]
-pub(super) struct ServerClock {
+pub(crate) struct ServerClock {
     probes: VecDeque<Probe>,
     answered: u64,
 }
@@ -40,7 +92,7 @@ pub(super) struct ServerClock {
 impl ServerClock {
     /// Takes in the answer to a probe: when it was sent and came back (own clock), when it arrived and was
     /// answered (server's). Times that run backwards are no answer.
-    pub(super) fn learn(&mut self, [sent, back]: [i64; 2], [received, replied]: [i64; 2]) {
+    pub(crate) fn learn(&mut self, [sent, back]: [i64; 2], [received, replied]: [i64; 2]) {
         self.answered += 1;
         let round_trip_ns =
             (i128::from(back) - i128::from(sent)) - (i128::from(replied) - i128::from(received));
@@ -61,17 +113,17 @@ impl ServerClock {
     }
 
     /// Forgets all: another server has another clock.
-    pub(super) fn forget(&mut self) {
+    pub(crate) fn forget(&mut self) {
         self.probes.clear();
     }
 
     /// Probes that came back so far.
-    pub(super) fn probes_answered(&self) -> u64 {
+    pub(crate) fn probes_answered(&self) -> u64 {
         self.answered
     }
 
     /// The difference as far as it is known at that time, own clock.
-    pub(super) fn offset_at(&self, now_ns: i64) -> Option<ClockOffset> {
+    pub(crate) fn offset_at(&self, now_ns: i64) -> Option<ClockOffset> {
         let by_bound =
             |one: &&Probe, other: &&Probe| one.bound_ns(now_ns).total_cmp(&other.bound_ns(now_ns));
         let best = self.probes.iter().min_by(by_bound)?;

@@ -20,24 +20,38 @@
 //! ```
 //!
 //! Messages are those of [`v1`], whose `.proto` files say what each field means, in which unit and
-//! frame. [`Snapshots`] go on by themselves when the server comes back; everything else is one call
+//! frame. [`Snapshots`] and [`Latest`] go on by themselves when the server comes back; everything else is one call
 //! or one stream, and ends with an error that says what to do.
+//!
+//! | for | use |
+//! | --- | --- |
+//! | every snapshot, and word of gaps | [`Client::snapshots`] |
+//! | the newest one, in a loop with a rate of its own | [`Client::latest`] |
+//! | poses a moment later | [`predicted`], with [`Client::clock_offset`] for the server's now |
+//! | the robots of `roundel demo` | [`Client::drive`], [`Client::push_robot`] |
 
 mod address;
 mod backoff;
 mod calibration;
 mod client;
+mod clock;
 mod error;
+mod latest;
+mod predict;
 mod push;
 mod riding;
+mod robot;
 mod setup;
 mod snapshot;
 mod state;
 mod subscription;
 
 pub use client::{Client, Messages};
+pub use clock::ClockOffset;
 pub use error::Error;
-pub use push::{ClockOffset, Picture, PushOptions, PushStatus, Pusher};
+pub use latest::Latest;
+pub use predict::predicted;
+pub use push::{Picture, PushOptions, PushStatus, Pusher};
 pub use riding::camera_pose_at;
 pub use roundel_proto::v1;
 pub use snapshot::{Snapshots, Update};

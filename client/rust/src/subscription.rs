@@ -28,6 +28,12 @@ impl Subscription {
         self
     }
 
+    /// Only objects of these kinds of roundel, by configured name.
+    pub fn roundels<S: Into<String>>(mut self, names: impl IntoIterator<Item = S>) -> Self {
+        self.request.roundels = names.into_iter().map(Into::into).collect();
+        self
+    }
+
     /// Only objects within the box between two corners of the world frame, metres. A side may be
     /// infinite.
     pub fn region(mut self, min_m: [f64; 3], max_m: [f64; 3]) -> Self {

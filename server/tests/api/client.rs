@@ -3,7 +3,7 @@
 use std::time::Duration;
 
 use futures::StreamExt;
-use roundel_client::{Client, Error, Snapshots, Subscription, Update};
+use roundel_client::{Client, Error, Snapshots, Subscription, Update, predicted};
 use roundel_server::api::Limits;
 use tokio::{
     io::{AsyncReadExt, AsyncWriteExt},
@@ -63,6 +63,78 @@ async fn calls_give_what_the_server_has() {
     let error = client.observations(&["east"]).await.unwrap_err();
     assert!(error.to_string().contains("no camera \"east\"; there are: north"), "{error}");
     assert!(client.events(5000).await.is_err());
+    rig.stop().await;
+}
+
+#[tokio::test]
+async fn the_newest_value_is_at_hand_and_what_was_replaced_is_counted() {
+    let rig = Rig::start().await;
+    let client = Client::connect(&rig.address).await.unwrap();
+    let mut latest = client.latest(Subscription::default().roundels(["robot"]));
+    assert_eq!(latest.value().unwrap(), None);
+    rig.publish(objects(3));
+    let first = timeout(HANG, latest.next()).await.unwrap().unwrap();
+    assert_eq!((first.sequence, first.objects.len(), latest.skipped()), (1, 2, 0));
+    let mut all = client.snapshots(Subscription::default());
+    next(&mut all).await;
+    for sequence in 2..=6 {
+        rig.publish(objects(3));
+        assert_eq!(self::sequence(&next(&mut all).await), sequence);
+    }
+    let newest = async {
+        loop {
+            let newest = latest.value().unwrap().unwrap();
+            if newest.sequence == 6 {
+                return;
+            }
+            tokio::time::sleep(Duration::from_millis(1)).await;
+        }
+    };
+    timeout(HANG, newest).await.expect("the newest snapshot is not at hand");
+    assert_eq!(latest.missed(), 0);
+    // Between the first and the newest four came, of which some may have been looked at on the way.
+    assert!(latest.skipped() <= 4);
+    let waiting = timeout(Duration::from_millis(50), latest.next()).await;
+    assert!(waiting.is_err(), "a value that was taken came again: {waiting:?}");
+
+    let mut refused = client.latest(Subscription::default().roundels(["unheard"]));
+    let error = timeout(HANG, refused.next()).await.unwrap().unwrap_err();
+    assert!(error.to_string().contains("any of robot, cart"), "{error}");
+    assert_eq!(refused.value().unwrap_err(), error);
+    rig.stop().await;
+}
+
+#[tokio::test]
+async fn prediction_and_clock_are_the_servers_own() {
+    let rig = Rig::start().await;
+    let mut moving = objects(3);
+    for (index, object) in moving.iter_mut().enumerate() {
+        object.acceleration_m_s2 = nalgebra::Vector3::new(0.5, -1.0, 0.1) * index as f64;
+        object.angular_velocity_rad_s = nalgebra::Vector3::new(0.2, 0.1, 1.0);
+        object.yaw_observed = true;
+    }
+    rig.publish(moving);
+    let client = Client::connect(&rig.address).await.unwrap();
+    let ahead = Subscription::default().horizon(Duration::from_millis(250));
+    let Update::Snapshot(theirs) = next(&mut client.snapshots(ahead)).await else { panic!() };
+    let own = predicted(&client.snapshot().await.unwrap(), 0.25);
+    assert_eq!(own.pose_time_ns, theirs.pose_time_ns);
+    for (own, theirs) in own.objects.iter().zip(&theirs.objects) {
+        let (p, q) = (own.position.unwrap(), theirs.position.unwrap());
+        assert!((p.x - q.x).abs() + (p.y - q.y).abs() + (p.z - q.z).abs() < 1e-12, "{p:?} {q:?}");
+        let (p, q) = (own.velocity.unwrap(), theirs.velocity.unwrap());
+        assert!((p.x - q.x).abs() + (p.y - q.y).abs() < 1e-12, "{p:?} {q:?}");
+        let (p, q) = (own.orientation.unwrap(), theirs.orientation.unwrap());
+        let dot = p.x * q.x + p.y * q.y + p.z * q.z + p.w * q.w;
+        assert!((dot.abs() - 1.0).abs() < 1e-12, "{p:?} {q:?}");
+    }
+    let clock = client.clock_offset().await.unwrap();
+    // Both clocks are this machine's, read with the round trip between.
+    assert!(clock.offset_ns.abs() <= clock.round_trip_ns + 10_000_000, "{clock:?}");
+    let refused = client.drive([(1, [0.1, 0.0, 0.0])]).await.unwrap_err();
+    assert!(refused.to_string().contains("nothing is simulated here"), "{refused}");
+    let refused = client.push_robot(1, [9.0, 0.0, 0.0], HANG).await.unwrap_err();
+    assert!(refused.to_string().contains("at most 2 m/s"), "{refused}");
     rig.stop().await;
 }
 

@@ -14,7 +14,7 @@ use tonic::{Streaming, transport::Endpoint};
 
 use super::{MAX_MESSAGE_BYTES, Shared, backlog::Item};
 use crate::{
-    Error,
+    ClockOffset, Error,
     backoff::Backoff,
     error::chain,
     v1::{
@@ -245,7 +245,7 @@ impl Talk<'_> {
 }
 
 /// The item with its number and, where the clocks' difference is given, with times of the server's.
-fn on_servers_clock(sequence: u64, item: &Item, offset: Option<super::ClockOffset>) -> Request {
+fn on_servers_clock(sequence: u64, item: &Item, offset: Option<ClockOffset>) -> Request {
     let offset_ns = offset.map_or(0, |offset| offset.offset_ns);
     let clock = |given: Option<v1::CaptureClock>| {
         let deviation_ms = offset.map_or(0.0, |offset| offset.deviation_ns as f64 * 1e-6);

@@ -3,7 +3,6 @@
 //! | module | what it does |
 //! | --- | --- |
 //! | `backlog` | what waits to be sent and what waits to be acknowledged; bounded, and every one counted |
-//! | `clock` | the server's clock against this program's, from probes |
 //! | `link` | one connection: greeting, probes, sending, acknowledgements |
 //!
 //! Nothing here ever waits for the network but the task that owns the connection: [`Pusher::frame`] and
@@ -19,7 +18,6 @@
 //! it that nothing counts twice.
 
 mod backlog;
-mod clock;
 mod link;
 
 use std::{
@@ -34,9 +32,12 @@ use tokio::{
     time::{Instant, sleep, timeout},
 };
 
-use crate::{Client, Error, v1};
+use crate::{
+    Client, Error,
+    clock::{ClockOffset, ServerClock},
+    v1,
+};
 use backlog::{Backlog, Item};
-use clock::ServerClock;
 
 /// Largest message that is sent: a grey picture of 5000 x 3000 pixels fits.
 const MAX_MESSAGE_BYTES: usize = 16 * 1024 * 1024;
@@ -126,18 +127,6 @@ pub struct PushStatus {
     pub refused: bool,
     /// The server's clock less this program's, and its standard deviation; `None` before the first probe.
     pub clock_offset: Option<ClockOffset>,
-}
-
-/// The server's clock against this program's.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub struct ClockOffset {
-    /// Server's less this program's, ns.
-    pub offset_ns: i64,
-    /// Standard deviation, ns: that of the share of the round trip that nobody knows, and what quartz may have
-    /// drifted since.
-    pub deviation_ns: i64,
-    /// The round trip that it comes from, ns.
-    pub round_trip_ns: i64,
 }
 
 /// What the pusher and its task share.

@@ -1,0 +1,85 @@
+//! Records every robot to a CSV file: a line for each robot of each snapshot.
+//!
+//! ```sh
+//! cargo run --release -p roundel-client --example record -- run.csv 10     # ten seconds; - for standard output
+//! ```
+
+use std::{
+    fs::File,
+    io::{self, BufWriter, Write},
+    time::{Duration, Instant},
+};
+
+use anyhow::Context;
+use futures::StreamExt;
+use roundel_client::{
+    Client, Subscription, Update, position_sigma_m,
+    v1::{ObjectState, Snapshot},
+};
+
+const USAGE: &str = "usage: record FILE [SECONDS] [SERVER]\n\
+    FILE is - for standard output; without SECONDS, until it is interrupted; SERVER is http://127.0.0.1:7670 if left out";
+const COLUMNS: &str = "pose_time_ns,sequence,object_id,name,stage,\
+    x_m,y_m,z_m,vx_m_s,vy_m_s,vz_m_s,qx,qy,qz,qw,sx_m,sy_m,sz_m";
+
+#[tokio::main(flavor = "current_thread")]
+async fn main() -> anyhow::Result<()> {
+    let mut arguments = std::env::args().skip(1);
+    let path = arguments.next().context(USAGE)?;
+    let seconds: Option<f64> =
+        arguments.next().map(|text| text.parse()).transpose().context(USAGE)?;
+    let server = arguments.next().unwrap_or_else(|| "http://127.0.0.1:7670".to_owned());
+    let file: Box<dyn Write> = if path == "-" {
+        Box::new(io::stdout())
+    } else {
+        Box::new(File::create(&path).with_context(|| format!("cannot write {path}"))?)
+    };
+    let mut file = BufWriter::new(file);
+    writeln!(file, "{COLUMNS}")?;
+
+    let client = Client::connect(&server).await?;
+    let mut snapshots = client.snapshots(Subscription::default());
+    let end = seconds.map(|seconds| Instant::now() + Duration::from_secs_f64(seconds));
+    let mut written = 0_u64;
+    while let Some(update) = snapshots.next().await {
+        match update? {
+            Update::Snapshot(snapshot) => {
+                for state in &snapshot.objects {
+                    writeln!(file, "{}", line(&snapshot, state))?;
+                }
+                written += 1;
+            }
+            Update::Disconnected { reason, retry_in, .. } => {
+                eprintln!("lost the server ({reason}); next try in {} ms", retry_in.as_millis());
+            }
+            Update::Reconnected { missed } => eprintln!("back, missed {missed:?}"),
+            _ => {}
+        }
+        if end.is_some_and(|end| Instant::now() >= end) {
+            break;
+        }
+    }
+    file.flush()?;
+    eprintln!("{written} snapshots written, {} missed", snapshots.missed());
+    Ok(())
+}
+
+fn line(snapshot: &Snapshot, state: &ObjectState) -> String {
+    let (p, v) = (state.position.unwrap_or_default(), state.velocity.unwrap_or_default());
+    let q = state.orientation.unwrap_or_default();
+    let numbers = [p.x, p.y, p.z, v.x, v.y, v.z, q.x, q.y, q.z, q.w].map(|x| format!("{x:.6}"));
+    let sigma = match position_sigma_m(state) {
+        Some(sigma_m) => sigma_m.map(|x| format!("{x:.6}")).join(","),
+        None => ",,".to_owned(),
+    };
+    let stage = state.stage().as_str_name().trim_start_matches("LIFE_STAGE_").to_lowercase();
+    // A name is the configuration's, and may hold anything.
+    let name = format!("\"{}\"", state.name.replace('"', "\"\""));
+    format!(
+        "{},{},{},{name},{stage},{},{sigma}",
+        snapshot.pose_time_ns,
+        snapshot.sequence,
+        state.object_id,
+        numbers.join(",")
+    )
+}
