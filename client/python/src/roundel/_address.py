@@ -1,0 +1,33 @@
+"""Where a server is."""
+
+from __future__ import annotations
+
+from urllib.parse import urlsplit
+
+from roundel.errors import InvalidAddress
+
+
+def target(address: str) -> str:
+    """HOST:PORT of `http://HOST:PORT`; the scheme may be left out."""
+    text = address.strip().rstrip("/")
+    if not text:
+        raise InvalidAddress(address, "it is empty")
+    if "://" not in text:
+        text = f"http://{text}"
+    scheme = text.split("://", 1)[0]
+    if scheme == "https":
+        raise InvalidAddress(address, "this client does not speak TLS; the server's port does not either")
+    if scheme != "http":
+        raise InvalidAddress(address, f"{scheme}:// is not http://")
+    try:
+        parts = urlsplit(text)
+        port = parts.port
+    except ValueError as error:
+        raise InvalidAddress(address, str(error)) from None
+    if parts.path or parts.query or parts.fragment:
+        raise InvalidAddress(address, f"{parts.path or parts.query or parts.fragment} stands after the port")
+    if not parts.hostname or any(letter.isspace() for letter in parts.netloc):
+        raise InvalidAddress(address, "the host is missing or has a space in it")
+    if port is None:
+        raise InvalidAddress(address, "the port is missing")
+    return parts.netloc

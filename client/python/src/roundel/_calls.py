@@ -1,0 +1,88 @@
+"""The calls of the service, and the channel that they go over, for both clients."""
+
+from __future__ import annotations
+
+from typing import Any, Mapping, Sequence
+
+from roundel import v1
+
+MAX_MESSAGE_BYTES = 64 * 1024 * 1024
+"""Largest message; a snapshot of 10,000 objects with covariances takes 5 MB."""
+
+CONNECT_TIMEOUT_S = 5.0
+
+OPTIONS: list[tuple[str, Any]] = [
+    ("grpc.max_receive_message_length", MAX_MESSAGE_BYTES),
+    # A client that does not read is to find the newest snapshot when it comes back, and not seconds of old ones.
+    ("grpc.http2.bdp_probe", 0),
+    # A server that is silent for so long is asked whether it lives, and has as long to answer.
+    ("grpc.keepalive_time_ms", 5000),
+    ("grpc.keepalive_timeout_ms", 5000),
+    ("grpc.keepalive_permit_without_calls", 1),
+    # Each client has a connection of its own, and its own pauses before the next try; see _backoff.
+    ("grpc.use_local_subchannel_pool", 1),
+    ("grpc.initial_reconnect_backoff_ms", 100),
+    ("grpc.min_reconnect_backoff_ms", 100),
+    ("grpc.max_reconnect_backoff_ms", 1000),
+    ("grpc.enable_http_proxy", 0),
+]
+
+ANSWERS: dict[str, Any] = {
+    "SubscribeSnapshots": v1.Snapshot,
+    "SubscribeObservations": v1.FrameObservations,
+    "SubscribeEvents": v1.Event,
+    "TestSource": v1.SourceTest,
+    "GetCameraSetup": v1.CameraSetup,
+    "AddCamera": v1.CameraChange,
+    "ChangeCamera": v1.CameraChange,
+    "RemoveCamera": v1.CameraChange,
+    "GetSnapshot": v1.Snapshot,
+    "ListCameras": v1.ListCamerasResponse,
+    "ListObjects": v1.ListObjectsResponse,
+    "GetServerInfo": v1.ServerInfo,
+    "GetTime": v1.ServerTime,
+    "DriveRobots": v1.DriveRobotsResponse,
+    "PushRobot": v1.PushRobotResponse,
+    "StartCalibration": v1.Calibration,
+    "GetCalibration": v1.Calibration,
+    "WatchCalibration": v1.Calibration,
+    "CancelCalibration": v1.Calibration,
+    "ApplyCalibration": v1.Calibration,
+}
+"""What each call answers with."""
+
+
+def path(call: str) -> str:
+    """Where gRPC finds a call."""
+    return f"/roundel.v1.Roundel/{call}"
+
+
+def encoded(message: Any) -> bytes:
+    """A request as bytes."""
+    data: bytes = message.SerializeToString()
+    return data
+
+
+def drive_request(velocities_m_s: Mapping[int, Sequence[float]]) -> v1.DriveRobotsRequest:
+    """Of velocities by object_id."""
+    robots = [v1.RobotDrive(object_id=i, velocity=vector(v)) for i, v in velocities_m_s.items()]
+    return v1.DriveRobotsRequest(robots=robots)
+
+
+def vector(values: Sequence[float]) -> v1.Vector3:
+    """Two numbers, or three; without the third it is 0."""
+    if len(values) not in (2, 3):
+        raise ValueError(f"expected a velocity of two or three numbers, found {list(values)}")
+    x, y, *rest = (float(value) for value in values)
+    return v1.Vector3(x=x, y=y, z=rest[0] if rest else 0.0)
+
+
+def calibration_request(
+    seconds: float | None, refine_lenses: bool, apply: str
+) -> v1.StartCalibrationRequest:
+    """`apply` is one of if_sound, always, never."""
+    words = {"if_sound", "always", "never"}
+    if apply not in words:
+        raise ValueError(f"apply: expected one of {', '.join(sorted(words))}, found {apply!r}")
+    word = f"CALIBRATION_APPLY_{apply.upper()}"
+    return v1.StartCalibrationRequest(seconds=seconds, refine_lenses=refine_lenses, apply=word)

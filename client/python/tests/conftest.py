@@ -1,0 +1,67 @@
+"""A real server for the tests: `roundel demo` on a free port."""
+
+from __future__ import annotations
+
+import os
+import re
+import subprocess
+from pathlib import Path
+from typing import Iterator
+
+import pytest
+
+ROBOTS = 12
+ROOT = Path(__file__).resolve().parents[3]
+
+
+def binary() -> Path:
+    """The server: named by ROUNDEL_BINARY, or as `cargo build` leaves it."""
+    named = os.environ.get("ROUNDEL_BINARY")
+    candidates = [Path(named)] if named else [ROOT / "target/debug/roundel", ROOT / "target/release/roundel"]
+    found = next((path for path in candidates if path.is_file()), None)
+    if found is None:
+        pytest.fail(f"expected a server at one of {[str(c) for c in candidates]}: cargo build, or ROUNDEL_BINARY=…")
+    return found
+
+
+class Server:
+    """A running `roundel demo`."""
+
+    def __init__(self, listen: str = "127.0.0.1:0", *options: str) -> None:
+        command = [str(binary()), "demo", "--listen", listen, "--robots", str(ROBOTS), *options]
+        self.process = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True)
+        assert self.process.stdout is not None
+        said = []
+        for line in self.process.stdout:
+            said.append(line)
+            found = re.search(r"listening on http://(\S+?)/?\s", line)
+            if found:
+                self.address = found[1]
+                self.url = f"http://{self.address}"
+                break
+        else:
+            pytest.fail(f"the server ended before it listened:\n{''.join(said)}")
+        # Nobody reads on; a full pipe would stop the server from reporting, and nothing else.
+
+    def kill(self) -> None:
+        self.process.kill()
+        self.process.wait()
+        if self.process.stdout is not None:
+            self.process.stdout.close()
+
+
+@pytest.fixture(scope="session")
+def server() -> Iterator[Server]:
+    """One server for all tests that do not end it."""
+    running = Server()
+    yield running
+    running.kill()
+
+
+@pytest.fixture
+def own_server() -> Iterator[list[Server]]:
+    """A place for servers of a test's own; all of them end with it."""
+    servers: list[Server] = []
+    yield servers
+    for running in servers:
+        running.kill()
