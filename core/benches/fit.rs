@@ -140,6 +140,7 @@ fn coded_fits(criterion: &mut Criterion) {
             is_still: true,
             skew: None,
             teeth: None,
+            recalled: None,
         };
         let first = fit(&frame, &camera, &kind, &ring, &start, &mut scratch).expect("it is drawn");
         start.blur_px = first.blur_px;
@@ -186,6 +187,7 @@ fn fits(criterion: &mut Criterion) {
             is_still: true,
             skew: None,
             teeth: None,
+            recalled: None,
         };
         let first = fit(&frame, &camera, kind, &ring, &start, &mut scratch).expect("it is drawn");
         (start.blur_px, start.motion_px) = (first.blur_px, first.motion_px);

@@ -8,7 +8,7 @@
 //! by more than two deviations of chance, `?` what misses it by less.
 
 use roundel_tests::precision::{
-    MODES, NARROW_MARGIN, RATIO, Range, Shot, Summary, Trial, WIDE_MARGIN, trials,
+    MODES, NARROW_MARGIN, RATIO, Range, Shot, Summary, Trial, WIDE_MARGIN, followed_trials,
 };
 
 const SIZES_PX: [(f64, f64); 4] = [(12.0, 20.0), (20.0, 30.0), (30.0, 50.0), (50.0, 110.0)];
@@ -18,6 +18,8 @@ const NOISES: [(f64, f64); 3] = [(1.0, 2.0), (2.0, 3.0), (3.0, 4.0)];
 /// Trials of each size and tilt.
 const TRIALS: usize = 250;
 const QUICK_TRIALS: usize = 30;
+/// Frames until a fit begins with what earlier ones gave to be recalled.
+const LONG: usize = 4;
 
 fn main() {
     let quick = std::env::args().any(|argument| argument == "--quick");
@@ -33,10 +35,18 @@ fn main() {
         depths(&narrow, 1, index, false);
         normals(&all, index);
     }
+    let long = drawn_in(LONG, count, WIDE_MARGIN);
+    println!("\nPrecise mode, followed into the fourth frame: products of columns are recalled");
+    depths(&long, LONG - 1, 1, false);
 }
 
 /// `count` trials of each size and tilt.
 fn drawn(count: usize, margin: f64) -> Vec<Trial> {
+    drawn_in(2, count, margin)
+}
+
+/// The same in so many frames.
+fn drawn_in(frames: usize, count: usize, margin: f64) -> Vec<Trial> {
     let mut all = Vec::new();
     for (cell, diameter_px) in SIZES_PX.into_iter().enumerate() {
         for (column, tilt_deg) in TILTS_DEG.into_iter().enumerate() {
@@ -50,7 +60,7 @@ fn drawn(count: usize, margin: f64) -> Vec<Trial> {
                 margin,
                 ratio: RATIO,
             };
-            all.extend(trials(&range, count, (10 * cell + column) as u64));
+            all.extend(followed_trials(&range, frames, count, (10 * cell + column) as u64));
         }
     }
     all

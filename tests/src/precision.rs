@@ -2,9 +2,9 @@
 //! the Cramér-Rao bound.
 //!
 //! A [`Trial`] is one roundel (outer 160 mm, on a white sheet on a grey floor) before the reference
-//! camera (1920x1080, f = 1100 px, mild `plumb_bob`), at a random place of the image and a random place within its pixels. Two frames are taken: the
-//! first is searched, and in the second, in which it has moved by about a pixel and turned by about a
-//! degree, it is followed. Blur, noise and pose are drawn at random within a [`Range`] and unknown to
+//! camera (1920x1080, f = 1100 px, mild `plumb_bob`), at a random place of the image and a random place within its pixels. Two frames are taken,
+//! or more: the first is searched, and in the others, from each to the next of which it has moved by about a
+//! pixel and turned by about a degree, it is followed. Blur, noise and pose are drawn at random within a [`Range`] and unknown to
 //! core. To save time, only the part of the image about the roundel is drawn: a camera read out in a
 //! window is the same camera with its principal point elsewhere.
 //!
@@ -65,7 +65,7 @@ pub struct Range {
     pub ratio: f64,
 }
 
-/// One roundel in two frames.
+/// One roundel in some frames.
 #[derive(Clone, Debug)]
 pub struct Trial {
     /// Outer diameter over depth times focal length, pixels.
@@ -78,8 +78,8 @@ pub struct Trial {
     pub noise: f64,
     /// Motion within the exposure, pixels.
     pub motion_px: f64,
-    /// Searched, followed.
-    pub frames: [Shot; 2],
+    /// Searched, then followed.
+    pub frames: Vec<Shot>,
 }
 
 /// One frame, as each mode saw it.
@@ -184,8 +184,17 @@ fn pose_square(pose: &RoundelPose, shift: &Vector3<f64>, normal: &Vector3<f64>) 
 
 /// `count` trials of a range, the same for the same `seed`, in parallel.
 pub fn trials(range: &Range, count: usize, seed: u64) -> Vec<Trial> {
-    (0..count).into_par_iter().map(|index| trial(range, None, seed, index as u64)).collect()
+    followed_trials(range, FRAMES, count, seed)
 }
+
+/// The same in so many frames.
+pub fn followed_trials(range: &Range, frames: usize, count: usize, seed: u64) -> Vec<Trial> {
+    let of = |index| trial(range, None, frames, (seed, index));
+    (0..count as u64).into_par_iter().map(of).collect()
+}
+
+/// Frames of most trials.
+const FRAMES: usize = 2;
 
 /// The same of roundels with codes of `bits` bits, any of them, turned anywhere; their ratio is the codes'.
 pub fn coded_trials(range: &Range, bits: u8, count: usize, seed: u64) -> Vec<Trial> {
@@ -205,7 +214,8 @@ pub fn uncoded_trials(range: &Range, bits: u8, count: usize, seed: u64) -> Vec<T
 }
 
 fn trials_of(range: &Range, codes: &Codes, count: usize, seed: u64) -> Vec<Trial> {
-    (0..count as u64).into_par_iter().map(|index| trial(range, Some(codes), seed, index)).collect()
+    let of = |index| trial(range, Some(codes), FRAMES, (seed, index));
+    (0..count as u64).into_par_iter().map(of).collect()
 }
 
 /// Codes to be shown.
@@ -213,10 +223,10 @@ struct Codes<'a> {
     bits: u8,
     words: &'a [u16],
     /// Whether what can be read is, by frame.
-    read: [bool; 2],
+    read: [bool; FRAMES],
 }
 
-fn trial(range: &Range, codes: Option<&Codes>, seed: u64, index: u64) -> Trial {
+fn trial(range: &Range, codes: Option<&Codes>, frames: usize, (seed, index): (u64, u64)) -> Trial {
     let mut random = Random::new(index, seed);
     let mut draw = |(low, high): (f64, f64)| random.uniform(low, high);
     let (diameter_px, tilt_deg) = (draw(range.diameter_px), draw(range.tilt_deg));
@@ -226,13 +236,13 @@ fn trial(range: &Range, codes: Option<&Codes>, seed: u64, index: u64) -> Trial {
     let (kind, print) = printed(range, codes.map(|codes| (codes.bits, codes.words)), &mut random);
 
     let whole = reference();
-    let mut first = pose(&whole, diameter_px, tilt_deg.to_radians(), &mut random);
+    let mut truth = pose(&whole, diameter_px, tilt_deg.to_radians(), &mut random);
     if codes.is_some() {
         let yaw_rad = random.uniform(0.0, std::f64::consts::TAU);
-        first.rotation *= UnitQuaternion::from_axis_angle(&Vector3::z_axis(), yaw_rad);
+        truth.rotation *= UnitQuaternion::from_axis_angle(&Vector3::z_axis(), yaw_rad);
     }
-    let second = moved(&first, 1.0 / diameter_px, &mut random);
-    let camera = window(&whole, &first);
+    let second = moved(&truth, 1.0 / diameter_px, &mut random);
+    let camera = window(&whole, &truth);
     let renderer = Renderer::new(camera, imaging);
     let floor = Canvas::flat(camera.width, camera.height, FLOOR);
     let kinds = std::slice::from_ref(&kind);
@@ -242,13 +252,12 @@ fn trial(range: &Range, codes: Option<&Codes>, seed: u64, index: u64) -> Trial {
     });
     let side = if motion_px > 0.0 { random.uniform(0.0, std::f64::consts::TAU) } else { 0.0 };
     let motion_px_of = [motion_px * side.cos(), motion_px * side.sin()];
-    let read = codes.map_or([true; 2], |codes| codes.read);
-    let frames = [(first, read[0]), (second, read[1])].map(|(truth, read)| {
+    let mut shoot = |truth: Isometry3<f64>, read: bool, random: &mut Random| {
         let per_px = truth.translation.z / whole.focal_px[0];
         let [x_m, y_m] = motion_px_of.map(|px| px * per_px);
         let motion = |time_s: f64| Translation3::new(x_m * time_s, y_m * time_s, 0.0) * truth;
         let seen = [Seen { print: &print, motion: &motion }];
-        let image = renderer.frame(&floor, &seen, &mut random);
+        let image = renderer.frame(&floor, &seen, random);
         let seen = observers.each_mut().map(|observer| {
             let found =
                 if read { observer.observe(&image, 0) } else { observer.observe_unread(&image) };
@@ -261,7 +270,17 @@ fn trial(range: &Range, codes: Option<&Codes>, seed: u64, index: u64) -> Trial {
             Unknowns { yaw: codes.is_some(), motion: motion_px > 0.0, ..Unknowns::default() };
         let bound = bound(&scene, unknowns).expect("a roundel in plain view");
         Shot { bound, seen }
-    });
+    };
+    let frames = (0..frames)
+        .map(|frame| {
+            truth = match frame {
+                0 => truth,
+                1 => second,
+                _ => moved(&truth, 1.0 / diameter_px, &mut random),
+            };
+            shoot(truth, codes.is_none_or(|codes| codes.read[frame]), &mut random)
+        })
+        .collect();
     Trial { diameter_px, tilt_deg, blur_px, noise, motion_px, frames }
 }
 

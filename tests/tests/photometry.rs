@@ -99,6 +99,7 @@ fn trial(diameter_px: f64, tilt_rad: f64, seed: u64) -> Trial {
         is_still: true,
         skew: None,
         teeth: None,
+        recalled: None,
     };
     let rims = (rim(&core, &pose, OUTER_M / 2.0), rim(&core, &pose, INNER_M / 2.0));
     let ring = Ring { black: 46.0, white: 195.0, ..Ring::of_rims(rims.0, rims.1) };

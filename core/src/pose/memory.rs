@@ -25,7 +25,7 @@ use nalgebra::{Vector2, Vector3};
 
 use super::{
     RoundelPose,
-    photometry::{DEFAULT_BLUR_PX, Fit, Start, Teeth},
+    photometry::{DEFAULT_BLUR_PX, Fit, RecalledProducts, Start, Teeth},
     yaw,
 };
 use crate::camera::PixelPoint;
@@ -39,6 +39,7 @@ pub struct Memory {
     center: PixelPoint,
     stillness: Stillness,
     code: Option<Turning>,
+    recalled: Option<RecalledProducts>,
 }
 
 /// How a coded ring is turned.
@@ -69,6 +70,8 @@ impl Memory {
             center: fit.ring.outer.center,
             stillness,
             code,
+            // A fit that looked for motion gives none.
+            recalled: fit.recalled.or(start.recalled),
         }
     }
 
@@ -103,6 +106,7 @@ pub fn start(pose: &RoundelPose, center: &PixelPoint, before: Option<&Memory>) -
             is_still: false,
             skew: None,
             teeth: None,
+            recalled: None,
         };
     };
     if pose.other_normal.dot(&before.normal) > pose.normal.dot(&before.normal) {
@@ -122,6 +126,7 @@ pub fn start(pose: &RoundelPose, center: &PixelPoint, before: Option<&Memory>) -
         is_still: before.stillness.holds(moved_px),
         skew: None,
         teeth: code.map(|(code, _)| code.teeth),
+        recalled: before.recalled,
     }
 }
 

@@ -2,7 +2,7 @@
 
 use super::{
     FitError, FitScratch,
-    look::linearize,
+    look::{begin, linearize},
     mirror::{glance, is_linear},
     solution::Solution,
     state::{BLUR, Problem, State},
@@ -31,7 +31,7 @@ pub fn solve(
     scratch: &mut FitScratch,
 ) -> Result<Solution, FitError> {
     let mut state = start;
-    let mut linear = linearize(problem, &state, None, scratch)?;
+    let mut linear = begin(problem, &state, scratch)?;
     let mut damping = 0.0;
     for step in 1..=MAX_STEPS {
         let noise2 = linear.noise2();
@@ -69,7 +69,9 @@ pub fn solve(
         }
         // The information hardly changes over a small step; the residual does.
         let small = gain < SMALL_STEP * noise2 && damping == 0.0 && state.is_turned_little(&change);
-        let known = (small && !linear.reused).then_some(&linear);
+        // What was recalled is as good at the second look as at the first.
+        let is_fresh = !linear.reused || (linear.recalled && step == 1);
+        let known = (small && is_fresh).then_some(&linear);
         match linearize(problem, &next, known, scratch) {
             // Another blur's table moves the misfit by less than a variance.
             Ok(found) if found.misfit <= linear.misfit + noise2 => {

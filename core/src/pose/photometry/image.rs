@@ -133,6 +133,11 @@ impl Window {
         }
     }
 
+    /// How many pixels count.
+    pub fn pixels(&self) -> usize {
+        self.spans.iter().map(|(from, to)| to - from).sum()
+    }
+
     /// Rows and columns that nodes reach; `None` unless every node's pixels lie in the window.
     fn reached(&self, level: Level, nodes: &Nodes, reach: usize) -> Option<[Range<usize>; 2]> {
         let half = (reach / 2) as i32;

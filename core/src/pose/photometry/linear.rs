@@ -26,8 +26,10 @@ pub struct Linear {
     pub mirror: ([f64; MOST], f64, f64),
     /// How far the mirrored place moves the outer rim, pixels.
     pub apart_px: f64,
-    /// Whether the information is that of an earlier state.
+    /// Whether the information is that of an earlier state …
     pub reused: bool,
+    /// … and of an earlier frame.
+    pub recalled: bool,
     /// Variance of μ beforehand besides its own size, px⁴; none where the motion is held.
     pub motion_prior: Option<f64>,
     /// Information of a move of both rims.
@@ -109,6 +111,7 @@ impl Linear {
             pixels: products[(column::WHITE, column::WHITE)],
             together: 1.0,
             reused: false,
+            recalled: false,
             motion_prior: is_free.then_some(problem.motion_prior),
             elongation: around * radius_px * (1.0 + ratio * ratio),
             unit_m: state.place.position_m.z * problem.lens.spread,

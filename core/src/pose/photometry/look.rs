@@ -8,6 +8,7 @@ use super::{
     image::Model,
     linear::Linear,
     motion, patches,
+    recalled::RecalledProducts,
     state::{Problem, State},
     view::{self, Nodes, Place},
 };
@@ -15,11 +16,40 @@ use super::{
 /// Fewest pixels.
 const MIN_PIXELS: f64 = 30.0;
 
+/// What is known of a linear problem beforehand: with it the pixels are asked for the rest only.
+#[derive(Clone, Copy)]
+enum Known<'a> {
+    /// The one at a state near by.
+    Near(&'a Linear),
+    /// Products of columns, from a frame before.
+    Recalled(&'a RecalledProducts),
+}
+
+/// The linear problem at a state where a fit begins: with what is recalled, if that serves there.
+pub fn begin(
+    problem: &Problem,
+    state: &State,
+    scratch: &mut FitScratch,
+) -> Result<Linear, FitError> {
+    let pixels = scratch.window.pixels();
+    let recalled = problem.recalled.filter(|recalled| recalled.serve(problem, state, pixels));
+    look(problem, state, recalled.map(Known::Recalled), scratch)
+}
+
 /// The linear problem at a state; with the information that is known from near by, if there is one.
 pub fn linearize(
     problem: &Problem,
     state: &State,
     known: Option<&Linear>,
+    scratch: &mut FitScratch,
+) -> Result<Linear, FitError> {
+    look(problem, state, known.map(Known::Near), scratch)
+}
+
+fn look(
+    problem: &Problem,
+    state: &State,
+    known: Option<Known>,
     scratch: &mut FitScratch,
 ) -> Result<Linear, FitError> {
     let kernel = scratch.kernels.near(state.blur2.sqrt());
@@ -47,7 +77,14 @@ pub fn linearize(
     scratch.window.gather(scratch.level, &model, sums, known.is_none());
     let mut linear = match known {
         None => Linear::new(problem, state, (&sums.products, &model), radius_px),
-        Some(known) => known.updated(&sums.products),
+        Some(Known::Near(known)) => known.updated(&sums.products),
+        Some(Known::Recalled(recalled)) => {
+            recalled.put(&mut sums.products);
+            let mut linear = Linear::new(problem, state, (&sums.products, &model), radius_px);
+            linear.pixels = scratch.window.pixels() as f64;
+            (linear.reused, linear.recalled) = (true, true);
+            linear
+        }
     };
     linear.together = patches::share(f64::from(sums.patches), linear.misfit);
     if linear.pixels < MIN_PIXELS { Err(FitError::Flat) } else { Ok(linear) }

@@ -22,6 +22,9 @@
 //! to black, σ², the motion within the exposure (`motion`), and the light's gradient over the ring (expected
 //! within a tenth), which otherwise would pass for tilt. Gauss and Newton's steps, damped where they fail (`descend`).
 //!
+//! **Frames.** Of a followed ring that hardly changes the columns' products are those of a frame before
+//! (`recalled`), and only their products with the residual are summed.
+//!
 //! **Two normals.** Mirrored along the line of sight, the roundel looks nearly the same. The mirrored
 //! place's residual is projected with the information of the first; if it promises a smaller misfit, it
 //! is fitted too. The likelihoods of the two follow from the difference of their misfits over the noise.
@@ -64,6 +67,7 @@ mod motion;
 mod normal;
 mod patches;
 mod placed;
+mod recalled;
 mod scatter;
 mod scratch;
 mod solution;
@@ -89,6 +93,7 @@ use crate::{
 use blur::BLUR_LIMITS_PX;
 use lens::LocalLens;
 use placed::{Placed, placed};
+pub use recalled::RecalledProducts;
 pub use scratch::FitScratch;
 use state::{Problem, State};
 pub use teeth::Teeth;
@@ -114,6 +119,8 @@ pub struct Start {
     /// The teeth that a coded print had in earlier frames, for one that is not read in this one; with them the
     /// pose has a yaw, right to a part of a slot.
     pub teeth: Option<Teeth>,
+    /// What a fit of the same ring in an earlier frame gave to be recalled, which takes less time.
+    pub recalled: Option<RecalledProducts>,
 }
 
 /// The blur to start from where nothing is known, pixels.
@@ -139,6 +146,8 @@ pub struct Fit {
     pub teeth: Option<Teeth>,
     /// Iterations that were needed.
     pub iterations: usize,
+    /// For fits in later frames.
+    pub recalled: Option<RecalledProducts>,
 }
 
 /// Why a ring has no fitted pose.
@@ -236,6 +245,7 @@ pub fn fit(
         chords,
         motion_prior,
         is_still,
+        recalled: start.recalled.as_ref(),
     };
     let normal = &start.pose.normal;
     let axes = match heading_rad {
@@ -326,5 +336,6 @@ fn finish(problem: &Problem, ring: &Ring, placed: &Placed, scratch: &mut FitScra
         noise: placed.noise2.sqrt(),
         teeth: problem.teeth,
         iterations: placed.iterations,
+        recalled: placed.recalled,
     }
 }

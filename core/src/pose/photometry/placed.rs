@@ -7,6 +7,7 @@ use super::{
     FitError, FitScratch, careful, descend,
     heading::{self, Heading},
     mirror::{Glance, glance},
+    recalled::RecalledProducts,
     solution::Solution,
     state::{Problem, State},
     turn,
@@ -27,6 +28,8 @@ pub(super) struct Placed {
     /// Of either part of the motion's square by noise, px⁴.
     pub(super) motion_variance: Option<f64>,
     pub(super) iterations: usize,
+    /// For later frames.
+    pub(super) recalled: Option<RecalledProducts>,
 }
 
 /// The place that the pixels within `counted` tell, from a start; of an elliptical disc its heading's
@@ -97,6 +100,7 @@ fn upright(
         noise2: solution.noise2,
         motion_variance: solution.motion_variance(),
         iterations: solution.iterations,
+        recalled: None,
         state,
     }
 }
@@ -162,6 +166,7 @@ fn tilted(
         noise2: solution.noise2,
         motion_variance: solution.motion_variance(),
         iterations: solution.iterations,
+        recalled: solution.recalled(problem),
         state: solution.state.clone(),
     })
 }

@@ -6,6 +6,7 @@ use super::{
     FitScratch,
     linear::Linear,
     look::{Parts, project},
+    recalled::RecalledProducts,
     solve::{Factor, MOST},
     state::{MOTION, Problem, State},
 };
@@ -55,6 +56,15 @@ impl Solution {
         let axes = &self.state.place.axes;
         let turns = [0, 1].map(|axis| axes.column(axis).into_owned());
         self.carried(problem, &self.state, &own, &turns)
+    }
+
+    /// What later frames may recall: what this one recalled itself, or what it has taken anew.
+    pub fn recalled(&self, problem: &Problem) -> Option<RecalledProducts> {
+        if self.linear.recalled {
+            problem.recalled.copied()
+        } else {
+            RecalledProducts::of(problem, &self.state, &self.linear)
+        }
     }
 
     /// Variance of either part of the motion's square by noise alone, px⁴, as far as the prior lets it;

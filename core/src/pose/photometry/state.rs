@@ -3,8 +3,8 @@
 use nalgebra::{Matrix3, Rotation3, Vector2, Vector3};
 
 use super::{
-    blur::BLUR_LIMITS_PX, lens::LocalLens, linear::Linear, motion, normal::column, solve::MOST,
-    teeth::Teeth, view::Place,
+    blur::BLUR_LIMITS_PX, lens::LocalLens, linear::Linear, motion, normal::column,
+    recalled::RecalledProducts, solve::MOST, teeth::Teeth, view::Place,
 };
 use crate::{
     ellipse::Chords,
@@ -29,6 +29,8 @@ pub struct Problem<'a> {
     pub motion_prior: f64,
     /// Whether the motion is held at none.
     pub is_still: bool,
+    /// From a frame before.
+    pub recalled: Option<&'a RecalledProducts>,
 }
 
 /// The unknowns.
@@ -53,14 +55,15 @@ pub const UNKNOWNS: usize = MOST;
 pub const MOTION: usize = 0;
 /// The first of those that are always free, in their columns' order.
 pub const WHITE: usize = 2;
-pub const STEP: usize = of_column(column::STEP);
-pub const BLUR: usize = of_column(column::BLUR);
-pub const LIGHT: usize = of_column(column::LIGHT);
-pub const SHIFT: usize = of_column(column::SHIFT);
-pub const RANGE: usize = of_column(column::RANGE);
-pub const TILT: usize = of_column(column::TILT);
+pub const STEP: usize = unknown_of(column::STEP);
+pub const BLUR: usize = unknown_of(column::BLUR);
+pub const LIGHT: usize = unknown_of(column::LIGHT);
+pub const SHIFT: usize = unknown_of(column::SHIFT);
+pub const RANGE: usize = unknown_of(column::RANGE);
+pub const TILT: usize = unknown_of(column::TILT);
 
-const fn of_column(column: usize) -> usize {
+/// The unknown of a column other than the motion's, which has one.
+pub const fn unknown_of(column: usize) -> usize {
     column - column::WHITE + WHITE
 }
 

@@ -68,6 +68,7 @@ fn start(camera: &Camera, kind: &Kind, ring: &Ring) -> Start {
         is_still: false,
         skew: None,
         teeth: None,
+        recalled: None,
     }
 }
 
@@ -186,6 +187,7 @@ fn the_mirrored_place_is_as_bad_as_it_promises() {
         frame: &frame,
         kind: &kind,
         teeth: None,
+        recalled: None,
         radius_m,
         lens: &lens,
         chords,
@@ -243,5 +245,49 @@ fn a_coded_roundel_is_fitted_with_its_yaw() {
         assert!(error_rad < 4e-3 && pose.normal.angle(&normal) < 0.02, "{error_rad}");
         let variance = yaw::deviation_rad(&pose).powi(2);
         assert!((1e-8..1e-5).contains(&variance), "{variance}");
+    }
+}
+
+/// Where a ring hardly changes, with what was recalled as without; where it does, without.
+#[test]
+fn products_are_recalled_where_they_serve() {
+    let (camera, kind) = (camera(), Kind::plain("", 0.16, 0.064));
+    let ring = Ring { black: 45.0, white: 205.0, ..ring() };
+    let start = Start { is_still: true, moved_px: 0.0, ..start(&camera, &kind, &ring) };
+    let (position_m, normal) = (start.pose.position_m, start.pose.normal);
+    let mut scratch = FitScratch::default();
+    let mut fit_at = |position_m: &Vector3<f64>, turn_rad: f64, blur_px, recalled| {
+        let normal = nalgebra::Rotation3::new(Vector3::x() * turn_rad) * normal;
+        let mut pixels = picture(&camera, &kind, position_m, &normal);
+        // Mean 5 and deviation 3: without noise every step is far more than it.
+        for (at, pixel) in pixels.iter_mut().enumerate() {
+            *pixel += (at as u32).wrapping_mul(2_654_435_761).rotate_left(8) as u8 % 11;
+        }
+        let frame = Frame::new(&pixels, SIDE, SIDE, SIDE).unwrap();
+        // Right to a hundredth of a pixel, as rims are.
+        let position_m = position_m * 1.0001;
+        let pose = RoundelPose { position_m, normal, ..start.pose.clone() };
+        let start = Start { pose, blur_px, recalled, ..start.clone() };
+        fit(&frame, &camera, &kind, &ring, &start, &mut scratch).unwrap()
+    };
+    let Fit { recalled, blur_px, .. } = fit_at(&position_m, 0.0, DEFAULT_BLUR_PX, None);
+    assert!(recalled.is_some());
+
+    let near_m = position_m + Vector3::new(1e-3, -6e-4, 2e-3);
+    let [anew, again] = [None, recalled].map(|recalled| fit_at(&near_m, 0.01, blur_px, recalled));
+    assert_eq!(again.recalled, recalled, "they stay those of the first frame");
+    assert_ne!(anew.recalled, recalled);
+    let deviation = |fit: &Fit, axis: usize| fit.pose.covariance[(axis, axis)].sqrt();
+    for axis in 0..3 {
+        let apart_m = (again.pose.position_m - anew.pose.position_m)[axis].abs();
+        assert!(apart_m < 0.1 * deviation(&anew, axis), "{axis}: {apart_m}");
+        let ratio = deviation(&again, axis) / deviation(&anew, axis);
+        assert!((ratio - 1.0).abs() < 0.05, "{axis}: {ratio}");
+    }
+
+    for (position_m, turn_rad) in [(position_m, 0.15), (position_m * 1.04, 0.0)] {
+        let [anew, again] =
+            [None, recalled].map(|recalled| fit_at(&position_m, turn_rad, blur_px, recalled));
+        assert_eq!(again, anew, "{turn_rad}");
     }
 }

@@ -174,6 +174,7 @@ fn place(
         noise2: *noise2,
         motion_variance: None,
         iterations: solution.iterations,
+        recalled: None,
         state: solution.state,
     })
 }
