@@ -19,6 +19,7 @@ def main() -> None:
     arguments = parser.parse_args()
     with Client.connect(arguments.server) as client:
         object_id = find(client, arguments.robot)
+        is_there = True
         with client.updates(Subscription(ids=[object_id], max_rate_hz=10.0)) as updates:
             for update in updates:
                 if isinstance(update, Disconnected):
@@ -29,8 +30,10 @@ def main() -> None:
                         sys.exit("the server was started anew")
                     print(f"back, missed {update.missed}", file=sys.stderr)
                 elif robot := update.robot(object_id):
+                    is_there = True
                     print(line(robot), flush=True)
-                else:
+                elif is_there:
+                    is_there = False
                     print(f"{arguments.robot} is not there", flush=True)
 
 

@@ -25,12 +25,17 @@ async fn main() -> anyhow::Result<()> {
     let id = find(&client, &robot).await?;
     let wanted = Subscription::default().ids([id]).max_rate_hz(10.0);
     let mut snapshots = client.snapshots(wanted);
+    let mut is_there = true;
     while let Some(update) = snapshots.next().await {
         match update? {
-            Update::Snapshot(snapshot) => match snapshot.objects.first() {
-                Some(state) => print(state),
-                None => println!("{robot} is not there"),
-            },
+            Update::Snapshot(snapshot) => {
+                match snapshot.objects.first() {
+                    Some(state) => print(state),
+                    None if is_there => println!("{robot} is not there"),
+                    None => {}
+                }
+                is_there = !snapshot.objects.is_empty();
+            }
             Update::Disconnected { reason, retry_in, .. } => {
                 eprintln!("lost the server ({reason}); next try in {} ms", retry_in.as_millis());
             }
