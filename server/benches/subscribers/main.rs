@@ -35,19 +35,37 @@ pub struct Case {
     /// Of those by gRPC, how many never read.
     stuck: usize,
     covariances: bool,
+    /// Whether pages take protobuf instead of JSON.
+    protobuf: bool,
     /// Whether no two want the same.
     differ: bool,
 }
 
-const LEAN: Case =
-    Case { name: "lean", grpc: 1000, websockets: 0, stuck: 0, covariances: false, differ: false };
-const CASES: [Case; 8] = [
+const LEAN: Case = Case {
+    name: "lean",
+    grpc: 1000,
+    websockets: 0,
+    stuck: 0,
+    covariances: false,
+    protobuf: false,
+    differ: false,
+};
+const CASES: [Case; 10] = [
     LEAN,
     Case { name: "full", covariances: true, ..LEAN },
     Case { name: "lean-stuck", stuck: 100, ..LEAN },
     Case { name: "full-stuck", stuck: 100, covariances: true, ..LEAN },
     Case { name: "websocket-lean", grpc: 100, websockets: 500, ..LEAN },
     Case { name: "websocket-full", grpc: 100, websockets: 500, covariances: true, ..LEAN },
+    Case { name: "protobuf-lean", grpc: 100, websockets: 500, protobuf: true, ..LEAN },
+    Case {
+        name: "protobuf-full",
+        grpc: 100,
+        websockets: 500,
+        covariances: true,
+        protobuf: true,
+        ..LEAN
+    },
     Case { name: "lean-reencoded", differ: true, ..LEAN },
     Case { name: "full-reencoded", differ: true, covariances: true, ..LEAN },
 ];
@@ -127,7 +145,7 @@ async fn run(case: Case, length: Duration) {
         }
     }
     for _ in 0..case.websockets {
-        clients.spawn(websocket::read(server.address, case.covariances, readings.clone()));
+        clients.spawn(websocket::read(server.address, case, readings.clone()));
     }
     tokio::time::sleep(WARM_UP).await;
     readings.clear();

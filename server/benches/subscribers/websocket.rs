@@ -1,4 +1,4 @@
-//! Pages that cost as little as they can: WebSockets (RFC 6455) by hand, JSON that is only looked into.
+//! Pages that cost as little as they can: WebSockets (RFC 6455) by hand, messages that are only looked into.
 
 use std::net::SocketAddr;
 
@@ -7,21 +7,24 @@ use tokio::{
     net::TcpStream,
 };
 
-use crate::measure::Readings;
+use crate::{Case, grpc, measure::Readings};
 
+const BINARY: u8 = 2;
 const PING: u8 = 9;
 const PONG: u8 = 10;
 /// Of a message, as much as has its times.
 const LOOKED_AT: usize = 512;
 
 /// Reads all that comes.
-pub async fn read(address: SocketAddr, covariances: bool, readings: Readings) {
+pub async fn read(address: SocketAddr, case: Case, readings: Readings) {
     let mut stream = TcpStream::connect(address).await.expect("a connection");
     stream.set_nodelay(true).expect("an option");
     let ask = format!(
         "GET /api/v1/stream?omit_covariance={} HTTP/1.1\r\nhost: {address}\r\nconnection: upgrade\r\n\
-         upgrade: websocket\r\nsec-websocket-version: 13\r\nsec-websocket-key: AAAAAAAAAAAAAAAAAAAAAA==\r\n\r\n",
-        !covariances
+         upgrade: websocket\r\nsec-websocket-version: 13\r\nsec-websocket-key: AAAAAAAAAAAAAAAAAAAAAA==\r\n\
+         sec-websocket-protocol: {}\r\n\r\n",
+        !case.covariances,
+        if case.protobuf { "roundel.v1.protobuf" } else { "roundel.v1.json" }
     );
     stream.write_all(ask.as_bytes()).await.expect("a connection");
     let mut buffer = vec![0; 512 * 1024];
@@ -43,6 +46,10 @@ pub async fn read(address: SocketAddr, covariances: bool, readings: Readings) {
             if opcode == PING {
                 // Of no bytes, masked with zeros.
                 stream.write_all(&[0x80 | PONG, 0x80, 0, 0, 0, 0]).await.expect("a connection");
+            } else if opcode == BINARY {
+                // A StreamMessage of one snapshot: behind its key and its length of three bytes.
+                let (fused_time_ns, missed) = grpc::looked_into(&payload[4..]);
+                readings.add(fused_time_ns, missed);
             } else if let Some((fused_time_ns, missed)) = looked_into(payload) {
                 readings.add(fused_time_ns, missed);
             }

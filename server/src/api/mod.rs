@@ -77,7 +77,7 @@ pub struct Limits {
 impl Default for Limits {
     fn default() -> Self {
         Self {
-            max_clients: 1000,
+            max_clients: 2000,
             grace: Duration::from_secs(2),
             send_timeout: Duration::from_secs(10),
         }

@@ -1,4 +1,4 @@
-//! The dashboard: the files of `client/dashboard`, held by the binary. A debug build reads them from
+//! The dashboard and the page of the API (`/api`): the files of `client/dashboard`, held by the binary. A debug build reads them from
 //! the disk at each request, so that a page can be changed under a running server.
 
 use axum::{
@@ -24,6 +24,7 @@ pub async fn file(method: Method, uri: Uri, headers: HeaderMap) -> Result<Respon
     let path = uri.path();
     let name = match path.trim_start_matches('/') {
         "" => "index.html",
+        "api" => "api.html",
         name => name,
     };
     let Some(file) = Files::get(name) else {
@@ -39,7 +40,7 @@ fn not_found(path: &str) -> ApiError {
     let known = if path == "/" {
         "this build holds no dashboard: client/dashboard/index.html was not there when it was made"
     } else {
-        "the dashboard is at /, the APIs under /api/v1 are described at /openapi.json"
+        "the dashboard is at /, the APIs under /api/v1 are described at /api and /openapi.json"
     };
     ApiError::NotFound { what: "path", name: path.to_owned(), known: known.to_owned() }
 }

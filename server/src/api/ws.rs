@@ -40,6 +40,9 @@ use super::{
 };
 use crate::{convert, hub};
 
+/// Clients say little. What is sent to them needs no buffer, since each message is flushed: without this, a thousand
+/// pages would take 256 MB.
+const READ_BUFFER_BYTES: usize = 4 * 1024;
 /// Largest message that a client may send.
 const MAX_INCOMING_BYTES: usize = 64 * 1024;
 /// How often a client is asked whether it lives.
@@ -143,6 +146,7 @@ pub async fn stream(
     let wanted = Wanted::of(&uri, &api.hub.installation().kinds)?;
     let upgrade = upgrade.map_err(|error| ApiError::UpgradeRequired(error.to_string()))?;
     let upgrade = upgrade.max_message_size(MAX_INCOMING_BYTES).max_frame_size(MAX_INCOMING_BYTES);
+    let upgrade = upgrade.read_buffer_size(READ_BUFFER_BYTES).write_buffer_size(0);
     let upgrade = upgrade.protocols(PROTOCOLS);
     let chosen = upgrade.selected_protocol().and_then(|protocol| protocol.to_str().ok());
     let form = if chosen == Some(PROTOCOLS[1]) { Form::Protobuf } else { Form::Json };
@@ -165,9 +169,9 @@ impl Outgoing {
         use v1::stream_message::Message as Alternative;
         let alternative = match (form, self) {
             (Form::Json, Self::Snapshot(Due { own, shared })) => {
-                // The encoder has written it as text.
-                let whole = own.json(&String::from_utf8_lossy(&shared));
-                return Ok(Message::text(format!(r#"{{"snapshot":{whole}}}"#)));
+                // The encoder has written it as text, so it is some.
+                let shared = std::str::from_utf8(&shared).unwrap_or_default();
+                return Ok(Message::text(own.json(r#"{"snapshot":"#, shared, "}")));
             }
             (Form::Json, other) => return serde_json::to_string(&other).map(Message::text),
             (Form::Protobuf, Self::Snapshot(Due { own, shared })) => {

@@ -214,7 +214,7 @@ pub struct LimitsConfig {
 
 impl Default for LimitsConfig {
     fn default() -> Self {
-        Self { max_objects: 1000, max_roundels_per_camera: 400, max_clients: 1000 }
+        Self { max_objects: 1000, max_roundels_per_camera: 400, max_clients: 2000 }
     }
 }
 

@@ -151,7 +151,7 @@ async fn wrong_requests_are_answered_with_what_was_expected() {
         ("/api/v1/cameras/east/frame.jpg", 404, "no camera \"east\"; there are: north, south side"),
         ("/api/v1/cameras/%ff", 400, "path: expected percent-encoded UTF-8"),
         ("/api/v1/nothing", 404, "no path \"/api/v1/nothing\""),
-        ("/nothing.html", 404, "described at /openapi.json"),
+        ("/nothing.html", 404, "described at /api and /openapi.json"),
         ("/../Cargo.toml", 404, "no path"),
         ("/api/v1/stream", 426, "expected a WebSocket handshake"),
         (
@@ -376,6 +376,9 @@ async fn the_page_is_served_with_a_strict_policy_and_a_tag() {
     );
     assert_eq!(page.header("x-content-type-options"), "nosniff");
     assert_eq!(page.header("cache-control"), "no-cache");
+    let api = rig.get("/api").await;
+    assert_eq!(api.header("content-type"), "text/html; charset=utf-8");
+    assert!(api.text().contains("js/api.js"), "{}", api.text());
     let script = rig.get("/js/main.js").await;
     assert_eq!(script.header("content-type"), "text/javascript; charset=utf-8");
     assert_eq!(rig.get("/app.css").await.header("content-type"), "text/css; charset=utf-8");

@@ -397,7 +397,7 @@ fn wrong_values_are_named_with_their_line() {
             "`lost_after_ms` must be above `predicted_after_ms` = 150",
         ),
         ("max_objects = 1000", "max_objects = 0", "`max_objects` must be a whole number from 1"),
-        ("max_clients = 1000", "max_clients = 1.5", "`max_clients` must be a whole number from 1"),
+        ("max_clients = 2000", "max_clients = 1.5", "`max_clients` must be a whole number from 1"),
         ("[limits]", "[limits", "not valid TOML"),
         ("[server]", "server = 3\n[sever]", "`server` must be a table"),
         ("name = \"lab\"", "name = \"lab\"\nname = \"b\"", "not valid TOML: duplicate key"),
