@@ -122,10 +122,9 @@ impl Kernel {
         residual: &Vector3<f64>,
         (noise, camera): (&Noise, CameraId),
     ) -> Option<Innovation> {
-        let mut spread = self.spread;
-        spread.predict(dt, &model.acceleration_density_m2_s3);
+        let value = self.spread.value_after(dt, &model.acceleration_density_m2_s3);
         let kept = decayed(dt.abs() / model.systematic_time_s);
-        self.innovation_of(&spread.value, (dt, kept), residual, (noise, camera))
+        self.innovation_of(&value, (dt, kept), residual, (noise, camera))
     }
 
     /// How far `residual` (measured less predicted value) is from zero, by a camera's noise.

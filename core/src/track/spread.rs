@@ -31,6 +31,23 @@ impl Spread {
         self.disturb(dt, density);
     }
 
+    /// The value's part of that; nothing else is computed.
+    pub fn value_after(&self, dt: f64, density: &Vector3<f64>) -> Matrix3<f64> {
+        let (squared, span) = (dt * dt, dt.abs());
+        let mut value = Matrix3::zeros();
+        for row in 0..3 {
+            for column in 0..=row {
+                let both = self.cross[(row, column)] + self.cross[(column, row)];
+                let sum =
+                    self.value[(row, column)] + (both * dt + self.rate[(row, column)] * squared);
+                value[(row, column)] = sum;
+                value[(column, row)] = sum;
+            }
+            value[(row, row)] += density[row] * span * span * span / 3.0;
+        }
+        value
+    }
+
     /// What process noise of this density adds over `dt` seconds.
     pub fn disturb(&mut self, dt: f64, density: &Vector3<f64>) {
         let span = dt.abs();

@@ -90,7 +90,7 @@ pub(super) fn associate(
         let probe = Probe::new(place_m, &seen.position_noise, offset_s(sighting));
         let gate = params.gate_distance_squared;
         scratch.field.near(&probe, gate * CONTINUITY_GATE, &mut scratch.near);
-        let noise_det = probe.determinant.max(f64::MIN_POSITIVE).ln();
+        let noise_det = probe.determinant.max(f64::MIN_POSITIVE);
         for &number in &scratch.near {
             let found = possible(sighting, &tracks[number], (params, noise_det), clocks);
             let Some((cost, innovation)) = found else { continue };
@@ -139,8 +139,7 @@ fn possible(
         Some(true) => -CODE_BONUS,
         Some(false) => CODE_BONUS * f64::from(1 + track.codes.contrary()),
     };
-    let cost = innovation.distance_squared + innovation.log_det()
-        - noise_det
+    let cost = innovation.distance_squared + (innovation.determinant / noise_det).ln()
         - if continued { CONTINUITY_BONUS } else { 0.0 }
         + by_code
         + if track.is_tentative() { TENTATIVE_COST } else { 0.0 };
