@@ -32,6 +32,22 @@ pub fn rotate_covariance(rotation: &UnitQuaternion<f64>, covariance: &Covariance
     both * covariance * both.transpose()
 }
 
+/// T A Tᵀ of a symmetric A.
+pub(crate) fn turned_covariance(turn: &Matrix3<f64>, covariance: &Matrix3<f64>) -> Matrix3<f64> {
+    let half = turn * covariance;
+    let mut turned = Matrix3::zeros();
+    for row in 0..3 {
+        for column in 0..=row {
+            let sum = half[(row, 0)] * turn[(column, 0)]
+                + half[(row, 1)] * turn[(column, 1)]
+                + half[(row, 2)] * turn[(column, 2)];
+            turned[(row, column)] = sum;
+            turned[(column, row)] = sum;
+        }
+    }
+    turned
+}
+
 /// The upper triangle row by row: 3 → 6 numbers, 6 → 21.
 pub fn upper_triangle<const N: usize>(matrix: &SMatrix<f64, N, N>) -> Vec<f64> {
     (0..N).flat_map(|row| (row..N).map(move |column| matrix[(row, column)])).collect()
@@ -82,6 +98,20 @@ pub(crate) fn smallest_rotation(from: &Vector3<f64>, to: &Vector3<f64>) -> Optio
     (cosine > LEAST_COSINE).then(|| {
         let cross = from.cross(to).cross_matrix();
         Matrix3::identity() + cross + cross * cross / cosine
+    })
+}
+
+/// The same of one vector.
+pub(crate) fn smallest_rotation_of(
+    from: &Vector3<f64>,
+    to: &Vector3<f64>,
+    vector: &Vector3<f64>,
+) -> Option<Vector3<f64>> {
+    let cosine = 1.0 + from.dot(to);
+    (cosine > LEAST_COSINE).then(|| {
+        let axis = from.cross(to);
+        let across = axis.cross(vector);
+        vector + across + axis.cross(&across) / cosine
     })
 }
 
@@ -177,6 +207,9 @@ mod tests {
             let expected = expected.to_rotation_matrix().into_inner();
             if let Some(found) = smallest_rotation(&from, &to) {
                 prop_assert!((found - expected).norm() < 1e-6);
+                let vector = Vector3::new(0.3, -0.7, 1.1);
+                let turned = smallest_rotation_of(&from, &to, &vector).unwrap();
+                prop_assert!((turned - found * vector).norm() < 1e-12);
             } else {
                 prop_assert!(from.dot(&to) < -0.98);
             }
@@ -200,6 +233,19 @@ mod tests {
             if size < 1.5 && sine * sine <= SMALL_SQUARED && sine > 0.0 {
                 prop_assert!((arc_sine_share(sine * sine) * sine - size).abs() < 1e-16);
             }
+        }
+
+        #[test]
+        fn turned_covariances_are_the_products(
+            numbers in proptest::collection::vec(-1.0..1.0f64, 9),
+            vector in [-3.0..3.0f64, -3.0..3.0f64, -3.0..3.0f64].prop_map(Vector3::from),
+        ) {
+            let root = Matrix3::from_column_slice(&numbers);
+            let covariance = root * root.transpose();
+            let turn = turn_by(&vector).to_rotation_matrix().into_inner();
+            let turned = turned_covariance(&turn, &covariance);
+            prop_assert!((turned - turn * covariance * turn.transpose()).norm() < 1e-14);
+            prop_assert_eq!(turned, turned.transpose());
         }
 
         #[test]

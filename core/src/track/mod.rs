@@ -94,7 +94,7 @@ impl Measurement {
     /// Says how uncertain its camera's clock is, seconds.
     pub fn set_timing(&mut self, timing_s: f64) {
         self.position_noise.timing_s = timing_s;
-        self.attitude.noises.iter_mut().for_each(|noise| noise.timing_s = timing_s);
+        self.attitude.set_timing(timing_s);
     }
 
     /// What orders measurements of one object, whatever the order in which they came.

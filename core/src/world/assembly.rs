@@ -202,7 +202,8 @@ fn attitude(
         candidates: [best.orientation, other.orientation],
         likelihood: 1.0 - second.map_or(0.0, |second| rival(best.cost, second.cost)),
         yaw_symmetry: (is_whole || known.is_some()).then_some(symmetry.unwrap_or(1)),
-        noises: [of_best, of_other],
+        noise: of_best,
+        other_noise: Some(of_other),
     })
 }
 

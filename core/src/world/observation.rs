@@ -15,7 +15,9 @@ use super::{
 use crate::{
     id::CameraId,
     pose::{Detection, RoundelPose},
-    rigid::{Covariance6, is_positive_definite, orientation_of_normal, turn_about_z},
+    rigid::{
+        Covariance6, is_positive_definite, orientation_of_normal, turn_about_z, turned_covariance,
+    },
     time::Timestamp,
     track::{AttitudeMeasurement, Measurement, Noise, positive_root},
 };
@@ -77,23 +79,16 @@ pub(super) fn measure(
     let arm_m = place.rotation * pose.position_m;
     let [stays, fresh] = [&stand.systematic, &stand.fresh].map(|part| placed(part, &arm_m));
     let share = params.systematic_share.clamp(0.0, 1.0);
-    let noise = |block: usize| {
-        let seen = pose.covariance.fixed_view::<3, 3>(3 * block, 3 * block);
-        let seen = symmetric(turn * seen * turn.transpose());
-        let systematic = seen * share + stays[block];
-        Noise {
-            total: seen
-                + stays[block]
-                + fresh[block]
-                + Matrix3::from_diagonal_element(FLOOR_VARIANCE),
-            // Nothing systematic: no root, and none is needed.
-            systematic_root: positive_root(&systematic).unwrap_or_else(Matrix3::zeros),
-            timing_s: 0.0,
-        }
+    // Of the whole error, and of what stays.
+    let covariances = |block: usize| {
+        let own = pose.covariance.fixed_view::<3, 3>(3 * block, 3 * block).into_owned();
+        let seen = turned_covariance(&turn, &own);
+        let floor = Matrix3::from_diagonal_element(FLOOR_VARIANCE);
+        (seen + stays[block] + fresh[block] + floor, seen * share + stays[block])
     };
-    let (position_noise, rotation_noise) = (noise(0), noise(1));
-    if !is_positive_definite(&position_noise.total) || !is_positive_definite(&rotation_noise.total)
-    {
+    let (position_total, position_systematic) = covariances(0);
+    let (rotation_total, rotation_systematic) = covariances(1);
+    if !is_positive_definite(&position_total) || !is_positive_definite(&rotation_total) {
         return Err(Refused::Invalid);
     }
     Ok(Measurement {
@@ -103,12 +98,12 @@ pub(super) fn measure(
         frame,
         number: detection.track,
         position_m: arm_m + place.translation.vector,
-        position_noise,
-        attitude: AttitudeMeasurement::new(
+        position_noise: Noise::of(position_total, &position_systematic),
+        attitude: AttitudeMeasurement::of_covariances(
             orientations(pose).map(|turned| place.rotation * turned),
             pose.normal_likelihood,
             pose.yaw_rad.map(|_| pose.yaw_symmetry),
-            rotation_noise,
+            (&rotation_total, &rotation_systematic),
         ),
     })
 }
@@ -123,7 +118,7 @@ pub(super) fn with_stand(mut seen: Measurement, stand: &Stand) -> Measurement {
         noise.systematic_root = positive_root(&systematic).unwrap_or_else(Matrix3::zeros);
     };
     widen(&mut seen.position_noise, 0);
-    seen.attitude.noises.iter_mut().for_each(|noise| widen(noise, 1));
+    seen.attitude.change_noises(|noise| widen(noise, 1));
     seen
 }
 

@@ -95,7 +95,7 @@ impl Hypothesis {
         let turns = [0, 1].map(|index| self.turn_to(seen, index));
         let near = usize::from(turns[1].norm_squared() < turns[0].norm_squared());
         let fit = |index: usize| {
-            let noise = seen.noise(index, (&self.normal(), unread_rad2));
+            let noise = seen.noise_from(index, (&self.normal(), unread_rad2));
             let innovation = self.kernel.innovation(&turns[index], &noise, camera)?;
             let distance_squared = innovation.distance_squared;
             let evidence =
@@ -127,18 +127,20 @@ impl Hypothesis {
 
     /// More than any evidence for a candidate that is off by `turn` = r. Of the innovation's covariance S it is known
     /// that rᵀS⁻¹r ≥ |r|⁴ / rᵀSr (Cauchy, Schwarz), that S ≤ 2 (A + R) (A the state's covariance), since whatever A and R
-    /// share is at most as large as they are, and that S is no less than what of R is fresh each time.
-    /// PERF: the mirrored candidate is mostly far off, and needs no innovation of its own then.
+    /// share is at most as large as they are, and that S is no less than what of R is fresh each time, whose determinant
+    /// stays the same where it is turned.
+    /// PERF: the mirrored candidate is mostly far off, and needs no innovation and no error of its own then.
     fn most_evidence(
         &self,
         (seen, unread_rad2): (&AttitudeMeasurement, f64),
         index: usize,
         turn: &Vector3<f64>,
     ) -> f64 {
-        let noise = &seen.noises[index];
+        let noise = seen.other_noise.as_ref().filter(|_| index == 1).unwrap_or(&seen.noise);
         let fresh = noise.total - noise.systematic_root * noise.systematic_root.transpose();
         let determinant = fresh.determinant();
-        let mut both = turn.dot(&((self.kernel.spread.value + noise.total) * turn));
+        let mut both = turn.dot(&(self.kernel.spread.value * turn));
+        both += seen.variance_along(index, turn);
         if seen.yaw_symmetry.is_none() {
             both += turn.dot(&self.normal()).powi(2) * unread_rad2;
         }
@@ -168,7 +170,7 @@ pub(super) fn begin(
     model: &MotionModel,
 ) -> Kernel {
     let about = (&seen.normal(index), UNKNOWN_ANGLE_VARIANCE_RAD2);
-    Kernel::begin(&seen.noise(index, about), camera, &turning(model))
+    Kernel::begin(&seen.noise_from(index, about), camera, &turning(model))
 }
 
 /// Variance of an unseen angular velocity about each axis.

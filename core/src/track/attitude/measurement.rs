@@ -9,8 +9,8 @@ use nalgebra::{Matrix3, UnitQuaternion, Vector3};
 
 use super::smallest_turn;
 use crate::{
-    rigid::{orientation_of_normal, smallest_rotation},
-    track::{Noise, positive_root},
+    rigid::{orientation_of_normal, smallest_rotation, smallest_rotation_of, turned_covariance},
+    track::Noise,
 };
 
 /// How one detection says that the roundel is turned, world frame.
@@ -23,8 +23,10 @@ pub struct AttitudeMeasurement {
     /// In how many evenly spaced yaws it looks the same; `None` where the rotation about the normal is not
     /// measured.
     pub yaw_symmetry: Option<u32>,
-    /// Errors of the small rotation, of each candidate; where no yaw is measured, of the tilt alone.
-    pub noises: [Noise; 2],
+    /// Error of the first one's small rotation; where no yaw is measured, of the tilt alone.
+    pub noise: Noise,
+    /// The same of the second one; `None`: the first one's, turned along.
+    pub other_noise: Option<Noise>,
 }
 
 impl AttitudeMeasurement {
@@ -33,29 +35,88 @@ impl AttitudeMeasurement {
         candidates: [UnitQuaternion<f64>; 2],
         likelihood: f64,
         yaw_symmetry: Option<u32>,
-        noise: Noise,
+        mut noise: Noise,
     ) -> Self {
-        let normals = candidates.map(|candidate| candidate * Vector3::z());
-        let noise = if yaw_symmetry.is_none() { of_tilt(&noise, &normals[0]) } else { noise };
+        if yaw_symmetry.is_none() {
+            let systematic = noise.systematic_root * noise.systematic_root.transpose();
+            let of_tilt = of_tilt(&candidates[0], (&noise.total, &systematic));
+            noise = Noise { timing_s: noise.timing_s, ..of_tilt };
+        }
+        Self { candidates, likelihood, yaw_symmetry, noise, other_noise: None }
+    }
+
+    /// The same by the covariances of the whole error and of the part that stays, of a camera whose clock is right.
+    pub(crate) fn of_covariances(
+        candidates: [UnitQuaternion<f64>; 2],
+        likelihood: f64,
+        yaw_symmetry: Option<u32>,
+        (total, systematic): (&Matrix3<f64>, &Matrix3<f64>),
+    ) -> Self {
+        let noise = if yaw_symmetry.is_none() {
+            of_tilt(&candidates[0], (total, systematic))
+        } else {
+            Noise::of(*total, systematic)
+        };
+        Self { candidates, likelihood, yaw_symmetry, noise, other_noise: None }
+    }
+
+    /// Error of a candidate's small rotation. PERF: the second one's is made when it is asked for, since the mirrored
+    /// normal is mostly not looked at.
+    pub fn noise_of(&self, index: usize) -> Noise {
+        match &self.other_noise {
+            _ if index == 0 => self.noise,
+            Some(noise) => *noise,
+            None => self.turned_along(),
+        }
+    }
+
+    /// Changes both candidates' errors.
+    pub(crate) fn change_noises(&mut self, change: impl Fn(&mut Noise)) {
+        let mut other = self.noise_of(1);
+        change(&mut other);
+        change(&mut self.noise);
+        self.other_noise = Some(other);
+    }
+
+    /// Says how uncertain its camera's clock is, seconds.
+    pub(in crate::track) fn set_timing(&mut self, timing_s: f64) {
+        self.noise.timing_s = timing_s;
+        if let Some(other) = &mut self.other_noise {
+            other.timing_s = timing_s;
+        }
+    }
+
+    /// rᵀRr of a candidate's error. PERF: of one that is turned along, r is turned back, and not R.
+    pub(super) fn variance_along(&self, index: usize, turn: &Vector3<f64>) -> f64 {
+        if index == 0 {
+            return turn.dot(&(self.noise.total * turn));
+        }
+        if let Some(noise) = &self.other_noise {
+            return turn.dot(&(noise.total * turn));
+        }
+        let back = smallest_rotation_of(&self.normal(1), &self.normal(0), turn);
+        back.map_or(f64::INFINITY, |back| back.dot(&(self.noise.total * back)))
+    }
+
+    fn turned_along(&self) -> Noise {
+        let normals = [0, 1].map(|index| self.normal(index));
         let turn = smallest_rotation(&normals[0], &normals[1]).unwrap_or_else(|| {
             UnitQuaternion::from_scaled_axis(smallest_turn(&normals[0], &normals[1]))
                 .to_rotation_matrix()
                 .into_inner()
         });
-        let turned = Noise {
-            total: turn * noise.total * turn.transpose(),
+        Noise {
+            total: turned_covariance(&turn, &self.noise.total),
             // Turned from both sides, so that the same part of the systematic error goes on meaning
             // nearly the same direction when the candidates change places.
-            systematic_root: turn * noise.systematic_root * turn.transpose(),
-            timing_s: noise.timing_s,
-        };
-        Self { candidates, likelihood, yaw_symmetry, noises: [noise, turned] }
+            systematic_root: turn * self.noise.systematic_root * turn.transpose(),
+            timing_s: self.noise.timing_s,
+        }
     }
 
-    /// Error of a candidate's small rotation from what has the normal `from`; about it, where no yaw is measured,
-    /// with that variance.
-    pub(super) fn noise(&self, index: usize, (from, variance): (&Vector3<f64>, f64)) -> Noise {
-        let mut noise = self.noises[index];
+    /// The same from what has the normal `from`; about it, where no yaw is measured, with that variance.
+    pub(super) fn noise_from(&self, index: usize, (from, variance): (&Vector3<f64>, f64)) -> Noise {
+        let mut noise = self.noise_of(index);
         if self.yaw_symmetry.is_none() {
             noise.total += from * from.transpose() * variance;
         }
@@ -100,17 +161,18 @@ impl AttitudeMeasurement {
 /// What is left of a rotation's error without the angle about the normal. That angle is unknown, and so by far the
 /// largest: in the triangular root of the whole it would be in all columns, and mean something else with every
 /// little lean of the normal, so that tilts that stay would look like fresh ones.
-fn of_tilt(noise: &Noise, normal: &Vector3<f64>) -> Noise {
+fn of_tilt(
+    candidate: &UnitQuaternion<f64>,
+    (total, systematic): (&Matrix3<f64>, &Matrix3<f64>),
+) -> Noise {
+    let normal = candidate * Vector3::z();
     let along = normal * normal.transpose();
     let across = Matrix3::identity() - along;
-    let tilt = |whole: &Matrix3<f64>| across * whole * across;
-    let filled = |tilt: Matrix3<f64>| tilt + along * (0.5 * tilt.trace());
-    let systematic = noise.systematic_root * noise.systematic_root.transpose();
-    let root = positive_root(&filled(tilt(&systematic))).unwrap_or_else(Matrix3::zeros);
-    Noise {
-        // Positive definite, whatever the predicted normal.
-        total: filled(tilt(&noise.total)),
-        systematic_root: across * root,
-        timing_s: noise.timing_s,
-    }
+    // Positive definite, whatever the predicted normal.
+    let filled = |whole: &Matrix3<f64>| {
+        let tilt = turned_covariance(&across, whole);
+        tilt + along * (0.5 * tilt.trace())
+    };
+    let noise = Noise::of(filled(total), &filled(systematic));
+    Noise { systematic_root: across * noise.systematic_root, ..noise }
 }

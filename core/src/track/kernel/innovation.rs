@@ -13,6 +13,15 @@ pub struct Noise {
     pub timing_s: f64,
 }
 
+impl Noise {
+    /// By the covariances of the whole error and of the part that stays, of a camera whose clock is right.
+    pub fn of(total: Matrix3<f64>, systematic: &Matrix3<f64>) -> Self {
+        // Nothing systematic: no root, and none is needed.
+        let systematic_root = positive_root(systematic).unwrap_or_else(Matrix3::zeros);
+        Self { total, systematic_root, timing_s: 0.0 }
+    }
+}
+
 /// How far a measurement lies from what was predicted. No logarithms here: who compares two takes
 /// one of their ratio.
 #[derive(Clone, Copy, Debug, PartialEq)]

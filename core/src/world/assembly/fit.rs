@@ -43,7 +43,7 @@ impl Piece {
         let first = attitude.likelihood.clamp(1e-3, 1.0 - 1e-3);
         let normal = |index: usize| {
             let orientation = attitude.candidates[index];
-            let mut information = attitude.noises[index].total.try_inverse()?;
+            let mut information = attitude.noise_of(index).total.try_inverse()?;
             if attitude.yaw_symmetry.is_none() {
                 let normal = orientation * Vector3::z();
                 let across = Matrix3::identity() - normal * normal.transpose();
