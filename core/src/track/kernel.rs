@@ -40,6 +40,7 @@ mod block;
 mod disturbed;
 mod innovation;
 mod sources;
+mod update;
 
 use fearless_simd::{Level, Simd, dispatch};
 use fearless_simd_macros::simd;
@@ -47,7 +48,7 @@ use nalgebra::{Matrix3, Vector3};
 
 use super::{MotionModel, Spread};
 use crate::id::CameraId;
-use block::{Block, Numbers};
+use block::Block;
 use disturbed::Disturbed;
 pub use innovation::{Innovation, Noise};
 pub(crate) use innovation::{invert_positive, positive_root};
@@ -55,10 +56,6 @@ use sources::Sources;
 
 /// Cameras whose systematic error is carried at most; the one not heard of longest gives way.
 pub const MAX_SOURCES: usize = 8;
-
-/// Powers of q by which the steady state's gains of value and rate grow.
-const VALUE_ORDER: f64 = 0.25;
-const RATE_ORDER: f64 = 0.5;
 
 /// What a measurement does.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -125,17 +122,6 @@ impl Kernel {
         let value = self.spread.value_after(dt, &model.acceleration_density_m2_s3);
         let kept = decayed(dt.abs() / model.systematic_time_s);
         self.innovation_of(&value, (dt, kept), residual, (noise, camera))
-    }
-
-    /// How far `residual` (measured less predicted value) is from zero, by a camera's noise.
-    /// `None` if the innovation's covariance is not positive definite.
-    pub fn innovation(
-        &self,
-        residual: &Vector3<f64>,
-        noise: &Noise,
-        camera: CameraId,
-    ) -> Option<Innovation> {
-        self.innovation_of(&self.spread.value, (0.0, 1.0), residual, (noise, camera))
     }
 
     /// With this covariance of the value, so many seconds from now, when systematic errors have kept such a share.
@@ -209,107 +195,6 @@ impl Kernel {
     pub fn systematic(&self) -> Matrix3<f64> {
         self.sources.systematic()
     }
-
-    /// Takes in a measurement; gives the correction of the value. A measurement whose innovation
-    /// has no positive definite covariance changes nothing and has an infinite distance.
-    pub fn update(
-        &mut self,
-        residual: &Vector3<f64>,
-        noise: &Noise,
-        camera: CameraId,
-        robust_distance_squared: f64,
-    ) -> Correction {
-        dispatch!(Level::new(), simd => {
-            self.update_with(simd, residual, noise, camera, robust_distance_squared)
-        })
-    }
-
-    #[simd]
-    fn update_with<S: Simd>(
-        &mut self,
-        simd: S,
-        residual: &Vector3<f64>,
-        noise: &Noise,
-        camera: CameraId,
-        robust_distance_squared: f64,
-    ) -> Correction {
-        let own = self.sources.find_or_new(camera);
-        self.sources.set_timing(own, noise.timing_s);
-        let (of_value, of_rate) = self.sources.with(simd, own);
-        let root = &noise.systematic_root;
-        let mut value_cov = Block::of(simd, &self.spread.value).plus(of_value, root);
-        let mut rate_cov = Block::of_transposed(simd, &self.spread.cross).plus(of_rate, root);
-        let mut covariance = innovation_covariance(&self.spread.value, &value_cov.matrix(), noise);
-        if noise.timing_s > 0.0 {
-            covariance += self.spread.rate * noise.timing_s.powi(2);
-        }
-        let given = (value_cov, rate_cov, covariance);
-        if noise.timing_s > 0.0 {
-            let clocks = self.sources.clocks(simd, (own, noise.timing_s), &self.rate);
-            value_cov = value_cov.sum(Block::of(simd, &clocks.value));
-            rate_cov = rate_cov.sum(Block::of(simd, &clocks.rate));
-            covariance += clocks.innovation;
-        }
-        let Some((inverse, determinant)) = invert_positive(&covariance) else {
-            let nothing = Vector3::zeros();
-            return Correction { value: nothing, innovation: Innovation::none(), slope: nothing };
-        };
-        let weighted = inverse * residual;
-        let innovation = Innovation { distance_squared: residual.dot(&weighted), determinant };
-        let surprise = weighted.component_mul(&weighted) - inverse.diagonal();
-        let slope = weighted.component_mul(&self.value_slope)
-            + self.disturbed.value.component_mul(&surprise) * 0.5;
-        let distance_squared = innovation.distance_squared;
-        let weight = if distance_squared > robust_distance_squared {
-            (robust_distance_squared / distance_squared).sqrt()
-        } else {
-            1.0
-        };
-        // Of K its negative is wanted.
-        let value_gain = value_cov.times(&inverse).scaled(-weight);
-        let rate_gain = rate_cov.times(&inverse).scaled(-weight);
-        let gain = (value_gain.numbers(), rate_gain.numbers());
-        if noise.timing_s > 0.0 {
-            let (value_cov, rate_cov, covariance) = given;
-            let by = (value_cov.numbers(), rate_cov.numbers());
-            self.add(simd, (value_gain, rate_gain), &by);
-            let left =
-                (value_cov.plus(value_gain, &covariance), rate_cov.plus(rate_gain, &covariance));
-            self.add(simd, left, &gain);
-        } else {
-            let by = (value_cov.numbers(), rate_cov.numbers());
-            let share = 2.0 - weight;
-            self.add(simd, (value_gain.scaled(share), rate_gain.scaled(share)), &by);
-        }
-        make_symmetric(&mut self.spread.value);
-        make_symmetric(&mut self.spread.rate);
-        self.sources.correct(simd, own, &gain, root, &self.rate);
-        self.disturbed.update(&-diagonal(&gain.0), &-diagonal(&gain.1));
-        let lag = self.value_slope;
-        self.value_slope -= value_gain.times_vector(&(residual * VALUE_ORDER - lag));
-        self.rate_slope -= rate_gain.times_vector(&(residual * RATE_ORDER - lag));
-        self.rate -= rate_gain.times_vector(residual);
-        Correction { value: -value_gain.times_vector(residual), innovation, slope }
-    }
-
-    /// Adds to P the product of one with another transposed, each in parts of value and rate.
-    #[inline(always)]
-    fn add<S: Simd>(
-        &mut self,
-        simd: S,
-        (value, rate): (Block<S>, Block<S>),
-        (by_value, by_rate): &(Numbers, Numbers),
-    ) {
-        let spread = &mut self.spread;
-        Block::of(simd, &spread.value).plus_by(value, by_value).write(&mut spread.value);
-        Block::of(simd, &spread.cross).plus_by(value, by_rate).write(&mut spread.cross);
-        Block::of(simd, &spread.rate).plus_by(rate, by_rate).write(&mut spread.rate);
-    }
-}
-
-#[inline(always)]
-fn diagonal(of: &Numbers) -> Vector3<f64> {
-    Vector3::new(of[0][0], of[1][1], of[2][2])
 }
 
 /// S = A + Cp Lᵀ + L Cpᵀ + R, of A, `with` = A + Cp Lᵀ and R.
@@ -318,20 +203,11 @@ fn innovation_covariance(value: &Matrix3<f64>, with: &Matrix3<f64>, noise: &Nois
     with + (with - value).transpose() + noise.total
 }
 
-#[inline(always)]
-fn make_symmetric(matrix: &mut Matrix3<f64>) {
-    for (row, column) in [(1, 0), (2, 0), (2, 1)] {
-        let mean = 0.5 * (matrix[(row, column)] + matrix[(column, row)]);
-        matrix[(row, column)] = mean;
-        matrix[(column, row)] = mean;
-    }
-}
-
 /// Up to here a series stands in for the exponential.
 const SMALL_DECAY: f64 = 0.1;
 
 /// exp(-x).
-fn decayed(x: f64) -> f64 {
+pub(super) fn decayed(x: f64) -> f64 {
     if x > SMALL_DECAY {
         return (-x).exp();
     }

@@ -94,20 +94,21 @@ impl Hypothesis {
     ) -> (Fit, usize) {
         let turns = [0, 1].map(|index| self.turn_to(seen, index));
         let near = usize::from(turns[1].norm_squared() < turns[0].norm_squared());
-        let fit = |index: usize| {
-            let noise = seen.noise_from(index, (&self.normal(), unread_rad2));
-            let innovation = self.kernel.innovation(&turns[index], &noise, camera)?;
-            let distance_squared = innovation.distance_squared;
-            let evidence =
-                seen.log_likelihood(index) - 0.5 * (distance_squared + innovation.log_det());
+        let about = (&self.normal(), unread_rad2);
+        let fit = |kernel: &mut Kernel, index: usize| {
+            let noise = seen.noise_from(index, about);
+            let foreseen = kernel.foresee(&turns[index], &noise, camera)?;
+            let distance_squared = foreseen.innovation.distance_squared;
+            let evidence = seen.log_likelihood(index)
+                - 0.5 * (distance_squared + foreseen.innovation.log_det());
             let fit = Fit { evidence, distance_squared, slope: Vector3::zeros() };
-            Some((fit, index, noise))
+            Some((fit, index, noise, foreseen))
         };
-        let mut chosen = fit(near);
+        let mut chosen = fit(&mut self.kernel, near);
         let far = 1 - near;
         let evidence = chosen.as_ref().map_or(f64::NEG_INFINITY, |(fit, ..)| fit.evidence);
         if evidence < self.most_evidence((seen, unread_rad2), far, &turns[far])
-            && let Some(other) = fit(far)
+            && let Some(other) = fit(&mut self.kernel, far)
         {
             let is_better =
                 if far == 1 { other.0.evidence > evidence } else { other.0.evidence >= evidence };
@@ -115,11 +116,11 @@ impl Hypothesis {
                 chosen = Some(other);
             }
         }
-        let Some((mut fit, index, noise)) = chosen else {
+        let Some((mut fit, index, noise, foreseen)) = chosen else {
             return (Fit { evidence: 0.0, distance_squared: 0.0, slope: Vector3::zeros() }, 0);
         };
         let robust = model.robust_distance_squared;
-        let correction = self.kernel.update(&turns[index], &noise, camera, robust);
+        let correction = self.kernel.correct(&turns[index], &noise, &foreseen, robust);
         fit.slope = correction.slope;
         self.orientation = turn_by(&correction.value) * self.orientation;
         (fit, index)

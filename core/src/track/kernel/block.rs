@@ -41,6 +41,16 @@ impl<S: Simd> Block<S> {
         Self([column(simd, x), column(simd, y), column(simd, z)])
     }
 
+    /// Of what [`Self::numbers`] gave.
+    #[inline(always)]
+    pub(super) fn of_numbers(simd: S, [x, y, z]: &Numbers) -> Self {
+        Self([
+            f64x4::load_array_ref(simd, x),
+            f64x4::load_array_ref(simd, y),
+            f64x4::load_array_ref(simd, z),
+        ])
+    }
+
     #[inline(always)]
     pub(super) fn numbers(self) -> Numbers {
         let mut numbers = [[0.0; 4]; 3];
