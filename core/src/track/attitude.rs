@@ -35,6 +35,7 @@ use super::{
     Ground, MotionModel, Spread,
     alarm::{Alarm, UNSEEN_S},
     density::Densities,
+    kernel::decayed,
 };
 use crate::{
     id::CameraId,
@@ -318,7 +319,7 @@ fn prior(best: &Vector3<f64>, other: &Vector3<f64>, model: &MotionModel) -> f64 
 
 /// Log-odds `dt` seconds later, on their way to the prior.
 fn faded(log_odds: f64, dt: f64, prior: f64) -> f64 {
-    prior + (log_odds - prior) * (-dt.abs() / VERDICT_TIME_S).exp()
+    prior + (log_odds - prior) * decayed(dt.abs() / VERDICT_TIME_S)
 }
 
 /// Rotation vector of the smallest rotation from one unit vector to another.

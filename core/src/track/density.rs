@@ -36,6 +36,8 @@
 
 use nalgebra::Vector3;
 
+use super::kernel::decayed;
+
 /// ln of the least that a filter expects, over the capability …
 const LOG_FLOOR: f64 = -12.0;
 /// … and of the least that there may be.
@@ -78,8 +80,9 @@ impl Densities {
 
     /// Moves on by `dt` seconds, either way.
     pub(super) fn forget(&mut self, dt: f64) {
-        self.level.forget(dt);
-        self.upright.forget(dt);
+        let kept = decayed(dt.abs() / LOG_RETURN_S);
+        self.level.forget(dt, kept);
+        self.upright.forget(dt, kept);
     }
 
     /// Learns from a measurement's slope of the log-likelihood.
@@ -137,10 +140,11 @@ impl LogDensity {
         self.capability * self.mean.max(LOG_FLOOR).exp()
     }
 
-    fn forget(&mut self, dt: f64) {
+    /// Moves on by `dt` seconds, of which so much is left of what was learned.
+    fn forget(&mut self, dt: f64, kept: f64) {
         let grown = self.variance + LOG_DRIFT_PER_S * dt.abs();
         self.variance = grown.min(LOG_VARIANCE);
-        self.mean *= (-dt.abs() / LOG_RETURN_S).exp();
+        self.mean *= kept;
     }
 
     /// With a curvature of the slope's square and so much of the slope.

@@ -6,7 +6,7 @@ use super::Fusion;
 use crate::{
     id::CameraId,
     time::Timestamp,
-    track::{Measurement, TakenBack, invert_positive},
+    track::{Kernel, Measurement, TakenBack, invert_positive},
     world::{
         HeldBack,
         association::{Decision, Sighting},
@@ -179,18 +179,21 @@ fn pull(
     let kernel = &track.history.newest().motion.agile().kernel;
     let mut others = [None; MOST_OTHERS];
     let (mut count, mut precision, mut pull) = (0, Matrix3::zeros(), Vector3::zeros());
-    for view in track.history.measurements().rev().take(MOST_LOOKED_AT) {
+    let known = (kernel, invert_positive(&kernel.spread.rate).map(|(weight, _)| weight));
+    let most_m2_s4 = track.model.acceleration_density_m2_s3 * ACCELERATION_RATE_HZ;
+    let mut views = track.history.measurements().rev().take(2 * MOST_LOOKED_AT);
+    for _ in 0..MOST_LOOKED_AT {
+        let Some(view) = views.next().filter(|_| count < expected) else { break };
         let dt = seen.time.seconds_since(view.time);
-        if dt > CONFIRMED_S || count == expected {
+        if dt > CONFIRMED_S {
             break;
         }
         let is_new = is_asked(view.camera) && !others.contains(&Some(view.camera));
         if !is_new || dt < -CONFIRMED_S {
             continue;
         }
-        let most_m2_s4 = track.model.acceleration_density_m2_s3 * ACCELERATION_RATE_HZ;
         let bent = most_m2_s4 * (0.25 * dt.powi(4));
-        let (rate, rate_covariance) = velocity(track, view, &most_m2_s4);
+        let (rate, rate_covariance) = velocity(view, views.clone(), &known, &most_m2_s4);
         let timing_s = clocks.deviation_s(seen.camera, view.camera);
         let covariance = view.position_noise.total
             + rate_covariance * (dt * dt)
@@ -211,15 +214,15 @@ fn pull(
 /// How fast the object of a view was, and the covariance of that: from the same camera's view just before, joined with
 /// what the track knows. By that alone a foreseen place was worse than a view, and while views contradict one another
 /// it is worse yet, and led astray by who moved; within one camera's views they do not.
-fn velocity(
-    track: &Track,
+fn velocity<'a>(
     view: &Measurement,
+    mut earlier: impl Iterator<Item = &'a Measurement>,
+    (kernel, known_weight): &(&Kernel, Option<Matrix3<f64>>),
     most_m2_s4: &Vector3<f64>,
 ) -> (Vector3<f64>, Matrix3<f64>) {
-    let kernel = &track.history.newest().motion.agile().kernel;
     let (known_m_s, known) = (kernel.rate, kernel.spread.rate);
     let is_before = |it: &&Measurement| it.camera == view.camera && it.time < view.time;
-    let before = track.history.measurements().rev().take(2 * MOST_LOOKED_AT).find(is_before);
+    let before = earlier.find(is_before);
     let Some(before) = before.filter(|it| view.time.seconds_since(it.time) < STEP_S) else {
         return (known_m_s, known);
     };
@@ -232,12 +235,10 @@ fn velocity(
     let bent = Matrix3::from_diagonal(&(most_m2_s4 * (0.25 * step_s * step_s)));
     let own = (fresh(view) + fresh(before)) / (step_s * step_s) + bent;
     let own_m_s = (view.position_m - before.position_m) / step_s;
-    let joined = invert_positive(&own).zip(invert_positive(&known)).and_then(
-        |((own_weight, _), (known_weight, _))| {
-            let (covariance, _) = invert_positive(&(own_weight + known_weight))?;
-            Some((covariance * (own_weight * own_m_s + known_weight * known_m_s), covariance))
-        },
-    );
+    let joined = invert_positive(&own).zip(*known_weight).and_then(|((own_weight, _), weight)| {
+        let (covariance, _) = invert_positive(&(own_weight + weight))?;
+        Some((covariance * (own_weight * own_m_s + weight * known_m_s), covariance))
+    });
     // Its error goes with the view's.
     joined.map_or((known_m_s, known), |(rate_m_s, covariance)| (rate_m_s, covariance * 2.0))
 }
