@@ -9,10 +9,14 @@ use axum::{
 use roundel_proto::v1;
 use serde::Serialize;
 use tonic::{Code, Status};
+use tonic_types::{ErrorDetails, StatusExt};
 use utoipa::ToSchema;
 
 /// Said to every stream and connection that the end of the server cuts off.
 pub const SHUTTING_DOWN: &str = "server is shutting down";
+
+/// Whose reasons the details of gRPC's errors name.
+const DOMAIN: &str = "roundel.v1";
 
 /// Why a request is not answered as asked.
 #[derive(Clone, Debug, PartialEq, thiserror::Error)]
@@ -123,8 +127,26 @@ impl ApiError {
 
 impl From<ApiError> for Status {
     fn from(error: ApiError) -> Self {
-        let (_, code, _) = error.codes();
-        Status::new(code, error.to_string())
+        let (reason, code, _) = error.codes();
+        let (message, info) = (error.to_string(), [("code".to_owned(), reason.to_owned())]);
+        let mut details = ErrorDetails::with_error_info(reason.to_uppercase(), DOMAIN, info);
+        match error {
+            ApiError::InvalidArgument { field, expected, found } => {
+                let violation = format!("expected {expected}, found {found}");
+                details.add_bad_request_violation(field, violation);
+            }
+            ApiError::Invalid { field, message } => {
+                details.add_bad_request_violation(field, message);
+            }
+            ApiError::NotFound { what, name, known } => {
+                details.set_resource_info(what, name, "", known);
+            }
+            ApiError::FailedPrecondition(why) => {
+                details.add_precondition_failure_violation(reason, "", why);
+            }
+            _ => {}
+        }
+        Status::with_error_details(code, message, details)
     }
 }
 

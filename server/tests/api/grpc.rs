@@ -23,6 +23,7 @@ use tonic::{
 };
 use tonic_health::pb::{HealthCheckRequest, health_check_response::ServingStatus, health_client};
 use tonic_reflection::pb::v1 as reflection;
+use tonic_types::StatusExt;
 
 use crate::rig::{HANG, Rig, objects};
 
@@ -239,12 +240,25 @@ async fn wrong_requests_name_the_field() {
         let status = client.subscribe_snapshots(request.clone()).await.unwrap_err();
         assert_eq!(status.code(), Code::InvalidArgument, "{request:?}");
         assert!(status.message().contains(message), "{request:?}: {}", status.message());
+        // For programs, the field by itself.
+        let violations = status.get_details_bad_request().unwrap().field_violations;
+        let (field, expected) = status.message().split_once(": ").unwrap();
+        assert_eq!(
+            (violations[0].field.as_str(), violations[0].description.as_str()),
+            (field, expected)
+        );
+        assert_eq!(status.get_details_error_info().unwrap().metadata["code"], "invalid_argument");
     }
 
     let request = v1::SubscribeObservationsRequest { cameras: vec!["nort".into()] };
     let status = client.subscribe_observations(request).await.unwrap_err();
     assert_eq!(status.code(), Code::NotFound);
     assert_eq!(status.message(), "no camera \"nort\"; there are: north, south side");
+    let missing = status.get_details_resource_info().unwrap();
+    assert_eq!(
+        (missing.resource_type.as_str(), missing.resource_name.as_str()),
+        ("camera", "nort")
+    );
     let request = v1::SubscribeEventsRequest { backlog: 1001 };
     let status = client.subscribe_events(request).await.unwrap_err();
     assert_eq!(status.code(), Code::InvalidArgument);
