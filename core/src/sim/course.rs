@@ -109,6 +109,11 @@ impl Course {
         self.plan(path, push.span_s[0]);
     }
 
+    /// Whether the robot has left its own way by then.
+    pub fn has_begun(&self, time_s: f64) -> bool {
+        self.is_cut || self.legs.front().is_some_and(|leg| leg.start_s <= time_s)
+    }
+
     /// Where the robot is and how it moves.
     pub fn motion(&self, path: &Path, time_s: f64) -> Motion {
         let free = match self.legs.iter().rev().find(|leg| leg.start_s <= time_s) {
@@ -123,7 +128,7 @@ impl Course {
 
     /// How it is turned meanwhile.
     pub fn attitude(&self, path: &Path, time_s: f64, motion: &Motion) -> Attitude {
-        if path.is_flying() || self.legs.front().is_none_or(|leg| time_s < leg.start_s) {
+        if path.is_flying() || !self.has_begun(time_s) {
             return path.attitude(time_s, motion);
         }
         Attitude { orientation: self.orientation, angular_velocity_rad_s: Vector3::zeros() }

@@ -61,7 +61,7 @@ pub struct RobotTruth {
     pub angular_velocity_rad_s: Vector3<f64>,
     /// Flies.
     pub flying: bool,
-    /// Never moves.
+    /// Has never moved by then.
     pub still: bool,
 }
 
@@ -152,7 +152,7 @@ impl Scenario {
             acceleration_m_s2: motion.acceleration_m_s2,
             angular_velocity_rad_s: attitude.angular_velocity_rad_s,
             flying: path.is_flying(),
-            still: path.is_still() && course.is_none(),
+            still: path.is_still() && course.is_none_or(|course| !course.has_begun(time_s)),
         }
     }
 
