@@ -186,8 +186,8 @@ describe("the page", () => {
 
   test("enlarges a picture and keeps it live", async () => {
     await withPage({}, async (page) => {
-      await page.locator("img[data-camera].loaded").first().waitFor();
-      await page.locator(".frame").first().click();
+      // The first camera's picture need not be the first to come.
+      await page.locator(".frame:has(img.loaded)").first().click();
       const picture = page.locator("#viewer-picture");
       await picture.waitFor();
       const first = await picture.getAttribute("src");
