@@ -14,6 +14,8 @@
 
 mod grpc;
 mod measure;
+#[path = "../shared/object.rs"]
+mod object;
 mod serve;
 mod websocket;
 

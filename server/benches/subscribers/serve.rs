@@ -8,13 +8,7 @@ use std::{
     time::{Duration, Instant},
 };
 
-use nalgebra::{UnitQuaternion, Vector3};
-use roundel_core::{
-    id::{CameraId, KindId, ObjectId},
-    rigid::Covariance6,
-    time::Timestamp,
-    world::{LifeStage, ObjectState, ProcessNoise, Snapshot},
-};
+use roundel_core::world::Snapshot;
 use roundel_server::{
     api::{self, Limits, Served},
     calibration::{Calibrator, CalibratorParts, file::CalibrationFile},
@@ -23,6 +17,8 @@ use roundel_server::{
 };
 use tokio::net::TcpListener;
 use tokio_util::sync::CancellationToken;
+
+use crate::object::object;
 
 pub const RATE_HZ: f64 = 60.0;
 const OBJECTS: u64 = 100;
@@ -91,43 +87,8 @@ fn feed(hub: &Hub, clock: Clock) {
         let due = begin + Duration::from_secs_f64(number as f64 / RATE_HZ);
         thread::sleep(due.saturating_duration_since(Instant::now()));
         let now = clock.now();
-        let objects = (1..=OBJECTS).map(|id| object(id, number, now)).collect();
+        let objects = (1..=OBJECTS).map(|id| object(id, number as f64 * 0.01, now)).collect();
         let snapshot = Snapshot { pose_time: now, capture_time: Some(now), objects };
         hub.publish_snapshot(snapshot, clock.now());
-    }
-}
-
-/// Numbers with all their digits, as real ones have.
-fn object(id: u64, number: u64, now: Timestamp) -> ObjectState {
-    let phase = id as f64 * 0.7 + number as f64 * 0.01;
-    let factor = Covariance6::from_fn(|row, column| {
-        ((row * 6 + column) as f64 + phase).sin() * 1e-3 + f64::from(u8::from(row == column)) * 1e-2
-    });
-    let covariance = factor * factor.transpose();
-    ObjectState {
-        id: ObjectId(id),
-        kind: Some(KindId(0)),
-        body: None,
-        code: None,
-        stage: LifeStage::Tracked,
-        position_m: Vector3::new(5.0 * phase.sin(), 4.0 * phase.cos(), 0.3),
-        orientation: UnitQuaternion::from_euler_angles(0.1 * phase.sin(), 0.2, phase),
-        yaw_observed: false,
-        yaw_symmetry: 1,
-        velocity_m_s: Vector3::new(phase.cos(), -phase.sin(), 0.01 * phase.cos()),
-        acceleration_m_s2: Vector3::new(0.1, 0.2, 0.3) * phase.cos(),
-        angular_velocity_rad_s: Vector3::new(0.1, 0.2, 0.3) * phase.sin(),
-        covariance,
-        motion_covariance: covariance,
-        rotation_covariance: covariance,
-        process_noise: ProcessNoise {
-            acceleration_density_m2_s3: Vector3::repeat(0.1),
-            angular_density_rad2_s3: Vector3::repeat(0.1),
-        },
-        cameras: vec![CameraId(0), CameraId(2)],
-        newest_observation: now,
-        residual: 0.9 + 0.1 * phase.sin(),
-        first_observation: now,
-        observations: 1000,
     }
 }

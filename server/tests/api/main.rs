@@ -8,6 +8,7 @@ mod picture;
 mod place;
 mod port;
 mod rig;
+mod service;
 mod simulation;
 mod web;
 mod websocket;
