@@ -15,6 +15,7 @@ import { WebSocketServer } from "ws";
 
 import { Calibrator } from "./calibrator.mjs";
 import { Roster } from "./roster.mjs";
+import { encode } from "./wire.mjs";
 import { World } from "./world.mjs";
 
 const DASHBOARD = join(dirname(fileURLToPath(import.meta.url)), "../../client/dashboard");
@@ -28,21 +29,30 @@ const TYPES = {
 };
 
 /**
- * @param {{port?: number, world?: World, calibrator?: Calibrator, roster?: Roster}} [options] port 0 takes a free one
+ * @param {{port?: number, world?: World, calibrator?: Calibrator, roster?: Roster, protocols?: string[]}} [options] port 0 takes a free one
  * @returns {Promise<{url: string, world: World, close: () => Promise<void>}>}
  */
-export async function startMock({ port = 0, world = new World(), calibrator, roster = new Roster(world) } = {}) {
+export async function startMock({
+  port = 0,
+  world = new World(),
+  calibrator,
+  roster = new Roster(world),
+  protocols = ["roundel.v1.json", "roundel.v1.protobuf"],
+} = {}) {
   calibrator ??= new Calibrator(world.cameras().map((camera) => camera.name));
   const server = createServer((request, response) => {
     answer({ world, calibrator, roster }, request, response).catch((error) => {
       response.writeHead(500).end(String(error));
     });
   });
-  const sockets = new WebSocketServer({ server, path: "/api/v1/stream" });
+  // As the real one chooses: the client's first that is known, and JSON for a client that names none.
+  const handleProtocols = (offered) => [...offered].find((one) => protocols.includes(one)) ?? false;
+  const sockets = new WebSocketServer({ server, path: "/api/v1/stream", handleProtocols });
   sockets.on("connection", (socket, request) => {
     const query = new URL(request.url, "http://mock").searchParams;
     const rateHz = Number(query.get("max_rate_hz") ?? 60);
-    const send = (message) => socket.send(JSON.stringify(message));
+    const isBinary = socket.protocol === "roundel.v1.protobuf";
+    const send = (message) => socket.send(isBinary ? encode(message) : JSON.stringify(message));
     const timers = [
       setInterval(() => send({ snapshot: world.snapshot() }), 1000 / rateHz),
       setInterval(() => send({ cameras: world.cameras() }), 500),

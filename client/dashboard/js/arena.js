@@ -268,7 +268,8 @@ export class Arena {
       trails: this.trails,
       selected: store.selected,
       hovered: this.hovered,
-      timeMs: store.snapshot?.poseTimeMs ?? 0,
+      timeMs: store.shownMs,
+      history: store.history,
       cameras: store.cameras.filter((camera) => camera.mount),
     });
   }

@@ -5,6 +5,13 @@
  * server sends the cameras twice a second, whatever the robots do.
  */
 
+import { readSnapshot } from "./message.js";
+import { decode } from "./protobuf.js";
+import { SHAPES } from "./schema.js";
+import { decodeSnapshot } from "./snapshot.js";
+
+/** How messages may be written, what is best first. A server that knows neither speaks JSON. */
+const PROTOCOLS = ["roundel.v1.protobuf", "roundel.v1.json"];
 /** Silence after which the connection counts as lost, ms. Six of the twice-a-second messages. */
 const SILENCE_MS = 3000;
 /** First and longest pause before another attempt, ms. */
@@ -46,7 +53,8 @@ export function connect(url, { onMessage, onState }) {
   function open() {
     clearTimeout(retryTimer);
     if (state.phase === "lost") become({ retryAtMs: null });
-    const mine = new WebSocket(url);
+    const mine = new WebSocket(url, PROTOCOLS);
+    mine.binaryType = "arraybuffer";
     socket = mine;
     listen();
     mine.onmessage = (event) => {
@@ -105,12 +113,21 @@ function pauseMs(attempts) {
 }
 
 /**
- * A message that is no JSON is left out: the next one stands for itself.
+ * A message that cannot be read is left out: the next one stands for itself.
  * @param {unknown} data
  */
 function parse(data) {
   try {
-    return typeof data === "string" ? JSON.parse(data) : null;
+    if (data instanceof ArrayBuffer) {
+      const bytes = new Uint8Array(data);
+      const snapshot = decodeSnapshot(bytes);
+      if (snapshot) return { snapshot };
+      const message = decode(SHAPES.StreamMessage, bytes);
+      // JSON has the list by itself.
+      return { ...message, cameras: message.cameras?.cameras };
+    }
+    const message = typeof data === "string" ? JSON.parse(data) : null;
+    return message?.snapshot ? { snapshot: readSnapshot(message.snapshot) } : message;
   } catch {
     return null;
   }

@@ -122,6 +122,40 @@ export function errorEllipse(covariance) {
 }
 
 /**
+ * Root of the position covariance's largest eigenvalue, which of a symmetric 3x3 is m + 2 p cos(φ) with
+ * m = tr/3, p² = tr((A - m)²)/6, cos 3φ = det((A - m)/p)/2 (O. K. Smith, 1961).
+ * @param {ArrayLike<number>} covariance 21 numbers
+ * @returns {number} metres
+ */
+export function longestSemiaxis(covariance) {
+  const { xx, xy, xz, yy, yz, zz } = POSITION_ENTRIES;
+  const mean = (covariance[xx] + covariance[yy] + covariance[zz]) / 3;
+  const [a, b, c] = [covariance[xx] - mean, covariance[yy] - mean, covariance[zz] - mean];
+  const [d, e, f] = [covariance[xy], covariance[xz], covariance[yz]];
+  const p = Math.sqrt((a * a + b * b + c * c + 2 * (d * d + e * e + f * f)) / 6);
+  if (p === 0) return Math.sqrt(Math.max(0, mean));
+  const half = (a * b * c + 2 * d * e * f - a * f * f - b * e * e - c * d * d) / (2 * p * p * p);
+  const angle = Math.acos(Math.min(1, Math.max(-1, half))) / 3;
+  return Math.sqrt(Math.max(0, mean + 2 * p * Math.cos(angle)));
+}
+
+/**
+ * The lower triangle L of A = L Lᵀ for the position's covariance A: it takes the unit sphere to the one-sigma ellipsoid.
+ * @param {ArrayLike<number>} covariance 21 numbers
+ * @returns {[number, number, number, number, number, number]} xx, yx, yy, zx, zy, zz; metres
+ */
+export function cholesky(covariance) {
+  const entry = POSITION_ENTRIES;
+  const xx = Math.sqrt(Math.max(1e-18, covariance[entry.xx]));
+  const yx = covariance[entry.xy] / xx;
+  const yy = Math.sqrt(Math.max(1e-18, covariance[entry.yy] - yx * yx));
+  const zx = covariance[entry.xz] / xx;
+  const zy = (covariance[entry.yz] - zx * yx) / yy;
+  const zz = Math.sqrt(Math.max(1e-18, covariance[entry.zz] - zx * zx - zy * zy));
+  return [xx, yx, yy, zx, zy, zz];
+}
+
+/**
  * Where a camera's view meets the floor z = `floorM`, as a convex polygon in world x, y.
  *
  * The view is the pyramid through the image's four corners, cut off at `depthM` along the optical

@@ -8,8 +8,12 @@ import { fixed } from "./format.js";
 
 /** Faster than this, figures flicker instead of being read, ms. */
 const INTERVAL_MS = 200;
+/** Of rows that are scrolled out of sight so many are brought up to date each time, in turns. */
+const UNSEEN_AT_ONCE = 12;
+/** Rows beyond the edges that count as in sight. */
+const MARGIN_ROWS = 2;
 
-/** @typedef {import("./message.js").ObjectState} ObjectState */
+/** @typedef {import("./state.js").ObjectState} ObjectState */
 /** @typedef {{row: HTMLElement, button: HTMLElement, sign: Element, label: Element, code: HTMLElement, cells: Element[], stage: string}} Row */
 
 /** @param {import("./store.js").Store} store */
@@ -24,8 +28,22 @@ export function showList(store) {
     if (row) store.select(Number(row.dataset.objectId));
   });
 
+  const scroller = /** @type {HTMLElement} */ (body.closest(".scroll"));
+  let turn = 0;
+  /** Whether a row is up for new figures: four hundred at once would hold the page up. @type {(i: number, of: number) => boolean} */
+  let isDue = () => true;
+  const lookWhatIsSeen = (/** @type {number} */ count) => {
+    const height = /** @type {HTMLElement | null} */ (body.firstElementChild)?.offsetHeight || 27;
+    const first = Math.floor(scroller.scrollTop / height) - MARGIN_ROWS;
+    const last = first + Math.ceil(scroller.clientHeight / height) + 2 * MARGIN_ROWS;
+    const from = turn % Math.max(1, count);
+    turn = from + UNSEEN_AT_ONCE;
+    isDue = (i) => (i >= first && i <= last) || (i >= from && i < from + UNSEEN_AT_ONCE);
+  };
+
   const update = () => {
     const tracks = store.sortedTracks();
+    lookWhatIsSeen(tracks.length);
     for (const [id, { row }] of rows) {
       if (store.tracks.has(id)) continue;
       row.remove();
@@ -33,15 +51,19 @@ export function showList(store) {
     }
     for (const [i, { state }] of tracks.entries()) {
       let row = rows.get(state.id);
+      const isNew = !row;
       if (!row) {
         row = makeRow(state);
         rows.set(state.id, row);
         body.insertBefore(row.row, body.children[i] ?? null);
       }
-      fillRow(row, state, store.selected);
+      if (isNew || isDue(i) || row.stage !== state.stage) fillRow(row, state, store.selected);
     }
     empty.hidden = tracks.length > 0;
   };
+
+  // What comes into sight is up to date as soon as it does.
+  scroller.addEventListener("scroll", paced(50, update), { passive: true });
 
   const markSelected = () => {
     for (const [id, { row, button }] of rows) {
@@ -53,6 +75,7 @@ export function showList(store) {
   };
 
   store.on("snapshot", paced(INTERVAL_MS, update));
+  store.on("time", update);
   store.on("selection", () => {
     update();
     markSelected();

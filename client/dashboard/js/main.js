@@ -13,8 +13,8 @@ import { showPanel } from "./panel.js";
 import { showSetup } from "./setup.js";
 import { Store } from "./store.js";
 
-/** Snapshots asked for each second: half a screen's rate is fluent, and easy on a phone. */
-const MAX_RATE_HZ = 30;
+/** Snapshots asked for each second: a screen's rate, and half of it where a finger says that it is a phone's. */
+const MAX_RATE_HZ = matchMedia("(pointer: coarse)").matches ? 30 : 60;
 
 const store = new Store();
 const arena = new Arena(store);

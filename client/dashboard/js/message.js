@@ -1,44 +1,22 @@
 /**
- * From the wire's JSON to the page's own values.
+ * From the wire's messages to the page's own values.
  *
- * The server's messages are those of `proto/roundel/v1`, with field names as there, times as decimal
- * strings of nanoseconds, enumerations as lower-case words and absent messages as null. Everything
+ * The server's messages are those of `proto/roundel/v1`, with field names as there, times as nanoseconds (in JSON
+ * decimal strings), enumerations as lower-case words and absent messages as null. Everything
  * the page uses passes here once: what is unknown is left out, what is missing or not finite becomes
  * null, and nothing behind this module has to ask again.
  */
 
-import { errorEllipse, headingRad, sigmasM, tiltRad } from "./geometry.js";
+import { readObject } from "./state.js";
+import { count, list, milliseconds, nanoseconds, number, quaternion, text, vector } from "./value.js";
 
 /** @typedef {import("./geometry.js").Vector3} Vector3 */
 /** @typedef {import("./geometry.js").Quaternion} Quaternion */
-/** @typedef {"tentative" | "tracked" | "predicted" | "lost" | "unspecified"} Stage */
+/** @typedef {import("./state.js").Stage} Stage */
+/** @typedef {import("./state.js").ObjectState} ObjectState */
 /** @typedef {"starting" | "running" | "failed" | "finished" | "unspecified"} CameraStatus */
 /** @typedef {{lens: string, fxPx: number, fyPx: number, cxPx: number, cyPx: number}} Intrinsics */
-/** @typedef {{majorM: number, minorM: number, angleRad: number}} ErrorEllipse */
 /** @typedef {{sender: string, address: string, connected: boolean, missing: number, roundTripMs: number}} Link */
-
-/**
- * One object at the snapshot's pose time.
- * @typedef {object} ObjectState
- * @property {number} id
- * @property {string} name configured, or empty
- * @property {string} label what a person calls it
- * @property {Stage} stage
- * @property {Vector3 | null} positionM
- * @property {Quaternion | null} orientation world_from_object
- * @property {number | null} headingRad null while the yaw is not observed
- * @property {boolean} eitherWay the opposite heading looks the same
- * @property {number | null} tiltRad
- * @property {Vector3 | null} velocityMS
- * @property {number | null} speedMS
- * @property {Vector3 | null} sigmaM null where the covariance was left out
- * @property {ErrorEllipse | null} ellipse 95 %, floor plane
- * @property {string[]} cameras
- * @property {number | null} ageMs
- * @property {number | null} residual
- * @property {string} roundel
- * @property {{bits: number, number: number} | null} code what its teeth say, if it has any
- */
 
 /**
  * @typedef {object} Snapshot
@@ -77,15 +55,17 @@ import { errorEllipse, headingRad, sigmasM, tiltRad } from "./geometry.js";
  * @property {number} latencyMs
  * @property {Clock | null} clock null while its stamps are trusted
  * @property {number | null} blurPx null before it is known
+ * @property {number} promisedRateHz 0: none
+ * @property {Agreement | null} agreement null while its place is not known, and of one that rides
  */
 
 /** @typedef {{position: Vector3, orientation: Quaternion}} Pose */
 /** @typedef {{base: string, deviationMs: number}} CaptureClock which clock its capture times come from */
 /** @typedef {{offsetMs: number, skewPpm: number, deviationMs: number}} Clock how late its stamps are */
+/** @typedef {{state: string, positionErrorM: number, positionDeviationM: number, rotationErrorRad: number, seenErrorM: number}} Agreement with the other cameras */
 /** @typedef {{sequence: number, timeMs: number, kind: string, objectId: number, camera: string, message: string}} Event */
 /** @typedef {{version: string, sourceId: string, name: string, startedTimeMs: number | null, snapshotRateHz: number}} ServerInfo */
 
-const STAGES = new Set(["tentative", "tracked", "predicted", "lost"]);
 const STATUSES = new Set(["starting", "running", "failed", "finished"]);
 
 /**
@@ -105,45 +85,6 @@ export function readSnapshot(raw) {
     objects: list(raw?.objects).map(readObject),
     missed: count(raw?.missed),
   };
-}
-
-/**
- * @param {any} raw
- * @returns {ObjectState}
- */
-function readObject(raw) {
-  const orientation = quaternion(raw?.orientation);
-  const velocityMS = vector(raw?.velocity);
-  const covariance = numbers(raw?.covariance, 21);
-  const age = nanoseconds(raw?.observation_age_ns);
-  const id = count(raw?.object_id);
-  const name = text(raw?.name);
-  return {
-    id,
-    name,
-    label: name || String(id),
-    stage: STAGES.has(raw?.stage) ? raw.stage : "unspecified",
-    positionM: vector(raw?.position),
-    orientation,
-    headingRad: raw?.yaw_observed === true && orientation ? headingRad(orientation) : null,
-    eitherWay: number(raw?.yaw_symmetry) === 2,
-    tiltRad: orientation ? tiltRad(orientation) : null,
-    velocityMS,
-    speedMS: velocityMS && Math.hypot(velocityMS.x, velocityMS.y, velocityMS.z),
-    sigmaM: covariance && sigmasM(covariance),
-    ellipse: covariance && errorEllipse(covariance),
-    cameras: list(raw?.cameras).map(text),
-    ageMs: age === null ? null : Number(age) / 1e6,
-    residual: number(raw?.residual),
-    roundel: text(raw?.roundel),
-    code: readCode(raw?.code),
-  };
-}
-
-/** @param {any} raw */
-function readCode(raw) {
-  const [bits, code] = [number(raw?.bits), number(raw?.number)];
-  return bits && code !== null ? { bits, number: code } : null;
 }
 
 /**
@@ -186,6 +127,8 @@ function readCamera(raw) {
     clock: readClock(raw?.clock),
     // 0 is "not fitted".
     blurPx: number(raw?.blur_px) || null,
+    promisedRateHz: count(raw?.promised_rate_hz),
+    agreement: readAgreement(raw?.agreement),
   };
 }
 
@@ -198,6 +141,18 @@ function readLink(raw) {
     connected: raw.connected === true,
     missing: count(raw.missing),
     roundTripMs: count(raw.round_trip_ms),
+  };
+}
+
+/** @param {any} raw @returns {Agreement | null} */
+function readAgreement(raw) {
+  if (!raw) return null;
+  return {
+    state: text(raw.state),
+    positionErrorM: count(raw.position_error_m),
+    positionDeviationM: count(raw.position_deviation_m),
+    rotationErrorRad: count(raw.rotation_error_rad),
+    seenErrorM: count(raw.seen_error_m),
   };
 }
 
@@ -266,54 +221,4 @@ export function readInfo(raw) {
     startedTimeMs: started ? milliseconds(started) : null,
     snapshotRateHz: count(raw?.snapshot_rate_hz),
   };
-}
-
-/** @param {any} raw @returns {number | null} */
-function number(raw) {
-  return typeof raw === "number" && Number.isFinite(raw) ? raw : null;
-}
-
-/** A number that counts or measures something; 0 where it is missing. @param {any} raw */
-function count(raw) {
-  return number(raw) ?? 0;
-}
-
-/** @param {any} raw */
-function text(raw) {
-  return typeof raw === "string" ? raw : "";
-}
-
-/** @param {any} raw @returns {any[]} */
-function list(raw) {
-  return Array.isArray(raw) ? raw : [];
-}
-
-/** @param {any} raw @param {number} length @returns {number[] | null} */
-function numbers(raw, length) {
-  return Array.isArray(raw) && raw.length === length && raw.every(Number.isFinite) ? raw : null;
-}
-
-/** @param {any} raw @returns {Vector3 | null} */
-function vector(raw) {
-  const [x, y, z] = [number(raw?.x), number(raw?.y), number(raw?.z)];
-  return x === null || y === null || z === null ? null : { x, y, z };
-}
-
-/** @param {any} raw @returns {Quaternion | null} */
-function quaternion(raw) {
-  const v = vector(raw);
-  const w = number(raw?.w);
-  if (!v || w === null) return null;
-  const norm = Math.hypot(v.x, v.y, v.z, w);
-  return norm > 0 ? { x: v.x / norm, y: v.y / norm, z: v.z / norm, w: w / norm } : null;
-}
-
-/** Exact: Unix time in nanoseconds exceeds 2^53. @param {any} raw @returns {bigint | null} */
-function nanoseconds(raw) {
-  return typeof raw === "string" && /^-?\d+$/.test(raw) ? BigInt(raw) : null;
-}
-
-/** @param {bigint} ns */
-function milliseconds(ns) {
-  return Number(ns / 1000n) / 1000;
 }

@@ -13,7 +13,7 @@
  * @property {string} axisX
  * @property {string} axisY
  * @property {string} accent
- * @property {Record<import("./message.js").Stage, string>} stage
+ * @property {Record<import("./state.js").Stage, string>} stage
  * @property {string} font
  */
 

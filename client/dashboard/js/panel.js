@@ -14,7 +14,7 @@ const STAGE_WORDS = {
   unspecified: "Of unknown stage",
 };
 
-/** @typedef {import("./message.js").ObjectState} ObjectState */
+/** @typedef {import("./state.js").ObjectState} ObjectState */
 
 /** @type {{key: string, name: string, value: (state: ObjectState) => string}[]} */
 const VALUES = [

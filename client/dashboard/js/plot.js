@@ -6,23 +6,23 @@
  */
 
 import { drawCameras, RULER } from "./backdrop.js";
-import { fixed } from "./format.js";
+import { FRAME_MS, GAP_MS } from "./history.js";
+import { drawLabels } from "./label.js";
 import { TRAIL_MS } from "./store.js";
 
-/** Objects higher than this carry their height, metres; a robot's roundel is mostly below. */
-const FLYING_M = 0.5;
 /** The line of the velocity ends where the object will be after this time, s. */
 const LEAD_S = 0.5;
 /** Ellipses are filled up to this part of the arena's smaller side. */
 const LARGEST_FILL = 0.25;
 /** Trails fade in so many steps; each step is one stroke for all objects of a stage. */
 const TRAIL_BANDS = 4;
-/** A trail is not drawn across a gap in time longer than this, ms. */
-const TRAIL_GAP_MS = 500;
+/** Points of all trails together, about: with many objects each has fewer. */
+const TRAIL_POINTS = 6000;
 
 /** @typedef {import("./view.js").View} View */
 /** @typedef {import("./palette.js").Palette} Palette */
 /** @typedef {import("./store.js").Track} Track */
+/** @typedef {import("./history.js").History} History */
 
 /**
  * @typedef {object} PlotOptions
@@ -30,7 +30,8 @@ const TRAIL_GAP_MS = 500;
  * @property {boolean} trails
  * @property {number | null} selected
  * @property {number | null} hovered
- * @property {number} timeMs pose time of the newest snapshot
+ * @property {number} timeMs pose time of what is shown
+ * @property {History} history
  * @property {import("./message.js").Camera[]} cameras those that move
  */
 
@@ -55,7 +56,7 @@ export function drawTracks(context, view, palette, tracks, options) {
   context.lineCap = "round";
   context.lineJoin = "round";
   drawCameras(context, view, palette, options.cameras);
-  if (options.trails) drawTrails(context, view, palette, tracks, options.timeMs);
+  if (options.trails) drawTrails(context, view, palette, tracks, options);
   const margin = 80;
   const seen = tracks.filter(({ state }) => {
     if (!state.positionM) return false;
@@ -66,9 +67,19 @@ export function drawTracks(context, view, palette, tracks, options) {
     for (const track of seen) drawEllipse(context, view, palette, track, options);
   }
   for (const track of seen) drawObject(context, view, palette, track, options);
-  context.font = `600 11.5px ${palette.font}`;
-  for (const track of seen) drawLabel(context, view, palette, track, options);
+  const radius = discRadius(view);
+  const labels = seen.map(({ state }) => ({
+    state,
+    px: view.screenX(state.positionM?.x ?? 0) + radius + 4,
+    py: view.screenY(state.positionM?.y ?? 0) - radius * 0.55,
+  }));
+  drawLabels(context, palette, labels, options);
   context.restore();
+}
+
+/** Of how many frames of the history one is drawn, so that many trails take no longer than few. @param {number} objects */
+export function trailStride(objects) {
+  return Math.max(1, Math.ceil((objects * TRAIL_MS) / FRAME_MS / TRAIL_POINTS));
 }
 
 /**
@@ -76,43 +87,51 @@ export function drawTracks(context, view, palette, tracks, options) {
  * @param {View} view
  * @param {Palette} palette
  * @param {Track[]} tracks
- * @param {number} timeMs
+ * @param {PlotOptions} options
  */
-function drawTrails(context, view, palette, tracks, timeMs) {
+function drawTrails(context, view, palette, tracks, options) {
   context.lineWidth = 1.75;
+  const stride = trailStride(tracks.length);
   for (const stage of /** @type {const} */ (["tracked", "predicted", "tentative", "lost"])) {
     const members = tracks.filter((track) => track.state.stage === stage);
     if (members.length === 0) continue;
     context.strokeStyle = palette.stage[stage];
-    for (let band = 0; band < TRAIL_BANDS; band += 1) {
-      const oldMs = timeMs - (TRAIL_MS * (TRAIL_BANDS - band)) / TRAIL_BANDS;
-      const newMs = oldMs + TRAIL_MS / TRAIL_BANDS;
-      context.beginPath();
-      for (const { trail } of members) traceTrail(context, view, trail, oldMs, newMs);
+    const bands = Array.from({ length: TRAIL_BANDS }, () => new Path2D());
+    for (const { state } of members) traceTrail(bands, view, state, stride, options);
+    for (const [band, path] of bands.entries()) {
       context.globalAlpha = 0.15 + (0.6 * band) / (TRAIL_BANDS - 1);
-      context.stroke();
+      context.stroke(path);
     }
   }
   context.globalAlpha = 1;
 }
 
 /**
- * Adds the part of a trail between two times; it starts at the last point before, so that bands join.
- * @param {CanvasRenderingContext2D} context
+ * Adds an object's trail to the paths of its bands, the oldest first.
+ * @param {Path2D[]} bands
  * @param {View} view
- * @param {import("./store.js").TrailPoint[]} trail
- * @param {number} oldMs
- * @param {number} newMs
+ * @param {import("./state.js").ObjectState} state
+ * @param {number} stride
+ * @param {PlotOptions} options
  */
-function traceTrail(context, view, trail, oldMs, newMs) {
-  for (let i = 1; i < trail.length; i += 1) {
-    const [from, to] = [trail[i - 1], trail[i]];
-    if (to.timeMs <= oldMs || to.timeMs > newMs) continue;
-    const joins = i > 1 && trail[i - 1].timeMs > oldMs && from.timeMs - trail[i - 2].timeMs <= TRAIL_GAP_MS;
-    if (to.timeMs - from.timeMs > TRAIL_GAP_MS) continue;
-    if (!joins) context.moveTo(view.screenX(from.x), view.screenY(from.y));
-    context.lineTo(view.screenX(to.x), view.screenY(to.y));
-  }
+function traceTrail(bands, view, state, stride, { history, timeMs }) {
+  let [px, py, lastMs, lastBand] = [0, 0, -Infinity, -1];
+  /** @param {number} atMs @param {number} x @param {number} y */
+  const visit = (atMs, x, y) => {
+    const [toX, toY] = [view.screenX(x), view.screenY(y)];
+    const age = (timeMs - atMs) / TRAIL_MS;
+    const band = Math.min(bands.length - 1, Math.max(0, Math.floor((1 - age) * bands.length)));
+    const isWhole = atMs - lastMs <= GAP_MS + stride * FRAME_MS;
+    if (isWhole && atMs > lastMs) {
+      if (band !== lastBand || lastBand < 0) bands[band].moveTo(px, py);
+      bands[band].lineTo(toX, toY);
+    }
+    lastBand = isWhole ? band : -1;
+    [px, py, lastMs] = [toX, toY, atMs];
+  };
+  history.trace(state.id, timeMs - TRAIL_MS, timeMs, stride, visit);
+  // The way from the last frame kept to where it is.
+  if (state.positionM) visit(timeMs, state.positionM.x, state.positionM.y);
 }
 
 /**
@@ -126,6 +145,8 @@ function drawEllipse(context, view, palette, { state }, options) {
   const { ellipse, positionM } = state;
   if (!ellipse || !positionM || state.stage === "lost") return;
   const stretch = view.scale * options.exaggeration;
+  // Under its disc nobody would see it, and with hundreds of objects it would take its time.
+  if (ellipse.majorM * stretch < discRadius(view) - 1) return;
   context.beginPath();
   context.ellipse(
     view.screenX(positionM.x),
@@ -202,7 +223,7 @@ function drawObject(context, view, palette, { state }, options) {
  * @param {number} px
  * @param {number} py
  * @param {number} radius
- * @param {import("./message.js").Stage} stage
+ * @param {import("./state.js").Stage} stage
  * @param {string} color
  * @param {string} sheet
  */
@@ -241,35 +262,4 @@ function drawMark(context, px, py, radius, stage, color, sheet) {
   context.stroke();
   context.setLineDash([]);
   context.lineCap = "round";
-}
-
-/**
- * @param {CanvasRenderingContext2D} context
- * @param {View} view
- * @param {Palette} palette
- * @param {Track} track
- * @param {PlotOptions} options
- */
-function drawLabel(context, view, palette, { state }, options) {
-  const { positionM } = state;
-  if (!positionM) return;
-  const radius = discRadius(view);
-  const px = view.screenX(positionM.x) + radius + 4;
-  const py = view.screenY(positionM.y) - radius * 0.55;
-  const flying = positionM.z > FLYING_M;
-  context.textAlign = "left";
-  context.textBaseline = "middle";
-  context.lineWidth = 3.5;
-  context.strokeStyle = palette.sheet;
-  context.strokeText(state.label, px, py);
-  context.fillStyle = state.id === options.selected ? palette.accent : palette.ink;
-  context.fillText(state.label, px, py);
-  if (!flying) return;
-  const height = `\u2191\u2009${fixed(positionM.z, 1)} m`;
-  context.save();
-  context.font = `10.5px ${palette.font}`;
-  context.strokeText(height, px, py + 12.5);
-  context.fillStyle = palette.inkSoft;
-  context.fillText(height, px, py + 12.5);
-  context.restore();
 }

@@ -8,7 +8,7 @@
 import { compose } from "./geometry.js";
 
 /** @typedef {import("./message.js").Camera} Camera */
-/** @typedef {import("./message.js").ObjectState} ObjectState */
+/** @typedef {import("./state.js").ObjectState} ObjectState */
 
 /** Stages in which an object's pose says where its camera is. */
 const FOLLOWED = new Set(["tracked", "predicted"]);

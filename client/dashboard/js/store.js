@@ -1,10 +1,11 @@
 /**
- * All that the page knows, in one place: the newest snapshot, trails, cameras, events, selection.
+ * All that the page knows, in one place: the newest snapshot, the last minute, cameras, events, selection.
  *
  * Views subscribe to a topic and read; only the functions here change anything.
  */
 
-import { readCameras, readEvent, readSnapshot } from "./message.js";
+import { History } from "./history.js";
+import { readCameras, readEvent } from "./message.js";
 import { carried } from "./riding.js";
 
 /** Length of a trail, ms. */
@@ -16,17 +17,22 @@ const MAX_EVENTS = 200;
 /** Window over which the snapshots are counted, ms. */
 const RATE_WINDOW_MS = 2000;
 
-/** @typedef {import("./message.js").ObjectState} ObjectState */
-/** @typedef {{timeMs: number, x: number, y: number}} TrailPoint */
-/** @typedef {{state: ObjectState, trail: TrailPoint[], lostAtMs: number | null}} Track */
-/** @typedef {"snapshot" | "cameras" | "events" | "selection" | "connection" | "info"} Topic */
+/** @typedef {import("./state.js").ObjectState} ObjectState */
+/** @typedef {{state: ObjectState, lostAtMs: number | null}} Track */
+/** @typedef {"snapshot" | "time" | "cameras" | "events" | "selection" | "connection" | "info"} Topic */
 
 export class Store {
   constructor() {
     /** @type {import("./message.js").Snapshot | null} */
     this.snapshot = null;
-    /** @type {Map<number, Track>} by object id, in the order of the ids */
-    this.tracks = new Map();
+    /** @type {Map<number, Track>} by object id: as of the newest snapshot */
+    this.live = new Map();
+    /** The last minute of all of them. */
+    this.history = new History();
+    /** @type {number | null} what instant is shown, in pose time; null: now */
+    this.pastMs = null;
+    /** @type {Map<number, Track>} the objects of that instant */
+    this.past = new Map();
     /** @type {import("./message.js").Camera[]} */
     this.cameras = [];
     /** True once the server has said which cameras there are, be it none. */
@@ -55,6 +61,16 @@ export class Store {
     this.listeners = new Map();
   }
 
+  /** What is shown: now, or the instant that is looked back at. */
+  get tracks() {
+    return this.pastMs === null ? this.live : this.past;
+  }
+
+  /** Pose time of what is shown, ms. */
+  get shownMs() {
+    return this.pastMs ?? this.snapshot?.poseTimeMs ?? 0;
+  }
+
   /**
    * @param {Topic} topic
    * @param {() => void} listener
@@ -71,11 +87,11 @@ export class Store {
   }
 
   /**
-   * Takes one message of the stream. Keys that this page does not know are left to newer pages.
+   * Takes one message of the stream, its snapshot read already. Keys that this page does not know are left to newer pages.
    * @param {any} message
    */
   take(message) {
-    if (message?.snapshot) this.takeSnapshot(readSnapshot(message.snapshot));
+    if (message?.snapshot) this.takeSnapshot(message.snapshot);
     if (Array.isArray(message?.cameras)) {
       this.cameras = readCameras(message.cameras);
       this.camerasKnown = true;
@@ -99,13 +115,16 @@ export class Store {
       live.add(state.id);
       this.takeState(state, snapshot.poseTimeMs);
     }
-    for (const [id, track] of this.tracks) {
+    for (const [id, track] of this.live) {
       if (live.has(id)) continue;
       // Given up objects are named once and then left out. They stay a while, so that an eye that
       // was elsewhere still finds where one was last; what vanishes otherwise goes at once.
       const shownUntilMs = track.lostAtMs === null ? 0 : track.lostAtMs + LOST_SHOWN_MS;
-      if (snapshot.poseTimeMs > shownUntilMs) this.tracks.delete(id);
+      if (snapshot.poseTimeMs > shownUntilMs) this.live.delete(id);
     }
+    this.history.take(snapshot.poseTimeMs, snapshot.objects);
+    // What is looked at must not fall out of memory under one's eyes without a word.
+    if (this.pastMs !== null && this.pastMs < (this.history.oldestMs ?? 0)) this.lookBack(this.history.oldestMs);
     this.carryCameras();
     this.emit("snapshot");
   }
@@ -121,20 +140,31 @@ export class Store {
    * @param {number} timeMs
    */
   takeState(state, timeMs) {
-    let track = this.tracks.get(state.id);
+    let track = this.live.get(state.id);
     if (!track) {
-      track = { state, trail: [], lostAtMs: null };
-      this.tracks.set(state.id, track);
+      track = { state, lostAtMs: null };
+      this.live.set(state.id, track);
     }
     track.state = state;
     if (state.stage === "lost") track.lostAtMs ??= timeMs;
     else track.lostAtMs = null;
-    if (state.id === this.selected) this.selectedState = state;
-    const { trail } = track;
-    if (state.positionM) trail.push({ timeMs, x: state.positionM.x, y: state.positionM.y });
-    let stale = 0;
-    while (stale < trail.length && trail[stale].timeMs < timeMs - TRAIL_MS) stale += 1;
-    if (stale > 0) trail.splice(0, stale);
+    if (state.id === this.selected && this.pastMs === null) this.selectedState = state;
+  }
+
+  /**
+   * Shows an instant of the last minute in place of now; null: now again.
+   * @param {number | null} timeMs
+   */
+  lookBack(timeMs) {
+    const { oldestMs, newestMs } = this.history;
+    const there = timeMs !== null && oldestMs !== null && newestMs !== null && timeMs < newestMs;
+    this.pastMs = there ? Math.max(timeMs, oldestMs) : null;
+    this.past = new Map();
+    if (this.pastMs !== null) {
+      for (const state of this.history.at(this.pastMs)) this.past.set(state.id, { state, lostAtMs: null });
+    }
+    if (this.selected !== null) this.selectedState = this.tracks.get(this.selected)?.state ?? this.selectedState;
+    this.emit("time");
   }
 
   /** @param {import("./message.js").Event} event */
@@ -149,7 +179,9 @@ export class Store {
 
   /** Drops what belongs to another run of the server. */
   forget() {
-    this.tracks.clear();
+    this.live.clear();
+    this.history.clear();
+    if (this.pastMs !== null) this.lookBack(null);
     // The new run's first events come before its first snapshot, which is what gave it away.
     this.events = this.events.filter((event) => event.connectionNumber === this.connectionNumber);
     this.missed = 0;

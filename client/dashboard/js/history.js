@@ -1,0 +1,306 @@
+/**
+ * The last minute of all objects, ten times a second: for trails, plots, and to look back.
+ *
+ * Numbers lie in typed arrays that are used again, so that a page that stays open for months does not grow. Between two
+ * frames a position is the cubic through both places with both velocities (Hermite), which at 10 Hz follows a robot
+ * that accelerates at 2 m/s² to a hundredth of a millimetre.
+ */
+
+import { ObjectState, STAGES } from "./state.js";
+
+/** How far back one can look, ms. */
+export const HISTORY_MS = 60_000;
+/** Between two frames, ms. */
+export const FRAME_MS = 100;
+/** Frames further apart than this have nothing between them: the page was not connected, or the object was away. */
+export const GAP_MS = 500;
+/** Numbers kept of an object: position, velocity, quaternion, upper triangle of the position's covariance, variances of
+ * the rotation, age, residual. What is not known is NaN. */
+const WIDTH = 21;
+const [VELOCITY, TURN, COVARIANCE, ROTATION, AGE, RESIDUAL] = [3, 6, 10, 16, 19, 20];
+/** Places of what is kept of the 21 numbers of a covariance. */
+const POSITION_ENTRIES = [0, 1, 2, 6, 7, 11];
+const ROTATION_ENTRIES = [15, 18, 20];
+/** Cameras of an object are bits of a number; further ones are forgotten. */
+const MOST_CAMERAS = 31;
+
+/** @typedef {{timeMs: number, count: number, ids: Float64Array, values: Float32Array, cameras: Int32Array, flags: Uint8Array}} Frame */
+/** @typedef {{name: string, roundel: string, code: {bits: number, number: number} | null}} Identity */
+
+export class History {
+  constructor() {
+    /** @type {Frame[]} a ring of frames */
+    this.frames = [];
+    /** Where the next one goes, and how many there are. */
+    this.next = 0;
+    this.count = 0;
+    /** @type {Map<number, Identity>} what does not change from frame to frame */
+    this.identities = new Map();
+    /** @type {string[]} by bit */
+    this.cameraNames = [];
+  }
+
+  clear() {
+    this.count = 0;
+    this.identities.clear();
+    this.cameraNames = [];
+  }
+
+  /** Frame by age: 0 is the newest. @param {number} back */
+  frame(back) {
+    const size = this.frames.length;
+    return this.frames[(this.next - 1 - back + 2 * size) % size];
+  }
+
+  get newestMs() {
+    return this.count > 0 ? this.frame(0).timeMs : null;
+  }
+
+  get oldestMs() {
+    return this.count > 0 ? this.frame(this.count - 1).timeMs : null;
+  }
+
+  /**
+   * Takes a snapshot, unless the last frame is too new.
+   * @param {number} timeMs
+   * @param {ObjectState[]} objects
+   */
+  take(timeMs, objects) {
+    // A little early counts: snapshots come at 60 Hz, and six of them are 100 ms but for rounding.
+    if (this.newestMs !== null && timeMs - this.newestMs < FRAME_MS - 5) return;
+    const frame = this.slot(objects.length);
+    frame.timeMs = timeMs;
+    frame.count = objects.length;
+    const sorted = objects.every((state, i) => i === 0 || objects[i - 1].id < state.id)
+      ? objects
+      : [...objects].sort((a, b) => a.id - b.id);
+    for (const [i, state] of sorted.entries()) this.write(frame, i, state);
+    this.next = (this.next + 1) % this.frames.length;
+    this.count = Math.min(this.count + 1, this.frames.length);
+    if (this.identities.size > 2 * objects.length + 100) this.forgetGone();
+  }
+
+  /** The frame to be written next, with room for so many objects. @param {number} objects @returns {Frame} */
+  slot(objects) {
+    if (this.frames.length === 0) {
+      const length = HISTORY_MS / FRAME_MS + 1;
+      this.frames = Array.from({ length }, () => makeFrame(0));
+    }
+    if (this.frames[this.next].ids.length < objects) this.frames[this.next] = makeFrame(Math.ceil(objects * 1.25));
+    return this.frames[this.next];
+  }
+
+  /** @param {Frame} frame @param {number} i @param {ObjectState} state */
+  write(frame, i, state) {
+    const { values } = frame;
+    const at = i * WIDTH;
+    const { positionM: p, velocityMS: v, orientation: q, covariance } = state;
+    frame.ids[i] = state.id;
+    frame.flags[i] = STAGES.indexOf(state.stage) | (state.yawObserved ? 8 : 0) | (state.eitherWay ? 16 : 0);
+    frame.cameras[i] = this.bits(state.cameras);
+    values[at] = p ? p.x : NaN;
+    values[at + 1] = p ? p.y : NaN;
+    values[at + 2] = p ? p.z : NaN;
+    values[at + VELOCITY] = v ? v.x : NaN;
+    values[at + VELOCITY + 1] = v ? v.y : NaN;
+    values[at + VELOCITY + 2] = v ? v.z : NaN;
+    values[at + TURN] = q ? q.x : NaN;
+    values[at + TURN + 1] = q ? q.y : NaN;
+    values[at + TURN + 2] = q ? q.z : NaN;
+    values[at + TURN + 3] = q ? q.w : NaN;
+    for (let k = 0; k < 6; k += 1) values[at + COVARIANCE + k] = covariance ? covariance[POSITION_ENTRIES[k]] : NaN;
+    for (let k = 0; k < 3; k += 1) values[at + ROTATION + k] = covariance ? covariance[ROTATION_ENTRIES[k]] : NaN;
+    values[at + AGE] = state.ageMs ?? NaN;
+    values[at + RESIDUAL] = state.residual ?? NaN;
+    if (!this.identities.has(state.id)) this.identities.set(state.id, { name: "", roundel: "", code: null });
+    const identity = /** @type {Identity} */ (this.identities.get(state.id));
+    identity.name = state.name;
+    identity.roundel = state.roundel;
+    identity.code = state.code;
+  }
+
+  /** @param {string[]} names */
+  bits(names) {
+    let bits = 0;
+    for (const name of names) {
+      let at = this.cameraNames.indexOf(name);
+      if (at < 0 && this.cameraNames.length < MOST_CAMERAS) at = this.cameraNames.push(name) - 1;
+      if (at >= 0) bits |= 1 << at;
+    }
+    return bits;
+  }
+
+  forgetGone() {
+    const kept = new Set();
+    for (let back = 0; back < this.count; back += 1) {
+      const { ids, count } = this.frame(back);
+      for (let i = 0; i < count; i += 1) kept.add(ids[i]);
+    }
+    for (const id of this.identities.keys()) if (!kept.has(id)) this.identities.delete(id);
+  }
+
+  /** How old the newest frame is that is no newer than this; `count` if there is none. @param {number} timeMs */
+  backTo(timeMs) {
+    let [newer, older] = [0, this.count];
+    while (newer < older) {
+      const middle = (newer + older) >> 1;
+      if (this.frame(middle).timeMs > timeMs) newer = middle + 1;
+      else older = middle;
+    }
+    return newer;
+  }
+
+  /**
+   * All objects at a time within the history.
+   * @param {number} timeMs
+   * @returns {ObjectState[]} by id; none before the first frame, and none within a gap
+   */
+  at(timeMs) {
+    const back = this.backTo(timeMs);
+    if (back >= this.count) return [];
+    const from = this.frame(back);
+    const to = back > 0 ? this.frame(back - 1) : null;
+    if (timeMs - from.timeMs > GAP_MS) return [];
+    /** @type {ObjectState[]} */
+    const states = [];
+    for (let i = 0; i < from.count; i += 1) states.push(this.between(from, i, to, timeMs));
+    return states;
+  }
+
+  /** @param {Frame} from @param {number} i @param {Frame | null} to @param {number} timeMs */
+  between(from, i, to, timeMs) {
+    const state = this.read(from, i);
+    const other = to && to.timeMs - from.timeMs <= GAP_MS ? place(to, state.id, i) : -1;
+    if (!to || other < 0) return state;
+    const spanMs = to.timeMs - from.timeMs;
+    const part = (timeMs - from.timeMs) / spanMs;
+    const [a, b] = [i * WIDTH, other * WIDTH];
+    const axis = (/** @type {number} */ k) => hermite(from.values, a + k, to.values, b + k, part, spanMs / 1000);
+    if (state.positionM) state.positionM = { x: axis(0), y: axis(1), z: axis(2) };
+    state.ageMs = state.ageMs === null ? null : state.ageMs + part * (to.values[b + AGE] - state.ageMs);
+    return state;
+  }
+
+  /** @param {Frame} frame @param {number} i @returns {ObjectState} */
+  read(frame, i) {
+    const { values } = frame;
+    const at = i * WIDTH;
+    const three = (/** @type {number} */ k) =>
+      Number.isNaN(values[at + k]) ? null : { x: values[at + k], y: values[at + k + 1], z: values[at + k + 2] };
+    const turn = three(TURN);
+    const id = frame.ids[i];
+    const known = this.identities.get(id);
+    return new ObjectState({
+      id,
+      name: known?.name ?? "",
+      roundel: known?.roundel ?? "",
+      code: known?.code ?? null,
+      stage: STAGES[frame.flags[i] & 7],
+      yawObserved: (frame.flags[i] & 8) !== 0,
+      eitherWay: (frame.flags[i] & 16) !== 0,
+      positionM: three(0),
+      velocityMS: three(VELOCITY),
+      orientation: turn && { ...turn, w: values[at + TURN + 3] },
+      covariance: covarianceOf(values, at),
+      cameras: this.cameraNames.filter((_, bit) => (frame.cameras[i] & (1 << bit)) !== 0),
+      ageMs: orNull(values[at + AGE]),
+      residual: orNull(values[at + RESIDUAL]),
+    });
+  }
+
+  /**
+   * Where an object was, from older to newer.
+   * @param {number} id
+   * @param {number} fromMs
+   * @param {number} toMs
+   * @param {number} stride of how many frames one is told
+   * @param {(timeMs: number, x: number, y: number, z: number) => void} visit
+   */
+  trace(id, fromMs, toMs, stride, visit) {
+    const newest = this.backTo(toMs);
+    let hint = 0;
+    // Counted from the ring's own places, so that the same frames are told from snapshot to snapshot.
+    for (let back = Math.min(this.backTo(fromMs), this.count - 1); back >= newest; back -= 1) {
+      if (stride > 1 && (this.next - 1 - back + this.frames.length) % stride !== 0) continue;
+      const frame = this.frame(back);
+      if (frame.timeMs < fromMs) continue;
+      const i = place(frame, id, hint);
+      if (i < 0) continue;
+      hint = i;
+      const at = i * WIDTH;
+      if (!Number.isNaN(frame.values[at])) visit(frame.timeMs, frame.values[at], frame.values[at + 1], frame.values[at + 2]);
+    }
+  }
+
+  /**
+   * An object's states, from older to newer, as they were received.
+   * @param {number} id
+   * @returns {{timeMs: number, state: ObjectState}[]}
+   */
+  of(id) {
+    const states = [];
+    let hint = 0;
+    for (let back = this.count - 1; back >= 0; back -= 1) {
+      const frame = this.frame(back);
+      const i = place(frame, id, hint);
+      if (i < 0) continue;
+      hint = i;
+      states.push({ timeMs: frame.timeMs, state: this.read(frame, i) });
+    }
+    return states;
+  }
+}
+
+/** @param {number} room @returns {Frame} */
+function makeFrame(room) {
+  return {
+    timeMs: 0,
+    count: 0,
+    ids: new Float64Array(room),
+    values: new Float32Array(room * WIDTH),
+    cameras: new Int32Array(room),
+    flags: new Uint8Array(room),
+  };
+}
+
+/** Where an object lies in a frame; -1 where it does not. @param {Frame} frame @param {number} id @param {number} hint */
+function place(frame, id, hint) {
+  if (hint < frame.count && frame.ids[hint] === id) return hint;
+  let [low, high] = [0, frame.count];
+  while (low < high) {
+    const middle = (low + high) >> 1;
+    if (frame.ids[middle] < id) low = middle + 1;
+    else high = middle;
+  }
+  return low < frame.count && frame.ids[low] === id ? low : -1;
+}
+
+/**
+ * The cubic with the places and velocities of both ends; a straight line where a velocity is not known.
+ * @param {Float32Array} from
+ * @param {number} a
+ * @param {Float32Array} to
+ * @param {number} b
+ * @param {number} t 0 to 1
+ * @param {number} spanS
+ */
+function hermite(from, a, to, b, t, spanS) {
+  const [p, q, u, v] = [from[a], to[b], from[a + VELOCITY] * spanS, to[b + VELOCITY] * spanS];
+  if (Number.isNaN(u) || Number.isNaN(v)) return p + t * (q - p);
+  const [t2, t3] = [t * t, t * t * t];
+  return (2 * t3 - 3 * t2 + 1) * p + (t3 - 2 * t2 + t) * u + (3 * t2 - 2 * t3) * q + (t3 - t2) * v;
+}
+
+/** The kept ones in their places of 21 numbers. @param {Float32Array} values @param {number} at */
+function covarianceOf(values, at) {
+  if (Number.isNaN(values[at + COVARIANCE])) return null;
+  const covariance = new Array(21).fill(0);
+  for (let k = 0; k < 6; k += 1) covariance[POSITION_ENTRIES[k]] = values[at + COVARIANCE + k];
+  for (let k = 0; k < 3; k += 1) covariance[ROTATION_ENTRIES[k]] = values[at + ROTATION + k];
+  return covariance;
+}
+
+/** @param {number} value */
+function orNull(value) {
+  return Number.isNaN(value) ? null : value;
+}
