@@ -10,7 +10,6 @@ const EXECUTABLE = process.env.CHROMIUM ?? "/usr/bin/chromium";
 const FLAGS = [
   "--headless",
   "--no-sandbox",
-  "--disable-gpu",
   "--disable-quic",
   "--no-first-run",
   "--disable-background-networking",
@@ -25,8 +24,13 @@ export async function target() {
   return { url: new URL("/", url).href, world: null, close: async () => {} };
 }
 
-export function launch() {
-  return chromium.launch({ executablePath: EXECUTABLE, args: FLAGS });
+/** Without a card nothing is drawn in 3D, unless the processor does it, which takes its time. */
+const PLAIN = ["--disable-gpu"];
+const SPACE = ["--use-angle=swiftshader", "--enable-unsafe-swiftshader"];
+
+/** @param {{space?: boolean}} [options] whether there is WebGL */
+export function launch({ space = false } = {}) {
+  return chromium.launch({ executablePath: EXECUTABLE, args: [...FLAGS, ...(space ? SPACE : PLAIN)] });
 }
 
 /**
@@ -54,6 +58,34 @@ export async function openDashboard(browser, url, options = {}) {
   await page.goto(url);
   await page.locator('body[data-phase="live"]').waitFor();
   return { context, page, complaints, foreign };
+}
+
+/**
+ * Counts draws of WebGL, whoever makes them.
+ * @param {import("playwright-core").Page} page
+ * @returns {Promise<() => Promise<number>>} the most that any of the next frames takes
+ */
+export async function countDraws(page) {
+  await page.evaluate(() => {
+    globalThis.draws = 0;
+    for (const name of ["drawArrays", "drawElements", "drawArraysInstanced", "drawElementsInstanced"]) {
+      const plain = WebGL2RenderingContext.prototype[name];
+      WebGL2RenderingContext.prototype[name] = function (...all) {
+        globalThis.draws += 1;
+        return plain.apply(this, all);
+      };
+    }
+  });
+  return () =>
+    page.evaluate(async () => {
+      let most = 0;
+      for (let frame = 0; frame < 30; frame += 1) {
+        globalThis.draws = 0;
+        await new Promise(requestAnimationFrame);
+        most = Math.max(most, globalThis.draws);
+      }
+      return most;
+    });
 }
 
 /**

@@ -20,7 +20,7 @@ import { World } from "./world.mjs";
 
 const DASHBOARD = join(dirname(fileURLToPath(import.meta.url)), "../../client/dashboard");
 const POLICY =
-  "default-src 'self'; img-src 'self' data: blob:; connect-src 'self' ws: wss:; style-src 'self'; script-src 'self'";
+  "default-src 'none'; script-src 'self'; style-src 'self'; img-src 'self' blob:; connect-src 'self'; form-action 'self'; frame-ancestors 'none'; base-uri 'none'";
 const TYPES = {
   ".html": "text/html; charset=utf-8",
   ".css": "text/css; charset=utf-8",

@@ -25,8 +25,8 @@ export class World {
     this.startedNs = BigInt(Date.now()) * 1_000_000n;
     this.sourceId = "mock-1";
     this.sequence = 0;
-    this.robots = Array.from({ length: robots }, (_, i) => makeRobot(i));
-    this.mounts = Array.from({ length: cameras }, (_, i) => makeMount(i));
+    this.robots = Array.from({ length: robots }, (_, i) => makeRobot(i, robots > ROBOTS));
+    this.mounts = Array.from({ length: cameras }, (_, i) => makeMount(i, cameras > 4));
     this.listeners = new Set();
     /** All that has happened, oldest first. */
     this.events = [];
@@ -189,14 +189,16 @@ function nowNs(offsetMs) {
   return String(BigInt(Math.round((performance.timeOrigin + performance.now() + offsetMs) * 1000)) * 1000n);
 }
 
-function makeRobot(i) {
+/** Few of them in the arena of R4, many in that of R16. */
+function makeRobot(i, isMany) {
   const flying = i % 3 === 2;
+  const [columns, gapX, gapY, left, low] = isMany ? [25, 0.95, 1.1, -11.4, -8.2] : [6, 1.45, 1.8, -3.6, -2.7];
   return {
     id: i + 1,
     name: i === 6 ? "Forklift" : "",
     code: i % 6 === 5 ? { bits: 8, number: 40 + i } : null,
-    x: -3.6 + (i % 6) * 1.45,
-    y: -2.7 + Math.floor(i / 6) * 1.8,
+    x: left + (i % columns) * gapX,
+    y: low + Math.floor(i / columns) * gapY,
     radius: 0.35 + 0.12 * (i % 4),
     omega: (0.5 + 0.13 * (i % 5)) * (i % 2 ? 1 : -1),
     z: flying ? 1.2 + 0.1 * (i % 7) : 0.3,
@@ -220,7 +222,12 @@ function stageOf(robot, t) {
   return "tracked";
 }
 
-function makeMount(i) {
+function makeMount(i, isMany) {
+  if (isMany) {
+    const position = { x: -9 + 6 * (i % 4), y: -6.75 + 4.5 * Math.floor(i / 4), z: 5 };
+    const target = { x: position.x * 0.9, y: position.y * 0.9, z: 0 };
+    return { name: `camera-${i + 1}`, position, orientation: lookAt(position, target), error: "", restarts: 0 };
+  }
   const [sx, sy] = [i % 2 ? 1 : -1, i < 2 ? -1 : 1];
   const position = { x: 2.5 * sx, y: 2 * sy, z: 5 };
   return {

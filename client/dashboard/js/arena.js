@@ -1,6 +1,6 @@
 /**
- * The arena from above: two canvases, what stands still below what moves, drawn when something has
- * changed and at most once per frame of the screen.
+ * The arena from above or in 3D, drawn when something has changed and at most once per frame of the screen. From above
+ * it is two canvases, what stands still below what moves; in 3D one of WebGL, with labels on another above it.
  */
 
 import { cameraFootprint, drawBackdrop, gridStepM, RULER } from "./backdrop.js";
@@ -10,6 +10,9 @@ import { listenForGestures } from "./gesture.js";
 import { readPalette } from "./palette.js";
 import { discRadius, drawTracks } from "./plot.js";
 import { boundsOf, View } from "./view.js";
+
+/** What a browser without WebGL is told. */
+const NO_SPACE = "This browser draws no 3D (WebGL 2 is missing or switched off): here is the view from above.";
 
 /** Kept free round what is fitted, CSS pixels; the rulers come on top. */
 const FIT_MARGIN_PX = 26;
@@ -28,7 +31,14 @@ export class Arena {
     this.layers = {
       backdrop: new Layer(find("#arena-backdrop")),
       tracks: new Layer(find("#arena-tracks")),
+      labels: new Layer(find("#arena-labels")),
     };
+    /** @type {import("./space.js").SpaceView | null} made when it is first wanted: half a megabyte that most phones never load */
+    this.space = null;
+    /** @type {"top" | "space"} */
+    this.mode = "top";
+    /** Said below the arena, of a wish that could not be met. */
+    this.excuse = "";
     this.caption = find("#arena-caption");
     this.palette = readPalette();
     this.exaggeration = 10;
@@ -42,10 +52,12 @@ export class Arena {
     /** What the backdrop's cameras look like, to see whether they have changed. */
     this.camerasDrawn = "";
     this.boundsFitted = "";
+    this.bounds = boundsOf([]);
     this.backdropStale = true;
     this.frameAsked = false;
 
     store.on("snapshot", () => this.onSnapshot());
+    store.on("time", () => this.onSnapshot());
     store.on("cameras", () => this.onCameras());
     store.on("selection", () => this.onSelection());
     document.addEventListener("themechange", () => {
@@ -59,19 +71,19 @@ export class Arena {
   /** @returns {import("./gesture.js").GestureHandlers} */
   gestures() {
     return {
-      pan: (dx, dy) => {
+      drag: (dx, dy, isSecond) => {
         this.fitsItself = false;
-        this.store.follow(false);
-        this.view.pan(dx, dy);
+        if (this.mode === "space" && this.space && !isSecond) this.space.orbit.turn(dx, dy);
+        else {
+          this.store.follow(false);
+          if (this.mode === "space") this.space?.orbit.slide(dx, dy);
+          else this.view.pan(dx, dy);
+        }
         this.refresh();
       },
       zoom: (px, py, factor) => this.zoom(px, py, factor),
       pick: (px, py, coarse) => this.store.select(this.objectAt(px, py, coarse)),
       hover: (px, py) => this.hover(px, py),
-      fit: () => this.fit(),
-      selectNext: (step) => this.store.selectNext(step),
-      deselect: () => this.store.select(null),
-      follow: () => this.store.follow(!this.store.following),
     };
   }
 
@@ -83,7 +95,8 @@ export class Arena {
   zoom(px, py, factor) {
     this.fitsItself = false;
     // While following, the object is what stays in place.
-    if (this.store.following) this.view.zoom(this.view.width / 2, this.view.height / 2, factor);
+    if (this.mode === "space") this.space?.orbit.zoom(factor);
+    else if (this.store.following) this.view.zoom(this.view.width / 2, this.view.height / 2, factor);
     else this.view.zoom(px, py, factor);
     this.refresh();
   }
@@ -91,6 +104,38 @@ export class Arena {
   /** Zooms about the middle. @param {number} factor */
   zoomMiddle(factor) {
     this.zoom(this.view.width / 2, this.view.height / 2, factor);
+  }
+
+  /**
+   * From above, or in 3D if this browser can.
+   * @param {"top" | "space"} mode
+   * @returns {Promise<"top" | "space">} what it is now
+   */
+  async show(mode) {
+    this.excuse = "";
+    if (mode === "space" && !this.space) this.space = await this.makeSpace();
+    this.mode = mode === "space" && this.space ? "space" : "top";
+    if (mode !== this.mode) this.excuse = NO_SPACE;
+    this.stage.dataset.mode = this.mode;
+    this.boundsFitted = "";
+    this.onResize();
+    this.fitNow();
+    this.refresh();
+    return this.mode;
+  }
+
+  async makeSpace() {
+    const canvas = find("#arena-space");
+    if (!(canvas instanceof HTMLCanvasElement)) throw new Error("#arena-space is no canvas");
+    const context = canvas.getContext("webgl2", { antialias: true, alpha: false });
+    if (!context) return null;
+    try {
+      const { SpaceView } = await import("./space.js");
+      return new SpaceView(canvas, context);
+    } catch {
+      // The file could not be loaded, or the card gave up: the view from above is always there.
+      return null;
+    }
   }
 
   /** Shows everything, and keeps showing it until the view is moved. */
@@ -162,6 +207,7 @@ export class Arena {
     this.view.width = clientWidth;
     this.view.height = clientHeight;
     for (const layer of Object.values(this.layers)) layer.resize(clientWidth, clientHeight);
+    if (this.mode === "space") this.space?.resize(clientWidth, clientHeight);
     this.boundsFitted = "";
     if (this.fitsItself) this.fitNow();
     // Drawn at once: a resized canvas is empty, and would flash until the next frame.
@@ -174,6 +220,7 @@ export class Arena {
     const position = this.store.tracks.get(this.store.selected)?.state.positionM;
     if (!position) return;
     this.fitsItself = false;
+    if (this.space) this.space.orbit.target = position;
     this.view.centerX = position.x;
     this.view.centerY = position.y;
     this.backdropStale = true;
@@ -197,6 +244,11 @@ export class Arena {
     const wanted = places.length > 0 ? JSON.stringify(bounds) : "";
     if (wanted !== "" && wanted === this.boundsFitted) return;
     this.boundsFitted = wanted;
+    this.bounds = bounds;
+    if (this.space) {
+      this.space.lay(this.palette, this.standing(), bounds);
+      this.space.fit(bounds);
+    }
     this.view.fit(bounds, {
       left: RULER.left + FIT_MARGIN_PX,
       right: FIT_MARGIN_PX,
@@ -227,6 +279,7 @@ export class Arena {
    * @returns {number | null} id of the nearest object within reach
    */
   objectAt(px, py, coarse) {
+    if (this.mode === "space") return this.space?.objectAt(px, py, coarse ? REACH_COARSE_PX : REACH_PX) ?? null;
     let nearest = null;
     let nearestPx = discRadius(this.view) + (coarse ? REACH_COARSE_PX : REACH_PX);
     for (const [id, { state }] of this.store.tracks) {
@@ -258,12 +311,22 @@ export class Arena {
 
   draw() {
     const { view, palette, store } = this;
+    const space = this.mode === "space" ? this.space : null;
     if (this.backdropStale) {
       this.backdropStale = false;
-      drawBackdrop(this.layers.backdrop.context, view, palette, this.standing());
+      if (space) space.lay(palette, this.standing(), this.bounds);
+      else drawBackdrop(this.layers.backdrop.context, view, palette, this.standing());
       this.describe();
     }
-    drawTracks(this.layers.tracks.context, view, palette, [...store.tracks.values()], {
+    const tracks = [...store.tracks.values()];
+    if (space) space.draw(this.layers.labels.context, palette, tracks, store.cameras, this.plotOptions());
+    else drawTracks(this.layers.tracks.context, view, palette, tracks, this.plotOptions());
+  }
+
+  /** @returns {import("./plot.js").PlotOptions} */
+  plotOptions() {
+    const { store } = this;
+    return {
       exaggeration: this.exaggeration,
       trails: this.trails,
       selected: store.selected,
@@ -271,16 +334,19 @@ export class Arena {
       timeMs: store.shownMs,
       history: store.history,
       cameras: store.cameras.filter((camera) => camera.mount),
-    });
+    };
   }
 
   /** Says the scale, how far the ellipses are exaggerated, and where the pointer is. */
   describe() {
-    const parts = [`Grid ${gridStepM(this.view)} m`];
-    if (this.exaggeration === 1) parts.push("95 % ellipses to scale");
-    if (this.exaggeration > 1) parts.push(`95 % ellipses drawn ${this.exaggeration}× larger`);
+    const isSpace = this.mode === "space";
+    const shapes = isSpace ? "ellipsoids" : "ellipses";
+    const parts = [this.excuse, `Grid ${isSpace ? this.space?.stepM : gridStepM(this.view)} m`].filter(Boolean);
+    if (this.exaggeration === 1) parts.push(`95 % ${shapes} to scale`);
+    if (this.exaggeration > 1) parts.push(`95 % ${shapes} drawn ${this.exaggeration}× larger`);
     parts.push("lines reach 0.5 s ahead");
-    if (this.pointer) {
+    if (isSpace) parts.push("drag turns, Shift and drag moves");
+    else if (this.pointer) {
       const [px, py] = this.pointer;
       parts.push(`x ${fixed(this.view.worldX(px), 2)}  y ${fixed(this.view.worldY(py), 2)} m`);
     }

@@ -2,6 +2,7 @@
 
 import { element, find, glyph, setAttribute, setText } from "./dom.js";
 import { fixed, whole } from "./format.js";
+import { illnesses } from "./health.js";
 import { Picture } from "./picture.js";
 
 const STATUS_WORDS = {
@@ -75,7 +76,7 @@ export function showCameras(store, edit) {
         cards.set(camera.name, card);
         list.append(card.root);
       }
-      card.fill(camera, live);
+      card.fill(camera, live, illnesses(camera, store.vitals.shares(camera.name)));
     }
     empty.hidden = store.cameras.length > 0 || !store.camerasKnown;
     const failed = store.cameras.filter((camera) => camera.status === "failed").length;
@@ -96,21 +97,6 @@ function summaryWords(cameras, failed) {
   if (failed > 0) return `${failed} of ${cameras.length} failed`;
   const running = cameras.filter((camera) => camera.status === "running").length;
   return running === cameras.length ? `${running} running` : `${running} of ${cameras.length} running`;
-}
-
-/** What is the matter and what is being done about it; empty while all is well. @param {Camera} camera */
-function trouble(camera) {
-  if (camera.status === "failed") {
-    const why = camera.error || "The source gave no reason.";
-    return `${why.replace(/([^.!?])$/, "$1.")} It is tried again by itself.`;
-  }
-  if (camera.status === "starting") return camera.error || "The source is being opened.";
-  if (camera.status === "finished") return "The source has no more frames.";
-  if (!camera.pose) {
-    const why = camera.poseReason ? `: ${camera.poseReason}` : " yet";
-    return `Its place is not known${why}. What it sees is not used meanwhile.`;
-  }
-  return camera.rateReason ? `It ${camera.rateReason.replace(/([^.!?])$/, "$1.")}` : "";
 }
 
 /** Where it is, and what carries it. @param {Camera} camera */
@@ -173,8 +159,9 @@ class Card {
   /**
    * @param {Camera} camera
    * @param {boolean} live whether the server can be asked for pictures
+   * @param {import("./health.js").Ill[]} ills
    */
-  fill(camera, live) {
+  fill(camera, live, ills) {
     setAttribute(this.root, "data-status", camera.status);
     if (this.statusShown !== camera.status) {
       this.statusShown = camera.status;
@@ -182,7 +169,8 @@ class Card {
     }
     const blur = camera.blurPx === null ? "" : `, blurred by ${fixed(camera.blurPx, 2)} px`;
     setAttribute(this.head, "title", `${camera.source}, ${camera.width} × ${camera.height} px${blur}`);
-    const words = trouble(camera);
+    const words = ills.map((one) => one.why).join(" ");
+    setAttribute(this.root, "data-health", ills.length === 0 ? "well" : ills[0].isGrave ? "grave" : "ill");
     this.note.hidden = words === "";
     setText(this.note, words);
     setText(this.place, placeWords(camera));

@@ -11,6 +11,14 @@ const clock = new Intl.DateTimeFormat(undefined, {
   hourCycle: "h23",
 });
 
+const preciseClock = new Intl.DateTimeFormat(undefined, {
+  hour: "2-digit",
+  minute: "2-digit",
+  second: "2-digit",
+  fractionalSecondDigits: 1,
+  hourCycle: "h23",
+});
+
 /**
  * @param {number | null | undefined} value
  * @param {number} decimals
@@ -49,6 +57,11 @@ export function duration(ms) {
   if (ms < 120_000) return `${fixed(ms / 1000, 0)} s`;
   if (ms < 7_200_000) return `${fixed(ms / 60_000, 0)} min`;
   return `${fixed(ms / 3_600_000, 1)} h`;
+}
+
+/** Local time of day, to a tenth of a second. @param {number} unixMs */
+export function preciseTimeOfDay(unixMs) {
+  return preciseClock.format(unixMs);
 }
 
 /** Local time of day. @param {number} unixMs */

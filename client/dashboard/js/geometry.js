@@ -195,7 +195,7 @@ export function footprint(worldFromCamera, intrinsics, image, floorM = 0, depthM
  * @param {{width: number, height: number}} image
  * @returns {Point2[]}
  */
-function imageCorners(intrinsics, image) {
+export function imageCorners(intrinsics, image) {
   const outline = [
     [-0.5, -0.5],
     [image.width - 0.5, -0.5],

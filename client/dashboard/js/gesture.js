@@ -1,4 +1,4 @@
-/** Mouse, touch and keyboard on the arena, told as what the person means: pan, zoom, pick, fit. */
+/** Mouse, touch and keyboard on the arena, told as what the person means: drag, zoom, pick. */
 
 /** A press that moves less than this is a click, CSS pixels. */
 const CLICK_SLACK_PX = 5;
@@ -7,14 +7,11 @@ const ZOOM_STEP = 1.25;
 
 /**
  * @typedef {object} GestureHandlers
- * @property {(dx: number, dy: number) => void} pan pixels by which the picture moves
+ * @property {(dx: number, dy: number, isSecond: boolean) => void} drag pixels by which the picture goes with the hand; second:
+ *   with Shift, the right button or two fingers
  * @property {(px: number, py: number, factor: number) => void} zoom about a point
  * @property {(px: number, py: number, coarse: boolean) => void} pick coarse: by a finger
  * @property {(px: number | null, py: number | null) => void} hover null: left the arena
- * @property {() => void} fit
- * @property {(step: 1 | -1) => void} selectNext
- * @property {() => void} deselect
- * @property {() => void} follow
  */
 
 /**
@@ -37,7 +34,7 @@ export function listenForGestures(target, handlers) {
   );
   target.addEventListener("keydown", (event) => {
     if (event.ctrlKey || event.metaKey || event.altKey) return;
-    const action = keyAction(event.key, target, handlers);
+    const action = keyAction(event.key, event.shiftKey, target, handlers);
     if (!action) return;
     event.preventDefault();
     action();
@@ -46,29 +43,25 @@ export function listenForGestures(target, handlers) {
 
 /**
  * @param {string} key
+ * @param {boolean} isSecond with Shift
  * @param {HTMLElement} target
  * @param {GestureHandlers} handlers
  * @returns {(() => void) | undefined}
  */
-function keyAction(key, target, handlers) {
+function keyAction(key, isSecond, target, handlers) {
   const zoom = (/** @type {number} */ factor) =>
     handlers.zoom(target.clientWidth / 2, target.clientHeight / 2, factor);
   /** @type {Record<string, () => void>} */
   const actions = {
-    ArrowLeft: () => handlers.pan(PAN_STEP_PX, 0),
-    ArrowRight: () => handlers.pan(-PAN_STEP_PX, 0),
-    ArrowUp: () => handlers.pan(0, PAN_STEP_PX),
-    ArrowDown: () => handlers.pan(0, -PAN_STEP_PX),
+    ArrowLeft: () => handlers.drag(PAN_STEP_PX, 0, isSecond),
+    ArrowRight: () => handlers.drag(-PAN_STEP_PX, 0, isSecond),
+    ArrowUp: () => handlers.drag(0, PAN_STEP_PX, isSecond),
+    ArrowDown: () => handlers.drag(0, -PAN_STEP_PX, isSecond),
     "+": () => zoom(ZOOM_STEP),
     "=": () => zoom(ZOOM_STEP),
     "-": () => zoom(1 / ZOOM_STEP),
-    0: handlers.fit,
-    n: () => handlers.selectNext(1),
-    p: () => handlers.selectNext(-1),
-    f: handlers.follow,
-    Escape: handlers.deselect,
   };
-  return actions[key];
+  return actions[key.length === 1 ? key.toLowerCase() : key];
 }
 
 /**
@@ -79,9 +72,13 @@ function listenForPointers(target, handlers) {
   /** @type {Map<number, [number, number]>} pointers that are down, and where */
   const down = new Map();
   let travelledPx = 0;
+  let isSecond = false;
 
+  // The right button moves the arena; its menu would be in the way.
+  target.addEventListener("contextmenu", (event) => event.preventDefault());
   target.addEventListener("pointerdown", (event) => {
-    if (event.button !== 0) return;
+    if (event.button !== 0 && event.button !== 2) return;
+    isSecond = event.shiftKey || event.button === 2;
     target.setPointerCapture(event.pointerId);
     if (down.size === 0) travelledPx = 0;
     // A second finger makes it a pinch, never a click.
@@ -102,7 +99,7 @@ function listenForPointers(target, handlers) {
     travelledPx += Math.hypot(dx, dy);
     if (travelledPx < CLICK_SLACK_PX) return;
     // Each of two fingers moves the middle by half of its own way.
-    handlers.pan(dx / down.size, dy / down.size);
+    handlers.drag(dx / down.size, dy / down.size, isSecond || down.size > 1);
     if (down.size === 2 && spanBefore > 0) {
       const [a, b] = [...down.values()];
       handlers.zoom((a[0] + b[0]) / 2, (a[1] + b[1]) / 2, span(down) / spanBefore);
@@ -111,7 +108,7 @@ function listenForPointers(target, handlers) {
 
   target.addEventListener("pointerup", (event) => {
     if (!down.delete(event.pointerId)) return;
-    if (down.size === 0 && travelledPx < CLICK_SLACK_PX) {
+    if (down.size === 0 && travelledPx < CLICK_SLACK_PX && event.button === 0) {
       handlers.pick(...place(target, event), event.pointerType !== "mouse");
     }
   });

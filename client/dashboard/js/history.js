@@ -167,6 +167,14 @@ export class History {
     return states;
   }
 
+  /** One of them; null if it was not there. @param {number} id @param {number} timeMs @returns {ObjectState | null} */
+  one(id, timeMs) {
+    const back = this.backTo(timeMs);
+    if (back >= this.count || timeMs - this.frame(back).timeMs > GAP_MS) return null;
+    const i = place(this.frame(back), id, 0);
+    return i < 0 ? null : this.between(this.frame(back), i, back > 0 ? this.frame(back - 1) : null, timeMs);
+  }
+
   /** @param {Frame} from @param {number} i @param {Frame | null} to @param {number} timeMs */
   between(from, i, to, timeMs) {
     const state = this.read(from, i);

@@ -16,7 +16,10 @@ const MARGIN_ROWS = 2;
 /** @typedef {import("./state.js").ObjectState} ObjectState */
 /** @typedef {{row: HTMLElement, button: HTMLElement, sign: Element, label: Element, code: HTMLElement, cells: Element[], stage: string}} Row */
 
-/** @param {import("./store.js").Store} store */
+/**
+ * @param {import("./store.js").Store} store
+ * @returns {{narrow: (filter: ((state: ObjectState) => boolean) | null) => void}} to what fits
+ */
 export function showList(store) {
   const body = find("#object-rows");
   const empty = find("#objects-empty");
@@ -30,6 +33,8 @@ export function showList(store) {
 
   const scroller = /** @type {HTMLElement} */ (body.closest(".scroll"));
   let turn = 0;
+  /** @type {((state: ObjectState) => boolean) | null} */
+  let filter = null;
   /** Whether a row is up for new figures: four hundred at once would hold the page up. @type {(i: number, of: number) => boolean} */
   let isDue = () => true;
   const lookWhatIsSeen = (/** @type {number} */ count) => {
@@ -42,10 +47,11 @@ export function showList(store) {
   };
 
   const update = () => {
-    const tracks = store.sortedTracks();
+    const tracks = store.sortedTracks().filter(({ state }) => !filter || filter(state));
+    const ids = new Set(tracks.map(({ state }) => state.id));
     lookWhatIsSeen(tracks.length);
     for (const [id, { row }] of rows) {
-      if (store.tracks.has(id)) continue;
+      if (ids.has(id)) continue;
       row.remove();
       rows.delete(id);
     }
@@ -59,6 +65,7 @@ export function showList(store) {
       }
       if (isNew || isDue(i) || row.stage !== state.stage) fillRow(row, state, store.selected);
     }
+    setText(empty, filter ? "No object fits." : "No object is in view.");
     empty.hidden = tracks.length > 0;
   };
 
@@ -81,6 +88,12 @@ export function showList(store) {
     markSelected();
   });
   update();
+  return {
+    narrow: (wanted) => {
+      filter = wanted;
+      update();
+    },
+  };
 }
 
 /**

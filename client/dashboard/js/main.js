@@ -6,24 +6,44 @@ import { showCameras } from "./cameras.js";
 import { connect } from "./connection.js";
 import { find } from "./dom.js";
 import { showEvents } from "./events.js";
+import { showHealth } from "./health-view.js";
+import { listenForKeys } from "./keys.js";
 import { showList } from "./list.js";
 import { showMasthead } from "./masthead.js";
 import { readInfo } from "./message.js";
 import { showPanel } from "./panel.js";
+import { showSearch } from "./search.js";
 import { showSetup } from "./setup.js";
 import { Store } from "./store.js";
+import { showTimeline } from "./timeline.js";
+import { showViews } from "./views.js";
 
 /** Snapshots asked for each second: a screen's rate, and half of it where a finger says that it is a phone's. */
 const MAX_RATE_HZ = matchMedia("(pointer: coarse)").matches ? 30 : 60;
 
 const store = new Store();
 const arena = new Arena(store);
-showList(store);
+const list = showList(store);
+showSearch(store, list.narrow);
 showPanel(store);
 const setup = showSetup();
 showCameras(store, setup.edit);
 showCalibration(store);
 showEvents(store);
+const timeline = showTimeline(store);
+const views = showViews(arena);
+const health = showHealth(store, { open: () => views.show("health"), isOpen: () => views.shown() === "health" });
+views.onHealth(health.opened);
+listenForKeys({
+  show: (mode) => views.show(mode),
+  step: timeline.step,
+  live: () => store.lookBack(null),
+  fit: () => arena.fit(),
+  selectNext: (step) => store.selectNext(step),
+  follow: () => store.follow(!store.following),
+  deselect: () => store.select(null),
+  theme: () => find("#theme").click(),
+});
 
 for (const input of document.querySelectorAll("input[name=exaggeration]")) {
   if (!(input instanceof HTMLInputElement)) continue;

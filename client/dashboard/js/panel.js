@@ -2,8 +2,14 @@
 
 import { element, find, glyph, paced, setAttribute, setText } from "./dom.js";
 import { degrees, duration, fixed, significant } from "./format.js";
+import { showPlots } from "./plots.js";
 
 const INTERVAL_MS = 150;
+const PLOT_INTERVAL_MS = 500;
+/** Where it was so long before is told beside where it is, ms. */
+const AGO_MS = 10_000;
+const AXES = /** @type {const} */ (["x", "y", "z"]);
+const GONE_WORDS = "Not in view at that time; these are other values of it";
 
 /** What the stages mean, for who does not know the words yet. */
 const STAGE_WORDS = {
@@ -31,6 +37,15 @@ const VALUES = [
   },
   { key: "tilt", name: "Tilt", value: (state) => degrees(state.tiltRad) },
   {
+    key: "turned",
+    name: "Rotation σ",
+    value: ({ sigmaRad, yawObserved }) => {
+      if (!sigmaRad) return "not given";
+      const parts = [sigmaRad.x, sigmaRad.y, yawObserved ? sigmaRad.z : null];
+      return parts.map((one) => (one === null ? "yaw not observed" : `${significant((one * 180) / Math.PI)}°`)).join("  ");
+    },
+  },
+  {
     key: "ellipse",
     name: "95 % ellipse",
     value: ({ ellipse }) =>
@@ -41,20 +56,29 @@ const VALUES = [
   { key: "age", name: "Last observation", value: (state) => `${duration(state.ageMs)} before` },
   { key: "residual", name: "Residual", value: (state) => `${fixed(state.residual, 2)} (1 is as modelled)` },
   { key: "cameras", name: "Cameras", value: (state) => state.cameras.join(", ") || "none now" },
-  { key: "roundel", name: "Roundel", value: (state) => state.roundel || "–" },
   {
     key: "code",
-    name: "Code",
-    value: ({ code }) => (code ? `${code.number} of ${code.bits} bits` : "none read"),
+    name: "Roundel",
+    value: ({ code, roundel }) => `${roundel || "–"}, ${code ? `code ${code.number} of ${code.bits} bits` : "no code read"}`,
   },
 ];
+
+/** How precise, by whom, how old: what most people want to know. @param {ObjectState} state */
+function precisionWords(state) {
+  const { reachM, headingReachRad, cameras, ageMs } = state;
+  const known = reachM === null ? "Without a covariance" : `Known to ${significant(reachM * 1000)} mm`;
+  const heading = headingReachRad === null ? "" : ` and ${significant((headingReachRad * 180) / Math.PI)}°`;
+  const by = cameras.length === 0 ? "seen by no camera now" : `seen by ${cameras.length === 1 ? "one camera" : `${cameras.length} cameras`}`;
+  return `${known}${heading}${reachM === null ? "" : " (95 %)"}, ${by}, ${duration(ageMs)} ago`;
+}
 
 /** @param {import("./store.js").Store} store */
 export function showPanel(store) {
   const panel = find("#selection");
   const title = find("#selection-title");
   const follow = find("#follow");
-  const body = makeBody(find("#selection-body"));
+  const body = makeBody(find("#selection-body"), find("#selection-values"));
+  const updatePlots = showPlots(store, find("#selection-plots"));
   let signDrawn = "";
 
   const update = () => {
@@ -72,8 +96,12 @@ export function showPanel(store) {
       if (state.name) title.append(element("small", {}, [`object ${state.id}`]));
     }
     panel.classList.toggle("gone", gone);
-    setText(body.stage, gone ? STAGE_WORDS.lost : STAGE_WORDS[state.stage]);
+    const past = store.pastMs !== null;
+    setText(body.stage, !gone ? STAGE_WORDS[state.stage] : past ? GONE_WORDS : STAGE_WORDS.lost);
+    setText(body.precision, precisionWords(state));
     fillAxes(body, state);
+    const before = store.history.one(state.id, store.shownMs - AGO_MS)?.positionM;
+    for (const [i, axis] of AXES.entries()) setText(body.axes[i].before, fixed(before?.[axis], 3));
     for (const [i, { value }] of VALUES.entries()) setText(body.values[i], value(state));
     setAttribute(follow, "aria-pressed", String(store.following));
   };
@@ -81,17 +109,22 @@ export function showPanel(store) {
   follow.addEventListener("click", () => store.follow(!store.following));
   find("#deselect").addEventListener("click", () => store.select(null));
   store.on("selection", update);
-  store.on("snapshot", paced(INTERVAL_MS, update));
+  store.on("snapshot", paced(INTERVAL_MS, () => store.pastMs === null && update()));
+  store.on("time", update);
+  store.on("selection", updatePlots);
+  store.on("snapshot", paced(PLOT_INTERVAL_MS, updatePlots));
   update();
 }
 
-/** @param {HTMLElement} target */
-function makeBody(target) {
+/** @param {HTMLElement} target @param {HTMLElement} rest what is looked up less often */
+function makeBody(target, rest) {
   const stage = element("p", { class: "stage-words" });
-  const axes = ["x", "y", "z"].map((axis) => ({
+  const precision = element("p", { class: "precision", "data-value": "precision" });
+  const axes = AXES.map((axis) => ({
     position: element("td", { "data-value": axis }),
     sigma: element("td", { "data-value": `sigma-${axis}` }),
     velocity: element("td", { "data-value": `velocity-${axis}` }),
+    before: element("td", { "data-value": `before-${axis}` }),
   }));
   const row = (/** @type {string} */ name, /** @type {string} */ unit, /** @type {Node[]} */ cells) =>
     element("tr", {}, [element("th", { scope: "row" }, [name, " ", element("small", {}, [unit])]), ...cells]);
@@ -99,13 +132,14 @@ function makeBody(target) {
     element("thead", {}, [
       element("tr", {}, [
         element("td"),
-        ...["x", "y", "z"].map((axis) => element("th", { scope: "col" }, [axis])),
+        ...AXES.map((axis) => element("th", { scope: "col" }, [axis])),
       ]),
     ]),
     element("tbody", {}, [
       row("Position", "m", axes.map((axis) => axis.position)),
       row("σ", "mm", axes.map((axis) => axis.sigma)),
       row("Velocity", "m/s", axes.map((axis) => axis.velocity)),
+      row("10 s before", "m", axes.map((axis) => axis.before)),
     ]),
   ]);
   const values = VALUES.map(({ key }) => element("dd", { "data-value": key }));
@@ -114,8 +148,9 @@ function makeBody(target) {
     { class: "values" },
     VALUES.map(({ name }, i) => element("div", {}, [element("dt", {}, [name]), values[i]])),
   );
-  target.append(stage, table, list);
-  return { stage, axes, values };
+  target.append(stage, precision, table);
+  rest.append(list);
+  return { stage, precision, axes, values };
 }
 
 /**
@@ -123,7 +158,7 @@ function makeBody(target) {
  * @param {ObjectState} state
  */
 function fillAxes(body, state) {
-  for (const [i, axis] of /** @type {const} */ (["x", "y", "z"]).entries()) {
+  for (const [i, axis] of AXES.entries()) {
     setText(body.axes[i].position, fixed(state.positionM?.[axis], 4));
     setText(body.axes[i].sigma, fixed(state.sigmaM && state.sigmaM[axis] * 1000, 2));
     setText(body.axes[i].velocity, fixed(state.velocityMS?.[axis], 3));

@@ -4,6 +4,7 @@
  * Views subscribe to a topic and read; only the functions here change anything.
  */
 
+import { Latencies, Vitals } from "./health.js";
 import { History } from "./history.js";
 import { readCameras, readEvent } from "./message.js";
 import { carried } from "./riding.js";
@@ -29,6 +30,9 @@ export class Store {
     this.live = new Map();
     /** The last minute of all of them. */
     this.history = new History();
+    /** How cameras' counts have grown of late, and how late snapshots were. */
+    this.vitals = new Vitals();
+    this.latencies = new Latencies();
     /** @type {number | null} what instant is shown, in pose time; null: now */
     this.pastMs = null;
     /** @type {Map<number, Track>} the objects of that instant */
@@ -95,6 +99,7 @@ export class Store {
     if (Array.isArray(message?.cameras)) {
       this.cameras = readCameras(message.cameras);
       this.camerasKnown = true;
+      this.vitals.take(this.cameras, performance.now());
       this.carryCameras();
       this.emit("cameras");
     }
@@ -110,6 +115,7 @@ export class Store {
     this.missed += snapshot.missed;
     this.receivedAtMs = now;
     this.arrivals.push(now);
+    if (snapshot.latencyMs !== null) this.latencies.take(snapshot.latencyMs);
     const live = new Set();
     for (const state of snapshot.objects) {
       live.add(state.id);
@@ -181,6 +187,7 @@ export class Store {
   forget() {
     this.live.clear();
     this.history.clear();
+    this.latencies.clear();
     if (this.pastMs !== null) this.lookBack(null);
     // The new run's first events come before its first snapshot, which is what gave it away.
     this.events = this.events.filter((event) => event.connectionNumber === this.connectionNumber);

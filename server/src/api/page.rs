@@ -14,9 +14,10 @@ use super::error::ApiError;
 #[allow_missing = true]
 struct Files;
 
-/// Nothing but the page's own files, and nobody may frame it.
-const CONTENT_SECURITY_POLICY: &str = "default-src 'self'; img-src 'self' data: blob:; \
-    connect-src 'self' ws: wss:; style-src 'self'; script-src 'self'; frame-ancestors 'none'; \
+/// Nothing but the page's own files and this very server, to which its WebSocket counts as well; `blob:` are pictures that
+/// the page has fetched itself. Nobody may frame it.
+const CONTENT_SECURITY_POLICY: &str = "default-src 'none'; script-src 'self'; style-src 'self'; \
+    img-src 'self' blob:; connect-src 'self'; form-action 'self'; frame-ancestors 'none'; \
     base-uri 'none'";
 
 /// A file of the dashboard; an error in JSON for all else.

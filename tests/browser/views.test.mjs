@@ -1,0 +1,376 @@
+/** 3D, health, looking back, finding, keys: on the real server at ROUNDEL_URL where that is given, and else on the mock. */
+
+import assert from "node:assert/strict";
+import { readFile } from "node:fs/promises";
+import { createRequire } from "node:module";
+import { after, before, describe, test } from "node:test";
+
+import { countDraws, launch, openDashboard, startLine, target } from "./harness.mjs";
+import { startMock } from "./mock.mjs";
+import { World } from "./world.mjs";
+
+const PATIENCE_MS = 30_000;
+
+let server;
+let browser;
+let spaceBrowser;
+before(async () => {
+  server = await target();
+  browser = await launch();
+  spaceBrowser = await launch({ space: true });
+});
+after(async () => {
+  await browser?.close();
+  await spaceBrowser?.close();
+  await server?.close();
+});
+
+/** Opens the page, runs the case, and closes the page whatever happens. */
+async function withPage(options, body, url = server.url, within = browser) {
+  const opened = await openDashboard(within, url, options);
+  opened.page.setDefaultTimeout(PATIENCE_MS);
+  try {
+    await opened.page.locator("#object-rows tr").first().waitFor();
+    return await body(opened.page, opened);
+  } finally {
+    await opened.context.close();
+  }
+}
+
+/** A mock of this case's own. */
+async function withWorld(world, options, body, within = browser) {
+  const own = await startMock({ world });
+  try {
+    return await withPage(options, body, own.url, within);
+  } finally {
+    await own.close();
+  }
+}
+
+const choose = (page, mode) => page.locator(`input[name=mode][value=${mode}]`).check();
+const shows = (page, mode) => page.locator(`.arena[data-shows="${mode}"]`).waitFor();
+const value = (page, key) => page.locator(`#selection [data-value="${key}"]`).textContent();
+
+async function assertAccessible(page) {
+  const axe = await readFile(createRequire(import.meta.url).resolve("axe-core/axe.min.js"), "utf8");
+  await page.evaluate(axe);
+  const { violations, passes } = await page.evaluate(() => globalThis.axe.run());
+  assert.ok(passes.length > 0);
+  const grave = violations.filter(({ impact }) => impact === "serious" || impact === "critical");
+  assert.deepEqual(grave.map(({ help, nodes }) => [help, nodes.map((node) => node.html)]), []);
+}
+
+describe("the view in 3D", () => {
+  test("draws the arena, turns by mouse and keys, and zooms", async () => {
+    await withPage({}, async (page, { complaints, foreign }) => {
+      await choose(page, "space");
+      await page.locator('#arena-stage[data-mode="space"]').waitFor();
+      const stage = page.locator("#arena-stage");
+      await page.locator("#arena-caption", { hasText: "drag turns" }).waitFor();
+      // What moves is frozen, so that only what the hand does changes the picture.
+      await page.waitForTimeout(1500);
+      await page.keyboard.press(",");
+      const look = async () => (await stage.screenshot()).toString("base64");
+      let last = await look();
+      const box = await stage.boundingBox();
+      const middle = [box.x + box.width / 2, box.y + box.height / 2];
+      const changes = async (act, what) => {
+        await act();
+        const until = Date.now() + PATIENCE_MS;
+        for (let now = await look(); ; now = await look()) {
+          if (now !== last) {
+            last = now;
+            return;
+          }
+          assert.ok(Date.now() < until, `${what} changes nothing`);
+        }
+      };
+      const drag = async (button) => {
+        await page.mouse.move(...middle);
+        await page.mouse.down({ button });
+        await page.mouse.move(middle[0] + 90, middle[1] + 30, { steps: 3 });
+        await page.mouse.up({ button });
+      };
+      await changes(() => drag("left"), "dragging");
+      await changes(() => drag("right"), "dragging with the right button");
+      await changes(() => page.mouse.wheel(0, -400), "the wheel");
+      await stage.focus();
+      await changes(() => page.keyboard.press("ArrowLeft"), "an arrow key");
+      await changes(() => page.keyboard.press("Shift+ArrowUp"), "Shift and an arrow key");
+      await changes(() => page.keyboard.press("0"), "fitting");
+      assert.deepEqual(complaints, []);
+      assert.deepEqual(foreign, []);
+    }, server.url, spaceBrowser);
+  });
+
+  test("selects what is clicked", async () => {
+    const line = await startLine(server.url);
+    try {
+      await withPage({}, async (page) => {
+        await choose(page, "space");
+        await page.locator('#arena-stage[data-mode="space"]').waitFor();
+        await page.locator("#object-rows button").first().click();
+        const id = await page.locator("#object-rows tr.selected").getAttribute("data-object-id");
+        await page.locator("#follow").click();
+        // What is followed lies in the middle; with the line frozen it stays there.
+        await page.waitForTimeout(1000);
+        line.freeze();
+        await page.locator('body[data-phase="lost"]').waitFor();
+        await page.locator("#deselect").click();
+        const box = await page.locator("#arena-stage").boundingBox();
+        await page.mouse.click(box.x + box.width / 2, box.y + box.height / 2);
+        await page.locator("#selection").waitFor();
+        assert.equal(await page.locator("#object-rows tr.selected").getAttribute("data-object-id"), id);
+        await page.mouse.click(box.x + 6, box.y + 6);
+        await page.locator("#selection").waitFor({ state: "hidden" });
+      }, line.url, spaceBrowser);
+    } finally {
+      await line.close();
+    }
+  });
+
+  test("takes at most 50 draws for 400 objects and 16 cameras", async () => {
+    await withWorld(new World({ robots: 400, cameras: 16 }), {}, async (page) => {
+      const drawsOfAFrame = await countDraws(page);
+      await choose(page, "space");
+      await page.locator('#arena-stage[data-mode="space"]').waitFor();
+      await page.waitForTimeout(2000);
+      const draws = await drawsOfAFrame();
+      assert.ok(draws > 5 && draws <= 50, `${draws} draws a frame`);
+    }, spaceBrowser);
+  });
+
+  test("is the view from above where there is no WebGL, and says so", async () => {
+    await withPage({}, async (page, { complaints }) => {
+      await page.evaluate(() => {
+        const plain = HTMLCanvasElement.prototype.getContext;
+        HTMLCanvasElement.prototype.getContext = function (kind, ...rest) {
+          return kind === "webgl2" ? null : plain.call(this, kind, ...rest);
+        };
+      });
+      await page.keyboard.press("2");
+      await page.locator("#arena-caption", { hasText: "This browser draws no 3D" }).waitFor();
+      assert.equal(await page.locator("#arena-stage").getAttribute("data-mode"), "top");
+      assert.equal(await page.locator("input[name=mode][value=top]").isChecked(), true);
+      assert.deepEqual(complaints, []);
+    });
+  });
+
+  test("axe finds nothing serious", async () => {
+    await withPage({ colorScheme: "dark" }, async (page) => {
+      await choose(page, "space");
+      await page.locator('#arena-stage[data-mode="space"]').waitFor();
+      await assertAccessible(page);
+    }, server.url, spaceBrowser);
+  });
+});
+
+describe("health", () => {
+  test("has all cameras with their figures, and how late snapshots are", async () => {
+    const { cameras } = await (await fetch(new URL("api/v1/cameras", server.url))).json();
+    await withPage({}, async (page, { complaints }) => {
+      await page.locator("#verdict", { hasText: "cameras" }).click();
+      await shows(page, "health");
+      await page.waitForFunction((count) => document.querySelectorAll("#health-rows tr").length === count, cameras.length);
+      const names = await page.locator("#health-rows th").allTextContents();
+      assert.deepEqual(names.map((name) => name.trim()).sort(), cameras.map((camera) => camera.name).sort());
+      await page.waitForFunction(() => [...document.querySelectorAll("#health-rows [data-figure=rate]")].every((cell) => parseFloat(cell.textContent) > 0));
+      await page.waitForFunction(() => /^\d+ \/ \d+ \/ \d+ ms$/.test(document.querySelector("#health-late").textContent));
+      await page.waitForFunction(() => [...document.querySelectorAll("#health-bars span")].some((bar) => bar.style.height === "100%"));
+      assert.deepEqual(complaints, []);
+    });
+  });
+
+  test("names the unwell camera and why, before all others, until it is well", async () => {
+    const world = new World();
+    await withWorld(world, {}, async (page) => {
+      await page.locator("#verdict-text", { hasText: "All 4 cameras well" }).waitFor();
+      assert.equal(await page.locator("#unwell").isVisible(), false);
+      world.failCamera("north-west", "no images in frames/north-west");
+      await page.locator("#verdict-text", { hasText: "1 of 4 cameras unwell" }).waitFor();
+      assert.equal(await page.locator("#verdict").getAttribute("data-health"), "grave");
+      const item = page.locator("#unwell li");
+      assert.match(await item.textContent(), /^north-west No images in frames\/north-west\. It is tried again by itself\.$/);
+      await item.getByRole("button").click();
+      await page.waitForFunction(() => document.activeElement?.closest("[data-camera-card]")?.dataset.cameraCard === "north-west");
+      await page.keyboard.press("3");
+      await shows(page, "health");
+      await page.locator('#health-rows tr:first-child[data-name="north-west"][data-health="grave"]').waitFor();
+      world.restoreCamera("north-west");
+      await page.locator("#verdict-text", { hasText: "All 4 cameras well" }).waitFor();
+      await page.locator("#unwell").waitFor({ state: "hidden" });
+    });
+  });
+
+  test("shows the reprojection error of the newest calibration", async () => {
+    await withWorld(new World(), {}, async (page) => {
+      await page.route("**/api/v1/calibration", (route) =>
+        route.fulfill({ json: { stage: "done", recorded: [], report: { cameras: [{ camera: "north-east", reprojection_px: 0.37 }] } } }),
+      );
+      await page.keyboard.press("3");
+      await page.locator('#health-rows tr[data-name="north-east"] [data-figure=reprojection]', { hasText: "0.37" }).waitFor();
+    });
+  });
+
+  test("a server that answers nothing of its calibrations leaves the rest as it is", async () => {
+    await withWorld(new World(), {}, async (page) => {
+      await page.route("**/api/v1/calibration", (route) => route.abort());
+      await page.keyboard.press("3");
+      await page.locator('#health-rows tr[data-name="north-east"] [data-figure=reprojection]', { hasText: "–" }).waitFor();
+      await page.locator('#health-rows tr[data-name="north-east"] .why', { hasText: "Well" }).waitFor();
+    });
+  });
+
+  for (const options of [{ colorScheme: "light" }, { colorScheme: "dark", viewport: { width: 390, height: 844 } }]) {
+    test(`axe finds nothing serious with ${JSON.stringify(options)}`, async () => {
+      const world = new World();
+      world.failCamera("north-west", "no images");
+      await withWorld(world, options, async (page) => {
+        await choose(page, "health");
+        await page.locator("#unwell li").waitFor();
+        await assertAccessible(page);
+      });
+    });
+  }
+});
+
+describe("looking back", () => {
+  test("shows an instant of the last minute by slider and keys, and comes back to now", async () => {
+    await withPage({}, async (page) => {
+      const moving = await page.locator("#object-rows tr").evaluateAll((rows) =>
+        rows.map((row) => ({ id: row.dataset.objectId, speed: Number(row.children[4].textContent) || 0 })).sort((a, b) => b.speed - a.speed),
+      );
+      await page.locator(`#object-rows tr[data-object-id="${moving[0].id}"] button`).click();
+      await page.waitForTimeout(3500);
+      await page.keyboard.press(",");
+      await page.locator("body.past").waitFor();
+      assert.match(await page.locator("#past-words").textContent(), /^\d+\.\d s ago, /);
+      const then = [await value(page, "x"), await value(page, "y")];
+      await page.waitForTimeout(800);
+      assert.deepEqual([await value(page, "x"), await value(page, "y")], then, "the past does not move");
+      await page.keyboard.press(",");
+      await page.waitForFunction(([x, y]) => ["x", "y"].map((key) => document.querySelector(`[data-value="${key}"]`).textContent).join() !== `${x},${y}`, then);
+      await page.keyboard.press("l");
+      await page.locator("body:not(.past)").waitFor();
+      await page.locator("#past").fill("-2");
+      await page.locator("#past-words", { hasText: "s ago" }).waitFor();
+      await page.locator("#live").click();
+      await page.locator("#past-words", { hasText: "Now" }).waitFor();
+      // The table beside it tells the same of ten seconds before, once there were ten.
+      await page.waitForFunction(() => document.querySelector('[data-value="before-x"]').textContent !== "–");
+      await page.waitForFunction(() => document.querySelectorAll(".plot small").length === 4 && [...document.querySelectorAll(".plot small")].every((range) => / to /.test(range.textContent)));
+    });
+  });
+
+  test("by a click in a plot", async () => {
+    await withWorld(new World(), {}, async (page) => {
+      await page.locator('#object-rows tr[data-object-id="7"] button').click();
+      await page.waitForTimeout(4000);
+      const plot = page.locator('[data-plot="speed"] .u-over');
+      const box = await plot.boundingBox();
+      await page.mouse.click(box.x + box.width - 4, box.y + box.height / 2);
+      await page.locator("body.past").waitFor();
+      assert.match(await page.locator("#past-words").textContent(), /^[1-4]\.\d s ago/);
+    });
+  });
+
+  test("at who was not there says so, and another run of the server ends it", async () => {
+    const world = new World({ robots: 3 });
+    const first = await startMock({ world });
+    const line = await startLine(first.url);
+    const second = await startMock({ world: new World({ robots: 2 }) });
+    second.world.sourceId = "mock-2";
+    try {
+      await withPage({}, async (page) => {
+        await page.waitForTimeout(2500);
+        const { id } = world.robots[2];
+        world.robots.push({ ...world.robots[2], id: id + 1, y: 0 });
+        await page.locator(`#object-rows tr[data-object-id="${id + 1}"] button`).click();
+        await page.locator("#past").fill("-2");
+        await page.locator(".stage-words", { hasText: "Not in view at that time" }).waitFor();
+        line.cut();
+        await page.locator("#banner").waitFor();
+        line.mend(second.url);
+        await page.locator("body:not(.past)").waitFor();
+        await page.waitForFunction(() => document.querySelectorAll("#object-rows tr").length === 2);
+      }, line.url);
+    } finally {
+      await line.close();
+      await Promise.all([first.close(), second.close()]);
+    }
+  });
+});
+
+describe("finding", () => {
+  test("an object by number or name, and nobody", async () => {
+    await withWorld(new World(), {}, async (page) => {
+      await page.keyboard.press("/");
+      await page.keyboard.type("fork");
+      await page.waitForFunction(() => document.querySelectorAll("#object-rows tr").length === 1);
+      await page.keyboard.press("Enter");
+      await page.locator("#selection h2", { hasText: "Forklift" }).waitFor();
+      assert.match(await value(page, "precision"), /^Known to [\d.]+ mm \(95 %\), seen by (one camera|\d cameras), \d+ ms ago$/);
+      await page.locator("#search").fill("2");
+      await page.keyboard.press("Enter");
+      await page.locator("#selection h2", { hasText: "Object 2" }).waitFor();
+      assert.ok((await page.locator("#object-rows tr").count()) > 1, "20 to 24 begin with it, too");
+      await page.locator("#search").fill("nobody");
+      await page.locator("#objects-empty", { hasText: "No object fits" }).waitFor();
+      await page.keyboard.press("Escape");
+      await page.waitForFunction(() => document.querySelectorAll("#object-rows tr").length === 24);
+    });
+  });
+});
+
+describe("keys", () => {
+  test("tell themselves, and work from anywhere but a field", async () => {
+    await withPage({}, async (page) => {
+      await page.keyboard.press("?");
+      await page.locator("#help[open]").waitFor();
+      await assertAccessible(page);
+      await page.keyboard.press("3");
+      assert.equal(await page.locator('.arena[data-shows="health"]').count(), 0, "a dialog has its own keys");
+      await page.keyboard.press("Escape");
+      await page.locator("#help:not([open])").waitFor({ state: "attached" });
+      await page.keyboard.press("3");
+      await shows(page, "health");
+      await page.keyboard.press("1");
+      await shows(page, "top");
+      const theme = await page.evaluate(() => document.documentElement.dataset.theme);
+      await page.keyboard.press("t");
+      await page.waitForFunction((was) => document.documentElement.dataset.theme !== was, theme);
+      await page.locator("#search").focus();
+      await page.keyboard.type("3t");
+      assert.equal(await page.locator("#search").inputValue(), "3t");
+      await page.locator("#help-open").click();
+      await page.locator("#help[open]").waitFor();
+    });
+  });
+});
+
+describe("what the page is made of", () => {
+  test("weighs less than 1.5 MB with everything opened, under a policy without exceptions", async () => {
+    const opened = await spaceBrowser.newContext({ viewport: { width: 1440, height: 900 } });
+    const page = await opened.newPage();
+    const sizes = new Map();
+    const bodies = [];
+    let policy = "";
+    page.on("response", (response) => {
+      const { pathname } = new URL(response.url());
+      if (pathname.startsWith("/api/") || response.url().startsWith("blob:")) return;
+      if (pathname === "/") policy = response.headers()["content-security-policy"] ?? "";
+      bodies.push(response.body().then((body) => sizes.set(pathname, body.length)));
+    });
+    await page.goto(server.url);
+    await page.locator('body[data-phase="live"]').waitFor();
+    await choose(page, "space");
+    await page.locator('#arena-stage[data-mode="space"]').waitFor();
+    await Promise.all(bodies);
+    const whole = [...sizes.values()].reduce((sum, size) => sum + size, 0);
+    assert.ok(sizes.has("/vendor/three.js") && sizes.has("/vendor/uplot.js") && sizes.has("/app.css"), [...sizes.keys()].join());
+    assert.ok(whole < 1_500_000, `${whole} bytes`);
+    assert.match(policy, /default-src 'none'/);
+    assert.doesNotMatch(policy, /unsafe|\*|data:|https?:|wss?:/);
+    await opened.close();
+  });
+});
