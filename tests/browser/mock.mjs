@@ -29,7 +29,7 @@ const TYPES = {
 };
 
 /**
- * @param {{port?: number, world?: World, calibrator?: Calibrator, roster?: Roster, protocols?: string[]}} [options] port 0 takes a free one
+ * @param {{port?: number, world?: World, calibrator?: Calibrator, roster?: Roster, protocols?: string[], mostHz?: number}} [options] port 0 takes a free one
  * @returns {Promise<{url: string, world: World, close: () => Promise<void>}>}
  */
 export async function startMock({
@@ -38,6 +38,7 @@ export async function startMock({
   calibrator,
   roster = new Roster(world),
   protocols = ["roundel.v1.json", "roundel.v1.protobuf"],
+  mostHz = 60,
 } = {}) {
   calibrator ??= new Calibrator(world.cameras().map((camera) => camera.name));
   const server = createServer((request, response) => {
@@ -50,7 +51,7 @@ export async function startMock({
   const sockets = new WebSocketServer({ server, path: "/api/v1/stream", handleProtocols });
   sockets.on("connection", (socket, request) => {
     const query = new URL(request.url, "http://mock").searchParams;
-    const rateHz = Number(query.get("max_rate_hz") ?? 60);
+    const rateHz = Math.min(mostHz, Number(query.get("max_rate_hz") ?? mostHz));
     const isBinary = socket.protocol === "roundel.v1.protobuf";
     const send = (message) => socket.send(isBinary ? encode(message) : JSON.stringify(message));
     const timers = [

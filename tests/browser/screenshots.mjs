@@ -15,16 +15,29 @@ const PHONE = { width: 390, height: 844 };
 
 await mkdir(FOLDER, { recursive: true });
 const server = await target();
-const browser = await launch();
+const browser = await launch({ space: true });
 const shot = (page, name, options = {}) => page.screenshot({ path: join(FOLDER, `${name}.png`), ...options });
 
 for (const colorScheme of ["light", "dark"]) {
   const { page, context } = await openDashboard(browser, server.url, { viewport: WIDE, colorScheme });
-  await page.waitForTimeout(6000);
+  // Long enough for trails and plots, and to look back.
+  await page.waitForTimeout(15_000);
   await shot(page, `wide-${colorScheme}`);
   await page.locator("#object-rows button").nth(6).click();
-  await page.waitForTimeout(600);
+  await page.waitForTimeout(1500);
   await shot(page, `wide-${colorScheme}-selected`);
+  await page.locator("#past").fill("-10");
+  await page.waitForTimeout(1000);
+  await shot(page, `wide-${colorScheme}-past`);
+  await page.locator("#live").click();
+  for (const mode of ["space", "health"]) {
+    await page.locator(`input[name=mode][value=${mode}]`).check();
+    await page.waitForTimeout(2000);
+    await shot(page, `wide-${colorScheme}-${mode}`);
+  }
+  await page.keyboard.press("?");
+  await page.waitForTimeout(300);
+  await shot(page, `wide-${colorScheme}-help`);
   await context.close();
 }
 
@@ -35,6 +48,11 @@ await page.locator("#object-rows button").first().click();
 await page.waitForTimeout(500);
 await page.evaluate(() => scrollTo(0, 0));
 await shot(page, "phone-selected");
+for (const mode of ["space", "health"]) {
+  await page.locator(`input[name=mode][value=${mode}]`).check();
+  await page.waitForTimeout(2000);
+  await shot(page, `phone-${mode}`);
+}
 await context.close();
 
 const calibrating = await openDashboard(browser, server.url, { viewport: WIDE, colorScheme: "light" });

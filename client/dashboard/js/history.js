@@ -12,8 +12,10 @@ import { ObjectState, STAGES } from "./state.js";
 export const HISTORY_MS = 60_000;
 /** Between two frames, ms. */
 export const FRAME_MS = 100;
-/** Frames further apart than this have nothing between them: the page was not connected, or the object was away. */
+/** Between frames further apart than this nobody knows how it went from one to the other. */
 export const GAP_MS = 500;
+/** For so long what was last known counts; further from any frame nothing is known: the page was not connected. */
+const HELD_MS = 2500;
 /** Numbers kept of an object: position, velocity, quaternion, upper triangle of the position's covariance, variances of
  * the rotation, age, residual. What is not known is NaN. */
 const WIDTH = 21;
@@ -160,7 +162,7 @@ export class History {
     if (back >= this.count) return [];
     const from = this.frame(back);
     const to = back > 0 ? this.frame(back - 1) : null;
-    if (timeMs - from.timeMs > GAP_MS) return [];
+    if (timeMs - from.timeMs > HELD_MS) return [];
     /** @type {ObjectState[]} */
     const states = [];
     for (let i = 0; i < from.count; i += 1) states.push(this.between(from, i, to, timeMs));
@@ -170,7 +172,7 @@ export class History {
   /** One of them; null if it was not there. @param {number} id @param {number} timeMs @returns {ObjectState | null} */
   one(id, timeMs) {
     const back = this.backTo(timeMs);
-    if (back >= this.count || timeMs - this.frame(back).timeMs > GAP_MS) return null;
+    if (back >= this.count || timeMs - this.frame(back).timeMs > HELD_MS) return null;
     const i = place(this.frame(back), id, 0);
     return i < 0 ? null : this.between(this.frame(back), i, back > 0 ? this.frame(back - 1) : null, timeMs);
   }

@@ -11,6 +11,11 @@ const FLYING_M = 0.5;
 const ALWAYS_DRAWN = 40;
 /** Cells of the raster that tells whether a place is taken, CSS pixels. */
 const CELL_PX = 11;
+/** Cells of a screen of 5632 by 2816 CSS pixels. */
+const COLUMNS = 512;
+const ROWS = 256;
+/** Of a crowd so many at most: more nobody reads. */
+const MOST_DRAWN = 160;
 const PADDING_PX = 3;
 /** Labels kept painted; heights change all the time. */
 const MOST_KEPT = 4000;
@@ -21,6 +26,7 @@ const MOST_KEPT = 4000;
 
 /** @type {Map<string, Painted>} */
 const painted = new Map();
+const taken = new Uint8Array(COLUMNS * ROWS);
 /** What the kept ones were painted for. */
 let paintedFor = "";
 
@@ -40,26 +46,32 @@ export function drawLabels(context, palette, labels, options) {
   const isMarked = (/** @type {Label} */ { state }) => state.id === options.selected || state.id === options.hovered;
   const isCrowded = labels.length > ALWAYS_DRAWN;
   const order = isCrowded ? [...labels.filter(isMarked), ...labels.filter((label) => !isMarked(label))] : labels;
-  /** @type {Set<number>} */
-  const taken = new Set();
+  taken.fill(0);
+  let drawn = 0;
   for (const label of order) {
     const { state } = label;
+    const isChosen = isMarked(label);
+    if (isCrowded && !isChosen && drawn >= MOST_DRAWN) break;
     const z = state.positionM?.z ?? 0;
-    const height = z > FLYING_M ? `\u2191\u2009${fixed(z, 1)} m` : "";
-    const picture = paint(state.label, isCrowded && !isMarked(label) ? "" : height, state.id === options.selected, palette, ratio);
-    if (isCrowded && !claims(taken, label, picture) && !isMarked(label)) continue;
-    context.drawImage(picture.canvas, label.px - PADDING_PX, label.py - 8 - PADDING_PX, picture.width, picture.height);
+    const height = z > FLYING_M && (!isCrowded || isChosen) ? `\u2191\u2009${fixed(z, 1)} m` : "";
+    const picture = paint(state.label, height, state.id === options.selected, palette, ratio);
+    if (isCrowded && !claims(label, picture) && !isChosen) continue;
+    drawn += 1;
+    // On whole pixels copying is quick, and text sharp.
+    const left = Math.round((label.px - PADDING_PX) * ratio) / ratio;
+    const top = Math.round((label.py - 8 - PADDING_PX) * ratio) / ratio;
+    context.drawImage(picture.canvas, left, top, picture.width, picture.height);
   }
 }
 
-/** Takes a label's place, if nobody has it. @param {Set<number>} taken @param {Label} label @param {Painted} picture */
-function claims(taken, label, picture) {
-  const cells = [];
+/** Takes a label's place, if nobody has it. @param {Label} label @param {Painted} picture */
+function claims(label, picture) {
   const row = Math.floor(label.py / CELL_PX);
-  const last = Math.floor((label.px + picture.width - 2 * PADDING_PX) / CELL_PX);
-  for (let column = Math.floor(label.px / CELL_PX); column <= last; column += 1) cells.push(row * 4096 + column);
-  if (cells.some((cell) => taken.has(cell))) return false;
-  for (const cell of cells) taken.add(cell);
+  const first = Math.max(0, Math.floor(label.px / CELL_PX));
+  const last = Math.min(COLUMNS - 1, Math.floor((label.px + picture.width - 2 * PADDING_PX) / CELL_PX));
+  if (row < 0 || row >= ROWS) return false;
+  for (let column = first; column <= last; column += 1) if (taken[row * COLUMNS + column]) return false;
+  for (let column = first; column <= last; column += 1) taken[row * COLUMNS + column] = 1;
   return true;
 }
 

@@ -35,7 +35,7 @@ export function showList(store) {
   let turn = 0;
   /** @type {((state: ObjectState) => boolean) | null} */
   let filter = null;
-  /** Whether a row is up for new figures: four hundred at once would hold the page up. @type {(i: number, of: number) => boolean} */
+  /** Whether a row is up for new figures: four hundred at once would hold the page up. @type {(i: number) => boolean} */
   let isDue = () => true;
   const lookWhatIsSeen = (/** @type {number} */ count) => {
     const height = /** @type {HTMLElement | null} */ (body.firstElementChild)?.offsetHeight || 27;

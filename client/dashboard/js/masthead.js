@@ -123,6 +123,7 @@ function noteWords(store) {
   if (store.connection.phase === "connecting") return "Connecting to the server…";
   if (store.connection.phase === "lost") return store.snapshot ? "" : "No connection to the server.";
   if (store.tracks.size > 0 || !store.snapshot || !store.camerasKnown) return "";
+  if (store.pastMs !== null) return "Of this instant nothing is remembered.";
   if (store.cameras.length === 0) return "No cameras are configured, so nothing can be seen.";
   if (!store.cameras.some((camera) => camera.status === "running")) return "No camera is running.";
   return "No object is in view of the cameras.";

@@ -69,7 +69,7 @@ function precisionWords(state) {
   const known = reachM === null ? "Without a covariance" : `Known to ${significant(reachM * 1000)} mm`;
   const heading = headingReachRad === null ? "" : ` and ${significant((headingReachRad * 180) / Math.PI)}°`;
   const by = cameras.length === 0 ? "seen by no camera now" : `seen by ${cameras.length === 1 ? "one camera" : `${cameras.length} cameras`}`;
-  return `${known}${heading}${reachM === null ? "" : " (95 %)"}, ${by}, ${duration(ageMs)} ago`;
+  return `${known}${heading}${reachM === null ? "" : " (95 %)"}, ${by}, ${duration(ageMs && Math.max(0, ageMs))} ago`;
 }
 
 /** @param {import("./store.js").Store} store */

@@ -7,17 +7,21 @@
 
 import { drawCameras, RULER } from "./backdrop.js";
 import { FRAME_MS, GAP_MS } from "./history.js";
+import { drawCrowd } from "./crowd.js";
 import { drawLabels } from "./label.js";
 import { TRAIL_MS } from "./store.js";
 
 /** The line of the velocity ends where the object will be after this time, s. */
-const LEAD_S = 0.5;
+export const LEAD_S = 0.5;
 /** Ellipses are filled up to this part of the arena's smaller side. */
 const LARGEST_FILL = 0.25;
 /** Trails fade in so many steps; each step is one stroke for all objects of a stage. */
 const TRAIL_BANDS = 4;
 /** Points of all trails together, about: with many objects each has fewer. */
-const TRAIL_POINTS = 6000;
+const TRAIL_POINTS = 3000;
+/** From so many objects in view on they are drawn as a crowd: less fine, and in a fraction of the time. */
+const CROWD = 120;
+const CROWD_TRAIL_MS = 2000;
 
 /** @typedef {import("./view.js").View} View */
 /** @typedef {import("./palette.js").Palette} Palette */
@@ -66,7 +70,8 @@ export function drawTracks(context, view, palette, tracks, options) {
   if (options.exaggeration > 0) {
     for (const track of seen) drawEllipse(context, view, palette, track, options);
   }
-  for (const track of seen) drawObject(context, view, palette, track, options);
+  if (seen.length < CROWD) for (const track of seen) drawObject(context, view, palette, track, options);
+  else drawCrowd(context, view, palette, seen, options);
   const radius = discRadius(view);
   const labels = seen.map(({ state }) => ({
     state,
@@ -77,9 +82,13 @@ export function drawTracks(context, view, palette, tracks, options) {
   context.restore();
 }
 
-/** Of how many frames of the history one is drawn, so that many trails take no longer than few. @param {number} objects */
-export function trailStride(objects) {
-  return Math.max(1, Math.ceil((objects * TRAIL_MS) / FRAME_MS / TRAIL_POINTS));
+/**
+ * How long trails are, and of how many frames of the history one is drawn: many must take no longer than few.
+ * @param {number} objects
+ */
+export function trailPlan(objects) {
+  const spanMs = objects < CROWD ? TRAIL_MS : CROWD_TRAIL_MS;
+  return { spanMs, stride: Math.max(1, Math.ceil((objects * spanMs) / FRAME_MS / TRAIL_POINTS)) };
 }
 
 /**
@@ -90,20 +99,26 @@ export function trailStride(objects) {
  * @param {PlotOptions} options
  */
 function drawTrails(context, view, palette, tracks, options) {
-  context.lineWidth = 1.75;
-  const stride = trailStride(tracks.length);
+  const isCrowd = tracks.length >= CROWD;
+  // Lines of a pixel without joins are drawn by the quickest way there is.
+  context.lineWidth = isCrowd ? 1 : 1.75;
+  context.lineJoin = isCrowd ? "bevel" : "round";
+  context.lineCap = isCrowd ? "butt" : "round";
+  const plan = trailPlan(tracks.length);
   for (const stage of /** @type {const} */ (["tracked", "predicted", "tentative", "lost"])) {
     const members = tracks.filter((track) => track.state.stage === stage);
     if (members.length === 0) continue;
     context.strokeStyle = palette.stage[stage];
     const bands = Array.from({ length: TRAIL_BANDS }, () => new Path2D());
-    for (const { state } of members) traceTrail(bands, view, state, stride, options);
+    for (const { state } of members) traceTrail(bands, view, state, plan, options);
     for (const [band, path] of bands.entries()) {
       context.globalAlpha = 0.15 + (0.6 * band) / (TRAIL_BANDS - 1);
       context.stroke(path);
     }
   }
   context.globalAlpha = 1;
+  context.lineJoin = "round";
+  context.lineCap = "round";
 }
 
 /**
@@ -111,15 +126,15 @@ function drawTrails(context, view, palette, tracks, options) {
  * @param {Path2D[]} bands
  * @param {View} view
  * @param {import("./state.js").ObjectState} state
- * @param {number} stride
+ * @param {{spanMs: number, stride: number}} plan
  * @param {PlotOptions} options
  */
-function traceTrail(bands, view, state, stride, { history, timeMs }) {
+function traceTrail(bands, view, state, { spanMs, stride }, { history, timeMs }) {
   let [px, py, lastMs, lastBand] = [0, 0, -Infinity, -1];
   /** @param {number} atMs @param {number} x @param {number} y */
   const visit = (atMs, x, y) => {
     const [toX, toY] = [view.screenX(x), view.screenY(y)];
-    const age = (timeMs - atMs) / TRAIL_MS;
+    const age = (timeMs - atMs) / spanMs;
     const band = Math.min(bands.length - 1, Math.max(0, Math.floor((1 - age) * bands.length)));
     const isWhole = atMs - lastMs <= GAP_MS + stride * FRAME_MS;
     if (isWhole && atMs > lastMs) {
@@ -129,7 +144,7 @@ function traceTrail(bands, view, state, stride, { history, timeMs }) {
     lastBand = isWhole ? band : -1;
     [px, py, lastMs] = [toX, toY, atMs];
   };
-  history.trace(state.id, timeMs - TRAIL_MS, timeMs, stride, visit);
+  history.trace(state.id, timeMs - spanMs, timeMs, stride, visit);
   // The way from the last frame kept to where it is.
   if (state.positionM) visit(timeMs, state.positionM.x, state.positionM.y);
 }
@@ -179,7 +194,7 @@ function drawEllipse(context, view, palette, { state }, options) {
  * @param {Track} track
  * @param {PlotOptions} options
  */
-function drawObject(context, view, palette, { state }, options) {
+export function drawObject(context, view, palette, { state }, options) {
   const { positionM, velocityMS } = state;
   if (!positionM) return;
   const [px, py] = [view.screenX(positionM.x), view.screenY(positionM.y)];
@@ -227,7 +242,7 @@ function drawObject(context, view, palette, { state }, options) {
  * @param {string} color
  * @param {string} sheet
  */
-function drawMark(context, px, py, radius, stage, color, sheet) {
+export function drawMark(context, px, py, radius, stage, color, sheet) {
   const width = Math.max(2.5, radius * 0.38);
   context.beginPath();
   context.strokeStyle = color;

@@ -12,7 +12,7 @@ const PLOTS = [
   { key: "reach", name: "Known to", unit: "mm", least: 0.2, value: (state) => state.reachM && state.reachM * 1000 },
   { key: "speed", name: "Speed", unit: "m/s", least: 0.1, value: (state) => state.speedMS },
   { key: "height", name: "Height", unit: "m", least: 0.02, value: (state) => state.positionM?.z ?? null },
-  { key: "age", name: "Seen", unit: "ms ago", least: 20, value: (state) => state.ageMs },
+  { key: "age", name: "Seen", unit: "ms ago", least: 20, value: (state) => state.ageMs && Math.max(0, state.ageMs) },
 ];
 
 /**

@@ -10,17 +10,18 @@ import { cholesky } from "./geometry.js";
 import { FRAME_MS, GAP_MS } from "./history.js";
 import { drawLabels } from "./label.js";
 import { Orbit, VIEW_RAD } from "./orbit.js";
-import { trailStride } from "./plot.js";
+import { LEAD_S, trailPlan } from "./plot.js";
 import { Coverage, drawFrustum, layFloor, Lines, rgb, stageShapes, Swarm } from "./space-parts.js";
 import { CHI2_95_3D } from "./state.js";
-import { TRAIL_MS } from "./store.js";
 
 /** Half a robot's width, metres; further away objects are drawn larger, to stay legible. */
 const DISC_M = 0.13;
 const DISC_PX = 5.5;
-/** The line of the velocity ends where the object will be after this time, s. */
-const LEAD_S = 0.5;
 const CAMERA_M = 0.16;
+/** Ellipsoids are filled up to this part of the picture's height, in its middle. */
+const LARGEST_FILL = 0.1;
+/** Sides of the polygon that stands for an ellipse. */
+const OUTLINE = 48;
 /** Height of what is fitted if no camera stands higher, metres. */
 const LEAST_HEIGHT_M = 1;
 
@@ -49,7 +50,7 @@ export class SpaceView {
     this.trails = new Lines();
     this.bodies = new Swarm(new BoxGeometry(1, 0.8, 1.2), 1, 0);
     this.sheets = new Swarm(new CircleGeometry(0.98, 24), 1, 0);
-    this.ellipsoids = new Swarm(new SphereGeometry(1, 20, 14), 0.22, 3);
+    this.ellipsoids = new Swarm(new SphereGeometry(1, 20, 14), 0.2, 3);
     this.marks = new Swarm(new RingGeometry(1.35, 1.6, 40), 1, 0);
     const shapes = stageShapes();
     /** @type {Record<import("./state.js").Stage, Swarm>} */
@@ -116,10 +117,10 @@ export class SpaceView {
     const swarms = [this.bodies, this.sheets, this.marks, this.ellipsoids, ...Object.values(this.stages)];
     for (const swarm of swarms) swarm.clear();
     this.seen = [];
-    const stride = trailStride(tracks.length);
+    const plan = trailPlan(tracks.length);
     for (const { state } of tracks) {
       if (state.positionM) this.addObject(state, state.positionM, palette, options);
-      if (options.trails) this.addTrail(state, palette, options, stride);
+      if (options.trails) this.addTrail(state, palette, options, plan);
     }
     for (const camera of cameras) this.addCamera(camera, palette);
     for (const camera of options.cameras) drawFrustum(this.moving, palette, camera);
@@ -167,28 +168,45 @@ export class SpaceView {
     if (exaggeration === 0 || !covariance) return;
     const by = Math.sqrt(CHI2_95_3D) * exaggeration;
     const [xx, yx, yy, zx, zy, zz] = cholesky(covariance);
+    const longestM = by * Math.max(xx, Math.hypot(yx, yy), Math.hypot(zx, zy, zz));
     // Smaller ones lie within the sign.
-    if (by * Math.max(xx, Math.hypot(yx, yy), Math.hypot(zx, zy, zz)) < radiusM * 0.9) return;
+    if (longestM < radiusM * 0.9) return;
+    if (longestM > LARGEST_FILL * this.orbit.pixelM(this.orbit.distanceM) * this.orbit.height) {
+      this.addOutline(state, p, color, exaggeration);
+      return;
+    }
     const { matrix } = this.scratch;
     matrix.set(xx * by, 0, 0, p.x, yx * by, yy * by, 0, p.y, zx * by, zy * by, zz * by, p.z, 0, 0, 0, 1);
     this.ellipsoids.add(matrix, color);
   }
 
-  /** @param {ObjectState} state @param {Palette} palette @param {PlotOptions} options @param {number} stride */
-  addTrail(state, palette, { history, timeMs }, stride) {
+  /** Of what is known to metres only: filled, it would hide the arena. @param {ObjectState} state @param {import("./geometry.js").Vector3} p @param {[number, number, number]} color @param {number} exaggeration */
+  addOutline({ ellipse }, p, color, exaggeration) {
+    if (!ellipse) return;
+    const [sin, cos] = [Math.sin(ellipse.angleRad), Math.cos(ellipse.angleRad)];
+    const at = (/** @type {number} */ i) => {
+      const a = ellipse.majorM * exaggeration * Math.cos((2 * Math.PI * i) / OUTLINE);
+      const b = ellipse.minorM * exaggeration * Math.sin((2 * Math.PI * i) / OUTLINE);
+      return { x: p.x + cos * a - sin * b, y: p.y + sin * a + cos * b, z: p.z };
+    };
+    for (let i = 0; i < OUTLINE; i += 1) this.moving.line(at(i), at(i + 1), color, 0.5);
+  }
+
+  /** @param {ObjectState} state @param {Palette} palette @param {PlotOptions} options @param {{spanMs: number, stride: number}} plan */
+  addTrail(state, palette, { history, timeMs }, { spanMs, stride }) {
     const color = rgb(palette.stage[state.stage]);
     const { trails } = this;
     let [x0, y0, z0, lastMs] = [0, 0, 0, -Infinity];
     /** @param {number} atMs @param {number} x @param {number} y @param {number} z */
     const visit = (atMs, x, y, z) => {
       if (atMs > lastMs && atMs - lastMs <= GAP_MS + stride * FRAME_MS) {
-        const fresh = 1 - (timeMs - atMs) / TRAIL_MS;
+        const fresh = 1 - (timeMs - atMs) / spanMs;
         trails.end(x0, y0, z0, color, 0.1 + 0.6 * fresh);
         trails.end(x, y, z, color, 0.1 + 0.6 * fresh);
       }
       [x0, y0, z0, lastMs] = [x, y, z, atMs];
     };
-    history.trace(state.id, timeMs - TRAIL_MS, timeMs, stride, visit);
+    history.trace(state.id, timeMs - spanMs, timeMs, stride, visit);
     if (state.positionM) visit(timeMs, state.positionM.x, state.positionM.y, state.positionM.z);
   }
 

@@ -67,7 +67,7 @@ test("it holds a minute and no more, whatever the objects do", () => {
   assert.equal(history.at(now)[0].id, 2999);
 });
 
-test("what was not known then is not known now, and there is nothing in a gap", () => {
+test("what was not known then is not known now, and there is nothing in a long gap", () => {
   const history = new History();
   const unknown = { positionM: null, velocityMS: null, orientation: null, covariance: null, ageMs: null, residual: null, stage: "lost" };
   history.take(START_MS, [circling(9, 0), circling(2, 0, unknown)]);
@@ -76,7 +76,10 @@ test("what was not known then is not known now, and there is nothing in a gap", 
   for (const [key, value] of Object.entries(unknown)) assert.equal(two[key], value, key);
   assert.ok(Math.abs(nine.positionM.y - Math.sin(0.1) / 2) < 1e-6, "a straight line without both velocities");
   history.take(START_MS + 10_000, [circling(9, 10)]);
+  assert.equal(history.at(START_MS + 2000).length, 1, "what was last known counts for a while");
   assert.deepEqual(history.at(START_MS + 5000), []);
+  assert.equal(history.one(9, START_MS + 5000), null);
+  assert.ok(Math.abs(history.one(9, START_MS + 50).positionM.y - Math.sin(0.1) / 2) < 1e-6);
   assert.equal(history.at(START_MS + 10_000).length, 1);
 });
 
