@@ -41,24 +41,52 @@ fn upper_tail<T: Lane>(z: T, density: T) -> T {
     density * t * (t * (t * 0.937_298_0 - 0.120_167_6) + 0.436_183_6)
 }
 
-/// φ(z).
-pub(crate) fn normal_density(z: f64) -> f64 {
-    (-0.5 * z * z).exp() * FRAC_1_SQRT_TAU
-}
-
-/// Φ(z), to 1e-5.
-pub(crate) fn normal_share(z: f64) -> f64 {
-    let tail = upper_tail(z.abs(), normal_density(z));
-    if z < 0.0 { tail } else { 1.0 - tail }
+/// φ(z) and Φ(z) to 1e-5, in operations that the compiler can do for several numbers at once.
+#[inline(always)]
+pub(crate) fn normal_each(z: f32) -> (f32, f32) {
+    const LEAST_POWER: f32 = -120.0;
+    // 2^x = 2^n 2^f, f in (-1, 0], by its series.
+    let power = (-0.5 * std::f32::consts::LOG2_E * z * z).max(LEAST_POWER);
+    let whole = power as i32;
+    let rest = (power - whole as f32) * std::f32::consts::LN_2;
+    let mut value = 1.0 + rest * (1.0 / 7.0);
+    for k in [6.0, 5.0, 4.0, 3.0, 2.0, 1.0] {
+        value = 1.0 + value * rest * (1.0 / k);
+    }
+    let scale = f32::from_bits(((whole + 127) << 23) as u32);
+    let density = value * scale * FRAC_1_SQRT_TAU as f32;
+    // As `upper_tail`.
+    let t = 1.0 / (1.0 + 0.33267 * z.abs());
+    let tail = density * t * (t * (t * 0.937_298 - 0.120_167_6) + 0.436_183_6);
+    (density, 0.5 + (0.5 - tail).copysign(z))
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
 
+    fn normal_density(z: f64) -> f64 {
+        (-0.5 * z * z).exp() * FRAC_1_SQRT_TAU
+    }
+
+    fn normal_share(z: f64) -> f64 {
+        let tail = upper_tail(z.abs(), normal_density(z));
+        if z < 0.0 { tail } else { 1.0 - tail }
+    }
+
     /// Σ of `value` over the half line from `from`, by the midpoint rule.
     fn integral(from: f64, value: impl Fn(f64) -> f64) -> f64 {
         (0..20_000).map(|i| value(from + (f64::from(i) + 0.5) * 5e-4) * 5e-4).sum()
+    }
+
+    #[test]
+    fn in_single_precision_it_is_the_same() {
+        for step in -4000..4000 {
+            let z = f64::from(step) * 0.01;
+            let (density, share) = normal_each(z as f32);
+            assert!((f64::from(density) - normal_density(z)).abs() < 3e-6, "{z}");
+            assert!((f64::from(share) - normal_share(z)).abs() < 3e-6, "{z}");
+        }
     }
 
     #[test]

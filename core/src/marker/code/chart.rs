@@ -59,6 +59,11 @@ impl Chart {
         }
     }
 
+    /// d, along the semiaxes.
+    pub fn offset(&self) -> (f64, f64) {
+        self.offset
+    }
+
     /// The longer semiaxis of the outer rim, pixels.
     pub fn reach_px(&self) -> f64 {
         self.major_px.0.hypot(self.major_px.1)

@@ -16,16 +16,14 @@
 use nalgebra::{Matrix3, Vector3};
 
 use crate::marker::{
-    code::{
-        CodeLayout,
-        chart::Chart,
-        contour::{Light, crossing},
-    },
-    normal::{normal_density, normal_share},
+    code::{CodeLayout, chart::Chart, light::Light, points::crossing},
+    normal::normal_each,
 };
 
-/// Turns in which the rim is found.
+/// Turns in which the rim is found, at most …
 const TURNS: usize = 2;
+/// … the last of which moves it by less than this, pixels.
+const SETTLED_PX: f64 = 0.05;
 /// Where the level of a gap is taken, as a share of the white disc's radius.
 const LEVEL_AT: f64 = 0.8;
 /// Steps by which the chart's derivatives are taken, as a share of the radius.
@@ -79,8 +77,12 @@ pub(crate) fn disc(
             right += row * (share * weight);
         }
         let change = normal.cholesky()?.solve(&right);
+        let moved_px = change.amax() * radius * chart.reach_px();
         shift = (shift.0 + radius * change[1], shift.1 + radius * change[2]);
         radius *= 1.0 + change[0];
+        if moved_px < SETTLED_PX {
+            break;
+        }
     }
     let fits = radius > 0.5 * ratio
         && radius < 0.5 * (1.0 + ratio)
@@ -121,8 +123,8 @@ impl SeenGap {
     /// How far outwards the edge lies, as a share of the radius, and how much that weighs; `None` where
     /// there is no edge.
     fn outwards(&self, light: &Light, black: f64, blur_px: f64) -> Option<(f64, f64)> {
-        let (along_px, aside_px) =
-            (self.along.0.hypot(self.along.1), self.aside.0.hypot(self.aside.1));
+        let length = |(u, v): (f64, f64)| (u * u + v * v).sqrt();
+        let (along_px, aside_px) = (length(self.along), length(self.aside));
         let area = (self.along.0 * self.aside.1 - self.along.1 * self.aside.0).abs();
         if !(along_px > 0.0 && aside_px > 0.0 && area > 0.0) {
             return None;
@@ -130,15 +132,19 @@ impl SeenGap {
         // Across the rim, for a whole radius, and across a ray, for a radian, in blurs.
         let (size, turn) = (area / aside_px / blur_px, area / along_px / blur_px);
         let (one, other) = (self.to_teeth_rad.0 * turn, self.to_teeth_rad.1 * turn);
-        let open = |at: f64| normal_share(one * at) + normal_share(other * at) - 1.0;
-        let cut_off = one * normal_density(one) + other * normal_density(other);
+        let normal = |z: f64| {
+            let (density, share) = normal_each(z as f32);
+            (f64::from(density), f64::from(share))
+        };
+        let open = |at: f64| normal(one * at).1 + normal(other * at).1 - 1.0;
+        let cut_off = one * normal(one).0 + other * normal(other).0;
         let at_rim = open(1.0) - MEAN_INSIDE * cut_off / size;
         if at_rim < LEAST_OPEN {
             return None;
         }
         // At its place the level has lost to the ring and gained from the core as well.
-        let from_core = normal_share((CodeLayout::CORE_SHARE - LEVEL_AT) * size);
-        let from_ring = normal_share((LEVEL_AT - 1.0) * size);
+        let from_core = normal((CodeLayout::CORE_SHARE - LEVEL_AT) * size).1;
+        let from_ring = normal((LEVEL_AT - 1.0) * size).1;
         let expected = open(LEVEL_AT) * (1.0 - from_ring - from_core) + from_core;
         let level = light.at(self.inside.0, self.inside.1) - black;
         let half = black + 0.5 * level * at_rim / expected;

@@ -4,8 +4,15 @@
 //! the code. So the outline comes from spokes, the outer rim from the points of half level along it, the
 //! code from the annulus between, and the disc's rim from the gaps that the code leaves. Where the
 //! teeth cannot be read, the disc's rim is where the outer one has it, which says nothing more.
+//!
+//! A ring that is followed has its outline, and the middle of its print, from where they are expected. If the teeth are
+//! not read from there, all steps are taken.
+//!
+//! PERF: 33 rings of R4 with codes of 9 bits, 0.49 ms a frame instead of 2.3 by all steps
+//! (`cargo bench -p roundel-core --bench coded -- fast`, the least).
 
 use crate::{
+    camera::PixelPoint,
     ellipse::Ellipse,
     frame::Frame,
     id::KindId,
@@ -14,13 +21,15 @@ use crate::{
         code::{
             CodeLayout, CodeReader,
             chart::Chart,
-            contour::{Light, Rim, of_columns, outer_rim},
+            contour::{Rim, followed_rim, of_columns, outer_rim},
             gaps::{Disc, Gap, disc},
+            light::Light,
             profile::Levels,
             reader::Read,
             spoke::{offset, outline},
         },
         examine::{Probe, Rules},
+        follow::Expected,
         kind::{Polarity, shift_limit_px},
         reject::Reject,
         rim::{compensated, rim_shift_px},
@@ -55,8 +64,6 @@ struct Toothed {
     rim: Rim,
     offset: (f64, f64),
     white: f64,
-    /// Whether the annulus between core and rim is half white, as that of any code is.
-    is_half_white: bool,
 }
 
 /// The coded ring at a probe. One whose teeth cannot be read has no code, and is taken for the only
@@ -67,21 +74,55 @@ pub(crate) fn measure(
     rules: &Rules,
     kinds: &[CodedKind],
 ) -> Result<Ring, Reject> {
-    let mut best: Option<Ring> = None;
-    let mut last = Err(Reject::Kind);
-    for kind in kinds.iter().filter(|kind| kind.polarity == probe.polarity) {
-        last = measure_kind(frame, probe, rules, kind);
-        let Ok(ring) = &last else { continue };
-        let confidence = |ring: &Ring| ring.code.map_or(0.0, |code| code.confidence);
-        if best.is_none_or(|best| confidence(ring) > confidence(&best)) {
-            best = Some(*ring);
+    let kinds = || kinds.iter().filter(|kind| kind.polarity == probe.polarity);
+    if let Some(expected) = &probe.expected {
+        let read = kinds().filter_map(|kind| followed(frame, expected, rules, kind));
+        if let Some(ring) = read.reduce(surer) {
+            return Ok(ring);
         }
     }
+    let mut best: Option<Ring> = None;
+    let mut last = Err(Reject::Kind);
+    let mut count = 0;
+    for kind in kinds() {
+        count += 1;
+        last = measure_kind(frame, probe, rules, kind);
+        let Ok(ring) = last else { continue };
+        best = Some(best.map_or(ring, |best| surer(best, ring)));
+    }
     match best {
-        Some(ring) if ring.code.is_some() || kinds.len() == 1 => Ok(ring),
+        Some(ring) if ring.code.is_some() || count == 1 => Ok(ring),
         Some(_) => Err(Reject::Kind),
         None => last,
     }
+}
+
+/// The one with the more certain code, the first of two that are level.
+fn surer(one: Ring, other: Ring) -> Ring {
+    let confidence = |ring: &Ring| ring.code.map_or(0.0, |code| code.confidence);
+    if confidence(&other) > confidence(&one) { other } else { one }
+}
+
+/// A ring that is where it is expected, if it is read there.
+fn followed(frame: &Frame, expected: &Expected, rules: &Rules, kind: &CodedKind) -> Option<Ring> {
+    let light = light_of(frame, kind);
+    let (outer, inner) = (&expected.outer.ellipse, &expected.inner.ellipse);
+    let rim = followed_rim(&light, outer).ok()?;
+    check_size(frame, &rim.ellipse, rules).ok()?;
+    let white = white(&light, &rim, rules, kind.ratio).ok()?;
+    let PixelPoint { u, v } = rim.ellipse.center;
+    // How far perspective moves the centres apart hardly changes.
+    let center = PixelPoint {
+        u: u + inner.center.u - outer.center.u,
+        v: v + inner.center.v - outer.center.v,
+    };
+    let offset = Chart::new(&rim.ellipse, center, kind.ratio).offset();
+    let ring = ring_of(&light, &Toothed { rim, offset, white }, kind).ok()?;
+    ring.code.is_some().then_some(ring)
+}
+
+fn light_of<'a, 'f>(frame: &'a Frame<'f>, kind: &CodedKind) -> Light<'a, 'f> {
+    Light { frame, inverted: kind.polarity == Polarity::WhiteRing }
 }
 
 fn measure_kind(
@@ -90,19 +131,25 @@ fn measure_kind(
     rules: &Rules,
     kind: &CodedKind,
 ) -> Result<Ring, Reject> {
-    let light = Light { frame, inverted: kind.polarity == Polarity::WhiteRing };
+    let light = light_of(frame, kind);
     let toothed = toothed(&light, probe, rules, kind.ratio)?;
+    let ring = ring_of(&light, &toothed, kind)?;
+    if ring.code.is_none() && !is_half_white(&light, &toothed, kind.ratio) {
+        return Err(Reject::Profile);
+    }
+    Ok(ring)
+}
+
+/// What the teeth say, and the white disc's rim.
+fn ring_of(light: &Light, toothed: &Toothed, kind: &CodedKind) -> Result<Ring, Reject> {
     let Toothed { rim, white, .. } = toothed;
     let chart = Chart::with_offset(&rim.ellipse, toothed.offset);
     let (black, white) =
-        if light.inverted { (255.0 - white, 255.0 - rim.black) } else { (rim.black, white) };
+        if light.inverted { (255.0 - white, 255.0 - rim.black) } else { (rim.black, *white) };
     let blur_px = (rim.blur_px * rim.blur_px - PIXEL_PX2).max(0.1).sqrt();
     let levels = Levels { black, white, polarity: kind.polarity, blur_px };
-    let read = kind.reader.read_in(frame, &chart, &levels);
-    if read.is_none() && !toothed.is_half_white {
-        return Err(Reject::Profile);
-    }
-    let disc = read.as_ref().and_then(|read| seen_disc(&light, &chart, kind, &rim, read));
+    let read = kind.reader.read_in(light.frame, &chart, &levels);
+    let disc = read.as_ref().and_then(|read| seen_disc(light, &chart, kind, rim, read));
     let disc = disc.unwrap_or(Disc { radius: kind.ratio, shift: (0.0, 0.0) });
     let outer = outer_compensated(&rim.ellipse, disc.radius, kind.ratio)?;
     let (center, columns) =
@@ -131,20 +178,32 @@ fn toothed(light: &Light, probe: &Probe, rules: &Rules, ratio: f64) -> Result<To
     let outline = outline(light.frame, probe, light.inverted)?;
     let rim = outer_rim(light, &outline, f64::from(probe.threshold))?;
     check_size(light.frame, &rim.ellipse, rules)?;
-    let core = CodeLayout::CORE_SHARE * ratio;
+    let white = white(light, &rim, rules, ratio)?;
+    let offset = offset(light, &rim.ellipse, ratio, 0.5 * (rim.black + white));
+    Ok(Toothed { rim, offset, white })
+}
+
+/// Level of the white core.
+fn white(light: &Light, rim: &Rim, rules: &Rules, ratio: f64) -> Result<f64, Reject> {
     let chart = Chart::with_offset(&rim.ellipse, (0.0, 0.0));
+    let core = CodeLayout::CORE_SHARE * ratio;
     let white = mean_at(light, &chart, CORE_SHARE.min(0.5 * core), CORE_POINTS);
     let contrast = white - rim.black;
     if contrast.is_nan() || contrast < rules.min_contrast {
         return Err(Reject::Contrast);
     }
-    let offset = offset(light, &rim.ellipse, ratio, 0.5 * (rim.black + white));
-    let chart = Chart::with_offset(&rim.ellipse, offset);
-    let is_half_white = HALF_WHITE_AT.iter().all(|place| {
+    Ok(white)
+}
+
+/// Whether the annulus between core and rim is half white, as that of any code is.
+fn is_half_white(light: &Light, toothed: &Toothed, ratio: f64) -> bool {
+    let Toothed { rim, offset, white } = toothed;
+    let core = CodeLayout::CORE_SHARE * ratio;
+    let chart = Chart::with_offset(&rim.ellipse, *offset);
+    HALF_WHITE_AT.iter().all(|place| {
         let level = mean_at(light, &chart, core + place * (ratio - core), HALF_WHITE_POINTS);
-        ((level - rim.black) / contrast - 0.5).abs() <= HALF_WHITE_TOLERANCE
-    });
-    Ok(Toothed { rim, offset, white, is_half_white })
+        ((level - rim.black) / (white - rim.black) - 0.5).abs() <= HALF_WHITE_TOLERANCE
+    })
 }
 
 fn check_size(frame: &Frame, outer: &Ellipse, rules: &Rules) -> Result<(), Reject> {

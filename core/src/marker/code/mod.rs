@@ -9,14 +9,17 @@
 //! | from them to a word | `word` |
 //! | a reading, with its confidence and its zero | `reader` |
 //! | a track's readings together | `vote` |
-//! | a coded roundel's outline and rims | `spoke`, `contour`, `gaps`, `measure` |
+//! | grey levels between pixels | `light` |
+//! | a coded roundel's outline and rims | `spoke`, `contour`, `points`, `gaps`, `measure` |
 
 mod chart;
 mod contour;
 mod dictionary;
 mod gaps;
 mod layout;
+mod light;
 pub(crate) mod measure;
+mod points;
 mod profile;
 mod reader;
 mod spoke;

@@ -17,7 +17,7 @@ use crate::{
         code::{
             CodeLayout,
             chart::{Chart, MAX_OFFSET},
-            contour::Light,
+            light::Light,
         },
         examine::Probe,
         reject::Reject,
