@@ -24,6 +24,13 @@ const TRACE_MS = 10_000;
 const KEPT = 30;
 
 class Busy extends World {
+  /** Made once: a picture is as dear to show as ever, but not to make. */
+  picture(name) {
+    this.pictures ??= new Map();
+    if (!this.pictures.has(name)) this.pictures.set(name, super.picture(name));
+    return this.pictures.get(name);
+  }
+
   state(robot, t) {
     const { mounts } = this;
     const isDue = !robot.seenBy || (this.sequence + robot.id) % KEPT === 0;

@@ -14,8 +14,8 @@ before(async () => {
 after(() => browser?.close());
 
 /** A mock server of this case's own, and the page on it. */
-async function withWorld(world, body) {
-  const server = await startMock({ world });
+async function withWorld(world, body, mock = {}) {
+  const server = await startMock({ world, ...mock });
   try {
     const opened = await openDashboard(browser, server.url);
     try {
@@ -39,7 +39,7 @@ describe("trouble with cameras", () => {
       await page.locator('[data-camera-card="north-west"][data-status="failed"]').waitFor();
       const words = await card.textContent();
       assert.match(words, /Failed/);
-      assert.match(words, /no images in frames\/north-west\. It is tried again by itself\./);
+      assert.match(words, /No images in frames\/north-west\. It is tried again by itself\./);
       await page.locator("#cameras-summary", { hasText: "1 of 4 failed" }).waitFor();
       await page.locator(".event.sign-failed", { hasText: "north-west" }).waitFor();
       world.restoreCamera("north-west");
@@ -200,6 +200,18 @@ describe("what a page meets over months", () => {
       }
       assert.doesNotMatch(await page.locator("main").textContent(), /NaN|undefined/);
       assert.deepEqual(complaints, []);
+      // Only JSON has words that a page does not know; protobuf has numbers.
+    }, { protocols: ["roundel.v1.json"] });
+  });
+
+  test("a kind of event that this page does not know is shown as what it says", async () => {
+    const world = new World({ robots: 1 });
+    await withWorld(world, async (page) => {
+      await page.locator("#object-rows tr").waitFor();
+      world.tell({ kind: "moon_rose", message: "The moon rose." });
+      world.tell({ kind: "moon_set", message: "" });
+      await page.locator(".event", { hasText: "The moon rose." }).waitFor();
+      await page.locator(".event", { hasText: /Something happened/ }).waitFor();
     });
   });
 

@@ -26,7 +26,7 @@ export async function target() {
 
 /** Without a card nothing is drawn in 3D, unless the processor does it, which takes its time. */
 const PLAIN = ["--disable-gpu"];
-const SPACE = ["--use-angle=swiftshader", "--enable-unsafe-swiftshader"];
+const SPACE = ["--use-angle=swiftshader", "--enable-unsafe-swiftshader", "--disable-gpu-rasterization", "--disable-accelerated-2d-canvas"];
 
 /** @param {{space?: boolean}} [options] whether there is WebGL */
 export function launch({ space = false } = {}) {

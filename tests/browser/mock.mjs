@@ -21,6 +21,13 @@ import { World } from "./world.mjs";
 const DASHBOARD = join(dirname(fileURLToPath(import.meta.url)), "../../client/dashboard");
 const POLICY =
   "default-src 'none'; script-src 'self'; style-src 'self'; img-src 'self' blob:; connect-src 'self'; form-action 'self'; frame-ancestors 'none'; base-uri 'none'";
+/** What the page asks a server's description for. */
+const OFFERED = {
+  "/api/v1/cameras": { get: {}, post: {} },
+  "/api/v1/cameras/{name}": { get: {}, patch: {}, delete: {} },
+  "/api/v1/calibration": { get: {}, post: {} },
+  "/api/v1/sources/test": { post: {} },
+};
 const TYPES = {
   ".html": "text/html; charset=utf-8",
   ".css": "text/css; charset=utf-8",
@@ -97,6 +104,7 @@ async function answer({ world, calibrator, roster }, request, response) {
   const json = (value) => {
     response.writeHead(200, { "content-type": "application/json" }).end(JSON.stringify(value));
   };
+  if (pathname === "/openapi.json") return json({ paths: OFFERED });
   if (pathname === "/api/v1/cameras") return json({ cameras: world.cameras() });
   if (pathname === "/api/v1/objects") return json({ objects: world.objects() });
   if (pathname === "/api/v1/snapshot") return json(world.snapshot());

@@ -130,7 +130,13 @@ describe("the view in 3D", () => {
   });
 
   test("takes at most 50 draws for 400 objects and 16 cameras", async () => {
-    await withWorld(new World({ robots: 400, cameras: 16 }), {}, async (page) => {
+    class Unpictured extends World {
+      // The page's pictures are of no matter here, and sixteen of them would keep this process from all else.
+      picture() {
+        return null;
+      }
+    }
+    await withWorld(new Unpictured({ robots: 400, cameras: 16 }), {}, async (page) => {
       const drawsOfAFrame = await countDraws(page);
       await choose(page, "space");
       await page.locator('#arena-stage[data-mode="space"]').waitFor();
@@ -345,6 +351,24 @@ describe("keys", () => {
       assert.equal(await page.locator("#search").inputValue(), "3t");
       await page.locator("#help-open").click();
       await page.locator("#help[open]").waitFor();
+    });
+  });
+});
+
+describe("what a server does not offer", () => {
+  test("is not on the page, and all of it is where a server says nothing", async () => {
+    await withWorld(new World(), {}, async (page) => {
+      for (const control of ["#add-camera", "#calibrate"]) assert.equal(await page.locator(control).isVisible(), true);
+      await page.route("**/openapi.json", (route) => route.fulfill({ json: { paths: { "/api/v1/cameras": { get: {} } } } }));
+      await page.reload();
+      await page.locator("#add-camera").waitFor({ state: "hidden" });
+      await page.locator("#calibrate").waitFor({ state: "hidden" });
+      await page.locator("[data-camera-card]").first().waitFor();
+      assert.equal(await page.getByRole("button", { name: /^Edit camera/ }).count(), 0);
+      await page.route("**/openapi.json", (route) => route.fulfill({ status: 500, body: "no" }));
+      await page.reload();
+      await page.locator("[data-camera-card]").first().waitFor();
+      assert.equal(await page.locator("#calibrate").isVisible(), true);
     });
   });
 });

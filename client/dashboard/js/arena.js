@@ -127,7 +127,10 @@ export class Arena {
   async makeSpace() {
     const canvas = find("#arena-space");
     if (!(canvas instanceof HTMLCanvasElement)) throw new Error("#arena-space is no canvas");
-    const context = canvas.getContext("webgl2", { antialias: true, alpha: false });
+    // Smooth edges are for those who have a card: drawn by the processor, they would take most of its time.
+    const context =
+      canvas.getContext("webgl2", { alpha: false, antialias: true, failIfMajorPerformanceCaveat: true }) ??
+      canvas.getContext("webgl2", { alpha: false, antialias: false });
     if (!context) return null;
     try {
       const { SpaceView } = await import("./space.js");

@@ -67,7 +67,8 @@ export function showEvents(store) {
 /** @param {import("./message.js").Event} event */
 function makeRow(event) {
   const sign = SIGNS.get(event.kind) ?? "unspecified";
-  const words = event.message || event.kind.replaceAll("_", " ") || "Event";
+  const kind = event.kind === "unspecified" ? "" : event.kind.replaceAll("_", " ");
+  const words = event.message || kind || "Something happened that this page does not know";
   // An object's event leads to the object.
   const text = event.objectId
     ? element("button", { type: "button", "data-object-id": String(event.objectId) }, [words])

@@ -11,6 +11,7 @@ import { listenForKeys } from "./keys.js";
 import { showList } from "./list.js";
 import { showMasthead } from "./masthead.js";
 import { readInfo } from "./message.js";
+import { showOffer } from "./offer.js";
 import { showPanel } from "./panel.js";
 import { showSearch } from "./search.js";
 import { showSetup } from "./setup.js";
@@ -64,7 +65,9 @@ const connection = connect(streamAddress(), {
     const before = store.connection.phase;
     store.setConnection(state);
     // With each connection: it may be another server, or another version of it.
-    if (state.phase === "live" && before !== "live") void loadInfo();
+    if (state.phase !== "live" || before === "live") return;
+    void loadInfo();
+    void showOffer();
   },
 });
 showMasthead(store, () => connection.retryNow());

@@ -39,7 +39,9 @@ export class SpaceView {
    */
   constructor(canvas, context) {
     this.orbit = new Orbit();
-    this.renderer = new WebGLRenderer({ canvas, context, antialias: true });
+    this.renderer = new WebGLRenderer({ canvas, context });
+    const { antialias } = context.getContextAttributes() ?? {};
+    this.mostPixels = antialias ? 2 : 1;
     this.camera = new PerspectiveCamera((VIEW_RAD * 180) / Math.PI, 1, 0.05, 2000);
     this.camera.up.set(0, 0, 1);
     this.scene = new Scene();
@@ -73,7 +75,7 @@ export class SpaceView {
   resize(width, height) {
     this.orbit.width = width;
     this.orbit.height = height;
-    this.renderer.setPixelRatio(Math.min(2, devicePixelRatio || 1));
+    this.renderer.setPixelRatio(Math.min(this.mostPixels, devicePixelRatio || 1));
     this.renderer.setSize(width, height, false);
     this.camera.aspect = width / height;
     this.camera.updateProjectionMatrix();
