@@ -24,11 +24,13 @@
 //! never held back.
 //!
 //! PERF: a frame whose innovations are as large as usual costs an addition for each; the fit is made ten times a
-//! second for the baseline, and when something is unusual.
+//! second for the baseline, of a crowd with a part of it each time, and with all when something is unusual.
 
+mod inquiry;
 mod shift;
 
 use crate::{id::CameraId, time::Timestamp};
+pub(super) use inquiry::{Inquiry, MOST_SQUARED, Surprise};
 use shift::{Baseline, Shift, fit};
 pub(super) use shift::{MOST_OTHERS, Pull};
 
@@ -45,8 +47,6 @@ const REST_GAIN: f64 = 5.0;
 const MOST_SEEING: usize = 8;
 /// Motions that move less of what is seen, rms, spoil nothing.
 const LEAST_MOVE_M: f64 = 0.0015;
-/// An innovation's squared length counts up to this in what is usual.
-pub(super) const MOST_SQUARED: f64 = 50.0;
 /// Frames whose sum of these exceeds what is usual by less are not looked at.
 const UNUSUAL: f64 = 25.0;
 /// After a motion with a gain of more than this nothing is taken for usual …
@@ -127,14 +127,6 @@ pub(super) struct Guards {
     spoiled: Vec<(CameraId, Timestamp)>,
 }
 
-/// What a frame's innovations come to.
-#[derive(Clone, Copy, Debug, Default)]
-pub(super) struct Surprise {
-    /// Of squared lengths, each up to [`MOST_SQUARED`].
-    pub(super) sum: f64,
-    pub(super) count: usize,
-}
-
 /// Whether a frame is to be used.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum Passage {
@@ -212,7 +204,7 @@ impl Guards {
         (camera, time): (CameraId, Timestamp),
         surprise: Surprise,
         most_held_ns: i64,
-        gather: impl Fn(Option<CameraId>, &mut Vec<Pull>),
+        gather: impl Fn(Inquiry, &mut Vec<Pull>),
     ) -> Passage {
         let index = self.index(camera, time);
         let member = &self.members[index];
@@ -223,10 +215,18 @@ impl Guards {
             self.members[index].grow_used_to(surprise);
             return Passage::Calm;
         }
+        let is_quiet = member.hold.is_none() && is_usual;
         let mut pulls = std::mem::take(&mut self.pulls);
-        gather(None, &mut pulls);
-        let shift = shift_of(&pulls, &self.members[index].baseline);
-        if shift.is_some_and(|it| it.gain > ALARMING_GAIN && it.moved_m > LEAST_MOVE_M) {
+        let mut fitted = |inquiry: Inquiry| {
+            gather(inquiry, &mut pulls);
+            shift_of(&pulls, &member.baseline)
+        };
+        let is_alarming = |it: &Shift| it.gain > ALARMING_GAIN && it.moved_m > LEAST_MOVE_M;
+        let turn = (time.as_ns() / LEARN_NS).unsigned_abs();
+        let part = Inquiry::part(surprise.count, turn).filter(|_| is_quiet);
+        let of_part = part.and_then(&mut fitted).filter(|it| !is_alarming(it));
+        let shift = of_part.or_else(|| fitted(Inquiry::whole(None)));
+        if shift.as_ref().is_some_and(is_alarming) {
             self.alarm = self.alarm.max(Some(time));
         }
         let moved = shift.filter(|it| it.gain > SURE_GAIN && it.moved_m > LEAST_MOVE_M);
@@ -251,7 +251,7 @@ impl Guards {
         index: usize,
         time: Timestamp,
         (shift, pulls): (&Shift, &mut Vec<Pull>),
-        gather: impl Fn(Option<CameraId>, &mut Vec<Pull>),
+        gather: impl Fn(Inquiry, &mut Vec<Pull>),
     ) -> Passage {
         let sees = |member: &&Member| pulls.iter().any(|pull| pull.is_by(member.camera));
         let (mut others, mut lonely) = ([None; MOST_SEEING], 1);
@@ -348,12 +348,12 @@ fn accused(
     shift: &Shift,
     others: impl Iterator<Item = CameraId>,
     pulls: &mut Vec<Pull>,
-    gather: impl Fn(Option<CameraId>, &mut Vec<Pull>),
+    gather: impl Fn(Inquiry, &mut Vec<Pull>),
 ) -> Accused {
     let (mut asked, mut is_denied) = (0, false);
     let mut gains = [(0.0, CameraId(0)); MOST_SEEING];
     for other in others {
-        gather(Some(other), pulls);
+        gather(Inquiry::whole(Some(other)), pulls);
         let gain = shift.gain_of(pulls);
         is_denied |= gain < -SINGLE_GAIN;
         if pulls.len() >= LEAST_SHARED {

@@ -11,7 +11,7 @@ use crate::{
         HeldBack,
         association::{Decision, Sighting},
         clock::Clocks,
-        guard::{MOST_OTHERS, MOST_SQUARED, Passage, Pull, Surprise},
+        guard::{Inquiry, MOST_OTHERS, MOST_SQUARED, Passage, Pull, Surprise},
         life::Track,
     },
 };
@@ -85,13 +85,14 @@ impl Fusion {
         let origin_m = place.world_from_camera.translation.vector;
         let (tracks, sightings) = (&self.tracks, &self.sightings);
         let (clocks, spared) = (&self.clocks, self.spared.as_slice());
-        let gather = |by: Option<CameraId>, pulls: &mut Vec<Pull>| {
+        let gather = |Inquiry { by, every, skipped }: Inquiry, pulls: &mut Vec<Pull>| {
             let asked = |other: CameraId| {
                 other != camera
                     && by.is_none_or(|by| by == other)
                     && spared.binary_search(&other).is_err()
             };
-            let each = sightings.iter().zip(decisions).filter_map(|(sighting, decision)| {
+            let inquired = sightings.iter().zip(decisions).skip(skipped).step_by(every);
+            let each = inquired.filter_map(|(sighting, decision)| {
                 let index = decision.map(|(track, _)| track);
                 let track = &tracks[index.or_else(|| follows(tracks, sighting))?];
                 let pull = pull(track, sighting, asked, clocks)?;
