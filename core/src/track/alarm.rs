@@ -23,6 +23,15 @@ impl Alarm {
         is_raised
     }
 
+    /// The same of a logarithm that is no more than `most`, and is asked for where that does not settle it.
+    pub(super) fn is_raised_at_most(&mut self, most: f64, log_ratio: impl FnOnce() -> f64) -> bool {
+        if self.0 + most <= 0.0 {
+            self.forget();
+            return false;
+        }
+        self.is_raised_by(log_ratio())
+    }
+
     /// Makes it as new.
     pub(super) fn forget(&mut self) {
         self.0 = 0.0;
@@ -47,5 +56,16 @@ mod tests {
         (0..1000).for_each(|_| assert!(!alarm.is_raised_by(-5.0)));
         assert!(!alarm.is_raised_by(5.0));
         assert!(alarm.is_raised_by(5.0));
+    }
+
+    #[test]
+    fn a_logarithm_is_asked_for_only_where_it_counts() {
+        let mut alarm = Alarm::default();
+        assert!(!alarm.is_raised_at_most(-1.0, || panic!("it is below none anyway")));
+        assert!(!alarm.is_raised_at_most(9.0, || 5.0));
+        assert!(!alarm.is_raised_at_most(-2.0, || -3.0), "2 are left");
+        assert!(!alarm.is_raised_at_most(-2.0, || panic!("nothing is left")));
+        assert!(!alarm.is_raised_at_most(9.0, || 6.0));
+        assert!(alarm.is_raised_at_most(9.0, || 3.0));
     }
 }

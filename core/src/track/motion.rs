@@ -159,7 +159,8 @@ impl Motion {
         });
         let agile = self.agile.update(seen, model).innovation;
         self.densities.learn(&slope);
-        if self.alarm.is_raised_by(agile.log_ratio(&innovation)) {
+        let most = agile.most_log_ratio(&innovation);
+        if self.alarm.is_raised_at_most(most, || agile.log_ratio(&innovation)) {
             self.doubt(model);
         }
         innovation
@@ -213,6 +214,13 @@ impl Motion {
 }
 
 impl Innovation {
+    /// No less than [`Self::log_ratio`], without a logarithm: ln x ≤ x - 1.
+    fn most_log_ratio(&self, other: &Innovation) -> f64 {
+        let determinants = other.determinant / self.determinant;
+        let most = 0.5 * (other.distance_squared - self.distance_squared + determinants - 1.0);
+        if most.is_finite() { most } else { f64::INFINITY }
+    }
+
     /// ln of this one's likelihood over the other's. Infinite distances (no covariance) say nothing.
     fn log_ratio(&self, other: &Innovation) -> f64 {
         let ratio = 0.5

@@ -51,8 +51,26 @@ pub(super) type Decision = Option<(usize, Innovation)>;
 struct Pair {
     sighting: usize,
     track: usize,
-    cost: f64,
+    cost: Cost,
     innovation: Innovation,
+}
+
+/// -2 ln likelihood up to a constant: a ratio's logarithm and the rest.
+#[derive(Clone, Copy, Debug)]
+struct Cost {
+    ratio: f64,
+    rest: f64,
+}
+
+impl Cost {
+    fn whole(&self) -> f64 {
+        self.rest + self.ratio.ln()
+    }
+
+    /// PERF: most sightings fit one track alone and well, so that ln x ≤ x - 1 spares the logarithm.
+    fn is_below(&self, limit: f64) -> bool {
+        self.rest + self.ratio - 1.0 < limit || self.whole() < limit
+    }
 }
 
 /// Working memory, kept from frame to frame.
@@ -108,7 +126,7 @@ fn possible(
     track: &Track,
     (params, noise_det): (&FusionParams, f64),
     clocks: &Clocks,
-) -> Option<(f64, Innovation)> {
+) -> Option<(Cost, Innovation)> {
     if track.subject != sighting.subject {
         return None;
     }
@@ -139,11 +157,10 @@ fn possible(
         Some(true) => -CODE_BONUS,
         Some(false) => CODE_BONUS * f64::from(1 + track.codes.contrary()),
     };
-    let cost = innovation.distance_squared + (innovation.determinant / noise_det).ln()
-        - if continued { CONTINUITY_BONUS } else { 0.0 }
+    let rest = innovation.distance_squared - if continued { CONTINUITY_BONUS } else { 0.0 }
         + by_code
         + if track.is_tentative() { TENTATIVE_COST } else { 0.0 };
-    Some((cost, innovation))
+    Some((Cost { ratio: innovation.determinant / noise_det, rest }, innovation))
 }
 
 /// Numbers the groups of sightings and tracks that share pairs, by their lowest sighting.
@@ -173,7 +190,7 @@ fn solve(decisions: &mut [Decision], scratch: &mut Scratch) {
     scratch.pairs.sort_by_key(|pair| groups[pair.sighting]);
     for pairs in scratch.pairs.chunk_by(|a, b| groups[a.sighting] == groups[b.sighting]) {
         if let [only] = pairs {
-            if only.cost < UNASSIGNED_COST {
+            if only.cost.is_below(UNASSIGNED_COST) {
                 decisions[only.sighting] = Some((only.track, only.innovation));
             }
             continue;
@@ -192,7 +209,7 @@ fn solve(decisions: &mut [Decision], scratch: &mut Scratch) {
         let place = |list: &[usize], value: usize| list.binary_search(&value).unwrap_or(0);
         for pair in pairs {
             let (row, column) = (place(&rows, pair.sighting), place(&columns, pair.track));
-            costs[row * width + column] = pair.cost;
+            costs[row * width + column] = pair.cost.whole();
         }
         for (row, column) in assign(&costs, rows.len(), width).into_iter().enumerate() {
             let Some(&track) = columns.get(column) else { continue };
