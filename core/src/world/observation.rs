@@ -77,17 +77,29 @@ pub(super) fn measure(
     let place = &stand.world_from_camera;
     let turn = place.rotation.to_rotation_matrix().into_inner();
     let arm_m = place.rotation * pose.position_m;
-    let [stays, fresh] = [&stand.systematic, &stand.fresh].map(|part| placed(part, &arm_m));
-    let share = params.systematic_share.clamp(0.0, 1.0);
-    // Of the whole error, and of what stays.
-    let covariances = |block: usize| {
-        let own = pose.covariance.fixed_view::<3, 3>(3 * block, 3 * block).into_owned();
-        let seen = turned_covariance(&turn, &own);
-        let floor = Matrix3::from_diagonal_element(FLOOR_VARIANCE);
-        (seen + stays[block] + fresh[block] + floor, seen * share + stays[block])
+    let seen = |corner: usize| {
+        let own = pose.covariance.fixed_view::<3, 3>(corner, corner).into_owned();
+        turned_covariance(&turn, &own)
     };
-    let (position_total, position_systematic) = covariances(0);
-    let (rotation_total, rotation_systematic) = covariances(1);
+    let (mut position_total, mut rotation_total) = (seen(0), seen(3));
+    // Of the whole error, and of what stays.
+    let share = params.systematic_share.clamp(0.0, 1.0);
+    let mut position_systematic = position_total * share;
+    let mut rotation_systematic = rotation_total * share;
+    if let Some([position, rotation]) = placed(&stand.systematic, &arm_m) {
+        position_total += position;
+        position_systematic += position;
+        rotation_total += rotation;
+        rotation_systematic += rotation;
+    }
+    if let Some([position, rotation]) = placed(&stand.fresh, &arm_m) {
+        position_total += position;
+        rotation_total += rotation;
+    }
+    for axis in 0..3 {
+        position_total[(axis, axis)] += FLOOR_VARIANCE;
+        rotation_total[(axis, axis)] += FLOOR_VARIANCE;
+    }
     if !is_positive_definite(&position_total) || !is_positive_definite(&rotation_total) {
         return Err(Refused::Invalid);
     }
@@ -111,7 +123,8 @@ pub(super) fn measure(
 /// A measurement that took its camera's place as exact, with the errors of that.
 pub(super) fn with_stand(mut seen: Measurement, stand: &Stand) -> Measurement {
     let arm_m = seen.position_m - stand.world_from_camera.translation.vector;
-    let [stays, fresh] = [&stand.systematic, &stand.fresh].map(|part| placed(part, &arm_m));
+    let [stays, fresh] = [&stand.systematic, &stand.fresh]
+        .map(|part| placed(part, &arm_m).unwrap_or_else(|| [Matrix3::zeros(); 2]));
     let widen = |noise: &mut Noise, block: usize| {
         let systematic = noise.systematic_root * noise.systematic_root.transpose() + stays[block];
         noise.total += stays[block] + fresh[block];
@@ -142,13 +155,13 @@ pub(super) fn orientation(normal: &Vector3<f64>, yaw_rad: Option<f64>) -> UnitQu
     })
 }
 
-/// What the camera's place adds to position and rotation.
-fn placed(covariance: &Covariance6, arm_m: &Vector3<f64>) -> [Matrix3<f64>; 2] {
+/// What the camera's place adds to position and rotation; `None` where it is exact.
+fn placed(covariance: &Covariance6, arm_m: &Vector3<f64>) -> Option<[Matrix3<f64>; 2]> {
     if (0..6).all(|axis| covariance[(axis, axis)] == 0.0) {
-        return [Matrix3::zeros(); 2];
+        return None;
     }
     let placed = with_arm(covariance, arm_m);
-    [0, 3].map(|corner| symmetric(placed.fixed_view::<3, 3>(corner, corner).into_owned()))
+    Some([0, 3].map(|corner| symmetric(placed.fixed_view::<3, 3>(corner, corner).into_owned())))
 }
 
 fn symmetric(matrix: Matrix3<f64>) -> Matrix3<f64> {
