@@ -115,7 +115,7 @@ impl Attitude {
             alarm: Alarm::default(),
             unseen_s: 0.0,
         };
-        attitude.log_odds = attitude.prior(model) + seen.log_likelihood(0) - seen.log_likelihood(1);
+        attitude.log_odds = attitude.prior(model) + (seen.chance(0) / seen.chance(1)).ln();
         attitude.settle();
         attitude
     }
@@ -165,13 +165,12 @@ impl Attitude {
         if self.rival.is_none() {
             self.adapt(&fit, model);
         }
-        let other_fit = match &mut self.rival {
-            Some(rival) => rival.update((seen, unread_rad2), camera, model).0,
+        let evidence = match &mut self.rival {
+            Some(rival) => fit.evidence_over(&rival.update((seen, unread_rad2), camera, model).0),
             // No rival stands: the best one is held against a normal that would just fit.
-            None => fit.fitting(),
+            None => fit.evidence_over_fitting(),
         };
-        let evidence = (fit.evidence - other_fit.evidence).clamp(-EVIDENCE_LIMIT, EVIDENCE_LIMIT);
-        let fresh = if self.rival.is_none() { evidence.min(0.0) } else { evidence };
+        let fresh = evidence.clamp(-EVIDENCE_LIMIT, EVIDENCE_LIMIT);
         self.log_odds = (self.log_odds + EVIDENCE_WEIGHT * fresh).clamp(-ODDS_LIMIT, ODDS_LIMIT);
         if self.rival.is_none() && self.log_odds < RIVAL_ODDS {
             self.raise_rival(seen, 1 - taken, camera, model);

@@ -128,11 +128,11 @@ impl AttitudeMeasurement {
         self.candidates[index] * Vector3::z()
     }
 
-    /// A candidate's, of being the right one.
-    pub(super) fn log_likelihood(&self, index: usize) -> f64 {
+    /// That a candidate is the right one.
+    pub(super) fn chance(&self, index: usize) -> f64 {
         // A pose estimator's certainty is not believed beyond a thousand to one.
         let first = self.likelihood.clamp(1e-3, 1.0 - 1e-3);
-        if index == 0 { first.ln() } else { (1.0 - first).ln() }
+        if index == 0 { first } else { 1.0 - first }
     }
 
     /// A candidate's orientation; some orientation of its normal where no yaw is measured.

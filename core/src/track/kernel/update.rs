@@ -41,28 +41,43 @@ impl Kernel {
         camera: CameraId,
         robust_distance_squared: f64,
     ) -> Correction {
+        let taken = self.update_if(|_| true, residual, (noise, camera), robust_distance_squared);
+        let nothing = Vector3::zeros();
+        taken.unwrap_or_else(|| Correction {
+            value: nothing,
+            innovation: Innovation::none(),
+            slope: nothing,
+        })
+    }
+
+    /// The same if its innovation is good; `None`, and nothing is changed, if it is not or has no positive definite
+    /// covariance.
+    pub(in crate::track) fn update_if(
+        &mut self,
+        is_good: impl Fn(&Innovation) -> bool,
+        residual: &Vector3<f64>,
+        by: (&Noise, CameraId),
+        robust_distance_squared: f64,
+    ) -> Option<Correction> {
         dispatch!(Level::new(), simd => {
-            self.update_with(simd, residual, (noise, camera), robust_distance_squared)
+            self.update_if_with(simd, &is_good, residual, by, robust_distance_squared)
         })
     }
 
     #[simd]
-    fn update_with<S: Simd>(
+    fn update_if_with<S: Simd, F: Fn(&Innovation) -> bool>(
         &mut self,
         simd: S,
+        is_good: &F,
         residual: &Vector3<f64>,
         (noise, camera): (&Noise, CameraId),
         robust_distance_squared: f64,
-    ) -> Correction {
-        match self.foreseen(simd, residual, (noise, camera)) {
-            Some(foreseen) => {
-                self.corrected(simd, residual, (noise, &foreseen), robust_distance_squared)
-            }
-            None => {
-                let nothing = Vector3::zeros();
-                Correction { value: nothing, innovation: Innovation::none(), slope: nothing }
-            }
+    ) -> Option<Correction> {
+        let foreseen = self.foreseen(simd, residual, (noise, camera))?;
+        if !is_good(&foreseen.innovation) {
+            return None;
         }
+        Some(self.corrected(simd, residual, (noise, &foreseen), robust_distance_squared))
     }
 
     /// What a measurement would do: all of [`Self::update`] that is needed to tell how well it fits. `None` if the
