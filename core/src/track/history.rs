@@ -238,10 +238,23 @@ impl History {
         self.reach = overtaken.max(self.reach.saturating_sub(1));
         if self.oldest_waiting < self.applied {
             self.overtaken = count;
-            self.rewind(model);
+            self.go_back(model);
         }
         (self.waiting, self.oldest_waiting) = (0, u64::MAX);
         self.filter(model);
+    }
+
+    /// As [`Self::rewind`], where the estimate that is kept next is a later one.
+    ///
+    /// PERF: that one stands in for the last one kept, which need not be copied then.
+    fn go_back(&mut self, model: &MotionModel) {
+        let is_replaced = self.kept() + self.reach < self.count() && self.checkpoints.len() > 1;
+        if !is_replaced {
+            return self.rewind(model);
+        }
+        let Some(kept) = self.checkpoints.pop_back() else { return };
+        self.spare.push(std::mem::replace(&mut self.newest, kept.estimate));
+        self.applied = kept.applied;
     }
 
     /// Takes into the newest estimate what comes after it.
