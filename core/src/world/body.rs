@@ -102,25 +102,67 @@ pub(super) struct Bodies {
 impl Bodies {
     pub(super) fn add(&mut self, body: Body) -> Result<BodyId, BodyError> {
         let id = BodyId(self.bodies.len() as u32);
-        let mut claims = Vec::new();
-        for (mount, it) in body.mounts.iter().enumerate() {
-            if !it.object_from_roundel.to_homogeneous().iter().all(|number| number.is_finite()) {
-                return Err(BodyError::NotFinite { mount });
-            }
-            let known = self.by_roundel.keys().copied();
-            let overlaps = |(kind, code): (KindId, Option<Code>)| {
-                kind == it.kind && (code == it.code || code.is_none() || it.code.is_none())
-            };
-            if known.chain(claims.iter().map(|(claim, _)| *claim)).any(overlaps) {
-                return Err(BodyError::Taken { mount });
-            }
-            claims.push(((it.kind, it.code), Part { body: id, mount }));
-        }
-        let places = body.mounts.iter().map(|it| it.object_from_roundel.translation.vector);
-        self.middles_m.push(places.sum::<Vector3<f64>>() / claims.len().max(1) as f64);
-        self.by_roundel.extend(claims);
-        self.bodies.push(body);
+        self.replace(&[(id, body)])?;
         Ok(id)
+    }
+
+    /// Says of bodies, known ones and others, what they carry from now on, all at once, so that they may exchange
+    /// roundels. With an error, nothing is changed.
+    pub(super) fn replace(&mut self, fresh: &[(BodyId, Body)]) -> Result<(), BodyError> {
+        let mut by_roundel = self.by_roundel.clone();
+        by_roundel.retain(|_, part| fresh.iter().all(|(id, _)| *id != part.body));
+        for (id, body) in fresh {
+            let claims = claims(*id, body, &by_roundel)?;
+            by_roundel.extend(claims);
+        }
+        self.by_roundel = by_roundel;
+        for (id, body) in fresh {
+            let index = id.0 as usize;
+            if index >= self.bodies.len() {
+                let nothing = Body { motion: MotionClass::default(), mounts: Vec::new() };
+                self.bodies.resize(index + 1, nothing);
+                self.middles_m.resize(index + 1, Vector3::zeros());
+            }
+            let places = body.mounts.iter().map(|it| it.object_from_roundel.translation.vector);
+            let count = body.mounts.len().max(1) as f64;
+            self.middles_m[index] = places.sum::<Vector3<f64>>() / count;
+            self.bodies[index].clone_from(body);
+        }
+        Ok(())
+    }
+
+    /// What tracks of a body hang on: its roundels as seen from their middle, and how that moves.
+    pub(super) fn shape(&self, body: BodyId) -> Option<Body> {
+        let (mut shape, middle_m) =
+            (self.bodies.get(body.0 as usize)?.clone(), self.middles_m[body.0 as usize]);
+        for mount in &mut shape.mounts {
+            mount.object_from_roundel.translation.vector -= middle_m;
+        }
+        if let MotionClass::Ground { height_m: Some(height_m) } = &mut shape.motion {
+            *height_m += middle_m.z;
+        }
+        Some(shape)
+    }
+
+    /// Has cameras know that they follow the one roundel of a body under these numbers.
+    pub(super) fn know(
+        &mut self,
+        code: Code,
+        views: impl Iterator<Item = (CameraId, TrackNumber, Timestamp)>,
+    ) {
+        for (camera, number, newest) in views {
+            let mut vote = CodeVote::default();
+            vote.settle(code);
+            self.readings.insert((camera, number), Reading { vote, newest });
+        }
+    }
+
+    /// As which a camera knows the roundel with this code.
+    pub(super) fn number_at(&self, camera: CameraId, code: Code) -> Option<TrackNumber> {
+        let of_camera =
+            self.readings.range((camera, TrackNumber(0))..=(camera, TrackNumber(u64::MAX)));
+        let reads = of_camera.filter(|(_, reading)| reading.vote.leader() == Some(code));
+        reads.max_by_key(|(_, reading)| reading.newest).map(|((_, number), _)| *number)
     }
 
     /// Its origin from the middle of its roundels.
@@ -221,6 +263,29 @@ impl SeenPart {
     pub(super) fn body(&self) -> BodyId {
         self.part.body
     }
+}
+
+/// The roundels of a body, if nobody else has them.
+fn claims(
+    id: BodyId,
+    body: &Body,
+    taken: &BTreeMap<(KindId, Option<Code>), Part>,
+) -> Result<Vec<((KindId, Option<Code>), Part)>, BodyError> {
+    let mut claims = Vec::new();
+    for (mount, it) in body.mounts.iter().enumerate() {
+        if !it.object_from_roundel.to_homogeneous().iter().all(|number| number.is_finite()) {
+            return Err(BodyError::NotFinite { mount });
+        }
+        let known = taken.keys().copied();
+        let overlaps = |(kind, code): (KindId, Option<Code>)| {
+            kind == it.kind && (code == it.code || code.is_none() || it.code.is_none())
+        };
+        if known.chain(claims.iter().map(|(claim, _)| *claim)).any(overlaps) {
+            return Err(BodyError::Taken { mount });
+        }
+        claims.push(((it.kind, it.code), Part { body: id, mount }));
+    }
+    Ok(claims)
 }
 
 /// The number by which all cameras' measurements of a body go.

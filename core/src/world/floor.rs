@@ -158,6 +158,11 @@ impl Floor {
 }
 
 impl Floors {
+    /// Forgets what cameras made of a height that is another now.
+    pub(super) fn forget(&mut self, subject: &Subject) {
+        self.floors.remove(subject);
+    }
+
     /// Takes a sighting of what is held at `held_m`, which was told as `said_m`.
     pub(super) fn note(
         &mut self,

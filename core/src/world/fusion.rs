@@ -6,6 +6,7 @@ mod height;
 mod leave;
 mod parts;
 mod place;
+mod renew;
 
 use std::collections::{BTreeMap, VecDeque};
 

@@ -52,6 +52,23 @@ pub(super) enum Claim {
 }
 
 impl Identities {
+    /// The object that goes by a mark.
+    pub(super) fn of(&self, kind: Option<KindId>, mark: Mark) -> Option<ObjectId> {
+        self.by_mark.get(&(kind, mark)).copied()
+    }
+
+    /// Has an object go by another mark, unless that is another object's.
+    pub(super) fn copy(&mut self, from: (Option<KindId>, Mark), to: (Option<KindId>, Mark)) {
+        if let Some(id) = self.of(from.0, from.1) {
+            self.by_mark.entry(to).or_insert(id);
+        }
+    }
+
+    /// Nothing goes by a mark any more.
+    pub(super) fn remove(&mut self, kind: Option<KindId>, mark: Mark) {
+        self.by_mark.remove(&(kind, mark));
+    }
+
     /// Settles whose id the track with this index has, of all tracks; `fresh_ns` ago a track is seen now,
     /// unless it is one of the same body that was not seen since this one began.
     pub(super) fn claim(

@@ -150,6 +150,11 @@ impl Riders {
         self.cameras.get_mut(&camera)
     }
 
+    /// Every mount, to be changed.
+    pub(super) fn mounts_mut(&mut self) -> impl Iterator<Item = &mut CameraMount> {
+        self.cameras.values_mut().map(|rider| &mut rider.mount)
+    }
+
     pub(super) fn has(&self, camera: CameraId) -> bool {
         self.cameras.contains_key(&camera)
     }

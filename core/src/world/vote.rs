@@ -36,6 +36,11 @@ impl CodeVote {
         }
     }
 
+    /// Takes a code for granted, which others have settled.
+    pub(super) fn settle(&mut self, code: Code) {
+        *self = Self { candidate: Some(code), lead: SETTLED_LEAD, contrary: 0 };
+    }
+
     /// Takes over what another track of the same object was seen with.
     pub(super) fn join(&mut self, other: &Self) {
         if self.candidate == other.candidate {

@@ -28,16 +28,16 @@ const YAW_RAD: f64 = 0.02;
 /// The plain kind; `arena` makes all of kind 0, which is coded here.
 const PLAIN: KindId = KindId(1);
 
-fn code(number: u16) -> Code {
+pub(crate) fn code(number: u16) -> Code {
     Code { bits: 8, number }
 }
 
 /// A flat print, so far ahead and to the left of the origin, 0.1 m above it.
-fn flat(x_m: f64, y_m: f64, yaw_rad: f64) -> Rigid {
+pub(crate) fn flat(x_m: f64, y_m: f64, yaw_rad: f64) -> Rigid {
     Rigid::new(Vector3::new(x_m, y_m, 0.1), Vector3::z() * yaw_rad)
 }
 
-fn coded(number: u16, object_from_roundel: Rigid) -> Mount {
+pub(crate) fn coded(number: u16, object_from_roundel: Rigid) -> Mount {
     Mount { kind: KindId(0), code: Some(code(number)), object_from_roundel }
 }
 
@@ -51,7 +51,7 @@ fn two() -> Vec<Mount> {
 }
 
 /// Where the robot is after so many seconds.
-fn truth(t: f64) -> Rigid {
+pub(crate) fn truth(t: f64) -> Rigid {
     let place =
         Vector3::new(0.8 * (0.9 * t).sin(), 0.6 * (1.1 * t + 1.0).sin(), 0.25 + 0.05 * t.sin());
     let tilt = UnitQuaternion::from_euler_angles(0.1 * (0.8 * t).sin(), 0.1 * (0.7 * t).cos(), 0.0);
@@ -60,15 +60,15 @@ fn truth(t: f64) -> Rigid {
 }
 
 /// Four cameras and a robot that carries these.
-struct World {
-    arena: Arena,
+pub(crate) struct World {
+    pub(crate) arena: Arena,
     mounts: Vec<Mount>,
     /// Which of them are not seen after so many seconds.
     hidden: fn(usize, f64) -> bool,
 }
 
 impl World {
-    fn new(mounts: Vec<Mount>) -> Self {
+    pub(crate) fn new(mounts: Vec<Mount>) -> Self {
         let setting = Setting { objects: 1, ..Setting::default() };
         Self { arena: Arena::new(setting), mounts, hidden: |_, _| false }
     }
@@ -81,7 +81,7 @@ impl World {
     }
 
     /// All frames of so many seconds, in the order of their times.
-    fn frames(&self, seconds: f64) -> Vec<FrameObservations> {
+    pub(crate) fn frames(&self, seconds: f64) -> Vec<FrameObservations> {
         let (rate_hz, share) = (30.0, self.arena.setting.systematic_share);
         let kept = (-1.0 / (rate_hz * self.arena.setting.systematic_time_s)).exp();
         let mut frames = Vec::new();

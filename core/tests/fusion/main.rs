@@ -11,6 +11,7 @@ mod heading;
 mod life;
 mod normal;
 mod order;
+mod renew;
 mod rider;
 mod score;
 mod sight;
