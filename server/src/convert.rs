@@ -2,11 +2,15 @@
 //! files and in core; here they only change their clothes.
 
 mod calibration;
+mod configuration;
+mod object_setup;
 pub mod push;
 mod setup;
 mod trial;
 
 pub use calibration::calibration;
+pub use configuration::{configuration, configuration_check};
+pub use object_setup::{object_setup, written_object};
 pub use setup::{setup, written};
 pub use trial::trial;
 
@@ -24,7 +28,7 @@ use roundel_core::{
 use roundel_proto::v1;
 
 use crate::hub::{
-    CameraPlace, CameraState, CameraStatus, Event, FusedSnapshot, Happening, Installation,
+    CameraPlace, CameraState, CameraStatus, Change, Event, FusedSnapshot, Happening, Installation,
     ObjectRecord, PoseStatus,
 };
 use crate::source::{CaptureClock, TimeBase};
@@ -239,7 +243,7 @@ pub fn object(installation: &Installation, record: &ObjectRecord) -> v1::Object 
 /// An event.
 pub fn event(event: &Event) -> v1::Event {
     let object_id = match event.happening {
-        Happening::Object(id, _) => id.0,
+        Happening::Object(id, _) | Happening::Configured(_, Some(id)) => id.0,
         _ => 0,
     };
     v1::Event {
@@ -300,6 +304,9 @@ fn pose_status(status: PoseStatus) -> v1::PoseStatus {
 fn event_kind(happening: Happening) -> v1::EventKind {
     match happening {
         Happening::Object(_, kind) => object_event_kind(kind),
+        Happening::Configured(Change::Added, _) => v1::EventKind::ObjectAdded,
+        Happening::Configured(Change::Changed, _) => v1::EventKind::ObjectChanged,
+        Happening::Configured(Change::Removed, _) => v1::EventKind::ObjectRemoved,
         Happening::Added(_) => v1::EventKind::CameraAdded,
         Happening::Changed(_) => v1::EventKind::CameraChanged,
         Happening::Removed(_) => v1::EventKind::CameraRemoved,

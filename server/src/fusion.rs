@@ -27,7 +27,7 @@ use crate::{
     stop::Stop,
     worker::{Sighted, meter::Median},
 };
-pub use order::{Known, Order, Stand, Timekeeping};
+pub use order::{FusionLimits, Known, ObjectOrder, Order, Stand, Timekeeping};
 use riding::Riding;
 use watching::Watching;
 pub use watching::WatchingParts;

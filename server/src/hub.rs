@@ -29,8 +29,8 @@ use tokio::sync::{OnceCell, broadcast, watch};
 pub use camera::{
     CameraInfo, CameraPlace, CameraState, CameraStatus, DetectionCounts, PoseStatus, RideInfo,
 };
-pub use event::{Event, Happening};
-pub use installation::Installation;
+pub use event::{Change, Event, Happening};
+pub use installation::{Installation, Named};
 
 /// Observations that a slow reader may lag behind before it misses some.
 const OBSERVATIONS_KEPT: usize = 256;
@@ -100,6 +100,7 @@ pub struct ObjectRecord {
 #[derive(Default)]
 struct CameraSlot {
     state: Mutex<CameraState>,
+    newest: Mutex<Option<Arc<FrameObservations>>>,
     picture_wanted: AtomicBool,
     picture: watch::Sender<Option<Arc<Picture>>>,
 }
@@ -170,6 +171,27 @@ impl Hub {
         self.cameras.write().unwrap_or_else(PoisonError::into_inner).remove(&id);
     }
 
+    /// Says how objects are named from now on: those that are known by a whole kind, and all others by body.
+    pub fn set_object_names(&self, kinds: BTreeMap<KindId, String>, bodies: Vec<String>) {
+        self.installation.send_modify(|installation| {
+            let installation = Arc::make_mut(installation);
+            installation.object_names = kinds;
+            installation.body_names = bodies;
+        });
+    }
+
+    /// As which an object of the configuration is followed, or was last, within the last minute.
+    pub fn object_named(&self, name: &str) -> Option<ObjectId> {
+        let named = self.installation().named(name)?;
+        let is_it = |record: &&ObjectRecord| match named {
+            Named::Kind(kind) => record.body.is_none() && record.kind == Some(kind),
+            Named::Body(body) => record.body == Some(body),
+        };
+        let objects = lock(&self.objects);
+        let newest = objects.values().filter(is_it).max_by_key(|record| record.last_seen);
+        newest.map(|record| record.id)
+    }
+
     fn slot(&self, id: CameraId) -> Option<Arc<CameraSlot>> {
         self.cameras.read().unwrap_or_else(PoisonError::into_inner).get(&id).cloned()
     }
@@ -190,8 +212,17 @@ impl Hub {
 
     /// Hands on what one camera saw in one frame.
     pub fn publish_observations(&self, observations: Arc<FrameObservations>) {
+        if let Some(slot) = self.slot(observations.camera) {
+            *lock(&slot.newest) = Some(observations.clone());
+        }
         // An error only says that nobody listens.
         let _ = self.observations.send(observations);
+    }
+
+    /// The newest frame of each camera that gave one, by camera.
+    pub fn newest_observations(&self) -> Vec<Arc<FrameObservations>> {
+        let cameras = self.cameras.read().unwrap_or_else(PoisonError::into_inner);
+        cameras.values().filter_map(|slot| lock(&slot.newest).clone()).collect()
     }
 
     /// Observations from now on.

@@ -287,6 +287,7 @@ impl Server {
             late_window_ms: config.fusion.late_window_s * 1e3,
             trier: config.server.setup.then(trier),
             roster: self.roster.clone().filter(|_| config.server.setup),
+            allow_origins: config.server.allow_origins.clone(),
         };
         let cancel = self.cancel_clients.clone();
         self.api = Some(tokio::spawn(api::serve(listener, served, limits, cancel)));

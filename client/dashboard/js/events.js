@@ -31,6 +31,9 @@ const SIGNS = new Map([
   ["camera_added", "starting"],
   ["camera_changed", "starting"],
   ["camera_removed", "finished"],
+  ["object_added", "starting"],
+  ["object_changed", "starting"],
+  ["object_removed", "finished"],
 ]);
 
 /** @param {import("./store.js").Store} store */

@@ -114,6 +114,7 @@ export const ENUMERATIONS = {
     "calibration_begun", "calibration_done", "calibration_failed", "calibration_applied", "camera_bumped",
     "camera_returned", "camera_drifted", "cameras_contradict", "cameras_agree", "cameras_misplaced",
     "camera_rate_off", "camera_rate_agrees", "camera_added", "camera_changed", "camera_removed",
+    "object_added", "object_changed", "object_removed",
   ],
 };
 

@@ -60,6 +60,33 @@ def test_everything_that_can_be_asked_is_answered(server: Server) -> None:
             next(client.observations(["camera-9"]))
 
 
+def test_what_is_configured_is_read_checked_and_changed(server: Server) -> None:
+    with Client.connect(server.url) as client:
+        until_all_are_there(client)
+        before = client.configuration()
+        assert before.name == "demo" and [camera.name for camera in before.cameras][0] == "camera-0"
+        kind = before.roundels[0].name
+        check = client.check_configuration(before.toml + "\n[limits]\nmax_object = 3\n")
+        assert "max_objects" in check.problems[0].message and check.problems[0].line > 0
+        added = client.add_object(v1.ObjectSetup(name="mascot", roundel=kind))
+        assert added.object.name == "mascot" and added.kept
+        renamed = client.change_object("mascot", v1.ObjectSetup(name="idol"), ["name"])
+        assert renamed.object.name == "idol" and client.object_setup("idol").roundel == kind
+        assert renamed.object_id in client.snapshot().ids
+        with pytest.raises(Refused, match="no object \"mascot\""):
+            client.remove_object("mascot")
+        client.remove_object("idol")
+        assert client.configuration().version == before.version
+        with pytest.raises(Refused, match="nothing tells it from them"):
+            client.name_object(int(client.snapshot().ids[0]), "one of many")
+        with pytest.raises(Refused, match="line 1, column 1"):
+            client.apply_configuration("")
+        limited = before.toml + "\n[limits]\nmax_objects = 500\n"
+        applied = client.apply_configuration(limited, before.version)
+        assert applied.changes == ["[fusion] or [limits] max_objects"]
+        assert client.apply_configuration(before.toml).version == before.version
+
+
 def test_a_subscription_is_kept_to(server: Server) -> None:
     with Client.connect(server.url) as client:
         chosen = until_all_are_there(client).ids[:2].tolist()
@@ -219,6 +246,9 @@ def test_asyncio_gives_the_same(server: Server) -> None:
             assert len(await client.cameras()) == 4
             assert await client.objects()
             assert (await client.snapshot()).sequence > 0
+            assert (await client.configuration()).name == "demo"
+            with pytest.raises(Refused, match="no object \"nobody\""):
+                await client.object_setup("nobody")
             assert abs((await client.clock_offset()).offset_ns) < 10**9
             sequences = []
             async for snapshot in client.snapshots(Subscription(max_rate_hz=30.0)):

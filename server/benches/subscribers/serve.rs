@@ -60,6 +60,7 @@ pub fn run() {
             late_window_ms: 300.0,
             trier: None,
             roster: None,
+            allow_origins: Vec::new(),
         };
         let limits = Limits { max_clients: 4000, ..Limits::default() };
         api::serve(listener, served, limits, CancellationToken::new()).await;

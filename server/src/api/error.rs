@@ -7,7 +7,8 @@ use axum::{
     response::{IntoResponse, Response},
 };
 use roundel_proto::v1;
-use serde::Serialize;
+use serde::{Serialize, de::DeserializeOwned};
+use serde_json::{Map, Value};
 use tonic::{Code, Status};
 use tonic_types::{ErrorDetails, StatusExt};
 use utoipa::ToSchema;
@@ -95,6 +96,17 @@ impl ApiError {
             Self::invalid("body", format!("JSON such as {example}"), error.body_text())
         };
         body.map(|Json(body)| body).map_err(refused)
+    }
+
+    /// What a body that changes some fields holds, and which these are; null stands for none.
+    pub(super) fn fields<T: DeserializeOwned>(
+        mut body: Map<String, Value>,
+        example: &str,
+    ) -> Result<(T, Vec<String>), ApiError> {
+        let fields = body.keys().cloned().collect();
+        body.retain(|_, value| !value.is_null());
+        let wrong = |error| Self::invalid("body", format!("JSON such as {example}"), error);
+        Ok((serde_json::from_value(Value::Object(body)).map_err(wrong)?, fields))
     }
 
     /// The table: what each error is called in JSON, in gRPC and in HTTP.

@@ -3,6 +3,7 @@
 //! Health knows two names: the empty one serves as long as the process works; that of the service
 //! serves while `/readyz` says so, too.
 
+mod answer;
 mod observer;
 mod snapshots;
 
@@ -10,23 +11,25 @@ use std::{pin::Pin, sync::Arc};
 
 use axum::Router;
 use futures::{Stream, StreamExt, stream};
-use roundel_core::id::CameraId;
 use roundel_proto::v1::{self, roundel_server::RoundelServer};
-use tokio::sync::broadcast::{self, error::RecvError};
 use tokio_util::sync::CancellationToken;
 use tonic::{Request, Response, Status, service::Routes};
 use tonic_health::server::HealthReporter;
 use tower::service_fn;
 
 use super::{
-    Api, calibration,
+    Api, calibration, configuration,
     error::{ApiError, SHUTTING_DOWN},
-    push,
+    objects as configured, push,
     selection::Selection,
     setup, simulation, trial,
 };
-use crate::{convert, hub};
-use observer::Observer;
+use crate::convert;
+pub(super) use answer::{
+    camera, camera_id, cameras, checked_backlog, newest_observations, newest_snapshot, next_event,
+    objects, removed,
+};
+pub(super) use observer::Observer;
 pub use snapshots::Cut;
 
 /// Largest request; lists of ids are the only large thing in one.
@@ -104,10 +107,17 @@ impl v1::roundel_server::Roundel for Service {
     ) -> Result<Response<Self::SubscribeObservationsStream>, Status> {
         let observer = Observer::new(&self.api, request.into_inner().cameras)?;
         let messages = stream::unfold(observer, |mut observer| async move {
-            let message = observer.next().await?;
+            let message = observer.next().await?.map_err(Status::from);
             Some((message, observer))
         });
         Ok(Response::new(until_shutdown(messages, self.api.cancel.clone())))
+    }
+
+    async fn get_observations(
+        &self,
+        request: Request<v1::GetObservationsRequest>,
+    ) -> Result<Response<v1::GetObservationsResponse>, Status> {
+        Ok(Response::new(newest_observations(&self.api, &request.into_inner().cameras)?))
     }
 
     async fn subscribe_events(
@@ -229,6 +239,63 @@ impl v1::roundel_server::Roundel for Service {
         Ok(Response::new(setup::remove_camera(&self.api, request.into_inner().name).await?))
     }
 
+    async fn get_object_setup(
+        &self,
+        request: Request<v1::GetObjectSetupRequest>,
+    ) -> Result<Response<v1::ObjectSetup>, Status> {
+        Ok(Response::new(configured::written(&self.api, request.into_inner().name).await?))
+    }
+
+    async fn add_object(
+        &self,
+        request: Request<v1::AddObjectRequest>,
+    ) -> Result<Response<v1::ObjectChange>, Status> {
+        let object = request.into_inner().object.unwrap_or_default();
+        Ok(Response::new(configured::add_object(&self.api, object).await?))
+    }
+
+    async fn change_object(
+        &self,
+        request: Request<v1::ChangeObjectRequest>,
+    ) -> Result<Response<v1::ObjectChange>, Status> {
+        Ok(Response::new(configured::change_object(&self.api, request.into_inner()).await?))
+    }
+
+    async fn remove_object(
+        &self,
+        request: Request<v1::RemoveObjectRequest>,
+    ) -> Result<Response<v1::ObjectChange>, Status> {
+        Ok(Response::new(configured::remove_object(&self.api, request.into_inner().name).await?))
+    }
+
+    async fn name_object(
+        &self,
+        request: Request<v1::NameObjectRequest>,
+    ) -> Result<Response<v1::ObjectChange>, Status> {
+        Ok(Response::new(configured::name_object(&self.api, request.into_inner()).await?))
+    }
+
+    async fn get_configuration(
+        &self,
+        _: Request<v1::GetConfigurationRequest>,
+    ) -> Result<Response<v1::Configuration>, Status> {
+        Ok(Response::new(configuration::in_force(&self.api).await?))
+    }
+
+    async fn check_configuration(
+        &self,
+        request: Request<v1::CheckConfigurationRequest>,
+    ) -> Result<Response<v1::ConfigurationCheck>, Status> {
+        Ok(Response::new(configuration::check_text(&self.api, request.into_inner()).await?))
+    }
+
+    async fn apply_configuration(
+        &self,
+        request: Request<v1::ApplyConfigurationRequest>,
+    ) -> Result<Response<v1::AppliedConfiguration>, Status> {
+        Ok(Response::new(configuration::apply_text(&self.api, request.into_inner()).await?))
+    }
+
     async fn get_time(
         &self,
         request: Request<v1::GetTimeRequest>,
@@ -258,84 +325,5 @@ impl v1::roundel_server::Roundel for Service {
         _: Request<v1::GetServerInfoRequest>,
     ) -> Result<Response<v1::ServerInfo>, Status> {
         Ok(Response::new(convert::server_info(&self.api.hub.installation())))
-    }
-}
-
-/// The newest snapshot as a subscriber of `selection` would get it.
-pub(super) fn newest_snapshot(api: &Api, selection: &Selection) -> Result<v1::Snapshot, ApiError> {
-    let fused = api.hub.snapshots().borrow().clone();
-    if fused.sequence == 0 {
-        return Err(ApiError::Unavailable(
-            "no snapshot yet: fusion has not made its first one; try again in a moment".into(),
-        ));
-    }
-    let mut message = selection.filter.message(&api.hub.installation(), &fused);
-    message.sent_time_ns = api.clock.now().as_ns();
-    Ok(message)
-}
-
-/// Every camera, in the order of the configuration.
-pub(super) fn cameras(api: &Api) -> Vec<v1::Camera> {
-    let (installation, states) = (api.hub.installation(), api.hub.cameras());
-    let each = states.iter().filter(|(id, _)| installation.cameras.contains_key(id));
-    each.map(|(id, state)| convert::camera(&installation, *id, state)).collect()
-}
-
-/// One camera.
-pub(super) fn camera(api: &Api, id: CameraId) -> Result<v1::Camera, ApiError> {
-    match api.hub.camera(id) {
-        Some(state) => Ok(convert::camera(&api.hub.installation(), id, &state)),
-        None => Err(removed(api, id)),
-    }
-}
-
-/// The error of a camera that was there when the request came.
-pub(super) fn removed(api: &Api, id: CameraId) -> ApiError {
-    let installation = api.hub.installation();
-    let names: Vec<&str> = installation.cameras.values().map(|c| c.name.as_str()).collect();
-    let known = format!("it was removed; there are: {}", names.join(", "));
-    ApiError::NotFound { what: "camera", name: format!("{}", id.0), known }
-}
-
-/// Every object that is remembered, by id.
-pub(super) fn objects(api: &Api) -> Vec<v1::Object> {
-    let records = api.hub.objects();
-    records.iter().map(|record| convert::object(&api.hub.installation(), record)).collect()
-}
-
-/// The id of the camera of that name, or an error that names those there are.
-pub(super) fn camera_id(api: &Api, name: &str) -> Result<CameraId, ApiError> {
-    let installation = api.hub.installation();
-    installation.camera_id(name).ok_or_else(|| {
-        let names: Vec<&str> = installation.cameras.values().map(|c| c.name.as_str()).collect();
-        let known = if names.is_empty() {
-            "this installation has none".to_owned()
-        } else {
-            format!("there are: {}", names.join(", "))
-        };
-        ApiError::NotFound { what: "camera", name: name.to_owned(), known }
-    })
-}
-
-/// A wish for remembered events that the hub can fulfil.
-pub(super) fn checked_backlog(backlog: u32, field: &str) -> Result<usize, ApiError> {
-    let backlog = backlog as usize;
-    if backlog > hub::EVENTS_KEPT {
-        let expected = format!("at most {} events", hub::EVENTS_KEPT);
-        return Err(ApiError::invalid(field, expected, backlog));
-    }
-    Ok(backlog)
-}
-
-/// The next event; those that a slow reader missed show as a gap in the sequence.
-pub(super) async fn next_event(
-    receiver: &mut broadcast::Receiver<Arc<hub::Event>>,
-) -> Option<Arc<hub::Event>> {
-    loop {
-        match receiver.recv().await {
-            Ok(event) => return Some(event),
-            Err(RecvError::Lagged(_)) => {}
-            Err(RecvError::Closed) => return None,
-        }
     }
 }

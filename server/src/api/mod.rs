@@ -10,7 +10,7 @@
 //! | [`grpc`] | the service of `proto/roundel/v1/roundel.proto` |
 //! | [`push`] | the service of `push.proto`: remote programs feed cameras |
 //! | [`rest`], [`calibration`], [`openapi`] | `/api/v1/…` and its description |
-//! | [`setup`] | cameras that are added, changed and removed |
+//! | [`setup`], [`objects`], [`configuration`] | cameras and objects that are added, changed and removed, and all of it |
 //! | [`simulation`] | simulated robots that clients drive |
 //! | [`trial`] | one try of a source |
 //! | [`ws`] | `/api/v1/stream` |
@@ -19,6 +19,8 @@
 //! | [`encoded`] | snapshots as bytes, once for all who want the same |
 //! | [`selection`], [`feed`] | which snapshots a subscriber gets, and what is in them |
 //! | [`picture`] | a frame with its detections drawn in, as JPEG |
+//! | `deadline` | calls that end when their client gives up |
+//! | `cors` | pages of other servers |
 //! | [`error`] | what can be wrong, and how each protocol says so |
 //!
 //! No client can hold up another one or the server: a subscriber holds a handle on the newest
@@ -26,11 +28,15 @@
 //! read at all is cut off.
 
 pub mod calibration;
+pub mod configuration;
+mod cors;
+mod deadline;
 pub mod encoded;
 pub mod error;
 pub mod feed;
 pub mod grpc;
 pub mod metrics;
+pub mod objects;
 pub mod openapi;
 pub mod page;
 pub mod picture;
@@ -117,8 +123,10 @@ pub struct Served {
     pub late_window_ms: f64,
     /// Tries sources; `None`: clients may not.
     pub trier: Option<Arc<Trier>>,
-    /// Adds, changes and removes cameras; `None`: clients may not.
+    /// Adds, changes and removes cameras and objects; `None`: clients may not.
     pub roster: Option<Arc<Roster>>,
+    /// Origins whose pages may ask; `*` is any.
+    pub allow_origins: Vec<String>,
 }
 
 /// What every handler of a request shares.
@@ -137,7 +145,7 @@ pub struct Api {
     pub late_window_ms: f64,
     /// Tries sources, where clients may have them tried.
     pub trier: Option<Arc<Trier>>,
-    /// Adds, changes and removes cameras, where clients may have that done.
+    /// Adds, changes and removes cameras and objects, where clients may have that done.
     pub roster: Option<Arc<Roster>>,
     /// Set when the server goes down.
     pub cancel: CancellationToken,
@@ -160,7 +168,9 @@ pub async fn serve(
     limits: Limits,
     cancel: CancellationToken,
 ) {
-    let Served { hub, clock, calibrator, fleets, ports, late_window_ms, trier, roster } = served;
+    let cors = cors::layer(&served.allow_origins);
+    let Served { hub, clock, calibrator, fleets, ports, late_window_ms, trier, roster, .. } =
+        served;
     let counters = Counters::default();
     let api = Arc::new(Api {
         hub,
@@ -179,7 +189,7 @@ pub async fn serve(
     let (grpc_router, health) = grpc::router(&api);
     let http_router = http_router(api.clone());
     let readiness = tokio::spawn(metrics::report_readiness(api.clone(), health));
-    port::run(listener, port::Dispatch { grpc_router, http_router }, api).await;
+    port::run(listener, port::Dispatch { grpc_router, http_router, cors }, api).await;
     // It watches the same token, so it has ended.
     let _ = readiness.await;
 }

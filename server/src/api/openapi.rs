@@ -6,7 +6,9 @@ use axum::Json;
 use utoipa::{OpenApi, openapi};
 use utoipa_axum::{router::OpenApiRouter, routes};
 
-use super::{Api, calibration, metrics, rest, setup, simulation, trial, ws};
+use super::{
+    Api, calibration, configuration, metrics, objects, rest, setup, simulation, trial, ws,
+};
 
 #[derive(OpenApi)]
 #[openapi(info(
@@ -23,11 +25,19 @@ pub fn described_routes() -> OpenApiRouter<Arc<Api>> {
         .routes(routes!(rest::snapshot))
         .routes(routes!(rest::objects))
         .routes(routes!(rest::object))
+        .routes(routes!(objects::name))
+        .routes(routes!(configuration::show, configuration::apply))
+        .routes(routes!(configuration::text))
+        .routes(routes!(configuration::check))
+        .routes(routes!(objects::add))
+        .routes(routes!(objects::show, objects::change, objects::remove))
         .routes(routes!(rest::cameras, setup::add))
         .routes(routes!(rest::camera, setup::change, setup::remove))
         .routes(routes!(setup::show))
         .routes(routes!(rest::frame))
+        .routes(routes!(rest::observations))
         .routes(routes!(rest::events))
+        .routes(routes!(rest::time))
         .routes(routes!(trial::test))
         .routes(routes!(rest::info))
         .routes(routes!(calibration::show, calibration::start, calibration::cancel))

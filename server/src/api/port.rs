@@ -31,8 +31,9 @@ use tokio::{
 use tokio_util::sync::CancellationToken;
 use tonic::Status;
 use tower::{Layer, ServiceExt, service_fn};
+use tower_http::cors::CorsLayer;
 
-use super::{Api, error::ApiError, grpc::Cut, push::Peer};
+use super::{Api, deadline, error::ApiError, grpc::Cut, push::Peer};
 
 /// Bytes that the kernel may hold unsent for a client. More would be stale snapshots: a slow client
 /// is to find the newest one when it comes back.
@@ -61,23 +62,42 @@ pub(super) struct Dispatch {
     pub grpc_router: Router,
     /// All others.
     pub http_router: Router,
+    /// What pages of other origins may.
+    pub cors: Option<CorsLayer>,
 }
 
 impl Dispatch {
-    async fn answer(self, request: Request<Incoming>) -> Result<Response<Body>, Infallible> {
-        if is_grpc_web(&request) {
-            return self.answer_web(request).await;
+    async fn answer(mut self, request: Request<Incoming>) -> Result<Response<Body>, Infallible> {
+        match self.cors.take() {
+            None => self.route(request).await,
+            Some(cors) => {
+                let route = service_fn(move |request| self.clone().route(request));
+                cors.layer(route).oneshot(request).await
+            }
         }
-        let router = if is_grpc(&request) { self.grpc_router } else { self.http_router };
-        router.oneshot(request.map(Body::new)).await
+    }
+
+    async fn route(self, request: Request<Incoming>) -> Result<Response<Body>, Infallible> {
+        if is_grpc_web(&request) {
+            self.answer_web(request).await
+        } else if is_grpc(&request) {
+            self.answer_grpc(request.map(Body::new)).await
+        } else {
+            self.http_router.oneshot(request.map(Body::new)).await
+        }
+    }
+
+    async fn answer_grpc(self, request: Request<Body>) -> Result<Response<Body>, Infallible> {
+        let headers = request.headers().clone();
+        deadline::answer(&headers, self.grpc_router.oneshot(request)).await
     }
 
     /// gRPC as pages in browsers speak it: over HTTP/1.1 too, with the trailers in the body.
     async fn answer_web(self, request: Request<Incoming>) -> Result<Response<Body>, Infallible> {
         let plain = service_fn(move |request: Request<tonic::body::Body>| {
-            let router = self.grpc_router.clone();
+            let this = self.clone();
             async move {
-                let response = router.oneshot(request.map(Body::new)).await?;
+                let response = this.answer_grpc(request.map(Body::new)).await?;
                 Ok::<_, Infallible>(response.map(tonic::body::Body::new))
             }
         });

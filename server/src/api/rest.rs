@@ -40,6 +40,12 @@ pub(super) fn text_of(segment: Segment) -> Result<String, ApiError> {
     }
 }
 
+pub(super) fn object_number(id: Segment) -> Result<u64, ApiError> {
+    let id = text_of(id)?;
+    let expected = "the number of an object (object_id)";
+    id.parse().map_err(|_| ApiError::invalid("id", expected, format!("{id:?}")))
+}
+
 /// The newest snapshot.
 #[utoipa::path(
     get, path = "/api/v1/snapshot", tag = "poses",
@@ -100,14 +106,11 @@ pub async fn object(
     State(api): State<Arc<Api>>,
     id: Segment,
 ) -> Result<Json<ObjectWithState>, ApiError> {
-    let id = text_of(id)?;
-    let number = id.parse::<u64>().map_err(|_| {
-        ApiError::invalid("id", "the number of an object (object_id)", format!("{id:?}"))
-    })?;
+    let number = object_number(id)?;
     let records = api.hub.objects();
     let Some(record) = records.iter().find(|record| record.id == ObjectId(number)) else {
         let known = "/api/v1/objects lists those seen within the last minute".to_owned();
-        return Err(ApiError::NotFound { what: "object", name: id, known });
+        return Err(ApiError::NotFound { what: "object", name: number.to_string(), known });
     };
     let installation = api.hub.installation();
     let fused = api.hub.snapshots().borrow().clone();
@@ -229,4 +232,46 @@ pub async fn events(State(api): State<Arc<Api>>, uri: Uri) -> Result<Json<EventL
 )]
 pub async fn info(State(api): State<Arc<Api>>) -> Json<v1::ServerInfo> {
     Json(convert::server_info(&api.hub.installation()))
+}
+
+/// What each camera saw in its newest frame, with the poses in the camera's own frame.
+#[utoipa::path(
+    get, path = "/api/v1/observations", tag = "cameras",
+    params(("cameras" = Option<String>, Query, description = "only these cameras, commas between", example = "north")),
+    responses(
+        (status = 200, description = "a frame of each camera that gave one", body = v1::GetObservationsResponse),
+        (status = 400, description = "names the wrong parameter", body = ErrorBody),
+        (status = 404, description = "names the cameras that there are", body = ErrorBody),
+    ),
+)]
+pub async fn observations(
+    State(api): State<Arc<Api>>,
+    uri: Uri,
+) -> Result<Json<v1::GetObservationsResponse>, ApiError> {
+    let mut parameters = Parameters::of(&uri)?;
+    let names: Vec<String> = parameters.take_list("cameras", "names of cameras")?;
+    parameters.finish()?;
+    grpc::newest_observations(&api, &names).map(Json)
+}
+
+/// The server's clock.
+///
+/// It is read as soon as the request came and again before the answer goes: with both times of the client's own clock,
+/// that gives the difference of the clocks to within half the round trip, as in NTP.
+#[utoipa::path(
+    get, path = "/api/v1/time", tag = "server",
+    params(("sent_time_ns" = Option<i64>, Query, description = "the client's own clock, ns; comes back in the answer")),
+    responses(
+        (status = 200, description = "both times, ns since the Unix epoch", body = v1::ServerTime),
+        (status = 400, description = "names the wrong parameter", body = ErrorBody),
+    ),
+)]
+pub async fn time(State(api): State<Arc<Api>>, uri: Uri) -> Result<Json<v1::ServerTime>, ApiError> {
+    let received_time_ns = api.clock.now().as_ns();
+    let mut parameters = Parameters::of(&uri)?;
+    let sent = parameters.take_parsed("sent_time_ns", "whole nanoseconds")?;
+    parameters.finish()?;
+    let replied_time_ns = api.clock.now().as_ns();
+    let sent_time_ns = sent.unwrap_or_default();
+    Ok(Json(v1::ServerTime { sent_time_ns, received_time_ns, replied_time_ns }))
 }

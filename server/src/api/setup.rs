@@ -17,7 +17,7 @@ use super::{
     rest::{Segment, text_of},
 };
 use crate::{
-    config::edit::CAMERA_KEYS,
+    config::edit::{Written, WrittenCamera},
     convert,
     roster::{Roster, RosterError},
 };
@@ -83,11 +83,8 @@ pub async fn change(
     name: Segment,
     body: Result<Json<Map<String, Value>>, JsonRejection>,
 ) -> Result<Json<v1::CameraChange>, ApiError> {
-    let (name, mut body) = (text_of(name)?, ApiError::body(body, EXAMPLE)?);
-    let fields = body.keys().cloned().collect();
-    body.retain(|_, value| !value.is_null());
-    let camera = serde_json::from_value(Value::Object(body))
-        .map_err(|error| ApiError::invalid("body", format!("JSON such as {EXAMPLE}"), error))?;
+    let (name, body) = (text_of(name)?, ApiError::body(body, EXAMPLE)?);
+    let (camera, fields) = ApiError::fields(body, EXAMPLE)?;
     let request = v1::ChangeCameraRequest { name, camera: Some(camera), fields };
     change_camera(&api, request).await.map(Json)
 }
@@ -129,8 +126,10 @@ pub(super) async fn change_camera(
     request: v1::ChangeCameraRequest,
 ) -> Result<v1::CameraChange, ApiError> {
     let v1::ChangeCameraRequest { name, camera, fields } = request;
-    if let Some(unknown) = fields.iter().find(|field| !CAMERA_KEYS.contains(&field.as_str())) {
-        let expected = format!("any of {}", CAMERA_KEYS.join(", "));
+    if let Some(unknown) =
+        fields.iter().find(|field| !WrittenCamera::KEYS.contains(&field.as_str()))
+    {
+        let expected = format!("any of {}", WrittenCamera::KEYS.join(", "));
         return Err(ApiError::invalid("fields", expected, format!("{unknown:?}")));
     }
     let camera = convert::written(camera.unwrap_or_default());
@@ -150,27 +149,37 @@ pub(super) async fn remove_camera(
     Ok(v1::CameraChange { camera: None, kept })
 }
 
-/// Does something with the roster, on a thread that may wait for files and workers; the camera of that name, if one is
-/// named, has to be there.
+/// Does something with a camera, which has to be there if one is named.
 async fn on_roster<T: Send + 'static>(
     api: &Arc<Api>,
     name: Option<&str>,
     act: impl FnOnce(&Roster, &str) -> Result<T, RosterError> + Send + 'static,
 ) -> Result<T, ApiError> {
-    let Some(roster) = api.roster.clone() else {
-        return Err(ApiError::FailedPrecondition(
-            "this server is open to a network, and lets no client set up its cameras: `setup = true` under [server] \
-             allows it, to everybody who reaches its port; or edit the configuration and start the server anew"
-                .into(),
-        ));
-    };
+    let roster = allowed(api)?;
     let _: Option<CameraId> = name.map(|name| grpc::camera_id(api, name)).transpose()?;
     let name = name.unwrap_or_default().to_owned();
-    let done = tokio::task::spawn_blocking(move || act(&roster, &name)).await;
-    let done = done.map_err(|error| {
-        ApiError::Internal(format!("the change of a camera ended badly: {error}"))
-    })?;
-    Ok(done?)
+    on_thread(move || act(&roster, &name)).await
+}
+
+/// Whom clients may have change what is configured, if they may.
+pub(super) fn allowed(api: &Api) -> Result<Arc<Roster>, ApiError> {
+    api.roster.clone().ok_or_else(|| {
+        ApiError::FailedPrecondition(
+            "this server is open to a network, and lets no client change what is configured: `setup = true` under \
+             [server] allows it, to everybody who reaches its port; or edit the configuration and start the server anew"
+                .into(),
+        )
+    })
+}
+
+/// Does something on a thread that may wait for files and workers.
+pub(super) async fn on_thread<T: Send + 'static>(
+    act: impl FnOnce() -> Result<T, RosterError> + Send + 'static,
+) -> Result<T, ApiError> {
+    let done = tokio::task::spawn_blocking(act).await;
+    let ended =
+        |error| ApiError::Internal(format!("the change of a configuration ended badly: {error}"));
+    Ok(done.map_err(ended)??)
 }
 
 fn change_of(api: &Api, name: &str, kept: String) -> Result<v1::CameraChange, ApiError> {
@@ -182,16 +191,27 @@ impl From<RosterError> for ApiError {
     fn from(error: RosterError) -> Self {
         let message = error.to_string();
         match error {
-            RosterError::Wrong { key, .. } => {
-                Self::Invalid { field: key.unwrap_or("camera"), message }
-            }
+            RosterError::Wrong { key, .. } => Self::Invalid { field: key, message },
             RosterError::NoCamera(name) => {
                 let known = "it was removed meanwhile, or has another name now".to_owned();
                 Self::NotFound { what: "camera", name, known }
             }
-            RosterError::Last | RosterError::Calibrating | RosterError::File(_) => {
-                Self::FailedPrecondition(message)
+            RosterError::NoObject(name) => {
+                let known = "GET /api/v1/configuration lists those that are configured".to_owned();
+                Self::NotFound { what: "object", name, known }
             }
+            RosterError::Unseen(id) => {
+                let known = "/api/v1/objects lists those seen within the last minute".to_owned();
+                Self::NotFound { what: "object", name: id.to_string(), known }
+            }
+            RosterError::Problems(_) => Self::Invalid { field: "toml", message },
+            RosterError::Stale => Self::Aborted(message),
+            RosterError::Alike { .. }
+            | RosterError::NeedsRestart(_)
+            | RosterError::Unread(_)
+            | RosterError::Last
+            | RosterError::Calibrating
+            | RosterError::File(_) => Self::FailedPrecondition(message),
             RosterError::Mask(_) => Self::Invalid { field: "mask", message },
             RosterError::Ending => Self::Unavailable(SHUTTING_DOWN.into()),
             RosterError::Thread { .. } => Self::ResourceExhausted(message),

@@ -1,9 +1,11 @@
 //! `/api/v1/stream`: one WebSocket with everything that a page needs.
 //!
 //! Text messages with one key each: `{"snapshot":…}`, `{"cameras":[…]}` twice a second, and
-//! `{"event":…}`, beginning with the newest remembered ones; or, by subprotocol, the same in protobuf
+//! `{"event":…}`, beginning with the newest remembered ones, `{"observations":…}` frame by frame; or, by subprotocol, the same in protobuf
 //! (`stream.proto`). The client changes what it wants by a message on the open socket; one that says nothing to the
 //! point is answered with `{"error":…}`, and everything goes on as before.
+
+mod wanted;
 
 use std::{
     sync::{Arc, atomic::Ordering},
@@ -35,10 +37,9 @@ use super::{
     error::{ApiError, ErrorBody, SHUTTING_DOWN},
     feed::{Due, Feed},
     grpc,
-    query::Parameters,
-    selection::{MESSAGE_FIELDS, QUERY_FIELDS, Selection},
 };
 use crate::{convert, hub};
+use wanted::Wanted;
 
 /// Clients say little. What is sent to them needs no buffer, since each message is flushed: without this, a thousand
 /// pages would take 256 MB.
@@ -57,63 +58,6 @@ const CAMERA_INTERVAL: Duration = Duration::from_millis(500);
 const EVENT_BACKLOG: usize = 50;
 /// Subprotocols: how messages are written, the first one if the client names none.
 const PROTOCOLS: [&str; 2] = ["roundel.v1.json", "roundel.v1.protobuf"];
-/// Said to a client that sends something else than it should.
-const REQUEST_EXAMPLE: &str = r#"a message such as {"snapshots": {"object_ids": [1, 2], "max_rate_hz": 30}, "cameras": true, "events": true}"#;
-/// What can be included.
-const PARTS: [&str; 3] = ["snapshots", "cameras", "events"];
-
-/// What a client asked for.
-#[derive(Debug)]
-struct Wanted {
-    snapshots: Option<Selection>,
-    cameras: bool,
-    events: bool,
-}
-
-impl Wanted {
-    fn requested(message: &Message, form: Form, kinds: &[String]) -> Result<Self, ApiError> {
-        let wrong = |found: String| ApiError::invalid("message", REQUEST_EXAMPLE, found);
-        let request: v1::StreamRequest = match (message, form) {
-            (Message::Text(text), _) => {
-                serde_json::from_str(text).map_err(|error| wrong(error.to_string()))?
-            }
-            (Message::Binary(bytes), Form::Protobuf) => {
-                v1::StreamRequest::decode(bytes.as_ref())
-                    .map_err(|error| wrong(error.to_string()))?
-            }
-            _ => return Err(wrong("binary bytes, which are for roundel.v1.protobuf".into())),
-        };
-        let selection = |request| Selection::new(request, kinds, &MESSAGE_FIELDS);
-        Ok(Self {
-            snapshots: request.snapshots.map(selection).transpose()?,
-            cameras: request.cameras,
-            events: request.events,
-        })
-    }
-
-    fn of(uri: &Uri, kinds: &[String]) -> Result<Self, ApiError> {
-        let mut parameters = Parameters::of(uri)?;
-        let mut include: Vec<String> = parameters.take_list("include", "")?;
-        let max_rate_hz = parameters.take_parsed("max_rate_hz", "a number of hertz")?;
-        let request = v1::SubscribeSnapshotsRequest { max_rate_hz, ..parameters.take_selection()? };
-        parameters.finish()?;
-        if let Some(unknown) = include.iter().find(|part| !PARTS.contains(&part.as_str())) {
-            let expected = format!("any of {}", PARTS.join(","));
-            return Err(ApiError::invalid("include", expected, format!("{unknown:?}")));
-        }
-        if include.is_empty() {
-            include.push(PARTS[0].to_owned());
-        }
-        let selection = Selection::new(request, kinds, &QUERY_FIELDS)?;
-        let is_included = |part: &str| include.iter().any(|included| included == part);
-        Ok(Self {
-            snapshots: is_included(PARTS[0]).then_some(selection),
-            cameras: is_included(PARTS[1]),
-            events: is_included(PARTS[2]),
-        })
-    }
-}
-
 /// Opens the stream; a WebSocket handshake.
 ///
 /// A client that reads too slowly gets the newest snapshot and the number that it missed; one that
@@ -123,7 +67,8 @@ impl Wanted {
 #[utoipa::path(
     get, path = "/api/v1/stream", tag = "poses",
     params(
-        ("include" = Option<String>, Query, description = "any of snapshots,cameras,events; snapshots if left out", example = "snapshots,cameras,events"),
+        ("include" = Option<String>, Query, description = "any of snapshots,cameras,events,observations; snapshots if left out", example = "snapshots,cameras,events"),
+        ("cameras" = Option<String>, Query, description = "observations of these cameras only, commas between", example = "north"),
         ("max_rate_hz" = Option<f64>, Query, description = "at most this many snapshots a second"),
         ("ids" = Option<String>, Query, description = "only these objects, commas between", example = "1,2"),
         ("roundels" = Option<String>, Query, description = "only objects of these kinds of roundel, commas between", example = "robot"),
@@ -133,7 +78,7 @@ impl Wanted {
         ("omit_covariance" = Option<bool>, Query, description = "leave the covariances out"),
     ),
     responses(
-        (status = 101, description = "text messages with one key each: {\"snapshot\":Snapshot}, {\"cameras\":[Camera]} twice a second, {\"event\":Event}; {\"error\":{code, message}} if a message of the client is wrong"),
+        (status = 101, description = "text messages with one key each: {\"snapshot\":Snapshot}, {\"cameras\":[Camera]} twice a second, {\"event\":Event}, {\"observations\":FrameObservations}; {\"error\":{code, message}} if a message of the client is wrong"),
         (status = 400, description = "names the wrong parameter", body = ErrorBody),
         (status = 426, description = "no WebSocket handshake", body = ErrorBody),
     ),
@@ -143,7 +88,7 @@ pub async fn stream(
     uri: Uri,
     upgrade: Result<WebSocketUpgrade, rejection::WebSocketUpgradeRejection>,
 ) -> Result<Response, ApiError> {
-    let wanted = Wanted::of(&uri, &api.hub.installation().kinds)?;
+    let wanted = Wanted::of(&api, &uri)?;
     let upgrade = upgrade.map_err(|error| ApiError::UpgradeRequired(error.to_string()))?;
     let upgrade = upgrade.max_message_size(MAX_INCOMING_BYTES).max_frame_size(MAX_INCOMING_BYTES);
     let upgrade = upgrade.read_buffer_size(READ_BUFFER_BYTES).write_buffer_size(0);
@@ -161,6 +106,7 @@ enum Outgoing {
     Snapshot(Due),
     Cameras(Vec<v1::Camera>),
     Event(v1::Event),
+    Observations(v1::FrameObservations),
     Error(v1::StreamError),
 }
 
@@ -181,6 +127,7 @@ impl Outgoing {
                 Alternative::Cameras(v1::ListCamerasResponse { cameras })
             }
             (Form::Protobuf, Self::Event(event)) => Alternative::Event(event),
+            (Form::Protobuf, Self::Observations(frame)) => Alternative::Observations(frame),
             (Form::Protobuf, Self::Error(error)) => Alternative::Error(error),
         };
         let message = v1::StreamMessage { message: Some(alternative) };
@@ -216,12 +163,14 @@ struct Session {
     cameras: Option<Interval>,
     remembered: Vec<Arc<hub::Event>>,
     events: Option<broadcast::Receiver<Arc<hub::Event>>>,
+    observer: Option<grpc::Observer>,
 }
 
 impl Session {
     fn new(api: Arc<Api>, wanted: Wanted, form: Form) -> Self {
-        let mut session =
-            Self { api, form, feed: None, cameras: None, remembered: Vec::new(), events: None };
+        let remembered = Vec::new();
+        let (feed, cameras, events, observer) = (None, None, None, None);
+        let mut session = Self { api, form, feed, cameras, remembered, events, observer };
         session.change(wanted);
         session
     }
@@ -241,7 +190,7 @@ impl Session {
             let (remembered, receiver) = api.hub.events(EVENT_BACKLOG);
             (self.remembered, self.events) = (remembered, Some(receiver));
         }
-        (self.feed, self.cameras) = (feed, cameras);
+        (self.feed, self.cameras, self.observer) = (feed, cameras, wanted.observations);
     }
 
     async fn run(mut self, mut socket: WebSocket) {
@@ -291,6 +240,13 @@ impl Session {
                     Outgoing::Snapshot(snapshot.ok_or(End::Shutdown)?)
                 }
                 () = next_tick(&mut self.cameras) => Outgoing::Cameras(grpc::cameras(&self.api)),
+                frame = next_frame(&mut self.observer) => match frame.ok_or(End::Shutdown)? {
+                    Ok(frame) => Outgoing::Observations(frame),
+                    Err(error) => {
+                        self.observer = None;
+                        Outgoing::Error(error.into())
+                    }
+                },
                 event = next_event(&mut self.events) => {
                     let event = event.ok_or(End::Shutdown)?;
                     Outgoing::Event(convert::event(&event))
@@ -303,8 +259,7 @@ impl Session {
     /// Does what a client says.
     fn heard(&mut self, message: &Message) -> Result<(), ApiError> {
         if matches!(message, Message::Text(_) | Message::Binary(_)) {
-            let kinds = self.api.hub.installation();
-            self.change(Wanted::requested(message, self.form, &kinds.kinds)?);
+            self.change(Wanted::requested(&self.api, message, self.form)?);
         }
         Ok(())
     }
@@ -356,6 +311,15 @@ async fn next_event(
 ) -> Option<Arc<hub::Event>> {
     match events {
         Some(events) => grpc::next_event(events).await,
+        None => std::future::pending().await,
+    }
+}
+
+async fn next_frame(
+    observer: &mut Option<grpc::Observer>,
+) -> Option<Result<v1::FrameObservations, ApiError>> {
+    match observer {
+        Some(observer) => observer.next().await,
         None => std::future::pending().await,
     }
 }

@@ -10,6 +10,7 @@ use super::{
     camera::{Known, MODES, cameras},
     error::Problem,
     object::objects,
+    origin::allow_origins,
     reader::{Allowed, Problems, Table},
     reference::references,
     roundel::kinds,
@@ -29,7 +30,8 @@ const ROOT_KEYS: [&str; 10] = [
 ];
 const NODE_KEYS: [&str; 1] = ["server"];
 const DETECTION_KEYS: [&str; 1] = ["mode"];
-const SERVER_KEYS: [&str; 5] = ["listen", "snapshot_rate_hz", "calibration", "watch", "setup"];
+const SERVER_KEYS: [&str; 6] =
+    ["listen", "snapshot_rate_hz", "calibration", "watch", "setup", "allow_origins"];
 const FUSION_KEYS: [&str; 4] =
     ["acceleration_m_s2", "late_window_ms", "predicted_after_ms", "lost_after_ms"];
 const LIMITS_KEYS: [&str; 3] = ["max_objects", "max_roundels_per_camera", "max_clients"];
@@ -77,8 +79,9 @@ fn root(
     let objects = objects(&root, &kinds, &references.configs);
     let node = node(&root);
     let is_node = is_node || node.is_some();
+    let mode = mode(&root);
     let known = Known { kinds: &kinds, references: &references, objects: &objects, is_node };
-    let cameras = cameras(&root, folder, &known, mode(&root));
+    let cameras = cameras(&root, folder, &known, mode);
     let fusion = fusion(&root);
     let limits = limits(&root);
     Some(Config {
@@ -86,6 +89,7 @@ fn root(
         folder: folder.to_owned(),
         name,
         server: server?,
+        mode,
         kinds: kinds.kinds,
         motions: kinds.motions,
         cameras,
@@ -108,11 +112,19 @@ fn server(root: &Table<'_, '_>, folder: &Path) -> Option<ServerConfig> {
     let calibration = calibration.map(|file| folder.join(file));
     let watches = table.and_then(|table| table.flag("watch")).unwrap_or(true);
     let setup = table.and_then(|table| table.flag("setup"));
+    let allow_origins = table.map(allow_origins).unwrap_or_default();
     match listen.parse::<SocketAddr>() {
         Ok(listen) => {
             // Only this machine's own users reach a port of the loopback.
             let setup = setup.unwrap_or(listen.ip().is_loopback());
-            Some(ServerConfig { listen, snapshot_rate_hz, calibration, watches, setup })
+            Some(ServerConfig {
+                listen,
+                snapshot_rate_hz,
+                calibration,
+                watches,
+                setup,
+                allow_origins,
+            })
         }
         Err(_) => {
             root.fail_with_help(

@@ -1,55 +1,35 @@
-//! Changes to the cameras of a configuration's text: everything else in it, comments and order included, stays as a
+//! Changes to the cameras and objects of a configuration's text: everything else in it, comments and order included, stays as a
 //! person wrote it.
 //!
 //! What comes out is only text. Whether it is a good configuration is for [`super::Config::parse`] to say, as if a
 //! person had changed it.
+
+mod camera;
+mod object;
 
 use thiserror::Error;
 use toml_edit::{
     Array, ArrayOfTables, DocumentMut, InlineTable, Item, RawString, Table, TableLike, Value,
 };
 
-pub use super::camera::CAMERA_KEYS;
+pub use self::{
+    camera::{WrittenCamera, WrittenPose},
+    object::{WrittenMount, WrittenObject, WrittenRoundels, rename_carrier},
+};
 
-/// A `[[camera]]` as it is written; what is `None` or empty is not.
-#[derive(Clone, Debug, Default, PartialEq)]
-pub struct WrittenCamera {
-    /// `name`
-    pub name: String,
-    /// `source`, with user and password.
-    pub source: String,
-    /// `calibration`
-    pub calibration: Option<String>,
-    /// `pose`
-    pub pose: Option<WrittenPose>,
-    /// `line_time_us`
-    pub line_time_us: Option<f64>,
-    /// `clock_uncertainty_ms`
-    pub clock_uncertainty_ms: Option<f64>,
-    /// `rate_hz`
-    pub rate_hz: Option<f64>,
-    /// `mode`
-    pub mode: Option<String>,
-    /// `mask`: polygons of corners, pixels.
-    pub mask: Vec<Vec<[f64; 2]>>,
-}
+/// One table of a list of them, as it is written; what is `None` or empty in it is not.
+pub trait Written {
+    /// Key of the list.
+    const SECTION: &'static str;
+    /// All keys that one has.
+    const KEYS: &'static [&'static str];
 
-/// `pose` of a `[[camera]]`.
-#[derive(Clone, Debug, PartialEq)]
-pub enum WrittenPose {
-    /// To be found from the reference roundels.
-    Unknown,
-    /// In the world, or on an object.
-    At {
-        /// `position_m`
-        position_m: [f64; 3],
-        /// `orientation_xyzw`
-        orientation_xyzw: [f64; 4],
-        /// `object`, on which it rides.
-        object: Option<String>,
-        /// `localizes`
-        localizes: bool,
-    },
+    /// Unique in the list.
+    fn name(&self) -> &str;
+    /// What a key is to be; `None`: not there.
+    fn value(&self, key: &str) -> Option<Value>;
+    /// As far as it can be read.
+    fn of(table: &dyn TableLike) -> Self;
 }
 
 /// Why a text is not changed.
@@ -58,85 +38,22 @@ pub enum EditError {
     /// It is none that could be changed.
     #[error("the configuration cannot be edited: {0}")]
     Text(String),
-    /// There is no such camera.
-    #[error("the configuration has no camera \"{0}\"")]
-    NoCamera(String),
+    /// There is none of that name in the list.
+    #[error("the configuration has no {what} \"{name}\"")]
+    Missing {
+        /// Key of the list.
+        what: &'static str,
+        /// Which name.
+        name: String,
+    },
 }
 
-impl WrittenCamera {
-    /// What a key is to be; `None`: not there.
-    fn value(&self, key: &str) -> Option<Value> {
-        let number = |number: Option<f64>| number.map(Value::from);
-        match key {
-            "name" => Some(self.name.as_str().into()),
-            "source" => Some(self.source.as_str().into()),
-            "calibration" => self.calibration.as_deref().map(Value::from),
-            "pose" => self.pose.as_ref().map(WrittenPose::value),
-            "line_time_us" => number(self.line_time_us),
-            "clock_uncertainty_ms" => number(self.clock_uncertainty_ms),
-            "rate_hz" => number(self.rate_hz),
-            "mode" => self.mode.as_deref().map(Value::from),
-            "mask" => (!self.mask.is_empty()).then(|| polygons(&self.mask)),
-            _ => None,
-        }
-    }
-
-    fn of(table: &dyn TableLike) -> Self {
-        let text = |key: &str| table.get(key).and_then(Item::as_str).map(str::to_owned);
-        let number = |key: &str| table.get(key).and_then(float);
-        Self {
-            name: text("name").unwrap_or_default(),
-            source: text("source").unwrap_or_default(),
-            calibration: text("calibration"),
-            pose: table.get("pose").and_then(WrittenPose::of),
-            line_time_us: number("line_time_us"),
-            clock_uncertainty_ms: number("clock_uncertainty_ms"),
-            rate_hz: number("rate_hz"),
-            mode: text("mode"),
-            mask: table.get("mask").map(corners).unwrap_or_default(),
-        }
-    }
-}
-
-impl WrittenPose {
-    fn value(&self) -> Value {
-        let Self::At { position_m, orientation_xyzw, object, localizes } = self else {
-            return "unknown".into();
-        };
-        let mut table = InlineTable::new();
-        table.insert("position_m", Value::Array(position_m.iter().copied().collect()));
-        table.insert("orientation_xyzw", Value::Array(orientation_xyzw.iter().copied().collect()));
-        if let Some(object) = object {
-            table.insert("object", object.as_str().into());
-        }
-        if *localizes {
-            table.insert("localizes", true.into());
-        }
-        table.into()
-    }
-
-    fn of(item: &Item) -> Option<Self> {
-        let Some(table) = item.as_table_like() else {
-            return (item.as_str() == Some("unknown")).then_some(Self::Unknown);
-        };
-        let numbers = |key: &str| -> Option<Vec<f64>> {
-            table.get(key)?.as_array()?.iter().map(number).collect()
-        };
-        Some(Self::At {
-            position_m: numbers("position_m")?.try_into().ok()?,
-            orientation_xyzw: numbers("orientation_xyzw")?.try_into().ok()?,
-            object: table.get("object").and_then(Item::as_str).map(str::to_owned),
-            localizes: table.get("localizes").and_then(Item::as_bool).unwrap_or(false),
-        })
-    }
-}
-
-/// Puts a camera behind the last one.
-pub fn add(text: &str, camera: &WrittenCamera) -> Result<String, EditError> {
+/// Puts one behind the last of its list.
+pub fn add<W: Written>(text: &str, one: &W) -> Result<String, EditError> {
     let mut document = parse(text)?;
-    let keys = CAMERA_KEYS.iter().filter_map(|key| Some((*key, camera.value(key)?)));
-    let cameras = document.entry("camera").or_insert(Item::ArrayOfTables(ArrayOfTables::new()));
-    match cameras {
+    let keys = W::KEYS.iter().filter_map(|key| Some((*key, one.value(key)?)));
+    let list = document.entry(W::SECTION).or_insert(Item::ArrayOfTables(ArrayOfTables::new()));
+    match list {
         Item::ArrayOfTables(tables) => {
             let mut table = Table::new();
             table.extend(keys);
@@ -145,27 +62,27 @@ pub fn add(text: &str, camera: &WrittenCamera) -> Result<String, EditError> {
             tables.push(table);
         }
         Item::Value(Value::Array(tables)) => tables.push(InlineTable::from_iter(keys)),
-        _ => return Err(EditError::Text("`camera` is no list of tables".to_owned())),
+        _ => return Err(EditError::Text(format!("`{}` is no list of tables", W::SECTION))),
     }
     Ok(document.to_string())
 }
 
-/// Gives these keys of a camera other values, as `camera` says; its other keys are not looked at.
-pub fn change(
+/// Gives these keys of one other values, as `one` says; its other keys are not looked at.
+pub fn change<W: Written>(
     text: &str,
     name: &str,
-    camera: &WrittenCamera,
+    one: &W,
     keys: &[&str],
 ) -> Result<String, EditError> {
     let mut document = parse(text)?;
-    let table = table_of(&mut document, name)?;
-    let before = WrittenCamera::of(table);
+    let table = table_of::<W>(&mut document, name)?;
+    let before = W::of(table);
     let same = |key: &str| {
-        let text = |it: &WrittenCamera| it.value(key).map(|value| value.to_string());
-        text(&before) == text(camera)
+        let text = |it: &W| it.value(key).map(|value| value.to_string());
+        text(&before) == text(one)
     };
     for key in keys.iter().filter(|key| !same(key)) {
-        match camera.value(key) {
+        match one.value(key) {
             Some(value) => set(table, key, value),
             None => {
                 table.remove(key);
@@ -175,11 +92,11 @@ pub fn change(
     Ok(document.to_string())
 }
 
-/// Takes a camera out, with the comments that stand directly above it.
-pub fn remove(text: &str, name: &str) -> Result<String, EditError> {
+/// Takes one out, with the comments that stand directly above it.
+pub fn remove<W: Written>(text: &str, name: &str) -> Result<String, EditError> {
     let mut document = parse(text)?;
-    let index = place_of(&mut document, name)?;
-    match document.get_mut("camera") {
+    let index = place_of::<W>(&mut document, name)?;
+    match document.get_mut(W::SECTION) {
         Some(Item::ArrayOfTables(tables)) => {
             let gone = tables.get(index).cloned().unwrap_or_default();
             tables.remove(index);
@@ -196,16 +113,22 @@ pub fn remove(text: &str, name: &str) -> Result<String, EditError> {
     Ok(document.to_string())
 }
 
-/// A camera as it is written.
-pub fn read(text: &str, name: &str) -> Result<WrittenCamera, EditError> {
+/// One as it is written.
+pub fn read<W: Written>(text: &str, name: &str) -> Result<W, EditError> {
     let mut document = parse(text)?;
-    Ok(WrittenCamera::of(table_of(&mut document, name)?))
+    Ok(W::of(table_of::<W>(&mut document, name)?))
 }
 
-/// The key of a camera that stands at that byte of the text, with its value, and the camera's place; `None` between them.
-pub fn key_at(text: &str, at: usize) -> Option<(usize, &'static str)> {
+/// All of a list as they are written, in their order.
+pub fn read_all<W: Written>(text: &str) -> Result<Vec<W>, EditError> {
+    let mut document = parse(text)?;
+    Ok(tables(&mut document, W::SECTION).into_iter().map(|table| W::of(table)).collect())
+}
+
+/// The key of one that stands at that byte of the text, with its value, and its place in the list; `None` between them.
+pub fn key_at<W: Written>(text: &str, at: usize) -> Option<(usize, &'static str)> {
     let document = toml_edit::Document::parse(text).ok()?;
-    let tables: Vec<&dyn TableLike> = match document.get("camera")? {
+    let tables: Vec<&dyn TableLike> = match document.get(W::SECTION)? {
         Item::ArrayOfTables(tables) => tables.iter().map(|table| table as &dyn TableLike).collect(),
         Item::Value(Value::Array(tables)) => {
             let tables = tables.iter().filter_map(Value::as_inline_table);
@@ -218,32 +141,37 @@ pub fn key_at(text: &str, at: usize) -> Option<(usize, &'static str)> {
         let begins = [name.span(), item.span()].into_iter().flatten().map(|span| span.start);
         let Some(begin) = begins.min() else { return false };
         let mut end = item.span().map_or(0, |span| span.end);
-        // The span of a table with a header of its own is that of the header.
-        if let Item::Table(table) = item {
+        // The spans of tables with headers of their own are those of the headers.
+        let inner: Vec<&Table> = match item {
+            Item::Table(table) => vec![table],
+            Item::ArrayOfTables(tables) => tables.iter().collect(),
+            _ => Vec::new(),
+        };
+        for table in inner {
             let ends = table.iter().filter_map(|(_, item)| Some(item.span()?.end));
-            end = ends.fold(end, usize::max);
+            end = ends.chain(table.span().map(|span| span.end)).fold(end, usize::max);
         }
         (begin..end).contains(&at)
     };
     tables.into_iter().enumerate().find_map(|(index, table)| {
-        let key = CAMERA_KEYS.into_iter().find(|key| is_there(table, key))?;
-        Some((index, key))
+        let key = W::KEYS.iter().find(|key| is_there(table, key))?;
+        Some((index, *key))
     })
 }
 
-/// The key of a camera that a message names first.
-pub fn key_named(message: &str) -> Option<&'static str> {
+/// The key that a message names first.
+pub fn key_named<W: Written>(message: &str) -> Option<&'static str> {
     let named = message.split('`').skip(1).step_by(2);
-    named.filter_map(|name| CAMERA_KEYS.into_iter().find(|key| *key == name)).next()
+    named.filter_map(|name| W::KEYS.iter().find(|key| **key == name).copied()).next()
 }
 
 fn parse(text: &str) -> Result<DocumentMut, EditError> {
     text.parse().map_err(|error: toml_edit::TomlError| EditError::Text(error.to_string()))
 }
 
-/// All cameras, in their order.
-fn tables(document: &mut DocumentMut) -> Vec<&mut dyn TableLike> {
-    match document.get_mut("camera") {
+/// All of a list, in their order.
+fn tables<'a>(document: &'a mut DocumentMut, section: &str) -> Vec<&'a mut dyn TableLike> {
+    match document.get_mut(section) {
         Some(Item::ArrayOfTables(tables)) => {
             tables.iter_mut().map(|table| table as &mut dyn TableLike).collect()
         }
@@ -255,18 +183,18 @@ fn tables(document: &mut DocumentMut) -> Vec<&mut dyn TableLike> {
     }
 }
 
-fn place_of(document: &mut DocumentMut, name: &str) -> Result<usize, EditError> {
+fn place_of<W: Written>(document: &mut DocumentMut, name: &str) -> Result<usize, EditError> {
     let named = |table: &&mut dyn TableLike| table.get("name").and_then(Item::as_str) == Some(name);
-    let place = tables(document).iter().position(named);
-    place.ok_or_else(|| EditError::NoCamera(name.to_owned()))
+    let place = tables(document, W::SECTION).iter().position(named);
+    place.ok_or_else(|| EditError::Missing { what: W::SECTION, name: name.to_owned() })
 }
 
-fn table_of<'a>(
+fn table_of<'a, W: Written>(
     document: &'a mut DocumentMut,
     name: &str,
 ) -> Result<&'a mut dyn TableLike, EditError> {
-    let place = place_of(document, name)?;
-    Ok(tables(document).swap_remove(place))
+    let place = place_of::<W>(document, name)?;
+    Ok(tables(document, W::SECTION).swap_remove(place))
 }
 
 /// Another value; what stands behind the one before stays.
@@ -279,17 +207,47 @@ fn set(table: &mut dyn TableLike, key: &str, value: Value) {
         }
         // A table under a header of its own, with whatever else a person has written there.
         (Some(Item::Table(before)), Value::InlineTable(wanted)) => {
-            let gone: Vec<String> = before.iter().map(|(key, _)| key.to_owned()).collect();
-            for key in gone.iter().filter(|key| !wanted.contains_key(key)) {
-                before.remove(key);
+            set_all(before, wanted);
+        }
+        // Several of them.
+        (Some(Item::ArrayOfTables(before)), Value::Array(wanted)) => {
+            while before.len() > wanted.len() {
+                before.remove(before.len() - 1);
             }
-            for (key, value) in wanted.iter() {
-                set(before, key, value.clone());
+            for (index, wanted) in wanted.iter().filter_map(Value::as_inline_table).enumerate() {
+                if before.get(index).is_none() {
+                    before.push(Table::new());
+                }
+                before.get_mut(index).into_iter().for_each(|table| set_all(table, wanted));
             }
         }
         _ => {
             table.insert(key, Item::Value(value));
         }
+    }
+}
+
+fn set_all(table: &mut Table, wanted: &InlineTable) {
+    let gone: Vec<String> = table.iter().map(|(key, _)| key.to_owned()).collect();
+    for key in gone.iter().filter(|key| !wanted.contains_key(key)) {
+        table.remove(key);
+    }
+    for (key, value) in wanted.iter() {
+        let before = table.get(key).and_then(Item::as_value);
+        if !before.is_some_and(|before| is_same(before, value)) {
+            set(table, key, value.clone());
+        }
+    }
+}
+
+/// Whether both mean the same, however they are written.
+fn is_same(a: &Value, b: &Value) -> bool {
+    if let (Some(a), Some(b)) = (number(a), number(b)) {
+        return a == b;
+    }
+    match (a.as_array(), b.as_array()) {
+        (Some(a), Some(b)) => a.len() == b.len() && a.iter().zip(b).all(|(a, b)| is_same(a, b)),
+        _ => a.to_string().trim() == b.to_string().trim(),
     }
 }
 
@@ -345,20 +303,17 @@ fn prepend(document: &mut DocumentMut, position: Option<isize>, text: &str) {
     }
 }
 
-fn polygons(polygons: &[Vec<[f64; 2]>]) -> Value {
-    let corner = |corner: &[f64; 2]| Value::Array(corner.iter().copied().collect());
-    let polygon = |corners: &Vec<[f64; 2]>| Value::Array(corners.iter().map(corner).collect());
-    Value::Array(polygons.iter().map(polygon).collect::<Array>())
+fn numbers<const N: usize>(table: &dyn TableLike, key: &str) -> Option<[f64; N]> {
+    let numbers: Option<Vec<f64>> = table.get(key)?.as_array()?.iter().map(number).collect();
+    numbers?.try_into().ok()
 }
 
-/// The corners of polygons, as far as they are any.
-fn corners(item: &Item) -> Vec<Vec<[f64; 2]>> {
-    let corner = |value: &Value| -> Option<[f64; 2]> {
-        let numbers: Option<Vec<f64>> = value.as_array()?.iter().map(number).collect();
-        numbers?.try_into().ok()
-    };
-    let polygon = |value: &Value| value.as_array()?.iter().map(corner).collect();
-    item.as_array().into_iter().flat_map(Array::iter).filter_map(polygon).collect()
+fn text(table: &dyn TableLike, key: &str) -> Option<String> {
+    table.get(key).and_then(Item::as_str).map(str::to_owned)
+}
+
+fn array(numbers: &[f64]) -> Value {
+    Value::Array(numbers.iter().copied().collect::<Array>())
 }
 
 fn float(item: &Item) -> Option<f64> {

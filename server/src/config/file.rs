@@ -6,7 +6,9 @@
 
 use std::{
     ffi::OsString,
-    fs, io,
+    fs,
+    hash::{DefaultHasher, Hash, Hasher},
+    io,
     io::Write as _,
     path::{Path, PathBuf},
 };
@@ -52,6 +54,18 @@ impl ConfigFile {
     /// The text.
     pub fn text(&self) -> &str {
         &self.text
+    }
+
+    /// The file that it is kept in.
+    pub fn path(&self) -> Option<&Path> {
+        self.path.as_deref()
+    }
+
+    /// Tells this text from others.
+    pub fn version(&self) -> String {
+        let mut hasher = DefaultHasher::new();
+        self.text.hash(&mut hasher);
+        format!("{:016x}", hasher.finish())
     }
 
     /// Where changes are kept, in the second half of a sentence.

@@ -13,6 +13,7 @@ mod file;
 mod geometry;
 mod mask;
 mod object;
+mod origin;
 mod reader;
 mod reference;
 mod ride;
@@ -52,6 +53,8 @@ pub struct Config {
     pub name: String,
     /// `[server]`.
     pub server: ServerConfig,
+    /// `[detection] mode`, of cameras that do not say theirs.
+    pub mode: Mode,
     /// `[[roundel]]`, by [`KindId`]; at least one. Plain ones have ratios of diameters a tenth apart,
     /// coded ones codes of different bits.
     pub kinds: Vec<Kind>,
@@ -84,6 +87,8 @@ pub struct ServerConfig {
     pub watches: bool,
     /// Whether clients may have sources tried; who may can have this machine open any address.
     pub setup: bool,
+    /// Origins whose pages browsers let ask this server, as browsers write them; `*` is any.
+    pub allow_origins: Vec<String>,
 }
 
 /// `[[camera]]`.
@@ -240,10 +245,17 @@ impl Config {
         let folder = path.parent().unwrap_or(Path::new(""));
         let mut config = document::parse(&text, folder, is_node)
             .map_err(|problems| ConfigError { path: path.to_owned(), problems })?;
-        let beside = || path.with_extension("calibration.toml");
-        config.server.calibration.get_or_insert_with(beside);
-        config.file = ConfigFile::new(Some(path.to_owned()), text);
+        config.keep_in(ConfigFile::new(Some(path.to_owned()), text));
         Ok(config)
+    }
+
+    /// Says where it is kept, and calibrations beside it if nobody has said where.
+    pub(crate) fn keep_in(&mut self, file: ConfigFile) {
+        self.file = file;
+        if let Some(path) = self.file.path() {
+            let beside = || path.with_extension("calibration.toml");
+            self.server.calibration.get_or_insert_with(beside);
+        }
     }
 
     /// Reads a configuration's text, which is kept nowhere; paths in it are relative to `folder`.

@@ -18,7 +18,7 @@ use super::{
     roundel::{NamedKinds, kind_named, motion},
 };
 
-const OBJECT_KEYS: [&str; 6] = ["name", "roundel", "code", "offset_m", "motion", "height_m"];
+pub const OBJECT_KEYS: [&str; 6] = ["name", "roundel", "code", "offset_m", "motion", "height_m"];
 const PART_KEYS: [&str; 6] = ["kind", "code", "position_m", "yaw_deg", "right", "top"];
 const MOST_CODES: usize = u16::MAX as usize;
 

@@ -1,23 +1,50 @@
-//! Cameras that come, change and go while fusion runs.
+//! Cameras and objects that come, change and go while fusion runs.
 //!
 //! Orders are few and none may be lost, so they have a queue of their own, which is never full. They are obeyed before
 //! the next frame is taken: a camera is known before its first frame, and of one that was removed no frame is used.
 
+use nalgebra::Vector3;
 use roundel_core::{
-    id::CameraId,
-    world::{CameraMount, CameraPlacement, ClockPrior},
+    id::{BodyId, CameraId, KindId},
+    world::{Body, CameraMount, CameraPlacement, ClockPrior, FusionParams, MotionClass},
 };
 
 use super::FusionTask;
 use crate::hub::RideInfo;
 
-/// What is to become of a camera.
+/// What is to become of a camera, or of objects.
 #[derive(Clone, Debug)]
 pub enum Order {
     /// It is there, and this is what is known of it.
     Set(CameraId, Box<Known>),
     /// It is there no more.
     Remove(CameraId),
+    /// How long objects are predicted and remembered, and how many there may be.
+    Limits(FusionLimits),
+    /// Objects are known by something else than before.
+    Objects(ObjectOrder),
+}
+
+/// What fusion lets objects do.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct FusionLimits {
+    /// Rms acceleration that objects are capable of, m/s²; of tracks that begin from now on.
+    pub acceleration_m_s2: f64,
+    /// Not seen for so long: predicted, seconds.
+    pub predicted_after_s: f64,
+    /// Not seen for so long: lost, seconds.
+    pub lost_after_s: f64,
+    /// Followed at most.
+    pub max_objects: usize,
+}
+
+/// What is another in objects than before.
+#[derive(Clone, Debug, Default)]
+pub struct ObjectOrder {
+    /// What bodies carry; nothing of one that was removed.
+    pub bodies: Vec<(BodyId, Body)>,
+    /// Of what is known by a whole kind: the followed point in the roundel's frame, metres, and how it moves.
+    pub kinds: Vec<(KindId, Vector3<f64>, MotionClass)>,
 }
 
 /// What is known of a camera.
@@ -61,7 +88,29 @@ impl FusionTask {
             match order {
                 Order::Set(camera, known) => self.set(camera, *known),
                 Order::Remove(camera) => self.remove(camera),
+                Order::Limits(limits) => {
+                    let ns = |seconds: f64| (seconds * 1e9).round() as i64;
+                    self.fusion.set_params(FusionParams {
+                        acceleration_m_s2: limits.acceleration_m_s2,
+                        predicted_after_ns: ns(limits.predicted_after_s),
+                        lost_after_ns: ns(limits.lost_after_s),
+                        max_objects: limits.max_objects,
+                        ..self.fusion.params()
+                    });
+                }
+                Order::Objects(order) => self.follow(&order),
             }
+        }
+    }
+
+    fn follow(&mut self, order: &ObjectOrder) {
+        for &(kind, offset_m, motion) in &order.kinds {
+            self.fusion.set_offset(kind, offset_m);
+            self.fusion.change_motion(kind, motion);
+        }
+        if let Err(error) = self.fusion.set_bodies(&order.bodies) {
+            // The configuration has been checked for that.
+            tracing::error!(%error, "the objects that were changed are not followed as such");
         }
     }
 

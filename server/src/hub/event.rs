@@ -8,11 +8,24 @@ use roundel_core::{
 
 use super::CameraStatus;
 
+/// What became of an object of the configuration.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Change {
+    /// It is new there.
+    Added,
+    /// It is written otherwise.
+    Changed,
+    /// It is there no more.
+    Removed,
+}
+
 /// What an event is about.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Happening {
     /// A change in an object's life.
     Object(ObjectId, world::EventKind),
+    /// An object is configured otherwise than before; as which it is followed, if it is.
+    Configured(Change, Option<ObjectId>),
     /// A camera was added while the server runs.
     Added(CameraId),
     /// A camera is configured otherwise than before.
@@ -72,6 +85,7 @@ impl Happening {
             | Self::Returned(id)
             | Self::Drifted(id) => Some(id),
             Self::Object(..)
+            | Self::Configured(..)
             | Self::Contradicted
             | Self::Misplaced
             | Self::Agreed

@@ -9,7 +9,7 @@ use roundel_core::{
 
 use super::CameraInfo;
 
-/// What is known of a server beside how it is doing. But for its cameras it is fixed while a server runs.
+/// What is known of a server beside how it is doing. Cameras and objects come and go while a server runs.
 #[derive(Clone, Debug)]
 pub struct Installation {
     /// The configured name.
@@ -26,8 +26,17 @@ pub struct Installation {
     pub kinds: Vec<String>,
     /// Configured names of objects that are known by a whole kind, by that.
     pub object_names: BTreeMap<KindId, String>,
-    /// Configured names of all others, by [`BodyId`].
+    /// Configured names of all others, by [`BodyId`]; empty of one that was removed.
     pub body_names: Vec<String>,
+}
+
+/// What an object of the configuration is known by.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Named {
+    /// A whole kind of roundel.
+    Kind(KindId),
+    /// A code, or several roundels.
+    Body(BodyId),
 }
 
 impl Installation {
@@ -46,6 +55,14 @@ impl Installation {
     /// The camera of that name.
     pub fn camera_id(&self, name: &str) -> Option<CameraId> {
         self.cameras.iter().find(|(_, camera)| camera.name == name).map(|(id, _)| *id)
+    }
+
+    /// Whose the configured name is.
+    pub fn named(&self, name: &str) -> Option<Named> {
+        let kind = self.object_names.iter().find(|(_, known)| *known == name);
+        let body = || (0..).zip(&self.body_names).find(|(_, known)| *known == name);
+        kind.map(|(kind, _)| Named::Kind(*kind))
+            .or_else(|| body().map(|(index, _)| Named::Body(BodyId(index))))
     }
 
     /// The kind's name; empty for no kind.

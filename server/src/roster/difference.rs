@@ -16,6 +16,8 @@ pub(super) struct Difference {
     pub(super) rate: bool,
     pub(super) mode: bool,
     pub(super) mask: bool,
+    /// How many roundels it may follow.
+    pub(super) most: bool,
 }
 
 impl Difference {
@@ -33,14 +35,15 @@ impl Difference {
             rate: before.rate_hz != after.rate_hz,
             mode: before.mode != after.mode,
             mask: before.mask != after.mask,
+            most: false,
         }
     }
 
     /// Whether its worker has to begin anew. Lens and place are taken over between two frames instead, so that no track
     /// is lost.
     pub(super) fn restarts(&self) -> bool {
-        let Self { name, source, size, line_time, rate, mode, mask, .. } = *self;
-        name || source || size || line_time || rate || mode || mask
+        let Self { name, source, size, line_time, rate, mode, mask, most, .. } = *self;
+        name || source || size || line_time || rate || mode || mask || most
     }
 
     /// Whether it stands elsewhere, or looks through another lens: what a calibration found does not hold any more.
@@ -65,6 +68,7 @@ impl Difference {
             (self.rate, "rate"),
             (self.mode, "mode"),
             (self.mask, "mask"),
+            (self.most, "most roundels"),
         ];
         let words: Vec<&str> =
             all.iter().filter(|(differs, _)| *differs).map(|(_, word)| *word).collect();

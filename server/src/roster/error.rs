@@ -1,26 +1,61 @@
-//! Why a camera is not added, changed or removed, and which of its keys is to blame.
+//! Why a camera or an object is not added, changed or removed, and which of its keys is to blame.
 
 use std::io;
 
 use roundel_core::marker::{DetectorError, MaskError};
 use thiserror::Error;
 
-use crate::config::{ConfigFileError, Problem, edit};
+use crate::config::{
+    ConfigFileError, Problem,
+    edit::{self, Written},
+};
 
-/// Why a camera is not added, changed or removed; everything is as it was then.
+/// Why a camera or an object is not added, changed or removed; everything is as it was then.
 #[derive(Debug, Error)]
 pub enum RosterError {
     /// With it the configuration would be wrong.
     #[error("{message}")]
     Wrong {
-        /// Which key of the camera, if it is one's fault.
-        key: Option<&'static str>,
+        /// Which key of the camera or object, if it is one's fault; else which of both it is.
+        key: &'static str,
         /// What was expected, what was found, and what to do.
         message: String,
     },
+    /// It is no configuration.
+    #[error("{}", said(.0))]
+    Problems(Vec<Problem>),
+    /// It is one for another start.
+    #[error(
+        "what differs in {} takes a start of the server: write it into the configuration's file, and start the server \
+         anew; nothing was changed", .0.join(", ")
+    )]
+    NeedsRestart(Vec<String>),
+    /// It was made from one that is in force no more.
+    #[error("the configuration was changed since that version was read: read it again")]
+    Stale,
     /// There is no such camera, or there is no more.
     #[error("there is no camera \"{0}\"")]
     NoCamera(String),
+    /// There is no such object, or there is no more.
+    #[error("the configuration has no object \"{0}\"")]
+    NoObject(String),
+    /// Nobody sees it.
+    #[error("no object {0} was seen within the last minute")]
+    Unseen(u64),
+    /// It is not known by which code.
+    #[error("the code of object {0} was not read yet: it has to be seen larger, or less tilted")]
+    Unread(u64),
+    /// Nothing tells it from others.
+    #[error(
+        "object {object} carries a plain roundel \"{kind}\" as others do, and nothing tells it from them: give it a \
+         roundel with a code, or one of a kind of its own"
+    )]
+    Alike {
+        /// Which object.
+        object: u64,
+        /// Its kind of roundel.
+        kind: String,
+    },
     /// An installation has cameras.
     #[error("it is the only camera, and an installation has at least one: add another one first")]
     Last,
@@ -54,32 +89,46 @@ pub enum RosterError {
 impl From<edit::EditError> for RosterError {
     fn from(error: edit::EditError) -> Self {
         match error {
-            edit::EditError::NoCamera(name) => Self::NoCamera(name),
+            edit::EditError::Missing { what: "object", name } => Self::NoObject(name),
+            edit::EditError::Missing { name, .. } => Self::NoCamera(name),
             error @ edit::EditError::Text(_) => {
-                Self::Wrong { key: None, message: error.to_string() }
+                Self::Wrong { key: "configuration", message: error.to_string() }
             }
         }
     }
 }
 
-/// What is wrong with a configuration since the camera at `index` is as it is: the first key that is to blame, and
-/// everything that is to be said.
-pub(super) fn wrong(text: &str, index: usize, problems: &[Problem]) -> RosterError {
+/// What is wrong with a configuration since the camera or object at `index` is as it is: the first key that is to blame,
+/// and everything that is to be said.
+pub(super) fn wrong<W: Written>(text: &str, index: usize, problems: &[Problem]) -> RosterError {
     let key_of = |problem: &Problem| {
         let at = problem.place.as_ref()?.offset(text);
-        match edit::key_at(text, at) {
+        match edit::key_at::<W>(text, at) {
             Some((place, key)) if place == index => Some(key),
-            // Of two cameras with one name the second is to blame there, which another one may be.
+            // Of two with one name the second is to blame there, which another one may be.
             Some((_, "name")) => Some("name"),
-            _ => edit::key_named(&problem.message),
+            _ => edit::key_named::<W>(&problem.message),
         }
     };
-    let said: Vec<String> = problems
-        .iter()
-        .map(|problem| match &problem.help {
-            Some(help) => format!("{}; {help}", problem.message),
-            None => problem.message.clone(),
+    let key = problems.iter().find_map(key_of).unwrap_or(W::SECTION);
+    RosterError::Wrong { key, message: sentences(problems, |_| String::new()) }
+}
+
+/// All that is wrong with a whole text.
+fn said(problems: &[Problem]) -> String {
+    let place = |problem: &Problem| {
+        let place = problem.place.as_ref();
+        place.map_or_else(String::new, |place| {
+            format!("line {}, column {}: ", place.line, place.column)
         })
-        .collect();
-    RosterError::Wrong { key: problems.iter().find_map(key_of), message: said.join(". ") }
+    };
+    sentences(problems, place)
+}
+
+fn sentences(problems: &[Problem], place: impl Fn(&Problem) -> String) -> String {
+    let said = problems.iter().map(|problem| match &problem.help {
+        Some(help) => format!("{}{}; {help}", place(problem), problem.message),
+        None => format!("{}{}", place(problem), problem.message),
+    });
+    said.collect::<Vec<_>>().join(". ")
 }

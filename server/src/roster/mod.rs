@@ -1,10 +1,13 @@
-//! The cameras of a server that runs: which there are, and that they can be added, changed and removed meanwhile.
+//! The cameras and objects of a server that runs: which there are, and that they can be added, changed and removed
+//! meanwhile.
 //!
 //! | module | what it does |
 //! | --- | --- |
 //! | `crew` | the workers' threads |
 //! | `difference` | what is another in a camera than before |
+//! | `configuration` | all of them, and what else can change, in one go |
 //! | `effect` | what follows from a change that is written |
+//! | `object` | the same of objects |
 //! | [`setup`] | what the parts of a server are told of a camera |
 //! | `error` | why something is not done |
 //!
@@ -15,10 +18,12 @@
 //! One change at a time; whoever asks waits for the one before. Each takes as long as its worker's source needs to let
 //! go, which is milliseconds.
 
+mod configuration;
 mod crew;
 mod difference;
 mod effect;
 mod error;
+mod object;
 pub mod setup;
 
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError, mpsc};
@@ -42,7 +47,9 @@ use crate::{
     stop::Stop,
     worker::{Sighted, Totals, pipeline::Pipeline},
 };
+pub use configuration::{InForce, Plan};
 pub use error::RosterError;
+pub use object::kind_names;
 
 /// What a source has to fit into.
 pub struct CameraSetting<'a> {
@@ -94,7 +101,6 @@ pub struct Roster {
     playback: Playback,
     calibrator: Arc<Calibrator>,
     ports: Arc<Ports>,
-    bodies: Vec<Option<BodyId>>,
     state: Mutex<State>,
 }
 
@@ -103,6 +109,10 @@ struct State {
     /// Of each of its cameras.
     ids: Vec<CameraId>,
     next_id: u32,
+    /// Of each of its objects.
+    bodies: Vec<Option<BodyId>>,
+    /// Names of all bodies that there ever were, by number; empty of one that was removed.
+    body_names: Vec<String>,
     crew: Crew,
     to_fusion: mpsc::SyncSender<Sighted>,
     orders: mpsc::Sender<Order>,
@@ -119,6 +129,8 @@ impl Roster {
         let ids: Vec<CameraId> = (0..).map(CameraId).take(config.cameras.len()).collect();
         let state = State {
             next_id: ids.len() as u32,
+            bodies,
+            body_names: hub.installation().body_names.clone(),
             config,
             ids: ids.clone(),
             crew: Crew::default(),
@@ -128,7 +140,7 @@ impl Roster {
             ended: false,
         };
         let state = Mutex::new(state);
-        let roster = Self { hub, clock, playback, calibrator, ports, bodies, state };
+        let roster = Self { hub, clock, playback, calibrator, ports, state };
         for (index, (id, camera)) in ids.into_iter().zip(&calibrated.cameras).enumerate() {
             let mut state = roster.lock();
             let pipeline = Pipeline::new(setup::pipeline(camera, calibrated, Default::default())?)?;
@@ -154,29 +166,23 @@ impl Roster {
         let index = state.ids.len();
         let mut config = state.read_again(&text, index)?;
         config.cameras.splice(..index, state.config.cameras.iter().cloned());
-        let added = config.cameras[index].clone();
-        let pipeline = Pipeline::new(setup::pipeline(&added, &config, Default::default())?)?;
+        // That it can be searched for is known before anything is done.
+        Pipeline::new(setup::pipeline(&config.cameras[index], &config, Default::default())?)?;
         config.file.replace(text)?;
         let id = CameraId(state.next_id);
         state.next_id += 1;
-        self.hub.set_camera(id, setup::info(&added, &config));
-        self.calibrator.set(id, setup::calibrated(&added));
-        self.introduce(&state, id, &added, &config);
-        let (place, before) = (setup::place(&added, &config), Totals::default());
-        let camera = &added;
-        let begin = Begin { id, index, camera, pipeline, place, version: 0, before };
-        if let Err(error) = self.begin(&mut state, begin) {
+        let before = std::mem::replace(&mut state.config, config);
+        state.ids.push(id);
+        if let Err(error) = self.enter(&mut state, (id, index)) {
             self.forget(&state, id);
+            state.ids.pop();
             // What is written is what runs.
-            config.file.replace(state.config.file.text().to_owned())?;
-            state.config.file = config.file;
+            let mut file = state.config.file.clone();
+            file.replace(before.file.text().to_owned())?;
+            state.config = Config { file, ..before };
             return Err(error);
         }
-        let kept = config.file.kept();
-        state.config = config;
-        state.ids.push(id);
-        self.tell(Happening::Added(id), format!("Camera {} was added; {kept}.", added.name));
-        Ok(kept)
+        Ok(state.config.file.kept())
     }
 
     /// Gives these keys of a camera other values; its other keys are not looked at. Files that it names are read anew.
@@ -216,7 +222,7 @@ impl Roster {
         if state.ids.len() == 1 {
             return Err(RosterError::Last);
         }
-        let text = edit::remove(state.config.file.text(), name)?;
+        let text = edit::remove::<WrittenCamera>(state.config.file.text(), name)?;
         // Whom it carried, and who found its place by it, may need it. The others are not read anew.
         let mut config = state.read_again(&text, usize::MAX)?;
         config.cameras.clone_from(&state.config.cameras);
@@ -245,13 +251,10 @@ impl Roster {
     /// The state, if it may be changed now.
     fn ready(&self) -> Result<MutexGuard<'_, State>, RosterError> {
         let state = self.lock();
-        if state.ended {
-            return Err(RosterError::Ending);
-        }
         if self.calibrator.is_running() {
             return Err(RosterError::Calibrating);
         }
-        Ok(state)
+        if state.ended { Err(RosterError::Ending) } else { Ok(state) }
     }
 
     fn tell(&self, happening: Happening, message: String) {
@@ -272,7 +275,7 @@ impl State {
     /// `index`.
     fn read_again(&self, text: &str, index: usize) -> Result<Config, RosterError> {
         let cameras = Config::parse(text, &self.config.folder)
-            .map_err(|problems| wrong(text, index, &problems))?
+            .map_err(|problems| wrong::<WrittenCamera>(text, index, &problems))?
             .cameras;
         Ok(Config { cameras, ..self.config.clone() })
     }

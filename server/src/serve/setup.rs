@@ -1,7 +1,5 @@
 //! From the configuration to what the parts of a server are told of all but cameras: fusion, the hub.
 
-use std::collections::BTreeMap;
-
 use roundel_core::{
     id::{BodyId, KindId},
     time::Timestamp,
@@ -12,7 +10,7 @@ use super::ServeError;
 use crate::{
     config::{Carried, Config, ObjectConfig, ReferenceConfig},
     hub::Installation,
-    roster::setup::info,
+    roster::{kind_names, setup::info},
 };
 
 /// What the hub says of the installation.
@@ -25,14 +23,7 @@ pub(super) fn installation(config: &Config, started: Timestamp) -> Installation 
         snapshot_rate_hz: config.server.snapshot_rate_hz,
         cameras: Installation::numbered(config.cameras.iter().map(|camera| info(camera, config))),
         kinds: config.kinds.iter().map(|kind| kind.name.clone()).collect(),
-        object_names: config
-            .objects
-            .iter()
-            .filter_map(|object| match object.carries {
-                Carried::Kind { kind, .. } => Some((kind, object.name.clone())),
-                Carried::Body(_) => None,
-            })
-            .collect::<BTreeMap<_, _>>(),
+        object_names: kind_names(&config.objects),
         // In the order in which fusion is told of them, which numbers them.
         body_names: config
             .objects

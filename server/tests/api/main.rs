@@ -1,9 +1,12 @@
 //! The APIs over real sockets on loopback, with a hub that the test feeds: no cameras, no fusion.
 
 mod client;
+mod deadline;
 mod fuzz;
 mod grpc;
 mod http;
+mod observation;
+mod origin;
 mod picture;
 mod place;
 mod port;

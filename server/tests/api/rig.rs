@@ -29,6 +29,9 @@ use tokio_util::sync::CancellationToken;
 /// A hang is a failure; nothing here takes a tenth of it.
 pub const HANG: Duration = Duration::from_secs(30);
 
+/// Whose pages may ask.
+pub const ORIGIN: &str = "https://lab.example.org";
+
 pub struct Rig {
     pub hub: Arc<Hub>,
     pub clock: Clock,
@@ -84,6 +87,7 @@ impl Rig {
             late_window_ms: 300.0,
             trier: None,
             roster: None,
+            allow_origins: vec![ORIGIN.into()],
         };
         let server = tokio::spawn(api::serve(listener, served, limits, cancel.clone()));
         Self { hub, clock, address, cancel, server }

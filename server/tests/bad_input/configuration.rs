@@ -200,6 +200,21 @@ fn wrong_values_are_named_with_their_line() {
             "code = { bits = 8 }\n[[roundel]]\nname = \"cart\"\nouter_mm = 300\ncode = { bits = 8 }",
             "roundels \"shuttle\" and \"cart\" cannot be told apart: both have codes of 8 bits",
         ),
+        (
+            "allow_origins = []",
+            "allow_origins = [\"https://lab.example.org/page\"]",
+            "leave out the path: \"https://lab.example.org\"",
+        ),
+        (
+            "allow_origins = []",
+            "allow_origins = [\"lab.example.org\"]",
+            "`allow_origins` must be a list of origins of pages, found \"lab.example.org\"",
+        ),
+        (
+            "allow_origins = []",
+            "allow_origins = \"*\"",
+            "`allow_origins` must be a list of origins of pages, found the text \"*\"",
+        ),
         ("bits = 8", "bits = 4", "`bits` must be a whole number from 5 to 16, found 4"),
         ("bits = 8", "bits = 8.5", "`bits` must be a whole number from 5 to 16, found 8.5"),
         ("bits = 8, ", "", "missing key `bits` in code"),

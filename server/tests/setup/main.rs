@@ -1,8 +1,10 @@
-//! Cameras that are added, changed and removed over the APIs while a whole server runs: what becomes of the others, of
+//! Cameras and objects that are added, changed and removed over the APIs while a whole server runs: what becomes of the others, of
 //! clients, and of the configuration's file.
 
 mod add;
 mod change;
+mod configuration;
 mod file;
+mod object;
 mod remove;
 mod rig;

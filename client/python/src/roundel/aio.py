@@ -160,6 +160,40 @@ class Client:
         """Removes a camera while the server runs."""
         return await self._call("RemoveCamera", v1.RemoveCameraRequest(name=name))  # type: ignore[no-any-return]
 
+    async def object_setup(self, name: str) -> v1.ObjectSetup:
+        """An object as the server's configuration says it."""
+        return await self._call("GetObjectSetup", v1.GetObjectSetupRequest(name=name))  # type: ignore[no-any-return]
+
+    async def add_object(self, object: v1.ObjectSetup) -> v1.ObjectChange:
+        """Adds an object while the server runs."""
+        return await self._call("AddObject", v1.AddObjectRequest(object=object))  # type: ignore[no-any-return]
+
+    async def change_object(self, name: str, object: v1.ObjectSetup, fields: Sequence[str]) -> v1.ObjectChange:
+        """Changes these fields of an object; one that is absent in `object` is taken out."""
+        request = v1.ChangeObjectRequest(name=name, object=object, fields=list(fields))
+        return await self._call("ChangeObject", request)  # type: ignore[no-any-return]
+
+    async def remove_object(self, name: str) -> v1.ObjectChange:
+        """Removes an object while the server runs; one that was known by its code is followed on without a name."""
+        return await self._call("RemoveObject", v1.RemoveObjectRequest(name=name))  # type: ignore[no-any-return]
+
+    async def name_object(self, object_id: int, name: str) -> v1.ObjectChange:
+        """Names an object that is seen, for good: by its code, or as the only one of its kind of roundel."""
+        return await self._call("NameObject", v1.NameObjectRequest(object_id=object_id, name=name))  # type: ignore[no-any-return]
+
+    async def configuration(self) -> v1.Configuration:
+        """The configuration in force, as text and as message."""
+        return await self._call("GetConfiguration", v1.GetConfigurationRequest())  # type: ignore[no-any-return]
+
+    async def check_configuration(self, toml: str) -> v1.ConfigurationCheck:
+        """What is wrong with a configuration, or what applying it would change; nothing is changed."""
+        return await self._call("CheckConfiguration", v1.CheckConfigurationRequest(toml=toml))  # type: ignore[no-any-return]
+
+    async def apply_configuration(self, toml: str, version: str = "") -> v1.AppliedConfiguration:
+        """Puts a configuration in the place of the one in force, if that has this version still; empty: any."""
+        request = v1.ApplyConfigurationRequest(toml=toml, version=version)
+        return await self._call("ApplyConfiguration", request)  # type: ignore[no-any-return]
+
     async def _call(self, call: str, request: Any, timeout_s: float | None = None) -> Any:
         method = self._channel.unary_unary(_calls.path(call), _calls.encoded, _calls.ANSWERS[call].FromString)
         try:

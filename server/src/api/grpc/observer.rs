@@ -8,7 +8,6 @@ use tokio::sync::{
     broadcast::{self, error::RecvError},
     watch,
 };
-use tonic::Status;
 
 use super::camera_id;
 use crate::{
@@ -18,7 +17,7 @@ use crate::{
 };
 
 /// The frames of some cameras, by name, or of all.
-pub(super) struct Observer {
+pub(in crate::api) struct Observer {
     receiver: broadcast::Receiver<Arc<FrameObservations>>,
     installation: watch::Receiver<Arc<Installation>>,
     /// Empty: all.
@@ -31,7 +30,7 @@ pub(super) struct Observer {
 }
 
 impl Observer {
-    pub(super) fn new(api: &Api, names: Vec<String>) -> Result<Self, ApiError> {
+    pub(in crate::api) fn new(api: &Api, names: Vec<String>) -> Result<Self, ApiError> {
         let installation = api.hub.installations();
         let cameras = names.iter().map(|name| camera_id(api, name)).collect::<Result<_, _>>()?;
         let (receiver, newest) = (api.hub.observations(), BTreeMap::new());
@@ -39,7 +38,7 @@ impl Observer {
     }
 
     /// The next frame; an error, once, when none of the cameras is there any more.
-    pub(super) async fn next(&mut self) -> Option<Result<v1::FrameObservations, Status>> {
+    pub(in crate::api) async fn next(&mut self) -> Option<Result<v1::FrameObservations, ApiError>> {
         while !self.ended {
             let frame = tokio::select! {
                 received = self.receiver.recv() => match received {
@@ -53,7 +52,7 @@ impl Observer {
                         Ok(()) => continue,
                         Err(error) => {
                             self.ended = true;
-                            return Some(Err(error.into()));
+                            return Some(Err(error));
                         }
                     }
                 }

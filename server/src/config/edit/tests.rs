@@ -26,6 +26,14 @@ orientation_xyzw = [1, 0, 0, 0]
 name = "robot"
 "#;
 
+fn read(text: &str, name: &str) -> Result<WrittenCamera, EditError> {
+    super::read(text, name)
+}
+
+fn remove(text: &str, name: &str) -> Result<String, EditError> {
+    super::remove::<WrittenCamera>(text, name)
+}
+
 fn south_pose() -> WrittenPose {
     WrittenPose::At {
         position_m: [0.0, 1.0, 2.0],
@@ -49,7 +57,7 @@ fn what_is_written_is_read() {
     let south = read(TEXT, "south").unwrap();
     assert_eq!(south.pose, Some(south_pose()));
     assert_eq!(south.mask, [vec![[0.0, 0.0], [320.0, 0.5], [0.0, 200.0]]]);
-    assert_eq!(read(TEXT, "east"), Err(EditError::NoCamera("east".into())));
+    assert_eq!(read(TEXT, "east"), Err(EditError::Missing { what: "camera", name: "east".into() }));
 }
 
 #[test]
@@ -107,7 +115,6 @@ fn what_changes_keeps_its_comments_and_what_does_not_its_form() {
     let text = change(TEXT, "south", &camera, &["pose", "mask"]).unwrap();
     let expected = TEXT
         .replace("[0.0, 1.0, 2.0]", "[0.0, 1.5, 2.0]")
-        .replace("[1, 0, 0, 0]", "[1.0, 0.0, 0.0, 0.0]")
         .replace("mask = [[[0, 0], [320, 0.5], [0, 200]]]\n", "");
     assert_eq!(text, expected);
     let camera = WrittenCamera { pose: Some(WrittenPose::Unknown), ..WrittenCamera::default() };
@@ -142,14 +149,82 @@ fn cameras_in_one_line_are_changed_as_well() {
 
 #[test]
 fn the_key_at_a_place_is_found_with_its_camera() {
-    let at = |words: &str| key_at(TEXT, TEXT.find(words).unwrap());
+    let at = |words: &str| key_at::<WrittenCamera>(TEXT, TEXT.find(words).unwrap());
     assert_eq!(at("name = \"north\""), Some((0, "name")));
     assert_eq!(at("30 # by"), Some((0, "rate_hz")));
     assert_eq!(at("by its menu"), None);
     assert_eq!(at("320, 0.5"), Some((1, "mask")));
     assert_eq!(at("orientation_xyzw"), Some((1, "pose")));
     assert_eq!(at("name = \"robot\""), None);
-    assert_eq!(key_named("missing key `pose` in [[camera]]"), Some("pose"));
-    assert_eq!(key_named("`outer_mm` is not `mode`"), Some("mode"));
-    assert_eq!(key_named("nothing at all"), None);
+    assert_eq!(key_named::<WrittenCamera>("missing key `pose` in [[camera]]"), Some("pose"));
+    assert_eq!(key_named::<WrittenCamera>("`outer_mm` is not `mode`"), Some("mode"));
+    assert_eq!(key_named::<WrittenCamera>("nothing at all"), None);
+}
+
+const OBJECTS: &str = r#"
+[[object]] # the first one
+name = "cart"
+roundel = "robot"
+code = 3
+offset_m = [0, 0, 0.1] # to the floor
+
+[[object]]
+name = "drone"
+[[object.roundel]]
+kind = "robot"
+code = 4
+position_m = [0.2, 0, 0] # by tape
+[[object.roundel]]
+kind = "robot"
+code = 5
+position_m = [-0.2, 0, 0]
+yaw_deg = 90
+
+[[camera]]
+name = "eye"
+pose = { position_m = [0, 0, 0], orientation_xyzw = [0, 0, 0, 1], object = "drone" } # below
+[[camera]]
+name = "other"
+[camera.pose]
+position_m = [0, 0, 0]
+orientation_xyzw = [0, 0, 0, 1]
+object = "cart"
+"#;
+
+#[test]
+fn objects_are_read_in_both_their_forms() {
+    let all: Vec<WrittenObject> = read_all(OBJECTS).unwrap();
+    let [cart, drone] = &all[..] else { panic!("{all:?}") };
+    assert_eq!(cart.roundel, Some(WrittenRoundels::One("robot".into())));
+    assert_eq!((cart.code, cart.offset_m), (Some(3), Some([0.0, 0.0, 0.1])));
+    let Some(WrittenRoundels::Several(mounts)) = &drone.roundel else { panic!("{drone:?}") };
+    assert_eq!((mounts[0].code, mounts[0].position_m), (Some(4), Some([0.2, 0.0, 0.0])));
+    assert_eq!((mounts[1].code, mounts[1].yaw_deg), (Some(5), Some(90.0)));
+    let added = add(OBJECTS, &WrittenObject { name: "other".into(), ..drone.clone() }).unwrap();
+    let back: WrittenObject = super::read(&added, "other").unwrap();
+    assert_eq!(back.roundel, drone.roundel, "in one line: {added}");
+    assert_eq!(super::remove::<WrittenObject>(&added, "other").unwrap(), OBJECTS);
+}
+
+#[test]
+fn what_is_the_same_of_an_object_stays_as_it_was_written() {
+    let mut drone: WrittenObject = super::read(OBJECTS, "drone").unwrap();
+    assert_eq!(change(OBJECTS, "drone", &drone, WrittenObject::KEYS).unwrap(), OBJECTS);
+    let Some(WrittenRoundels::Several(mounts)) = &mut drone.roundel else { panic!("{drone:?}") };
+    mounts[1].position_m = Some([-0.3, 0.0, 0.0]);
+    let text = change(OBJECTS, "drone", &drone, &["roundel"]).unwrap();
+    assert_eq!(text, OBJECTS.replace("[-0.2, 0, 0]", "[-0.3, 0.0, 0.0]"));
+    let cart = WrittenObject { offset_m: Some([0.0, 0.0, 0.2]), ..WrittenObject::default() };
+    let text = change(OBJECTS, "cart", &cart, &["offset_m", "code"]).unwrap();
+    let expected =
+        OBJECTS.replace("[0, 0, 0.1] #", "[0.0, 0.0, 0.2] #").replacen("code = 3\n", "", 1);
+    assert_eq!(text, expected);
+}
+
+#[test]
+fn cameras_ride_on_by_the_new_name() {
+    let text = rename_carrier(OBJECTS, "drone", "bee").unwrap();
+    assert_eq!(text, OBJECTS.replace("object = \"drone\" }", "object = \"bee\" }"));
+    let text = rename_carrier(OBJECTS, "cart", "wagon").unwrap();
+    assert_eq!(text, OBJECTS.replace("object = \"cart\"", "object = \"wagon\""));
 }
