@@ -8,7 +8,7 @@ use prost::Message;
 const FILES: [&str; 2] = ["roundel/v1/roundel.proto", "roundel/v1/stream.proto"];
 
 /// Nanoseconds exceed what a JSON number holds exactly (2^53), so in JSON they are strings.
-const NANOSECONDS: [&str; 24] = [
+const NANOSECONDS: [&str; 33] = [
     "Snapshot.pose_time_ns",
     "Snapshot.capture_time_ns",
     "Snapshot.fused_time_ns",
@@ -33,6 +33,15 @@ const NANOSECONDS: [&str; 24] = [
     "PushProbeAnswer.sent_time_ns",
     "PushProbeAnswer.received_time_ns",
     "PushProbeAnswer.replied_time_ns",
+    "Recording.started_time_ns",
+    "RecordingFile.started_time_ns",
+    "Replay.begin_time_ns",
+    "Replay.position_time_ns",
+    "QueryHistoryRequest.from_time_ns",
+    "QueryHistoryRequest.until_time_ns",
+    "HistoryPoint.time_ns",
+    "QueryHistoryResponse.oldest_time_ns",
+    "QueryHistoryResponse.newest_time_ns",
 ];
 /// Alternatives within a message, which have to have the same forms as messages.
 const ALTERNATIVES: [&str; 5] = [
@@ -44,7 +53,7 @@ const ALTERNATIVES: [&str; 5] = [
 ];
 
 /// Enumerations are integers on the wire and lower-case words in JSON.
-const ENUMERATIONS: [(&str, &str); 10] = [
+const ENUMERATIONS: [(&str, &str); 14] = [
     ("ObjectState.stage", "life_stage"),
     ("Object.stage", "life_stage"),
     ("Camera.status", "camera_status"),
@@ -55,6 +64,10 @@ const ENUMERATIONS: [(&str, &str); 10] = [
     ("Calibration.stage", "calibration_stage"),
     ("StartCalibrationRequest.apply", "calibration_apply"),
     ("PushGreeting.times", "push_times"),
+    ("Recording.state", "recording_state"),
+    ("Replay.from", "replay_from"),
+    ("FusedCamera.place", "fused_place"),
+    ("FusedCamera.clock", "fused_clock"),
 ];
 
 fn main() -> Result<(), Box<dyn std::error::Error>> {

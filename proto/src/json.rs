@@ -63,6 +63,10 @@ enumeration!(agreement_state, crate::v1::AgreementState, "AGREEMENT_STATE_");
 enumeration!(time_base, crate::v1::TimeBase, "TIME_BASE_");
 enumeration!(calibration_stage, crate::v1::CalibrationStage, "CALIBRATION_STAGE_");
 enumeration!(calibration_apply, crate::v1::CalibrationApply, "CALIBRATION_APPLY_");
+enumeration!(recording_state, crate::v1::RecordingState, "RECORDING_STATE_");
+enumeration!(replay_from, crate::v1::ReplayFrom, "REPLAY_FROM_");
+enumeration!(fused_place, crate::v1::FusedPlace, "FUSED_PLACE_");
+enumeration!(fused_clock, crate::v1::FusedClock, "FUSED_CLOCK_");
 enumeration!(push_times, crate::v1::PushTimes, "PUSH_TIMES_");
 
 #[cfg(test)]

@@ -5,12 +5,17 @@ mod calibration;
 mod configuration;
 mod object_setup;
 pub mod push;
+mod recording;
+pub mod replayed;
 mod setup;
 mod trial;
 
 pub use calibration::calibration;
 pub use configuration::{configuration, configuration_check};
 pub use object_setup::{object_setup, written_object};
+pub use recording::{
+    fused_camera, history, read_fused_camera, read_pose, recording, recordings, replay,
+};
 pub use setup::{setup, written};
 pub use trial::trial;
 
@@ -327,6 +332,10 @@ fn event_kind(happening: Happening) -> v1::EventKind {
         Happening::CalibrationDone => v1::EventKind::CalibrationDone,
         Happening::CalibrationFailed => v1::EventKind::CalibrationFailed,
         Happening::CalibrationApplied => v1::EventKind::CalibrationApplied,
+        Happening::RecordingBegun => v1::EventKind::RecordingBegun,
+        Happening::RecordingEnded => v1::EventKind::RecordingEnded,
+        Happening::RecordingFailed => v1::EventKind::RecordingFailed,
+        Happening::RecordingLossy => v1::EventKind::RecordingLossy,
     }
 }
 

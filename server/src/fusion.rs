@@ -24,6 +24,7 @@ use roundel_core::{
 use crate::{
     clock::Clock,
     hub::{Happening, Hub, Installation},
+    record::tap::{Change, Item, Told},
     stop::Stop,
     worker::{Sighted, meter::Median},
 };
@@ -90,7 +91,7 @@ impl FusionTask {
         let mut tick = Instant::now() + period;
         while !stop.is_stopped() {
             self.take_until(tick, stop);
-            self.publish(self.clock.at(tick));
+            self.publish(self.clock.at(tick), None);
             tick += period;
             // After a stall the missed ticks are left out instead of being caught up in a burst.
             let now = Instant::now();
@@ -102,7 +103,7 @@ impl FusionTask {
             self.observe(&sighted);
         }
         self.obey();
-        self.publish(self.clock.now());
+        self.publish(self.clock.now(), None);
     }
 
     fn take_until(&mut self, tick: Instant, stop: &Stop) {
@@ -124,7 +125,8 @@ impl FusionTask {
         }
     }
 
-    fn observe(&mut self, sighted: &Sighted) {
+    /// Takes in what was seen in a frame.
+    pub fn observe(&mut self, sighted: &Sighted) {
         let camera = sighted.observations.camera;
         // What it was told of came before the frame that was taken with it.
         self.obey();
@@ -132,18 +134,19 @@ impl FusionTask {
             return;
         }
         if let Some(placement) = sighted.placement {
-            self.fusion.set_camera(camera, Some(placement));
-            self.watching.iter_mut().for_each(|watching| watching.place(camera, placement));
+            self.be_told(Told { camera, change: Change::Placed(Box::new(placement)) });
         }
+        let (hub, taken) = (&self.hub, self.clock.now());
+        hub.tap().offer(|| Item::Observed(sighted.observations.clone(), taken));
         let steps = self.fusion.counts().clock_steps;
         self.fusion.observe(&sighted.observations);
         if self.fusion.counts().clock_steps > steps {
-            self.tell_clock_set(camera);
+            self.tell_clock_set(camera, sighted.observations.received_time);
         }
         if let Some(watching) = &mut self.watching {
             watching.observe(&sighted.observations, &self.fusion);
         }
-        let latency_s = self.clock.now().seconds_since(sighted.observations.capture_time);
+        let latency_s = taken.seconds_since(sighted.observations.capture_time);
         let median = self.latency_ms.entry(camera).or_default();
         median.add(latency_s * 1e3);
         let latency_ms = median.value();
@@ -154,7 +157,7 @@ impl FusionTask {
         });
     }
 
-    fn tell_clock_set(&self, camera: CameraId) {
+    fn tell_clock_set(&self, camera: CameraId, time: Timestamp) {
         let installation = self.hub.installation();
         let name = installation.camera_name(camera);
         let message = format!(
@@ -162,15 +165,23 @@ impl FusionTask {
              the server's, and what is left of the difference is found from what it sees."
         );
         tracing::warn!(camera = name, "{message}");
-        self.hub.publish_event(self.clock.now(), Happening::ClockSet(camera), message);
+        self.hub.publish_event(time, Happening::ClockSet(camera), message);
     }
 
-    fn publish(&mut self, pose_time: Timestamp) {
+    /// Publishes a snapshot of an instant, fused then, or now.
+    pub fn publish(&mut self, pose_time: Timestamp, fused_time: Option<Timestamp>) {
         let snapshot = self.fusion.snapshot(pose_time);
         let gives_frames = |camera| self.latency_ms.contains_key(&camera);
         self.riding.publish(&mut self.fusion, &self.hub, pose_time, gives_frames);
+        self.hub.set_fusion_counts(self.fusion.counts());
+        self.remember(&snapshot);
+        self.hub.publish_snapshot(snapshot, fused_time.unwrap_or_else(|| self.clock.now()));
+        // After the snapshot, as whoever fuses a recording anew does it.
         if let Some(watching) = &mut self.watching {
             watching.advance(self.clock.now(), &mut self.fusion, &self.hub);
+        } else {
+            // Nobody judges who is held back.
+            self.fusion.drain_held_back().for_each(drop);
         }
         let events: Vec<Event> = self.fusion.drain_events().collect();
         for wrong in self.fusion.drain_wrong_heights() {
@@ -178,9 +189,6 @@ impl FusionTask {
             tracing::warn!("{message}");
             self.hub.publish_event(pose_time, Happening::WrongHeight, message);
         }
-        self.remember(&snapshot);
-        self.hub.set_fusion_counts(self.fusion.counts());
-        self.hub.publish_snapshot(snapshot, self.clock.now());
         for event in events {
             let message = self.sentence(&event);
             let happening = Happening::Object(event.object, event.kind);

@@ -26,6 +26,7 @@ use roundel_core::{
 };
 use tokio::sync::{OnceCell, broadcast, watch};
 
+use crate::record::tap::{Item, Tap};
 pub use camera::{
     CameraInfo, CameraPlace, CameraState, CameraStatus, DetectionCounts, PoseStatus, RideInfo,
 };
@@ -121,6 +122,8 @@ pub struct Hub {
     /// One for each camera of the installation.
     cameras: RwLock<BTreeMap<CameraId, Arc<CameraSlot>>>,
     fusion_counts: Mutex<FusionCounts>,
+    /// Where a recording takes what it records.
+    tap: Tap,
     /// Cameras added, changed and removed.
     changes: [AtomicU64; 3],
 }
@@ -138,6 +141,7 @@ impl Hub {
             event_log: Mutex::new(EventLog { next_sequence: 1, newest: VecDeque::new() }),
             objects: Mutex::default(),
             fusion_counts: Mutex::default(),
+            tap: Tap::default(),
             changes: Default::default(),
         }
     }
@@ -192,6 +196,23 @@ impl Hub {
         newest.map(|record| record.id)
     }
 
+    /// The body of a name; one that is not known yet is from now on.
+    pub fn body_named(&self, name: &str) -> BodyId {
+        let place = |installation: &Installation| {
+            installation.body_names.iter().position(|body| body == name)
+        };
+        if let Some(place) = place(&self.installation.borrow()) {
+            return BodyId(place as u32);
+        }
+        let mut body = BodyId(0);
+        self.installation.send_modify(|installation| {
+            let names = &mut Arc::make_mut(installation).body_names;
+            body = BodyId(names.len() as u32);
+            names.push(name.to_owned());
+        });
+        body
+    }
+
     fn slot(&self, id: CameraId) -> Option<Arc<CameraSlot>> {
         self.cameras.read().unwrap_or_else(PoisonError::into_inner).get(&id).cloned()
     }
@@ -202,6 +223,7 @@ impl Hub {
         self.snapshot.send_modify(|newest| {
             let sequence = newest.sequence + 1;
             *newest = Arc::new(FusedSnapshot { sequence, fused_time, snapshot });
+            self.tap.offer(|| Item::Snapshot(newest.clone()));
         });
     }
 
@@ -249,7 +271,13 @@ impl Hub {
             log.newest.pop_front();
         }
         log.newest.push_back(event.clone());
+        self.tap.offer(|| Item::Event(event.clone()));
         let _ = self.events.send(event);
+    }
+
+    /// Where a recording takes what it records.
+    pub fn tap(&self) -> &Tap {
+        &self.tap
     }
 
     /// How many cameras were added, changed and removed since the start.
@@ -268,6 +296,11 @@ impl Hub {
     /// Every object of now and of the last minute, by id.
     pub fn objects(&self) -> Vec<ObjectRecord> {
         lock(&self.objects).values().cloned().collect()
+    }
+
+    /// Forgets all objects, as where time goes on elsewhere.
+    pub fn forget_objects(&self) {
+        lock(&self.objects).clear();
     }
 
     /// Changes a camera's state; of one that was removed nothing is kept.

@@ -9,6 +9,10 @@
 //! | [`fusion`] | drives `core::world`'s state machine; snapshots at a fixed rate | one OS thread |
 //! | [`calibration`] | finds where cameras stand while they are served, and keeps it | one OS thread meanwhile |
 //! | [`hub`] | the newest of everything, for whoever asks | shared |
+//! | [`record`] | writes what is published and fused into files | one OS thread meanwhile |
+//! | [`replay`] | plays such a file through the same hub and APIs | one OS thread meanwhile |
+//! | [`eval`] | compares a recording with another system's trajectories | the command line |
+//! | [`history`] | keeps where objects were | one OS thread |
 //! | [`convert`] | the only place where core's types become proto's | – |
 //! | [`api`] | gRPC, REST, WebSocket, metrics and the dashboard on one port | async tasks |
 //! | [`roster`] | which cameras there are: added, changed and removed, and written back | shared |
@@ -24,10 +28,14 @@ pub mod clock;
 pub mod config;
 pub mod convert;
 mod drawing;
+pub mod eval;
 pub mod fusion;
+pub mod history;
 pub mod hub;
 pub mod image_file;
 mod reason;
+pub mod record;
+pub mod replay;
 pub mod roster;
 pub mod serve;
 pub mod source;

@@ -7,7 +7,7 @@ mod setup;
 use std::{
     io,
     net::SocketAddr,
-    sync::{Arc, mpsc::sync_channel},
+    sync::{Arc, OnceLock, mpsc::sync_channel},
     thread::{self, JoinHandle},
     time::{Duration, Instant},
 };
@@ -31,7 +31,9 @@ use crate::{
     clock::Clock,
     config::Config,
     fusion::{FusionTask, QUEUE_FRAMES, WatchingParts},
+    history::{History, HistoryError},
     hub::{Happening, Hub},
+    record::{Recorder, Wanted},
     roster::{self, Roster, RosterError, RosterParts, Sources},
     source::{OpenSource, Playback, SourceOpener, TimesError, fleet::Fleets, push::Ports},
     stop::Stop,
@@ -39,6 +41,7 @@ use crate::{
     worker::{Sighted, Totals},
 };
 use setup::{fusion, installation, landmarks};
+pub(crate) use setup::{fusion_machine, installation as installation_of};
 
 /// Time that shutdown may take in all.
 pub const GRACE: Duration = Duration::from_secs(5);
@@ -65,6 +68,9 @@ pub enum ServeError {
     /// The kinds of roundel cannot be searched for.
     #[error("kinds of roundel: {0}")]
     Detector(#[from] DetectorError),
+    /// The history cannot be kept.
+    #[error(transparent)]
+    History(#[from] HistoryError),
     /// A camera's mask is none.
     #[error(transparent)]
     Mask(#[from] MaskError),
@@ -122,6 +128,8 @@ pub struct Server {
     calibrator: Arc<Calibrator>,
     fleets: Arc<Fleets>,
     roster: Option<Arc<Roster>>,
+    recorder: Option<Arc<Recorder>>,
+    history: Option<Arc<History>>,
     stop_fusion: Stop,
     cancel_clients: CancellationToken,
     fusion: Option<JoinHandle<()>>,
@@ -186,13 +194,21 @@ impl Server {
             calibrator,
             fleets,
             roster: None,
+            recorder: None,
+            history: None,
             stop_fusion: Stop::default(),
             cancel_clients: CancellationToken::new(),
             fusion: None,
             api: None,
         };
+        if let Some(settings) = config.history.clone() {
+            server.history = Some(Arc::new(History::start(settings, server.hub.clone())?));
+        }
         let ports = Arc::new(Ports::default());
+        // Before anything happens, so that nothing is missing in what is recorded from the begin.
+        let roster = server.start_recorder(&config);
         server.start_threads(&config, &calibrated, (ports.clone(), Box::new(source)))?;
+        server.roster.iter().for_each(|it| drop(roster.set(it.clone())));
         server.start_api(listener, &config, ports);
         Ok(server)
     }
@@ -225,6 +241,11 @@ impl Server {
     /// What calibrates its arena.
     pub fn calibrator(&self) -> &Arc<Calibrator> {
         &self.calibrator
+    }
+
+    /// What records what it serves.
+    pub fn recorder(&self) -> Option<&Arc<Recorder>> {
+        self.recorder.as_ref()
     }
 
     /// The cameras that there are, and how they become others.
@@ -270,6 +291,26 @@ impl Server {
         Ok(())
     }
 
+    /// One that cannot begin is told, and no reason not to serve. It wants to know the roster once there is one, which
+    /// then says the configuration.
+    fn start_recorder(&mut self, config: &Config) -> Arc<OnceLock<Arc<Roster>>> {
+        let roster = Arc::<OnceLock<Arc<Roster>>>::default();
+        let (known, first) = (roster.clone(), roster::text_without_passwords(config));
+        let text =
+            move || known.get().map_or_else(|| first.clone(), |it| it.text_without_passwords());
+        let (hub, settings) = (self.hub.clone(), config.recording.clone());
+        let recorder = Recorder::new(hub, self.clock, settings, Box::new(text));
+        if config.recording.starts
+            && let Err(error) = recorder.start(&Wanted::default())
+        {
+            let message = format!("Nothing is recorded: {error}.");
+            tracing::error!("{message}");
+            self.hub.publish_event(self.clock.now(), Happening::RecordingFailed, message);
+        }
+        self.recorder = Some(Arc::new(recorder));
+        roster
+    }
+
     fn start_api(&mut self, listener: TcpListener, config: &Config, ports: Arc<Ports>) {
         let limits = api::Limits {
             max_clients: config.limits.max_clients,
@@ -288,6 +329,9 @@ impl Server {
             trier: config.server.setup.then(trier),
             roster: self.roster.clone().filter(|_| config.server.setup),
             allow_origins: config.server.allow_origins.clone(),
+            recorder: self.recorder.clone(),
+            replay: None,
+            history: self.history.clone(),
         };
         let cancel = self.cancel_clients.clone();
         self.api = Some(tokio::spawn(api::serve(listener, served, limits, cancel)));
@@ -311,6 +355,13 @@ impl Server {
         self.stop_fusion.stop();
         if let Some(fusion) = self.fusion.take() {
             join(fusion, deadline).await;
+        }
+        if let Some(history) = self.history.as_ref().and_then(|it| it.shut_down()) {
+            join(history, deadline).await;
+        }
+        if let Some(recorder) = self.recorder.clone() {
+            // What cameras and fusion said last is in it; its file gets its end.
+            let _ = tokio::task::spawn_blocking(move || recorder.stop()).await;
         }
         self.cancel_clients.cancel();
         if let Some(api) = self.api.take()

@@ -41,6 +41,7 @@ mod latest;
 mod object;
 mod predict;
 mod push;
+mod recording;
 mod riding;
 mod robot;
 mod setup;

@@ -61,6 +61,9 @@ pub fn run() {
             trier: None,
             roster: None,
             allow_origins: Vec::new(),
+            recorder: None,
+            replay: None,
+            history: None,
         };
         let limits = Limits { max_clients: 4000, ..Limits::default() };
         api::serve(listener, served, limits, CancellationToken::new()).await;

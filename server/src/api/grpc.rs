@@ -20,7 +20,7 @@ use tower::service_fn;
 use super::{
     Api, calibration, configuration,
     error::{ApiError, SHUTTING_DOWN},
-    objects as configured, push,
+    history, objects as configured, push, recording, replay,
     selection::Selection,
     setup, simulation, trial,
 };
@@ -201,6 +201,55 @@ impl v1::roundel_server::Roundel for Service {
         _: Request<v1::ApplyCalibrationRequest>,
     ) -> Result<Response<v1::Calibration>, Status> {
         Ok(Response::new(calibration::take_over(&self.api).await?))
+    }
+
+    async fn start_recording(
+        &self,
+        request: Request<v1::StartRecordingRequest>,
+    ) -> Result<Response<v1::Recording>, Status> {
+        Ok(Response::new(recording::begin(&self.api, request.into_inner()).await?))
+    }
+
+    async fn stop_recording(
+        &self,
+        _: Request<v1::StopRecordingRequest>,
+    ) -> Result<Response<v1::Recording>, Status> {
+        Ok(Response::new(recording::end(&self.api).await?))
+    }
+
+    async fn get_recording(
+        &self,
+        _: Request<v1::GetRecordingRequest>,
+    ) -> Result<Response<v1::Recording>, Status> {
+        Ok(Response::new(recording::newest(&self.api)?))
+    }
+
+    async fn list_recordings(
+        &self,
+        _: Request<v1::ListRecordingsRequest>,
+    ) -> Result<Response<v1::ListRecordingsResponse>, Status> {
+        Ok(Response::new(recording::list(&self.api).await?))
+    }
+
+    async fn query_history(
+        &self,
+        request: Request<v1::QueryHistoryRequest>,
+    ) -> Result<Response<v1::QueryHistoryResponse>, Status> {
+        Ok(Response::new(history::query(&self.api, request.into_inner()).await?))
+    }
+
+    async fn get_replay(
+        &self,
+        _: Request<v1::GetReplayRequest>,
+    ) -> Result<Response<v1::Replay>, Status> {
+        Ok(Response::new(replay::newest(&self.api)?))
+    }
+
+    async fn control_replay(
+        &self,
+        request: Request<v1::ControlReplayRequest>,
+    ) -> Result<Response<v1::Replay>, Status> {
+        Ok(Response::new(replay::obey(&self.api, &request.into_inner())?))
     }
 
     async fn test_source(

@@ -9,7 +9,7 @@
 //! | `port` | accepts connections up to the limit, and takes them apart on shutdown |
 //! | [`grpc`] | the service of `proto/roundel/v1/roundel.proto` |
 //! | [`push`] | the service of `push.proto`: remote programs feed cameras |
-//! | [`rest`], [`calibration`], [`openapi`] | `/api/v1/…` and its description |
+//! | [`rest`], [`calibration`], [`recording`], [`replay`], [`history`], [`openapi`] | `/api/v1/…` and its description |
 //! | [`setup`], [`objects`], [`configuration`] | cameras and objects that are added, changed and removed, and all of it |
 //! | [`simulation`] | simulated robots that clients drive |
 //! | [`trial`] | one try of a source |
@@ -35,6 +35,7 @@ pub mod encoded;
 pub mod error;
 pub mod feed;
 pub mod grpc;
+pub mod history;
 pub mod metrics;
 pub mod objects;
 pub mod openapi;
@@ -43,6 +44,8 @@ pub mod picture;
 mod port;
 pub mod push;
 pub mod query;
+pub mod recording;
+pub mod replay;
 pub mod rest;
 pub mod selection;
 pub mod setup;
@@ -63,7 +66,10 @@ use self::{encoded::Encoder, error::ApiError};
 use crate::{
     calibration::Calibrator,
     clock::Clock,
+    history::History,
     hub::Hub,
+    record::Recorder,
+    replay::Replay,
     roster::Roster,
     source::{fleet::Fleets, push::Ports},
     trial::Trier,
@@ -127,6 +133,12 @@ pub struct Served {
     pub roster: Option<Arc<Roster>>,
     /// Origins whose pages may ask; `*` is any.
     pub allow_origins: Vec<String>,
+    /// Records what is served; `None`: nothing is recorded here.
+    pub recorder: Option<Arc<Recorder>>,
+    /// The recording that is played; `None`: everything is live.
+    pub replay: Option<Replay>,
+    /// Where objects were; `None`: that is not kept.
+    pub history: Option<Arc<History>>,
 }
 
 /// What every handler of a request shares.
@@ -147,6 +159,12 @@ pub struct Api {
     pub trier: Option<Arc<Trier>>,
     /// Adds, changes and removes cameras and objects, where clients may have that done.
     pub roster: Option<Arc<Roster>>,
+    /// Records what is served, where something is recorded.
+    pub recorder: Option<Arc<Recorder>>,
+    /// The recording that is played, where one is.
+    pub replay: Option<Replay>,
+    /// Where objects were, where that is kept.
+    pub history: Option<Arc<History>>,
     /// Set when the server goes down.
     pub cancel: CancellationToken,
     /// What the port allows.
@@ -169,8 +187,8 @@ pub async fn serve(
     cancel: CancellationToken,
 ) {
     let cors = cors::layer(&served.allow_origins);
-    let Served { hub, clock, calibrator, fleets, ports, late_window_ms, trier, roster, .. } =
-        served;
+    let Served { hub, clock, calibrator, fleets, ports, late_window_ms, .. } = served;
+    let Served { trier, roster, recorder, replay, history, .. } = served;
     let counters = Counters::default();
     let api = Arc::new(Api {
         hub,
@@ -181,6 +199,9 @@ pub async fn serve(
         late_window_ms,
         trier,
         roster,
+        recorder,
+        replay,
+        history,
         cancel,
         limits,
         counters,

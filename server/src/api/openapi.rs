@@ -7,7 +7,8 @@ use utoipa::{OpenApi, openapi};
 use utoipa_axum::{router::OpenApiRouter, routes};
 
 use super::{
-    Api, calibration, configuration, metrics, objects, rest, setup, simulation, trial, ws,
+    Api, calibration, configuration, history, metrics, objects, recording, replay, rest, setup,
+    simulation, trial, ws,
 };
 
 #[derive(OpenApi)]
@@ -31,6 +32,8 @@ pub fn described_routes() -> OpenApiRouter<Arc<Api>> {
         .routes(routes!(configuration::check))
         .routes(routes!(objects::add))
         .routes(routes!(objects::show, objects::change, objects::remove))
+        .routes(routes!(history::show))
+        .routes(routes!(history::export))
         .routes(routes!(rest::cameras, setup::add))
         .routes(routes!(rest::camera, setup::change, setup::remove))
         .routes(routes!(setup::show))
@@ -42,6 +45,9 @@ pub fn described_routes() -> OpenApiRouter<Arc<Api>> {
         .routes(routes!(rest::info))
         .routes(routes!(calibration::show, calibration::start, calibration::cancel))
         .routes(routes!(calibration::apply))
+        .routes(routes!(recording::show, recording::start, recording::stop))
+        .routes(routes!(recording::files))
+        .routes(routes!(replay::show, replay::control))
         .routes(routes!(simulation::drive))
         .routes(routes!(simulation::push))
         .routes(routes!(ws::stream))

@@ -74,11 +74,16 @@ impl Parameters {
         }
     }
 
+    /// A box: `min` and `max`.
+    pub fn take_region(&mut self) -> Result<Option<v1::Box>, ApiError> {
+        let (min, max) = (self.take_corner("min")?, self.take_corner("max")?);
+        Ok((min.is_some() || max.is_some()).then_some(v1::Box { min, max }))
+    }
+
     /// What a snapshot is to hold: `ids`, `roundels`, `min`, `max`, `horizon_ms`, `omit_covariance`.
     pub fn take_selection(&mut self) -> Result<v1::SubscribeSnapshotsRequest, ApiError> {
         let object_ids = self.take_list("ids", "ids with commas between, such as 1,2")?;
-        let (min, max) = (self.take_corner("min")?, self.take_corner("max")?);
-        let region = (min.is_some() || max.is_some()).then_some(v1::Box { min, max });
+        let region = self.take_region()?;
         Ok(v1::SubscribeSnapshotsRequest {
             object_ids,
             region,

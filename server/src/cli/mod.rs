@@ -5,7 +5,11 @@ mod calibrate;
 mod cameras;
 mod demo;
 mod detect;
+mod eval;
+mod info;
 mod node;
+mod record;
+mod replay;
 mod serve;
 mod truth;
 mod watch;
@@ -38,6 +42,10 @@ enum Command {
     Detect(detect::DetectArgs),
     Watch(watch::WatchArgs),
     Calibrate(calibrate::CalibrateArgs),
+    Record(record::RecordArgs),
+    Info(info::InfoArgs),
+    Replay(replay::ReplayArgs),
+    Eval(eval::EvalArgs),
     #[cfg(all(target_os = "linux", target_pointer_width = "64"))]
     Cameras(cameras::CamerasArgs),
 }
@@ -56,6 +64,10 @@ pub fn main() -> ExitCode {
         Command::Detect(arguments) => detect::run(&arguments),
         Command::Watch(arguments) => run_async(watch::run(arguments)),
         Command::Calibrate(arguments) => run_async(calibrate::run(arguments)),
+        Command::Record(arguments) => run_async(record::run(arguments)),
+        Command::Info(arguments) => info::run(&arguments),
+        Command::Eval(arguments) => eval::run(&arguments),
+        Command::Replay(arguments) => run_async(replay::run(arguments)),
         #[cfg(all(target_os = "linux", target_pointer_width = "64"))]
         Command::Cameras(arguments) => cameras::run(&arguments),
     };

@@ -5,7 +5,7 @@ use std::{collections::HashMap, path::Path};
 use roundel_core::{camera::Camera, marker::Mode, rigid::Rigid};
 
 use super::{
-    CameraConfig, CameraPose,
+    CameraConfig, CameraPose, Lenses,
     mask::mask,
     object::NamedObjects,
     reader::{Allowed, Table},
@@ -42,6 +42,8 @@ pub(super) struct Known<'a, 't, 'i> {
     pub(super) kinds: &'a NamedKinds,
     pub(super) references: &'a References<'t, 'i>,
     pub(super) objects: &'a NamedObjects<'t, 'i>,
+    /// Lenses in place of those in files, by camera.
+    pub(super) lenses: Option<&'a Lenses>,
     /// Whether they are a node's, of which nobody asks where they stand.
     pub(super) is_node: bool,
 }
@@ -108,7 +110,9 @@ fn camera(
     };
     // What a simulated camera does not know better must be written.
     let required = simulated.is_none() && address.is_some();
+    let recorded = known.lenses.zip(name).map(|(lenses, name)| lenses.get(name).cloned());
     let calibration = match (table.value("calibration"), &simulated) {
+        _ if recorded.is_some() => recorded_lens(table, recorded.flatten()),
         (None, Some(simulated)) => Some(simulated.camera.clone()),
         _ => calibration(table, folder, required),
     };
@@ -147,6 +151,14 @@ fn camera(
         mode,
         mask: mask?,
     })
+}
+
+/// A camera that the recording does not know has no frames in it, either.
+fn recorded_lens(table: &Table<'_, '_>, lens: Option<Camera>) -> Option<Camera> {
+    if lens.is_none() {
+        table.fail(&table.span_of("name"), "the recording says nothing of the lens of this camera");
+    }
+    lens
 }
 
 fn calibration(table: &Table<'_, '_>, folder: &Path, required: bool) -> Option<Camera> {

@@ -6,17 +6,19 @@ use roundel_core::marker::Mode;
 use toml::{Spanned, de::DeTable};
 
 use super::{
-    Config, ConfigFile, FusionConfig, LimitsConfig, ServerConfig,
+    Config, ConfigFile, FusionConfig, Lenses, LimitsConfig, ServerConfig,
     camera::{Known, MODES, cameras},
     error::Problem,
+    history::history,
     object::objects,
     origin::allow_origins,
     reader::{Allowed, Problems, Table},
+    recording::recording,
     reference::references,
     roundel::kinds,
 };
 
-const ROOT_KEYS: [&str; 10] = [
+const ROOT_KEYS: [&str; 12] = [
     "name",
     "server",
     "detection",
@@ -26,6 +28,8 @@ const ROOT_KEYS: [&str; 10] = [
     "object",
     "fusion",
     "limits",
+    "recording",
+    "history",
     "node",
 ];
 const NODE_KEYS: [&str; 1] = ["server"];
@@ -41,7 +45,20 @@ const DEFAULT_RATE_HZ: f64 = 60.0;
 const MAX_RATE_HZ: f64 = 1000.0;
 const MAX_DURATION_MS: f64 = 3_600_000.0;
 
-pub(super) fn parse(text: &str, folder: &Path, is_node: bool) -> Result<Config, Vec<Problem>> {
+/// What a text is read for.
+#[derive(Clone, Copy, Default)]
+pub(super) struct Purpose<'a> {
+    /// A node's cameras need no poses.
+    pub(super) is_node: bool,
+    /// Lenses in place of those in files.
+    pub(super) lenses: Option<&'a Lenses>,
+}
+
+pub(super) fn parse(
+    text: &str,
+    folder: &Path,
+    purpose: Purpose<'_>,
+) -> Result<Config, Vec<Problem>> {
     let problems = Problems::new(text);
     let (document, errors) = DeTable::parse_recoverable(text);
     for error in &errors {
@@ -53,7 +70,7 @@ pub(super) fn parse(text: &str, folder: &Path, is_node: bool) -> Result<Config, 
         );
     }
     let config = if errors.is_empty() {
-        Some(root(&document, text, folder, &problems, is_node))
+        Some(root(&document, (text, folder), &problems, purpose))
     } else {
         None
     };
@@ -65,10 +82,9 @@ pub(super) fn parse(text: &str, folder: &Path, is_node: bool) -> Result<Config, 
 
 fn root(
     document: &Spanned<DeTable<'_>>,
-    text: &str,
-    folder: &Path,
+    (text, folder): (&str, &Path),
     problems: &Problems<'_>,
-    is_node: bool,
+    Purpose { is_node, lenses }: Purpose<'_>,
 ) -> Option<Config> {
     // What concerns the whole file points to its first line.
     let root = Table::new("", 0..0, document.get_ref(), &ROOT_KEYS, problems);
@@ -80,7 +96,8 @@ fn root(
     let node = node(&root);
     let is_node = is_node || node.is_some();
     let mode = mode(&root);
-    let known = Known { kinds: &kinds, references: &references, objects: &objects, is_node };
+    let known =
+        Known { kinds: &kinds, references: &references, objects: &objects, lenses, is_node };
     let cameras = cameras(&root, folder, &known, mode);
     let fusion = fusion(&root);
     let limits = limits(&root);
@@ -97,6 +114,8 @@ fn root(
         objects: objects.configs,
         fusion,
         limits,
+        recording: recording(&root, folder),
+        history: history(&root, folder),
         node,
     })
 }

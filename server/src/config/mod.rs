@@ -11,15 +11,18 @@ pub mod edit;
 mod error;
 mod file;
 mod geometry;
+mod history;
 mod mask;
 mod object;
 mod origin;
 mod reader;
+mod recording;
 mod reference;
 mod ride;
 mod roundel;
 
 use std::{
+    collections::BTreeMap,
     fs,
     net::SocketAddr,
     path::{Path, PathBuf},
@@ -34,13 +37,17 @@ use roundel_core::{
     world::{Body, CameraPlacement, MotionClass},
 };
 
+use document::Purpose;
 pub use error::{ConfigError, Place, Problem};
 pub use file::{ConfigFile, ConfigFileError};
 
-use crate::source::SourceAddress;
+use crate::{history::HistoryConfig, record::RecordingConfig, source::SourceAddress};
 
 /// A configuration longer than this is certainly another file.
 const MAX_BYTES: u64 = 4 << 20;
+
+/// Lenses of cameras, by name.
+pub type Lenses = BTreeMap<String, Camera>;
 
 /// An installation, as configured.
 #[derive(Clone, Debug)]
@@ -70,6 +77,10 @@ pub struct Config {
     pub fusion: FusionConfig,
     /// `[limits]`.
     pub limits: LimitsConfig,
+    /// `[recording]`.
+    pub recording: RecordingConfig,
+    /// `[history]`; `None`: none is kept.
+    pub history: Option<HistoryConfig>,
     /// `[node] server`: the cameras are those of a node, which that server fuses, and have no poses here.
     pub node: Option<String>,
 }
@@ -243,7 +254,7 @@ impl Config {
             problems: vec![Problem { message, help: Some(help.to_owned()), place: None }],
         })?;
         let folder = path.parent().unwrap_or(Path::new(""));
-        let mut config = document::parse(&text, folder, is_node)
+        let mut config = document::parse(&text, folder, Purpose { is_node, lenses: None })
             .map_err(|problems| ConfigError { path: path.to_owned(), problems })?;
         config.keep_in(ConfigFile::new(Some(path.to_owned()), text));
         Ok(config)
@@ -260,7 +271,12 @@ impl Config {
 
     /// Reads a configuration's text, which is kept nowhere; paths in it are relative to `folder`.
     pub fn parse(text: &str, folder: &Path) -> Result<Self, Vec<Problem>> {
-        document::parse(text, folder, false)
+        document::parse(text, folder, Purpose::default())
+    }
+
+    /// The same of a recording, whose cameras had these lenses; camera files are not read.
+    pub fn parse_recorded(text: &str, lenses: &Lenses) -> Result<Self, Vec<Problem>> {
+        document::parse(text, Path::new(""), Purpose { is_node: false, lenses: Some(lenses) })
     }
 }
 

@@ -108,7 +108,7 @@ pub fn seen(
     Ok((Payload::Seen(Box::new(observations), figures), clock))
 }
 
-fn read_observations(
+pub(super) fn read_observations(
     installation: &Installation,
     frame: v1::FrameObservations,
     field: &str,
@@ -258,7 +258,8 @@ fn read_direction(vector: Option<&v1::Vector3>, field: &str) -> Result<Vector3<f
     if (length - 1.0).abs() > 1e-3 {
         return Err(wrong(field, "a vector of length 1", format!("one of {length}")));
     }
-    Ok(vector / length)
+    // One of length 1 but for rounding is taken bit for bit.
+    Ok(if (length - 1.0).abs() < 1e-12 { vector } else { vector / length })
 }
 
 fn finite(numbers: &[f64], field: &str) -> Result<(), WireError> {

@@ -10,7 +10,10 @@ use roundel_core::{
 };
 
 use super::FusionTask;
-use crate::hub::RideInfo;
+use crate::{
+    hub::RideInfo,
+    record::tap::{Change, Told},
+};
 
 /// What is to become of a camera, or of objects.
 #[derive(Clone, Debug)]
@@ -86,8 +89,10 @@ impl FusionTask {
     pub(super) fn obey(&mut self) {
         while let Ok(order) = self.orders.try_recv() {
             match order {
-                Order::Set(camera, known) => self.set(camera, *known),
-                Order::Remove(camera) => self.remove(camera),
+                Order::Set(camera, known) => {
+                    self.be_told(Told { camera, change: Change::Set(known) });
+                }
+                Order::Remove(camera) => self.be_told(Told { camera, change: Change::Removed }),
                 Order::Limits(limits) => {
                     let ns = |seconds: f64| (seconds * 1e9).round() as i64;
                     self.fusion.set_params(FusionParams {
@@ -100,6 +105,22 @@ impl FusionTask {
                 }
                 Order::Objects(order) => self.follow(&order),
             }
+        }
+    }
+
+    /// Takes what there is to know of a camera; a recording hears of it.
+    pub fn be_told(&mut self, told: Told) {
+        let Told { camera, change } = told.clone();
+        self.hub.tap().tell(told);
+        match change {
+            Change::Set(known) => self.set(camera, *known),
+            Change::Removed => self.remove(camera),
+            Change::Placed(placement) => {
+                self.fusion.set_camera(camera, Some(*placement));
+                self.watching.iter_mut().for_each(|watching| watching.place(camera, *placement));
+            }
+            Change::Spared(is_spared) => self.fusion.spare(camera, is_spared),
+            Change::Quarantined => self.fusion.quarantine(camera),
         }
     }
 

@@ -16,6 +16,7 @@ use roundel_core::{
 use crate::{
     calibration::Calibrator,
     hub::{CameraPlace, Happening, Hub, Installation, PoseStatus},
+    record::tap::{Change, Told},
 };
 
 /// What the watch needs beside cameras.
@@ -78,7 +79,9 @@ impl Watching {
             hub.publish_event(now, happening, message);
         }
         for &camera in &self.cameras {
-            fusion.spare(camera, !self.watch.is_trusted(camera));
+            let is_spared = !self.watch.is_trusted(camera);
+            hub.tap().tell(Told { camera, change: Change::Spared(is_spared) });
+            fusion.spare(camera, is_spared);
             let health = self.watch.health(camera);
             hub.update_camera(camera, |state| state.health = health);
         }
@@ -88,6 +91,7 @@ impl Watching {
         let name = |camera: &CameraId| hub.installation().camera_name(*camera).to_owned();
         match event {
             WatchEvent::Bumped { camera, moved_m, turned_rad } => {
+                hub.tap().tell(Told { camera: *camera, change: Change::Quarantined });
                 fusion.quarantine(*camera);
                 let reason = "it was bumped; it is left out until its new place is known, which others that see \
                               the same roundels tell";

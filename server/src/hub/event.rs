@@ -66,6 +66,14 @@ pub enum Happening {
     CalibrationFailed,
     /// Cameras take a result over, or a kept one is left out.
     CalibrationApplied,
+    /// What happens is recorded from now on.
+    RecordingBegun,
+    /// A recording was ended.
+    RecordingEnded,
+    /// A recording ended by itself.
+    RecordingFailed,
+    /// A recording has gaps.
+    RecordingLossy,
 }
 
 impl Happening {
@@ -93,7 +101,11 @@ impl Happening {
             | Self::CalibrationBegun
             | Self::CalibrationDone
             | Self::CalibrationFailed
-            | Self::CalibrationApplied => None,
+            | Self::CalibrationApplied
+            | Self::RecordingBegun
+            | Self::RecordingEnded
+            | Self::RecordingFailed
+            | Self::RecordingLossy => None,
         }
     }
 }

@@ -43,6 +43,7 @@ use crate::{
     source::{
         OpenSource, Playback,
         push::{Port, Ports},
+        without_credentials,
     },
     stop::Stop,
     worker::{Sighted, Totals, pipeline::Pipeline},
@@ -159,6 +160,11 @@ impl Roster {
         Ok(edit::read(self.lock().config.file.text(), name)?)
     }
 
+    /// The configuration's text as it is now, without users and passwords of sources.
+    pub fn text_without_passwords(&self) -> String {
+        text_without_passwords(&self.lock().config)
+    }
+
     /// Adds a camera behind the last one. Says where that is kept.
     pub fn add(&self, camera: &WrittenCamera) -> Result<String, RosterError> {
         let mut state = self.ready()?;
@@ -261,6 +267,15 @@ impl Roster {
         tracing::info!("{message}");
         self.hub.publish_event(self.clock.now(), happening, message);
     }
+}
+
+/// The text of a configuration without users and passwords of sources.
+pub fn text_without_passwords(config: &Config) -> String {
+    let text = config.file.text().to_owned();
+    let names = config.cameras.iter().map(|camera| &camera.name);
+    let sources = names.filter_map(|name| Some(edit::read::<WrittenCamera>(&text, name).ok()?.source));
+    let sources: Vec<String> = sources.collect();
+    sources.iter().fold(text, |text, source| text.replace(source, &without_credentials(source)))
 }
 
 impl State {

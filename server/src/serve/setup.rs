@@ -14,7 +14,7 @@ use crate::{
 };
 
 /// What the hub says of the installation.
-pub(super) fn installation(config: &Config, started: Timestamp) -> Installation {
+pub(crate) fn installation(config: &Config, started: Timestamp) -> Installation {
     let unique = started.as_ns() as u64 ^ (u64::from(std::process::id()) << 32).rotate_left(16);
     Installation {
         name: config.name.clone(),
@@ -67,6 +67,11 @@ pub(super) fn fusion(config: &Config) -> Result<(Fusion, Vec<Option<BodyId>>), S
     }
     fusion.set_landmarks(landmarks(config));
     Ok((fusion, bodies))
+}
+
+/// A fusion machine as it is at a start.
+pub(crate) fn fusion_machine(config: &Config) -> Result<Fusion, ServeError> {
+    fusion(config).map(|(machine, _)| machine)
 }
 
 /// The reference roundels, in the order of the configuration.

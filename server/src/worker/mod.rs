@@ -40,6 +40,7 @@ pub use supervisor::{Pauses, run};
 use crate::{
     clock::Clock,
     hub::{CameraPlace, CameraStatus, DetectionCounts, Happening, Hub, Picture, PoseStatus},
+    record::tap::RawFrame,
     source::{Arrival, LentFrame, OpenSource, SourceError},
 };
 use adoption::{Adoption, Inbox};
@@ -381,9 +382,24 @@ impl Worker {
 
     fn publish(&mut self, lent: &LentFrame<'_>, observations: Arc<FrameObservations>) {
         let (id, hub) = (self.parts.id, &self.parts.hub);
+        let (width, height) = (lent.frame.width(), lent.frame.height());
+        let copied = || (0..height).flat_map(|v| lent.frame.row(v)).copied().collect();
+        if hub.tap().wants_frame(observations.frame) {
+            let FrameObservations { frame: number, capture_time, received_time, .. } =
+                *observations;
+            let (pixels, size) = (copied(), (width, height));
+            let camera = id;
+            hub.tap().offer_frame(RawFrame {
+                camera,
+                number,
+                capture_time,
+                received_time,
+                size,
+                pixels,
+            });
+        }
         if hub.take_picture_request(id) {
-            let (width, height) = (lent.frame.width(), lent.frame.height());
-            let pixels = (0..height).flat_map(|v| lent.frame.row(v)).copied().collect();
+            let pixels = copied();
             let picture = Picture::new((width, height), pixels, observations.clone());
             hub.publish_picture(id, picture);
         }

@@ -88,6 +88,9 @@ impl Rig {
             trier: None,
             roster: None,
             allow_origins: vec![ORIGIN.into()],
+            recorder: None,
+            replay: None,
+            history: None,
         };
         let server = tokio::spawn(api::serve(listener, served, limits, cancel.clone()));
         Self { hub, clock, address, cancel, server }

@@ -1,0 +1,194 @@
+//! The history, over REST; the same functions answer gRPC.
+
+use std::{fmt::Write as _, sync::Arc};
+
+use axum::{
+    Json,
+    extract::State,
+    http::{HeaderValue, Uri, header},
+    response::{IntoResponse, Response},
+};
+use roundel_core::time::Timestamp;
+use roundel_proto::v1;
+
+use super::{
+    Api,
+    error::{ApiError, ErrorBody},
+    query::Parameters,
+};
+use crate::{
+    convert,
+    history::{
+        HistoryError,
+        store::{Answer, MAX_EXPORTED, MAX_POINTS, Question},
+    },
+};
+
+const HOUR_S: f64 = 3600.0;
+
+/// Where objects were: ever fewer points of what is longer ago.
+#[utoipa::path(
+    get, path = "/api/v1/history", tag = "poses",
+    params(
+        ("objects" = Option<String>, Query, description = "only these, by id, name or code's number, commas between", example = "3,cart"),
+        ("from" = Option<i64>, Query, description = "ns since the Unix epoch; an hour before `until` if left out"),
+        ("until" = Option<i64>, Query, description = "ns since the Unix epoch; now if left out"),
+        ("min" = Option<String>, Query, description = "with max: only places in this box of the world frame; its smallest corner, metres", example = "-1,-1,0"),
+        ("max" = Option<String>, Query, description = "the box's largest corner, metres", example = "1,1,2"),
+        ("max_points" = Option<u32>, Query, description = "at most so many of all objects together, 1 to 5000"),
+    ),
+    responses(
+        (status = 200, description = "each object's course", body = v1::QueryHistoryResponse),
+        (status = 400, description = "names the wrong parameter", body = ErrorBody),
+        (status = 409, description = "none is kept ([history] in the configuration)", body = ErrorBody),
+    ),
+)]
+pub async fn show(
+    State(api): State<Arc<Api>>,
+    uri: Uri,
+) -> Result<Json<v1::QueryHistoryResponse>, ApiError> {
+    let mut parameters = Parameters::of(&uri)?;
+    let request = wish(&mut parameters)?;
+    parameters.finish()?;
+    query(&api, request).await.map(Json)
+}
+
+/// The same as a table for other programs, without thinning.
+#[utoipa::path(
+    get, path = "/api/v1/history.csv", tag = "poses",
+    params(
+        ("objects" = Option<String>, Query, description = "as of /api/v1/history"),
+        ("from" = Option<i64>, Query, description = "as of /api/v1/history"),
+        ("until" = Option<i64>, Query, description = "as of /api/v1/history"),
+        ("min" = Option<String>, Query, description = "as of /api/v1/history"),
+        ("max" = Option<String>, Query, description = "as of /api/v1/history"),
+        ("step_s" = Option<f64>, Query, description = "seconds from one point to the next: 0.1 (if left out), 1, 10, 100 or 1000, or what is next below"),
+    ),
+    responses(
+        (status = 200, description = "time_ns,object_id,name,roundel,code,x_m,y_m,z_m,yaw_rad,source_id", body = String, content_type = "text/csv"),
+        (status = 400, description = "names the wrong parameter, or more than 2,000,000 rows", body = ErrorBody),
+        (status = 409, description = "none is kept ([history] in the configuration)", body = ErrorBody),
+    ),
+)]
+pub async fn export(State(api): State<Arc<Api>>, uri: Uri) -> Result<Response, ApiError> {
+    let mut parameters = Parameters::of(&uri)?;
+    let step_s = parameters.take_parsed::<f64>("step_s", "a number of seconds")?.unwrap_or(0.1);
+    if step_s.is_nan() || step_s <= 0.0 {
+        return Err(ApiError::invalid("step_s", "seconds above 0", step_s));
+    }
+    let mut request = wish(&mut parameters)?;
+    parameters.finish()?;
+    request.max_points = 0;
+    let question = question(&api, request)?;
+    let question = Question { max_points: MAX_EXPORTED, step_s: Some(step_s), ..question };
+    let text = csv(&ask(&api, question).await?);
+    let headers = [
+        (header::CONTENT_TYPE, HeaderValue::from_static("text/csv; charset=utf-8")),
+        (
+            header::CONTENT_DISPOSITION,
+            HeaderValue::from_static("attachment; filename=\"history.csv\""),
+        ),
+    ];
+    Ok((headers, text).into_response())
+}
+
+fn wish(parameters: &mut Parameters) -> Result<v1::QueryHistoryRequest, ApiError> {
+    const TIME: &str = "nanoseconds since the Unix epoch";
+    let region = parameters.take_region()?;
+    Ok(v1::QueryHistoryRequest {
+        objects: parameters.take_list("objects", "ids, names or codes with commas between")?,
+        region,
+        from_time_ns: parameters.take_parsed("from", TIME)?.unwrap_or(0),
+        until_time_ns: parameters.take_parsed("until", TIME)?.unwrap_or(0),
+        max_points: parameters.take_parsed("max_points", "1 to 5000")?.unwrap_or(0),
+    })
+}
+
+pub(super) async fn query(
+    api: &Api,
+    request: v1::QueryHistoryRequest,
+) -> Result<v1::QueryHistoryResponse, ApiError> {
+    let question = question(api, request)?;
+    Ok(convert::history(&ask(api, question).await?))
+}
+
+fn question(api: &Api, request: v1::QueryHistoryRequest) -> Result<Question, ApiError> {
+    let until = match request.until_time_ns {
+        0 => api.clock.now(),
+        ns => Timestamp::from_ns(ns),
+    };
+    let from = match request.from_time_ns {
+        0 => until.plus_seconds(-HOUR_S),
+        ns => Timestamp::from_ns(ns),
+    };
+    if from > until {
+        return Err(ApiError::invalid("from", "a time before `until`", from.as_ns()));
+    }
+    let max_points = match request.max_points as usize {
+        0 => MAX_POINTS,
+        most if most <= MAX_POINTS => most,
+        most => return Err(ApiError::invalid("max_points", format!("1 to {MAX_POINTS}"), most)),
+    };
+    let corner = |corner: Option<v1::Vector3>, name| {
+        let corner = corner.filter(|it| [it.x, it.y, it.z].iter().all(|it| it.is_finite()));
+        let corner = corner.map(|it| [it.x, it.y, it.z]);
+        corner.ok_or_else(|| ApiError::invalid(name, "three numbers of metres", "none"))
+    };
+    let region = request
+        .region
+        .map(|it| Ok::<_, ApiError>([corner(it.min, "min")?, corner(it.max, "max")?]));
+    let (objects, region_m) = (request.objects, region.transpose()?);
+    Ok(Question { objects, region_m, from, until, max_points, step_s: None })
+}
+
+/// On a thread that may wait for the disk.
+async fn ask(api: &Api, question: Question) -> Result<Answer, ApiError> {
+    let history = api.history.clone().ok_or_else(|| {
+        ApiError::FailedPrecondition(
+            "this server keeps no history: [history] in its configuration says where to".to_owned(),
+        )
+    })?;
+    let answered = tokio::task::spawn_blocking(move || history.ask(&question)).await;
+    let answered = answered
+        .map_err(|error| ApiError::Internal(format!("the history ended badly: {error}")))?;
+    Ok(answered?)
+}
+
+fn csv(answer: &Answer) -> String {
+    let quoted = |text: &str| {
+        if text.contains([',', '"', '\n']) {
+            format!("\"{}\"", text.replace('"', "\"\""))
+        } else {
+            text.to_owned()
+        }
+    };
+    let mut text = "time_ns,object_id,name,roundel,code,x_m,y_m,z_m,yaw_rad,source_id\n".to_owned();
+    for (identity, points) in &answer.objects {
+        let [name, kind, run] =
+            [&identity.name, &identity.kind, &identity.run].map(|it| quoted(it));
+        let code = if identity.code > 0 { identity.code.to_string() } else { String::new() };
+        for point in points {
+            let [x, y, z] = point.position_m;
+            let yaw = point.yaw_rad.map_or(String::new(), |yaw| yaw.to_string());
+            // Writing to a string cannot fail.
+            let _ = writeln!(
+                text,
+                "{},{},{name},{kind},{code},{x},{y},{z},{yaw},{run}",
+                point.time.as_ns(),
+                identity.id
+            );
+        }
+    }
+    text
+}
+
+impl From<HistoryError> for ApiError {
+    fn from(error: HistoryError) -> Self {
+        match error {
+            HistoryError::TooMuch(found) => Self::Invalid { field: "from", message: found },
+            HistoryError::Store { .. } | HistoryError::Newer { .. } => {
+                Self::FailedPrecondition(error.to_string())
+            }
+        }
+    }
+}

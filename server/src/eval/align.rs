@@ -1,0 +1,159 @@
+//! By how much clocks and frames differ: one time offset and one rigid transform for everything.
+//!
+//! The transform is Umeyama's (1991, without scale): with centred positions of estimate x and truth y, the singular
+//! value decomposition of Σ y xᵀ = U D Vᵀ gives R = U diag(1, 1, det U det V) Vᵀ and t = ȳ - R x̄. The offset is that at
+//! which the error after this transform is least: looked for in steps of [`STEP_S`], then between neighbours by golden
+//! sections. Nothing that stands still says anything of it.
+
+use nalgebra::{Matrix3, Rotation3, UnitQuaternion, Vector3};
+use roundel_core::rigid::Rigid;
+
+use super::{Sample, Trajectory};
+
+/// Offsets are first tried in such steps.
+const STEP_S: f64 = 0.02;
+/// Golden sections after that: each leaves 0.62 of the interval.
+const SECTIONS: usize = 40;
+/// Instants that are tried with, of each pair of trajectories, at most.
+const TRIED: usize = 400;
+
+/// Where an estimate and a truth are at one instant.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Pair {
+    /// As estimated, at the estimate's time.
+    pub estimate: Sample,
+    /// In truth, then.
+    pub truth: Sample,
+}
+
+/// The pairs of a trajectory with the truth so many seconds later on the truth's clock.
+pub fn pairs(estimate: &Trajectory, truth: &Trajectory, offset_s: f64) -> Vec<Pair> {
+    let pair = |sample: &Sample| {
+        let truth = truth.at(sample.time.plus_seconds(offset_s))?;
+        Some(Pair { estimate: *sample, truth })
+    };
+    estimate.samples.iter().filter_map(pair).collect()
+}
+
+/// truth_from_estimate that leaves the least squares; `None` of fewer than three pairs.
+pub fn rigid<'a>(pairs: impl Iterator<Item = &'a Pair> + Clone) -> Option<Rigid> {
+    let count = pairs.clone().count();
+    if count < 3 {
+        return None;
+    }
+    let mean =
+        |of: fn(&Pair) -> Vector3<f64>| pairs.clone().map(of).sum::<Vector3<f64>>() / count as f64;
+    let (from, to) = (mean(|it| it.estimate.position_m), mean(|it| it.truth.position_m));
+    let mut spread = Matrix3::zeros();
+    for pair in pairs {
+        let (x, y) = (pair.estimate.position_m - from, pair.truth.position_m - to);
+        spread += y * x.transpose();
+    }
+    let svd = spread.svd(true, true);
+    let (u, v_t) = (svd.u?, svd.v_t?);
+    let mut sign = Matrix3::identity();
+    if u.determinant() * v_t.determinant() < 0.0 {
+        // The one of the smallest singular value, which nalgebra puts last.
+        sign[(2, 2)] = -1.0;
+    }
+    let turn = Rotation3::from_matrix_unchecked(u * sign * v_t);
+    let turn = UnitQuaternion::from_rotation_matrix(&turn);
+    Some(Rigid::from_parts((to - turn * from).into(), turn))
+}
+
+/// Root mean square distance after a transform.
+pub fn rms_m<'a>(pairs: impl Iterator<Item = &'a Pair>, truth_from_estimate: &Rigid) -> f64 {
+    let (mut sum, mut count) = (0.0, 0usize);
+    for pair in pairs {
+        let moved = truth_from_estimate * nalgebra::Point3::from(pair.estimate.position_m);
+        sum += (moved.coords - pair.truth.position_m).norm_squared();
+        count += 1;
+    }
+    (sum / count.max(1) as f64).sqrt()
+}
+
+/// What the truth's clock is ahead of the recording's, within ± `most_s`, as far as motion shows it; `aligns`: frames
+/// may differ, too.
+pub fn offset_s(matched: &[(&Trajectory, &Trajectory)], most_s: f64, aligns: bool) -> f64 {
+    let thin = |trajectory: &Trajectory| {
+        let every = trajectory.samples.len().div_ceil(TRIED).max(1);
+        let samples = trajectory.samples.iter().step_by(every).copied().collect();
+        Trajectory { name: String::new(), samples }
+    };
+    let thinned: Vec<(Trajectory, &Trajectory)> =
+        matched.iter().map(|(estimate, truth)| (thin(estimate), *truth)).collect();
+    let whole: usize = thinned.iter().map(|(estimate, _)| estimate.samples.len()).sum();
+    let error_m = |offset_s: f64| {
+        let all = thinned.iter().flat_map(|(estimate, truth)| pairs(estimate, truth, offset_s));
+        let all: Vec<Pair> = all.collect();
+        // Little in common may agree by chance.
+        if all.len() * 2 < whole.min(2 * super::LEAST) || all.len() < super::LEAST {
+            return f64::INFINITY;
+        }
+        let frame = if aligns { rigid(all.iter()) } else { Some(Rigid::identity()) };
+        frame.map_or(f64::INFINITY, |frame| rms_m(all.iter(), &frame))
+    };
+    let steps = (most_s / STEP_S).ceil() as i64;
+    let tried = (-steps..=steps).map(|step| step as f64 * STEP_S);
+    // Of equals, as of what stands still, the one nearest to 0.
+    let better =
+        |a: &(f64, f64), b: &(f64, f64)| a.1.total_cmp(&b.1).then(a.0.abs().total_cmp(&b.0.abs()));
+    let best = tried.map(|offset| (offset, error_m(offset))).min_by(better).unwrap_or_default();
+    if !best.1.is_finite() {
+        return 0.0;
+    }
+    let ratio = (5f64.sqrt() - 1.0) / 2.0;
+    let (mut low, mut high) = (best.0 - STEP_S, best.0 + STEP_S);
+    for _ in 0..SECTIONS {
+        let (left, right) = (high - ratio * (high - low), low + ratio * (high - low));
+        if error_m(left) <= error_m(right) { high = right } else { low = left }
+    }
+    let refined = (low + high) / 2.0;
+    // A still scene is as good anywhere: then clocks are taken to agree.
+    if error_m(refined) < error_m(0.0) { refined } else { 0.0 }
+}
+
+#[cfg(test)]
+mod tests {
+    use roundel_core::time::Timestamp;
+
+    use super::*;
+
+    fn course(offset_s: f64, frame: &Rigid) -> Trajectory {
+        let sample = |step: usize| {
+            let time_s = step as f64 / 60.0;
+            let at_s = time_s + offset_s;
+            let place =
+                Vector3::new((0.7 * at_s).cos(), (1.1 * at_s).sin(), 0.2 * (0.4 * at_s).sin());
+            Sample {
+                time: Timestamp::from_ns(1_700_000_000_000_000_000).plus_seconds(time_s),
+                position_m: (frame * nalgebra::Point3::from(place)).coords,
+                orientation: None,
+            }
+        };
+        Trajectory { name: String::new(), samples: (0..1200).map(sample).collect() }
+    }
+
+    #[test]
+    fn offset_and_frame_are_found() {
+        let turn = UnitQuaternion::from_euler_angles(0.3, -0.2, 2.0);
+        let frame = Rigid::from_parts(Vector3::new(3.0, -1.0, 0.5).into(), turn);
+        // The truth's clock shows 83.7 ms more, so at one reading it shows what was before.
+        let (estimate, truth) = (course(0.0, &Rigid::identity()), course(-0.0837, &frame));
+        let found_s = offset_s(&[(&estimate, &truth)], 1.0, true);
+        assert!((found_s - 0.0837).abs() < 1e-4, "{found_s}");
+        let pairs = pairs(&estimate, &truth, found_s);
+        let found = rigid(pairs.iter()).unwrap();
+        assert!((found.translation.vector - frame.translation.vector).norm() < 1e-3);
+        assert!(found.rotation.angle_to(&turn) < 1e-3);
+        assert!(rms_m(pairs.iter(), &found) < 1e-3);
+    }
+
+    #[test]
+    fn what_stands_still_says_nothing_of_time() {
+        let mut still = course(0.0, &Rigid::identity());
+        let place = still.samples[0].position_m;
+        still.samples.iter_mut().for_each(|sample| sample.position_m = place);
+        assert_eq!(offset_s(&[(&still, &still)], 1.0, false), 0.0);
+    }
+}

@@ -1,0 +1,427 @@
+//! The file of a history.
+//!
+//! `object` has a row for each object of each run of the server, `point` one for each point: tier, object, time, place.
+//! That is also the key, so that an object's course in a tier lies together on the disk.
+
+use std::{
+    collections::BTreeMap,
+    path::{Path, PathBuf},
+    time::Duration,
+};
+
+use roundel_core::time::Timestamp;
+use rusqlite::{Connection, OptionalExtension, params};
+
+use super::{HistoryError, TIERS};
+
+/// What is written today.
+const FORMAT: i64 = 1;
+/// Points that one question may be answered with.
+pub const MAX_POINTS: usize = 5000;
+/// Rows that one export may have.
+pub const MAX_EXPORTED: usize = 2_000_000;
+const BUSY: Duration = Duration::from_secs(5);
+
+const TABLES: &str = "
+    CREATE TABLE IF NOT EXISTS object (
+        key INTEGER PRIMARY KEY, run TEXT NOT NULL, id INTEGER NOT NULL, name TEXT NOT NULL, kind TEXT NOT NULL,
+        code INTEGER NOT NULL, first_ns INTEGER NOT NULL, last_ns INTEGER NOT NULL, UNIQUE (run, id));
+    CREATE TABLE IF NOT EXISTS point (
+        tier INTEGER NOT NULL, object INTEGER NOT NULL, time_ns INTEGER NOT NULL, x REAL NOT NULL, y REAL NOT NULL,
+        z REAL NOT NULL, yaw REAL, PRIMARY KEY (tier, object, time_ns)) WITHOUT ROWID;
+";
+
+/// Who an object is.
+#[derive(Clone, Debug, Default, PartialEq, Eq)]
+pub struct Identity {
+    /// The run of the server that gave the id.
+    pub run: String,
+    /// Given by it.
+    pub id: u64,
+    /// Its configured name, or empty.
+    pub name: String,
+    /// Its kind of roundel.
+    pub kind: String,
+    /// Number of its code; 0: none.
+    pub code: u32,
+}
+
+/// Where something was.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Point {
+    /// When.
+    pub time: Timestamp,
+    /// World frame, metres.
+    pub position_m: [f64; 3],
+    /// About the world's z, where it was observed.
+    pub yaw_rad: Option<f64>,
+}
+
+/// What is asked.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Question {
+    /// Ids, names or codes' numbers; empty: all.
+    pub objects: Vec<String>,
+    /// Smallest and largest corner.
+    pub region_m: Option<[[f64; 3]; 2]>,
+    /// From then …
+    pub from: Timestamp,
+    /// … until then.
+    pub until: Timestamp,
+    /// No more points than this, of all objects together.
+    pub max_points: usize,
+    /// `Some`: not thinned, but so many seconds apart, or the next finer that there is; more than `max_points` is an
+    /// error.
+    pub step_s: Option<f64>,
+}
+
+/// What is known.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct Answer {
+    /// Each object with its points, in the order of time.
+    pub objects: Vec<(Identity, Vec<Point>)>,
+    /// From one point to the next, seconds.
+    pub step_s: f64,
+    /// Times of the first and the last point that are kept of anything.
+    pub kept: Option<(Timestamp, Timestamp)>,
+}
+
+/// A connection to the file.
+pub struct Store {
+    path: PathBuf,
+    connection: Connection,
+}
+
+impl Store {
+    /// Opens a file, which is made if it is not there.
+    pub fn open(path: &Path) -> Result<Self, HistoryError> {
+        let failed = |source| HistoryError::Store { path: path.to_owned(), source };
+        let connection = Connection::open(path).map_err(failed)?;
+        connection.busy_timeout(BUSY).map_err(failed)?;
+        // A power failure may lose the last second, and nothing else.
+        connection.pragma_update(None, "journal_mode", "WAL").map_err(failed)?;
+        connection.pragma_update(None, "synchronous", "NORMAL").map_err(failed)?;
+        let found: i64 =
+            connection.query_row("PRAGMA user_version", [], |row| row.get(0)).map_err(failed)?;
+        if found > FORMAT {
+            return Err(HistoryError::Newer { path: path.to_owned(), found });
+        }
+        if found < FORMAT {
+            connection.execute_batch(TABLES).map_err(failed)?;
+            connection.pragma_update(None, "user_version", FORMAT).map_err(failed)?;
+        }
+        Ok(Self { path: path.to_owned(), connection })
+    }
+
+    fn failed(&self, source: rusqlite::Error) -> HistoryError {
+        HistoryError::Store { path: self.path.clone(), source }
+    }
+
+    /// The key of an object, which is known from then on.
+    pub fn key(&self, object: &Identity, time: Timestamp) -> Result<i64, HistoryError> {
+        let put = "INSERT INTO object (run, id, name, kind, code, first_ns, last_ns) VALUES (?1, ?2, ?3, ?4, ?5, ?6, ?6)
+                   ON CONFLICT (run, id) DO UPDATE SET name = ?3, kind = ?4, code = ?5
+                   RETURNING key";
+        let Identity { run, id, name, kind, code } = object;
+        let id = i64::try_from(*id).unwrap_or(i64::MAX);
+        let values = params![run, id, name, kind, code, time.as_ns()];
+        self.connection.query_row(put, values, |row| row.get(0)).map_err(|it| self.failed(it))
+    }
+
+    /// Adds points to tiers, all or none of them.
+    pub fn add(&mut self, points: &[(usize, i64, Point)]) -> Result<(), HistoryError> {
+        let path = self.path.clone();
+        let failed = |source| HistoryError::Store { path: path.clone(), source };
+        let transaction = self.connection.transaction().map_err(failed)?;
+        {
+            let mut put = transaction
+                .prepare_cached("INSERT OR REPLACE INTO point VALUES (?1, ?2, ?3, ?4, ?5, ?6, ?7)")
+                .map_err(failed)?;
+            let mut seen = transaction
+                .prepare_cached("UPDATE object SET last_ns = max(last_ns, ?2) WHERE key = ?1")
+                .map_err(failed)?;
+            let mut newest = BTreeMap::new();
+            for (tier, key, point) in points {
+                let [x, y, z] = point.position_m;
+                let tier = *tier as i64;
+                put.execute(params![tier, key, point.time.as_ns(), x, y, z, point.yaw_rad])
+                    .map_err(failed)?;
+                newest.insert(*key, point.time.as_ns());
+            }
+            for (key, time_ns) in newest {
+                seen.execute(params![key, time_ns]).map_err(failed)?;
+            }
+        }
+        transaction.commit().map_err(failed)
+    }
+
+    /// Forgets what is older than it is kept, a part of it at a time; says whether there may be more.
+    pub fn forget(&self, now: Timestamp, keep: Duration) -> Result<bool, HistoryError> {
+        const PART: i64 = 20_000;
+        let keep_ns = i64::try_from(keep.as_nanos()).unwrap_or(i64::MAX);
+        let mut more = false;
+        for (tier, grade) in TIERS.iter().enumerate() {
+            let before_ns = now.as_ns().saturating_sub(keep_ns.saturating_mul(grade.kept));
+            // By object, as that is how they lie.
+            let delete = "DELETE FROM point WHERE tier = ?1 AND object = ?2 AND time_ns < ?3 AND time_ns <= (
+                              SELECT time_ns FROM point WHERE tier = ?1 AND object = ?2 ORDER BY time_ns
+                              LIMIT 1 OFFSET ?4)";
+            let whole = "DELETE FROM point WHERE tier = ?1 AND object = ?2 AND time_ns < ?3";
+            for key in self.keys_before(before_ns)? {
+                let part = params![tier as i64, key, before_ns, PART];
+                let deleted =
+                    self.connection.execute(delete, part).map_err(|it| self.failed(it))?;
+                more |= deleted as i64 > PART;
+                if deleted == 0 {
+                    let rest = params![tier as i64, key, before_ns];
+                    self.connection.execute(whole, rest).map_err(|it| self.failed(it))?;
+                }
+            }
+        }
+        let empty = "DELETE FROM object WHERE NOT EXISTS (SELECT 1 FROM point WHERE object = key AND tier = ?1)
+                     AND last_ns < ?2";
+        let coarsest = TIERS.len() - 1;
+        let before_ns = now.as_ns().saturating_sub(keep_ns.saturating_mul(TIERS[coarsest].kept));
+        self.connection
+            .execute(empty, params![coarsest as i64, before_ns])
+            .map_err(|it| self.failed(it))?;
+        Ok(more)
+    }
+
+    fn keys_before(&self, time_ns: i64) -> Result<Vec<i64>, HistoryError> {
+        let mut ask = self
+            .connection
+            .prepare_cached("SELECT key FROM object WHERE first_ns < ?1")
+            .map_err(|it| self.failed(it))?;
+        let keys = ask.query_map([time_ns], |row| row.get(0)).map_err(|it| self.failed(it))?;
+        keys.collect::<Result<_, _>>().map_err(|it| self.failed(it))
+    }
+
+    /// Answers a question.
+    pub fn ask(&self, question: &Question) -> Result<Answer, HistoryError> {
+        let objects = self.objects(question)?;
+        let length_ns = question.until.ns_since(question.from).max(1);
+        let wanted_ns = match question.step_s {
+            Some(step_s) => (step_s * 1e9) as i64,
+            // So far apart all fit, if each object was there all the time.
+            None => length_ns / (question.max_points / objects.len().max(1)).max(1) as i64,
+        };
+        let tier = TIERS.iter().rposition(|tier| tier.step_ns <= wanted_ns).unwrap_or(0);
+        let mut all = Vec::new();
+        let mut count = 0;
+        for (key, identity) in objects {
+            let points = self.points(tier, key, question)?;
+            count += points.len();
+            if question.step_s.is_some() && count > question.max_points {
+                return Err(HistoryError::TooMuch(format!(
+                    "expected at most {} points, found more: ask for fewer objects, a shorter time, a region, or a \
+                     larger step_s",
+                    question.max_points
+                )));
+            }
+            if !points.is_empty() {
+                all.push((identity, points));
+            }
+        }
+        let every = if question.step_s.is_some() { 1 } else { thin(&mut all, question.max_points) };
+        let step_s = TIERS[tier].step_ns as f64 * 1e-9 * every as f64;
+        Ok(Answer { objects: all, step_s, kept: self.kept()? })
+    }
+
+    fn objects(&self, question: &Question) -> Result<Vec<(i64, Identity)>, HistoryError> {
+        let mut ask = self
+            .connection
+            .prepare_cached(
+                "SELECT key, run, id, name, kind, code FROM object WHERE first_ns <= ?2 AND last_ns >= ?1
+                 ORDER BY first_ns, id",
+            )
+            .map_err(|it| self.failed(it))?;
+        let read = |row: &rusqlite::Row<'_>| {
+            let id: i64 = row.get(2)?;
+            let (run, name, kind, code) = (row.get(1)?, row.get(3)?, row.get(4)?, row.get(5)?);
+            Ok((row.get(0)?, Identity { run, id: id as u64, name, kind, code }))
+        };
+        let times = [question.from.as_ns(), question.until.as_ns()];
+        let found = ask.query_map(times, read).map_err(|it| self.failed(it))?;
+        let found: Result<Vec<(i64, Identity)>, _> = found.collect();
+        let is_wanted = |identity: &Identity| {
+            question.objects.is_empty()
+                || question.objects.iter().any(|it| {
+                    *it == identity.name
+                        || *it == identity.id.to_string()
+                        || (identity.code > 0 && *it == identity.code.to_string())
+                })
+        };
+        let found = found.map_err(|it| self.failed(it))?;
+        Ok(found.into_iter().filter(|(_, identity)| is_wanted(identity)).collect())
+    }
+
+    fn points(
+        &self,
+        tier: usize,
+        key: i64,
+        question: &Question,
+    ) -> Result<Vec<Point>, HistoryError> {
+        let mut ask = self
+            .connection
+            .prepare_cached(
+                "SELECT time_ns, x, y, z, yaw FROM point
+                 WHERE tier = ?1 AND object = ?2 AND time_ns BETWEEN ?3 AND ?4 ORDER BY time_ns",
+            )
+            .map_err(|it| self.failed(it))?;
+        let read = |row: &rusqlite::Row<'_>| {
+            Ok(Point {
+                time: Timestamp::from_ns(row.get(0)?),
+                position_m: [row.get(1)?, row.get(2)?, row.get(3)?],
+                yaw_rad: row.get(4)?,
+            })
+        };
+        let wanted = params![tier as i64, key, question.from.as_ns(), question.until.as_ns()];
+        let points = ask.query_map(wanted, read).map_err(|it| self.failed(it))?;
+        let is_inside = |point: &Point| {
+            question.region_m.is_none_or(|[min, max]| {
+                (0..3).all(|axis| (min[axis]..=max[axis]).contains(&point.position_m[axis]))
+            })
+        };
+        let points = points.filter(|point| point.as_ref().map_or(true, is_inside));
+        points.collect::<Result<_, _>>().map_err(|it| self.failed(it))
+    }
+
+    fn kept(&self) -> Result<Option<(Timestamp, Timestamp)>, HistoryError> {
+        let ask = "SELECT min(first_ns), max(last_ns) FROM object";
+        let read = |row: &rusqlite::Row<'_>| Ok(row.get::<_, Option<i64>>(0)?.zip(row.get(1)?));
+        let kept = self.connection.query_row(ask, [], read).optional();
+        let kept = kept.map_err(|it| self.failed(it))?.flatten();
+        Ok(kept.map(|(first, last)| (Timestamp::from_ns(first), Timestamp::from_ns(last))))
+    }
+}
+
+/// Leaves every so many-th point, so that no more than `most` are left.
+fn thin(all: &mut [(Identity, Vec<Point>)], most: usize) -> usize {
+    let count =
+        |every: usize| all.iter().map(|(_, points)| points.len().div_ceil(every)).sum::<usize>();
+    let mut every = 1;
+    while count(every) > most && every < count(1) {
+        every += 1;
+    }
+    for (_, points) in all.iter_mut() {
+        *points = points.iter().copied().step_by(every).collect();
+    }
+    every
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    const BEGIN: i64 = 1_700_000_000_000_000_000;
+    const DAY_S: i64 = 86_400;
+
+    fn at(seconds: i64) -> Timestamp {
+        Timestamp::from_ns(BEGIN + seconds * 1_000_000_000)
+    }
+
+    /// Objects that stand at (id, 0, 0) for so long, in the tiers from `finest` on.
+    fn store(folder: &Path, objects: u64, seconds: i64, finest: usize) -> Store {
+        let mut store = Store::open(&folder.join("h.sqlite")).unwrap();
+        for id in 1..=objects {
+            let name = format!("robot {id}");
+            let identity = Identity { run: "r".into(), id, name, kind: "k".into(), code: 0 };
+            let key = store.key(&identity, at(0)).unwrap();
+            for (tier, grade) in TIERS.iter().enumerate().skip(finest) {
+                let steps = seconds * 1_000_000_000 / grade.step_ns;
+                let point = |step: i64| Point {
+                    time: Timestamp::from_ns(BEGIN + step * grade.step_ns),
+                    position_m: [id as f64, 0.0, 0.0],
+                    yaw_rad: (id == 1).then_some(0.5),
+                };
+                let points: Vec<_> = (0..steps).map(|step| (tier, key, point(step))).collect();
+                store.add(&points).unwrap();
+            }
+        }
+        store
+    }
+
+    fn all(from: i64, until: i64) -> Question {
+        Question {
+            objects: Vec::new(),
+            region_m: None,
+            from: at(from),
+            until: at(until),
+            max_points: MAX_POINTS,
+            step_s: None,
+        }
+    }
+
+    fn count(answer: &Answer) -> usize {
+        answer.objects.iter().map(|(_, points)| points.len()).sum()
+    }
+
+    #[test]
+    fn questions_get_no_more_points_than_they_want_and_not_many_fewer() {
+        let folder = tempfile::tempdir().unwrap();
+        let store = store(folder.path(), 10, DAY_S, 1);
+        for (from, until, most) in
+            [(0, DAY_S, 5000), (0, 3600, 5000), (100, 200, 500), (0, DAY_S, 50)]
+        {
+            let answer = store.ask(&Question { max_points: most, ..all(from, until) }).unwrap();
+            let found = count(&answer);
+            assert!(found <= most && found * 12 >= most, "{found} of {most}, {} s", answer.step_s);
+            let (_, points) = &answer.objects[3];
+            let step_s = points[1].time.seconds_since(points[0].time);
+            assert!((step_s - answer.step_s).abs() < 1e-9, "{step_s} {}", answer.step_s);
+        }
+        assert_eq!(store.ask(&all(0, 1)).unwrap().kept.unwrap().0, at(0));
+    }
+
+    #[test]
+    fn objects_and_regions_are_chosen() {
+        let folder = tempfile::tempdir().unwrap();
+        let store = store(folder.path(), 5, 1000, 1);
+        let ids = |question: &Question| {
+            let answer = store.ask(question).unwrap();
+            answer.objects.iter().map(|(identity, _)| identity.id).collect::<Vec<_>>()
+        };
+        let objects = ["robot 2", "4"].map(str::to_owned).to_vec();
+        assert_eq!(ids(&Question { objects, ..all(0, 1000) }), [2, 4]);
+        let region_m = Some([[2.5, -1.0, -1.0], [4.5, 1.0, 1.0]]);
+        assert_eq!(ids(&Question { region_m, ..all(0, 1000) }), [3, 4]);
+        assert_eq!(ids(&all(2000, 3000)), Vec::<u64>::new());
+        let export = Question { step_s: Some(1.0), max_points: 10_000, ..all(0, 1000) };
+        assert_eq!(count(&store.ask(&export).unwrap()), 5 * 1000);
+        let error = store.ask(&Question { max_points: 100, ..export }).unwrap_err().to_string();
+        assert!(error.contains("at most 100 points"), "{error}");
+        assert_eq!(store.ask(&all(0, 1000)).unwrap().objects[0].1[0].yaw_rad, Some(0.5));
+    }
+
+    #[test]
+    fn what_is_old_is_forgotten_the_fine_before_the_coarse() {
+        let folder = tempfile::tempdir().unwrap();
+        let store = store(folder.path(), 2, 2000, 1);
+        // Of the tier of 1 s the last 700 s stay, of the coarser ones all.
+        while store.forget(at(2000), Duration::from_secs(100)).unwrap() {}
+        let finest = |from, until| {
+            let question = Question { step_s: Some(1.0), max_points: 100_000, ..all(from, until) };
+            count(&store.ask(&question).unwrap())
+        };
+        assert_eq!((finest(0, 1299), finest(1300, 2000)), (0, 2 * 700));
+        let coarse = Question { step_s: Some(10.0), ..all(0, 2000) };
+        assert_eq!(count(&store.ask(&coarse).unwrap()), 2 * 200);
+        while store.forget(at(10_000_000), Duration::from_secs(100)).unwrap() {}
+        assert_eq!(store.ask(&all(0, 2000)).unwrap().kept, None);
+    }
+
+    #[test]
+    fn a_file_of_something_else_is_refused() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("x.sqlite");
+        std::fs::write(&path, "name = \"lab\"\n".repeat(100)).unwrap();
+        let error = Store::open(&path).err().unwrap().to_string();
+        assert!(error.contains("x.sqlite") && error.contains("`file` in [history]"), "{error}");
+        let path = folder.path().join("newer.sqlite");
+        let store = Store::open(&path).unwrap();
+        store.connection.pragma_update(None, "user_version", FORMAT + 1).unwrap();
+        let error = Store::open(&path).err().unwrap().to_string();
+        assert!(error.contains("was written by a newer Roundel"), "{error}");
+    }
+}

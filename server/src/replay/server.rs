@@ -1,0 +1,252 @@
+//! Serves a recording: hub, player and APIs, without cameras.
+
+use std::{
+    collections::BTreeMap,
+    net::SocketAddr,
+    path::{Path, PathBuf},
+    sync::Arc,
+    thread::JoinHandle,
+    time::Instant,
+};
+
+use roundel_core::{id::CameraId, time::Timestamp};
+use roundel_proto::v1;
+use tokio::net::TcpListener;
+use tokio_util::sync::CancellationToken;
+
+use super::{
+    From, Replay, ReplayError, Status,
+    player::Player,
+    script::{Prologue, Script},
+    stage::Stage,
+};
+use crate::{
+    api,
+    calibration::{Calibrator, CalibratorParts, file::CalibrationFile},
+    clock::Clock,
+    config::{Config, Lenses},
+    convert::replayed,
+    hub::{Hub, Installation},
+    record::schema::Topic,
+    serve::ServeError,
+    source::{fleet::Fleets, push::Ports},
+};
+
+/// What is to be played.
+#[derive(Clone, Debug, Default)]
+pub struct Wanted {
+    /// The recording.
+    pub file: PathBuf,
+    /// What is taken from it.
+    pub from: From,
+    /// In place of the recorded configuration.
+    pub config: Option<PathBuf>,
+}
+
+/// A recording that is ready to happen.
+pub struct Scene {
+    pub(super) script: Script,
+    pub(super) stage: Stage,
+    pub(super) told: Vec<(Timestamp, v1::FusedCamera)>,
+    pub(super) hub: Arc<Hub>,
+    pub(super) clock: Clock,
+    pub(super) late_window_ms: f64,
+}
+
+impl Scene {
+    /// Opens a recording, and sets everything up for it.
+    pub fn open(wanted: &Wanted) -> Result<Self, ReplayError> {
+        let mut script = Script::open(&wanted.file, wanted.from == From::Frames)?;
+        let Prologue { configuration, told, cameras } = Prologue::read(&mut script)?;
+        let lacks =
+            |what, remedy| Err(ReplayError::Lacks { path: wanted.file.clone(), what, remedy });
+        if wanted.from != From::Snapshots && told.is_empty() {
+            return lacks(
+                "word of what fusion was told of cameras, as what is streamed by `roundel record --output`",
+                "play its snapshots, or record on the server",
+            );
+        }
+        if wanted.from == From::Frames && !script.reader().has_frames() {
+            return lacks("frames", "record with --frames-every 1 to search them anew");
+        }
+        let config = match wanted.from {
+            From::Snapshots => None,
+            From::Observations | From::Frames => {
+                Some(read_config(wanted, &configuration, &cameras)?)
+            }
+        };
+        let ids: BTreeMap<String, CameraId> = told
+            .iter()
+            .map(|(_, told)| (told.camera.clone(), CameraId(told.number)))
+            .filter(|(name, _)| !name.is_empty())
+            .collect();
+        let (begin, _) = script.span();
+        let clock = Clock::anchored(Instant::now(), begin);
+        let hub = Arc::new(Hub::new(installation(&configuration, config.as_ref(), begin)));
+        let from = wanted.from;
+        let late_window_ms = config.as_ref().map_or(0.0, |it| it.fusion.late_window_s * 1e3);
+        let mut stage = Stage::new(hub.clone(), clock, from, (config, ids));
+        // Cameras are there before anything happens.
+        if let Some(raw) = script.first(Topic::Health)? {
+            stage.show(&raw, &mut script);
+        }
+        Ok(Self { script, stage, told, hub, clock, late_window_ms })
+    }
+
+    /// The newest of everything.
+    pub fn hub(&self) -> &Arc<Hub> {
+        &self.hub
+    }
+}
+
+/// The configuration that a recording was made with, or the one that is wanted instead.
+fn read_config(
+    wanted: &Wanted,
+    recorded: &v1::RecordedConfiguration,
+    cameras: &BTreeMap<String, v1::Camera>,
+) -> Result<Config, ReplayError> {
+    let lens = |(name, camera): (&String, &v1::Camera)| {
+        replayed::read_lens(camera).map(|lens| (name.clone(), lens))
+    };
+    let lenses: Lenses = cameras.iter().filter_map(lens).collect();
+    let path = wanted.file.clone();
+    let (text, origin) = match &wanted.config {
+        Some(config) => {
+            let failed = |source| ReplayError::Io { path: config.clone(), source };
+            (std::fs::read_to_string(config).map_err(failed)?, config.display().to_string())
+        }
+        None => (recorded.text.clone(), format!("that Roundel {} recorded", recorded.version)),
+    };
+    Config::parse_recorded(&text, &lenses).map_err(|problems| ReplayError::Config {
+        path,
+        origin,
+        problems,
+    })
+}
+
+fn installation(
+    recorded: &v1::RecordedConfiguration,
+    config: Option<&Config>,
+    started: Timestamp,
+) -> Installation {
+    let rate_hz = recorded.snapshot_rate_hz;
+    let source_id = format!("replay-of-{}", recorded.source_id);
+    let plain = Installation {
+        name: recorded.name.clone(),
+        source_id: source_id.clone(),
+        started,
+        snapshot_rate_hz: if rate_hz > 0.0 { rate_hz } else { 60.0 },
+        cameras: BTreeMap::new(),
+        kinds: recorded.roundels.clone(),
+        object_names: BTreeMap::new(),
+        body_names: Vec::new(),
+    };
+    match config {
+        // Names by kinds and bodies are those of the machine that fuses.
+        Some(config) => Installation {
+            cameras: BTreeMap::new(),
+            source_id,
+            name: plain.name,
+            snapshot_rate_hz: plain.snapshot_rate_hz,
+            ..crate::serve::installation_of(config, started)
+        },
+        None => plain,
+    }
+}
+
+/// A server that plays a recording. Dropping it ends its thread.
+pub struct ReplayServer {
+    address: SocketAddr,
+    hub: Arc<Hub>,
+    replay: Replay,
+    cancel: CancellationToken,
+    player: Option<JoinHandle<()>>,
+    api: Option<tokio::task::JoinHandle<()>>,
+}
+
+impl ReplayServer {
+    /// Binds the port and begins to play. To be called within a tokio runtime.
+    pub async fn start(
+        scene: Scene,
+        listen: SocketAddr,
+        begin: Status,
+    ) -> Result<Self, ReplayError> {
+        let listening = |source| ServeError::Listen { address: listen, source };
+        let listener = TcpListener::bind(listen).await.map_err(listening)?;
+        let address = listener.local_addr().map_err(listening)?;
+        let Scene { script, stage, told, hub, clock, late_window_ms } = scene;
+        let replay = Replay::new(begin);
+        let player = Player::new((script, stage), told, replay.clone());
+        let builder = std::thread::Builder::new().name("replay".to_owned());
+        let thread = builder.spawn(move || player.run());
+        let thread =
+            thread.map_err(|source| ServeError::Thread { name: "replay".to_owned(), source })?;
+        let calibrator = Arc::new(Calibrator::new(CalibratorParts {
+            hub: hub.clone(),
+            clock,
+            cameras: BTreeMap::new(),
+            landmarks: Vec::new(),
+            path: None,
+            file: CalibrationFile::default(),
+        }));
+        let served = api::Served {
+            hub: hub.clone(),
+            clock,
+            calibrator,
+            fleets: Arc::<Fleets>::default(),
+            ports: Arc::new(Ports::default()),
+            late_window_ms,
+            trier: None,
+            roster: None,
+            recorder: None,
+            replay: Some(replay.clone()),
+            history: None,
+            allow_origins: Vec::new(),
+        };
+        let cancel = CancellationToken::new();
+        let api = api::serve(listener, served, api::Limits::default(), cancel.clone());
+        let api = Some(tokio::spawn(api));
+        Ok(Self { address, hub, replay, cancel, player: Some(thread), api })
+    }
+
+    /// Where it listens.
+    pub fn local_addr(&self) -> SocketAddr {
+        self.address
+    }
+
+    /// The newest of everything.
+    pub fn hub(&self) -> &Arc<Hub> {
+        &self.hub
+    }
+
+    /// The recording that is being played.
+    pub fn replay(&self) -> &Replay {
+        &self.replay
+    }
+
+    /// Ends it.
+    pub async fn shutdown(mut self) {
+        self.replay.stop();
+        if let Some(player) = self.player.take() {
+            // It obeys at once.
+            let _ = tokio::task::spawn_blocking(move || player.join()).await;
+        }
+        self.cancel.cancel();
+        if let Some(api) = self.api.take() {
+            let _ = api.await;
+        }
+    }
+}
+
+impl Drop for ReplayServer {
+    fn drop(&mut self) {
+        self.replay.stop();
+        self.cancel.cancel();
+    }
+}
+
+/// How a replay of this file begins.
+pub fn beginning(scene: &Scene, file: &Path, from: From) -> Status {
+    let span = scene.script.span();
+    Status { file: file.to_owned(), from, speed: 1.0, span, position: span.0, ..Status::default() }
+}

@@ -1,0 +1,293 @@
+//! Has happen what a recording says: as it was, fused anew, or searched and fused anew.
+//!
+//! Fused anew, everything that fusion was given (observations, what it was told of cameras, the instants of snapshots)
+//! comes in the recorded order with the recorded times, to the same code that fuses live. So the same file gives the
+//! same bits, and with the same settings those that were given live, but for what fusion knew before the recording.
+
+use std::{
+    collections::{BTreeMap, VecDeque},
+    sync::{Arc, mpsc::sync_channel},
+};
+
+use prost::Message;
+use roundel_core::{
+    id::CameraId,
+    time::Timestamp,
+    world::{self, FrameObservations},
+};
+use roundel_proto::v1;
+
+use super::{From, ReplayError, script::Script};
+use crate::{
+    clock::Clock,
+    config::Config,
+    convert::{self, replayed},
+    fusion::FusionTask,
+    hub::{Happening, Hub, Picture},
+    image_file,
+    record::{
+        reader::{Raw, Source},
+        schema::{CompressedImage, Topic},
+    },
+    roster,
+    serve::fusion_machine,
+    worker::{
+        Sighted,
+        pipeline::{Pipeline, Seen},
+    },
+};
+
+/// Frames of a camera whose observations are remembered until their picture comes.
+const REMEMBERED: usize = 64;
+
+/// Where a recording happens.
+pub struct Stage {
+    hub: Arc<Hub>,
+    clock: Clock,
+    from: From,
+    /// Needed for everything but snapshots as they are.
+    config: Option<Config>,
+    ids: BTreeMap<String, CameraId>,
+    task: Option<FusionTask>,
+    pipelines: BTreeMap<CameraId, Pipeline>,
+    seen: BTreeMap<CameraId, VecDeque<Arc<FrameObservations>>>,
+    /// Messages that say what cannot be.
+    faulty: u64,
+}
+
+impl Stage {
+    /// An empty one. `ids` are the numbers that the recording gives cameras.
+    pub fn new(
+        hub: Arc<Hub>,
+        clock: Clock,
+        from: From,
+        (config, ids): (Option<Config>, BTreeMap<String, CameraId>),
+    ) -> Self {
+        Self {
+            hub,
+            clock,
+            from,
+            config,
+            ids,
+            task: None,
+            pipelines: BTreeMap::new(),
+            seen: BTreeMap::new(),
+            faulty: 0,
+        }
+    }
+
+    /// Whether anything is fused anew.
+    pub fn fuses(&self) -> bool {
+        self.task.is_some()
+    }
+
+    /// Messages so far that said what cannot be, and were left out.
+    pub fn faulty(&self) -> u64 {
+        self.faulty
+    }
+
+    /// Begins anew at an instant, until which fusion was told all this.
+    pub fn restart(
+        &mut self,
+        told: &[(Timestamp, v1::FusedCamera)],
+        until: Timestamp,
+    ) -> Result<(), ReplayError> {
+        self.hub.forget_objects();
+        self.pipelines.clear();
+        self.seen.clear();
+        if self.from == From::Snapshots {
+            return Ok(());
+        }
+        let Some(config) = &self.config else { return Ok(()) };
+        // Nobody sends anything: it is called.
+        let (_, nothing) = sync_channel(0);
+        let machine = fusion_machine(config)?;
+        let task = FusionTask::new(machine, self.hub.clone(), self.clock, nothing);
+        self.task = Some(task);
+        for (_, message) in told.iter().take_while(|(time, _)| *time < until) {
+            self.tell(message);
+        }
+        Ok(())
+    }
+
+    /// Has a message happen.
+    pub fn show(&mut self, raw: &Raw, script: &mut Script) {
+        let is_sound = match &raw.source {
+            Source::Topic(Topic::Snapshots) => self.show_snapshot(raw),
+            Source::Topic(Topic::Observations) => self.show_observations(raw, script),
+            Source::Topic(Topic::Events) => self.show_event(raw),
+            Source::Topic(Topic::Calibration) => {
+                read::<v1::FusedCamera>(raw).map(|message| self.tell(&message))
+            }
+            Source::Topic(Topic::Health) => self.show_cameras(raw),
+            Source::Topic(Topic::Configuration) | Source::Foreign(_) => Some(()),
+            Source::Frame(camera) => self.show_frame(camera, raw),
+        };
+        self.faulty += u64::from(is_sound.is_none());
+    }
+
+    fn id(&mut self, name: &str) -> CameraId {
+        if let Some(id) = self.ids.get(name) {
+            return *id;
+        }
+        let next = self.ids.values().map(|id| id.0 + 1).max().unwrap_or(0);
+        self.ids.insert(name.to_owned(), CameraId(next));
+        CameraId(next)
+    }
+
+    fn tell(&mut self, message: &v1::FusedCamera) {
+        if !message.camera.is_empty() {
+            self.ids.insert(message.camera.clone(), CameraId(message.number));
+        }
+        if let (Some(task), Some(told)) = (&mut self.task, convert::read_fused_camera(message)) {
+            task.be_told(told);
+        }
+    }
+
+    fn show_snapshot(&mut self, raw: &Raw) -> Option<()> {
+        let message = read::<v1::Snapshot>(raw)?;
+        match &mut self.task {
+            Some(task) => {
+                task.publish(Timestamp::from_ns(message.pose_time_ns), Some(raw.log_time));
+            }
+            None => {
+                let snapshot = replayed::read_snapshot(&self.hub, &message);
+                self.hub.publish_snapshot(snapshot, Timestamp::from_ns(message.fused_time_ns));
+            }
+        }
+        Some(())
+    }
+
+    fn show_observations(&mut self, raw: &Raw, script: &mut Script) -> Option<()> {
+        let message = read::<v1::FrameObservations>(raw)?;
+        let (name, number) = (message.camera.clone(), message.frame);
+        let id = self.id(&name);
+        let recorded = replayed::read_observations(&self.hub, id, message).ok()?;
+        let observations = if self.from == From::Frames {
+            // What was not kept is not seen.
+            let Some(frame) = script.frame(&name, number as u32) else { return Some(()) };
+            Arc::new(self.search(&name, &recorded, &frame)?)
+        } else {
+            Arc::new(recorded)
+        };
+        if let Some(task) = &mut self.task {
+            task.observe(&Sighted { observations: observations.clone(), placement: None });
+        }
+        let seen = self.seen.entry(id).or_default();
+        seen.push_back(observations.clone());
+        if seen.len() > REMEMBERED {
+            seen.pop_front();
+        }
+        self.hub.update_camera(id, |state| {
+            (state.frames, state.detections) = (number, observations.detections.len());
+        });
+        self.hub.publish_observations(observations);
+        Some(())
+    }
+
+    /// Searches a frame as it was searched live, with the settings of now.
+    fn search(
+        &mut self,
+        name: &str,
+        recorded: &FrameObservations,
+        frame: &Raw,
+    ) -> Option<FrameObservations> {
+        let id = recorded.camera;
+        let image = decoded(frame)?;
+        if !self.pipelines.contains_key(&id) {
+            let config = self.config.as_ref()?;
+            let camera = config.cameras.iter().find(|camera| camera.name == name)?;
+            let parts = roster::setup::pipeline(camera, config, Default::default()).ok()?;
+            self.pipelines.insert(id, Pipeline::new(parts).ok()?);
+        }
+        let pipeline = self.pipelines.get_mut(&id)?;
+        let by = Seen {
+            camera: id,
+            calibration_version: recorded.calibration_version,
+            frame: recorded.frame,
+            capture_time: recorded.capture_time,
+            received_time: recorded.received_time,
+        };
+        let observations = pipeline.process(&image.frame().ok()?, &by);
+        if self.hub.take_picture_request(id) {
+            let observations = Arc::new(observations.clone());
+            self.hub.publish_picture(id, picture(image, observations));
+        }
+        Some(observations)
+    }
+
+    /// Shown when somebody asks for it.
+    fn show_frame(&mut self, camera: &str, raw: &Raw) -> Option<()> {
+        let id = self.id(camera);
+        if !self.hub.take_picture_request(id) {
+            return Some(());
+        }
+        let image = decoded(raw)?;
+        let seen = self.seen.get(&id).and_then(|seen| {
+            seen.iter().find(|observations| observations.frame as u32 == raw.sequence)
+        });
+        let none = || {
+            Arc::new(world::FrameObservations {
+                camera: id,
+                frame: u64::from(raw.sequence),
+                capture_time: raw.publish_time,
+                received_time: raw.log_time,
+                calibration_version: 0,
+                detections: Vec::new(),
+            })
+        };
+        let observations = seen.cloned().unwrap_or_else(none);
+        self.hub.publish_picture(id, picture(image, observations));
+        Some(())
+    }
+
+    fn show_event(&mut self, raw: &Raw) -> Option<()> {
+        let message = read::<v1::Event>(raw)?;
+        // Of a kind that this version does not know.
+        let Some(happening) = replayed::read_happening(&self.hub, &message) else {
+            return Some(());
+        };
+        // Fusion says its own.
+        let is_fusions = matches!(
+            happening,
+            Happening::Object(..) | Happening::ClockSet(_) | Happening::WrongHeight
+        );
+        if self.task.is_none() || !is_fusions {
+            let time = Timestamp::from_ns(message.time_ns);
+            self.hub.publish_event(time, happening, message.message);
+        }
+        Some(())
+    }
+
+    fn show_cameras(&mut self, raw: &Raw) -> Option<()> {
+        let list = read::<v1::ListCamerasResponse>(raw)?;
+        for camera in &list.cameras {
+            let (id, info) = (self.id(&camera.name), replayed::read_camera_info(camera));
+            let installation = self.hub.installation();
+            let known = installation.cameras.get(&id);
+            if !known.is_some_and(|it| it.name == info.name && it.source == info.source) {
+                self.hub.set_camera(id, info);
+            }
+            self.hub.update_camera(id, |state| replayed::read_camera_state(state, camera));
+        }
+        for (id, camera) in &self.hub.installation().cameras {
+            if list.cameras.iter().all(|it| it.name != camera.name) {
+                self.hub.remove_camera(*id);
+            }
+        }
+        Some(())
+    }
+}
+
+fn read<M: Message + Default>(raw: &Raw) -> Option<M> {
+    M::decode(raw.data.as_slice()).ok()
+}
+
+fn picture(image: image_file::GreyImage, observations: Arc<FrameObservations>) -> Picture {
+    Picture::new((image.width, image.height), image.pixels, observations)
+}
+
+fn decoded(raw: &Raw) -> Option<image_file::GreyImage> {
+    let image = read::<CompressedImage>(raw)?;
+    image_file::decode(&image.data, "recorded frame".as_ref()).ok()
+}

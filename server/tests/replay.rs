@@ -1,0 +1,222 @@
+//! Recordings that are played: through the APIs as if live, and fused and searched anew.
+
+use std::{
+    fs,
+    path::{Path, PathBuf},
+    time::Duration,
+};
+
+use prost::Message;
+use roundel_client::{Client, v1};
+use roundel_server::{
+    config::Config,
+    record::{
+        State, Wanted,
+        reader::{Raw, Reader, Source},
+        schema::Topic,
+    },
+    replay::{
+        self, From,
+        copy::copy,
+        server::{ReplayServer, Scene, beginning},
+    },
+    serve::Server,
+};
+use tokio::time::{sleep, timeout};
+
+/// Nothing here takes so long but on a machine that stands still.
+const PATIENCE: Duration = Duration::from_secs(120);
+
+/// Of six robots; some are out of sight.
+const LEAST_FOLLOWED: usize = 3;
+
+/// Two simulated cameras, recorded from the begin with every frame as it was searched.
+async fn recorded(folder: &Path) -> PathBuf {
+    let mut text = "name = \"lab\"\n[server]\nlisten = \"127.0.0.1:0\"\nsnapshot_rate_hz = 30.0\n\
+                    [[roundel]]\nname = \"robot\"\nouter_mm = 160.0\ninner_mm = 64.0\n\
+                    [[object]]\nname = \"the robot\"\nroundel = \"robot\"\n\
+                    [recording]\nstart = true\nmin_free_mb = 0\nframes_every = 1\nframes_format = \"png\"\n"
+        .to_owned();
+    for camera in 0..2 {
+        text += &format!(
+            "[[camera]]\nname = \"c{camera}\"\nsource = \"sim:?seed=1&robots=6&camera={camera}\"\nmode = \"fast\"\n"
+        );
+    }
+    let server = Server::start(Config::parse(&text, folder).unwrap()).await.unwrap();
+    let recorder = server.recorder().unwrap().clone();
+    let followed = || server.hub().snapshots().borrow().snapshot.objects.len() >= LEAST_FOLLOWED;
+    until("robots", followed).await;
+    let begun = server.hub().snapshots().borrow().sequence;
+    until("two seconds", || server.hub().snapshots().borrow().sequence > begun + 60).await;
+    until("robots", followed).await;
+    server.shutdown().await;
+    recorder.status().folder.join(recorder.status().file)
+}
+
+async fn until(what: &str, wanted: impl Fn() -> bool) {
+    let look = async {
+        while !wanted() {
+            sleep(Duration::from_millis(10)).await;
+        }
+    };
+    timeout(PATIENCE, look).await.unwrap_or_else(|_| panic!("{what} did not come about"));
+}
+
+fn open(file: &Path, from: From) -> Scene {
+    let file = file.to_owned();
+    Scene::open(&replay::server::Wanted { file, from, config: None }).unwrap()
+}
+
+fn read<M: Message + Default>(path: &Path, topic: Topic) -> Vec<M> {
+    let mut reader = Reader::open(path).unwrap();
+    let mut all: Vec<Raw> = Vec::new();
+    while let Some(messages) = reader.next_chunk().unwrap() {
+        all.extend(messages.into_iter().filter(|raw| raw.source == Source::Topic(topic)));
+    }
+    all.iter().map(|raw| M::decode(raw.data.as_slice()).unwrap()).collect()
+}
+
+/// What a snapshot says of the world, without who said it and when.
+fn said(snapshots: &[v1::Snapshot]) -> Vec<(i64, i64, Vec<v1::ObjectState>)> {
+    let each = snapshots.iter();
+    each.map(|it| (it.pose_time_ns, it.capture_time_ns, it.objects.clone())).collect()
+}
+
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn fused_anew_it_gives_the_same_bits_as_before_and_each_time() {
+    let folder = tempfile::tempdir().unwrap();
+    let file = recorded(folder.path()).await;
+    let anew = [1, 2, 3].map(|run| {
+        let to = folder.path().join(format!("anew{run}.mcap"));
+        let copied = copy(open(&file, From::Observations), &to, |_| {}).unwrap();
+        assert_eq!(copied.faulty, 0, "{copied:?}");
+        to
+    });
+    let bytes = anew.each_ref().map(|path| fs::read(path).unwrap());
+    assert!(bytes[0] == bytes[1] && bytes[1] == bytes[2], "three runs, one file");
+
+    let live: Vec<v1::Snapshot> = read(&file, Topic::Snapshots);
+    let fused: Vec<v1::Snapshot> = read(&anew[0], Topic::Snapshots);
+    assert!(
+        live.iter().map(|it| it.objects.len()).max() >= Some(LEAST_FOLLOWED),
+        "robots were followed"
+    );
+    // It was recorded from the begin, so nothing was known before: it is what was given live.
+    assert_eq!(said(&fused), said(&live));
+    let kinds = |path| {
+        let events: Vec<v1::Event> = read(path, Topic::Events);
+        let of_objects = events.into_iter().filter(|event| event.object_id > 0);
+        of_objects.map(|event| (event.kind, event.object_id, event.time_ns)).collect::<Vec<_>>()
+    };
+    assert_eq!(kinds(&anew[0]), kinds(&file));
+    // What comes out is a recording like any other.
+    let again = folder.path().join("again.mcap");
+    copy(open(&anew[0], From::Observations), &again, |_| {}).unwrap();
+    assert_eq!(said(&read::<v1::Snapshot>(&again, Topic::Snapshots)), said(&live));
+
+    // Searched anew, frames show what they showed.
+    let searched = folder.path().join("searched.mcap");
+    let copied = copy(open(&file, From::Frames), &searched, |_| {}).unwrap();
+    assert_eq!(copied.faulty, 0, "{copied:?}");
+    let before: Vec<v1::FrameObservations> = read(&file, Topic::Observations);
+    let after: Vec<v1::FrameObservations> = read(&searched, Topic::Observations);
+    let mut compared = 0;
+    for camera in ["c0", "c1"] {
+        // On a slow machine frames find no room in the recording; after such a gap tracks go on a little otherwise.
+        let found = after.iter().filter(|it| it.camera == camera);
+        let without_gap = (1..).zip(found).take_while(|(number, found)| found.frame == *number);
+        for (_, found) in without_gap {
+            let is_it =
+                |it: &&v1::FrameObservations| it.camera == camera && it.frame == found.frame;
+            assert_eq!(Some(found), before.iter().find(is_it));
+            compared += found.detections.len();
+        }
+    }
+    assert!(compared > 20, "{compared} detections of {} frames", after.len());
+}
+
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn it_is_served_as_if_live_and_obeys() {
+    let folder = tempfile::tempdir().unwrap();
+    let file = recorded(folder.path()).await;
+    let scene = open(&file, From::Snapshots);
+    let begin = beginning(&scene, &file, From::Snapshots);
+    let length_s = begin.span.1.seconds_since(begin.span.0);
+    let server = ReplayServer::start(scene, "127.0.0.1:0".parse().unwrap(), begin).await.unwrap();
+    let client = Client::connect(&format!("http://{}", server.local_addr())).await.unwrap();
+    assert_eq!(client.info().await.unwrap().name, "lab");
+    until("the end", || server.replay().status().ended).await;
+
+    let live: Vec<v1::Snapshot> = read(&file, Topic::Snapshots);
+    let last = client.snapshot().await.unwrap();
+    assert_eq!(last.pose_time_ns, live.last().unwrap().pose_time_ns);
+    let expected = &live.last().unwrap().objects[0];
+    assert_eq!(&last.objects[0], expected, "a state is what was recorded");
+    let cameras = client.cameras().await.unwrap();
+    assert_eq!(cameras.len(), 2);
+    assert!(cameras.iter().all(|it| it.pose.is_some() && it.intrinsics.is_some()), "{cameras:?}");
+    let replay = client.replay().await.unwrap();
+    assert!(replay.ended && (replay.position_s - replay.duration_s).abs() < 1e-9, "{replay:?}");
+
+    // Paused, a place is still shown.
+    let wish = v1::ControlReplayRequest {
+        paused: Some(true),
+        position_s: Some(length_s / 2.0),
+        ..v1::ControlReplayRequest::default()
+    };
+    client.control_replay(wish).await.unwrap();
+    let middle_ns = replay.begin_time_ns + (length_s / 2.0 * 1e9) as i64;
+    let is_there = || {
+        let shown = server.hub().snapshots().borrow().snapshot.pose_time.as_ns();
+        (shown - middle_ns).abs() < 300_000_000
+    };
+    until("the middle", is_there).await;
+    let sequence = server.hub().snapshots().borrow().sequence;
+    sleep(Duration::from_millis(200)).await;
+    assert_eq!(server.hub().snapshots().borrow().sequence, sequence, "it is paused");
+    let wish = v1::ControlReplayRequest {
+        paused: Some(false),
+        speed: Some(50.0),
+        looping: Some(true),
+        ..v1::ControlReplayRequest::default()
+    };
+    assert_eq!(client.control_replay(wish).await.unwrap().speed, 50.0);
+    until("some rounds", || server.hub().snapshots().borrow().sequence > 5 * live.len() as u64)
+        .await;
+
+    let wrong =
+        v1::ControlReplayRequest { speed: Some(0.0), ..v1::ControlReplayRequest::default() };
+    let error = client.control_replay(wrong).await.unwrap_err().to_string();
+    assert!(error.contains("speed: expected 0.01 to 100, found 0"), "{error}");
+    let error = client.start_recording(v1::StartRecordingRequest::default()).await.unwrap_err();
+    assert!(error.to_string().contains("plays a recording"), "{error}");
+    server.shutdown().await;
+}
+
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn what_a_recording_lacks_is_said() {
+    let folder = tempfile::tempdir().unwrap();
+    let config = "name = \"lab\"\n[server]\nlisten = \"127.0.0.1:0\"\n[recording]\nmin_free_mb = 0\n\
+                  [[roundel]]\nname = \"robot\"\nouter_mm = 160.0\ninner_mm = 64.0\n\
+                  [[camera]]\nname = \"c0\"\nsource = \"sim:?seed=1&robots=2&camera=0\"\n";
+    let server = Server::start(Config::parse(config, folder.path()).unwrap()).await.unwrap();
+    let client = Client::connect(&format!("http://{}", server.local_addr())).await.unwrap();
+    let error = client.replay().await.unwrap_err().to_string();
+    assert!(error.contains("everything here is live"), "{error}");
+    let recorder = server.recorder().unwrap().clone();
+    let length = Some(Duration::from_millis(300));
+    recorder.start(&Wanted { length, ..Wanted::default() }).unwrap();
+    until("its end", || recorder.status().state == State::Stopped).await;
+    server.shutdown().await;
+    let file = recorder.status().folder.join(recorder.status().file);
+    let wanted = |from, config| replay::server::Wanted { file: file.clone(), from, config };
+    let error = Scene::open(&wanted(From::Frames, None)).err().unwrap().to_string();
+    assert!(error.contains("has no frames; record with --frames-every 1"), "{error}");
+    let other = folder.path().join("other.toml");
+    fs::write(&other, "name = 3\n").unwrap();
+    let error = Scene::open(&wanted(From::Observations, Some(other))).err().unwrap().to_string();
+    assert!(
+        error.contains("other.toml cannot be used") && error.contains("`name` must be"),
+        "{error}"
+    );
+}
