@@ -251,7 +251,7 @@ impl State {
 /// Tables and keys that differ and are read at a start only.
 fn needs_restart(before: &Config, after: &Config) -> Vec<String> {
     let (old, new) = (&before.server, &after.server);
-    let all: [(bool, &str); 12] = [
+    let all: [(bool, &str); 14] = [
         (before.name != after.name, "name"),
         (old.listen != new.listen, "[server] listen"),
         (old.snapshot_rate_hz != new.snapshot_rate_hz, "[server] snapshot_rate_hz"),
@@ -263,6 +263,8 @@ fn needs_restart(before: &Config, after: &Config) -> Vec<String> {
         (before.references != after.references, "[[reference]]"),
         (before.fusion.late_window_s != after.fusion.late_window_s, "[fusion] late_window_ms"),
         (before.limits.max_clients != after.limits.max_clients, "[limits] max_clients"),
+        (before.recording != after.recording, "[recording]"),
+        (before.history != after.history, "[history]"),
         (before.node != after.node, "[node]"),
     ];
     all.iter().filter(|(differs, _)| *differs).map(|(_, what)| (*what).to_owned()).collect()

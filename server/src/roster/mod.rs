@@ -273,7 +273,8 @@ impl Roster {
 pub fn text_without_passwords(config: &Config) -> String {
     let text = config.file.text().to_owned();
     let names = config.cameras.iter().map(|camera| &camera.name);
-    let sources = names.filter_map(|name| Some(edit::read::<WrittenCamera>(&text, name).ok()?.source));
+    let sources =
+        names.filter_map(|name| Some(edit::read::<WrittenCamera>(&text, name).ok()?.source));
     let sources: Vec<String> = sources.collect();
     sources.iter().fold(text, |text, source| text.replace(source, &without_credentials(source)))
 }
