@@ -5,9 +5,8 @@
 //! codes of 9 bits (8 bits have not so many) before four cameras of 1920x1080, which are not in step, as cameras are: they get their frames in
 //! turn, and each one is waited for.
 //!
-//! Snapshots are published at the highest rate that can be configured, 1000 Hz, so that waiting for
-//! the next tick costs half a millisecond on average. Besides criterion's mean, the percentiles of
-//! all runs are printed.
+//! Snapshots are published as soon as a frame has been fused (`prompt`), besides the steady ones. Besides criterion's
+//! mean, the percentiles of all runs are printed.
 
 use std::{
     hint::black_box,
@@ -105,7 +104,7 @@ impl Case {
             _ => "outer_mm = 160\ninner_mm = 64\n",
         };
         let mut text = format!(
-            "[server]\nlisten = \"127.0.0.1:0\"\nsnapshot_rate_hz = 1000\n\
+            "[server]\nlisten = \"127.0.0.1:0\"\nprompt = true\n\
              [detection]\nmode = \"{}\"\n[[roundel]]\nname = \"robot\"\n{roundel}",
             self.mode
         );
@@ -161,18 +160,17 @@ impl Bench {
     async fn once(&mut self) -> Duration {
         self.turn = (self.turn + 1) % self.cameras.len();
         let chosen = if self.at_once { 0..self.cameras.len() } else { self.turn..self.turn + 1 };
+        let hub = self.server.hub();
+        let fused = hub.fusion_counts().frames + chosen.len() as u64;
         let begun = Instant::now();
-        let mut newest = Timestamp::default();
         for (sender, pixels) in &self.cameras[chosen] {
-            newest = self.server.clock().now();
-            sender.send((pixels.clone(), newest)).expect("a worker");
+            sender.send((pixels.clone(), self.server.clock().now())).expect("a worker");
         }
         loop {
             let snapshot = self.snapshots.message().await.expect("a stream").expect("a snapshot");
-            // The newest detection is of a row of the newest frame, up to half the frame's readout
-            // before its middle.
-            let used_s = Timestamp::from_ns(snapshot.capture_time_ns).seconds_since(newest);
-            if used_s > -0.007 {
+            // One of a camera's frame alone may come before that of all.
+            let has_all = hub.fusion_counts().frames >= fused;
+            if has_all && snapshot.sequence >= hub.snapshots().borrow().sequence {
                 black_box(snapshot);
                 return begun.elapsed();
             }
@@ -201,8 +199,7 @@ fn frame_to_client(criterion: &mut Criterion) {
                         let took = bench.once().await;
                         all.push(took);
                         sum += took;
-                        // Longer than the tolerance for the rows, so that no frame passes for the
-                        // next one.
+                        // As long as cameras take for their next frames, or so.
                         tokio::time::sleep(Duration::from_millis(12)).await;
                     }
                     sum

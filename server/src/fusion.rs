@@ -1,7 +1,8 @@
 //! The fusion thread: the one owner of all tracks. Takes what workers saw, drives the pure machine
-//! of `core::world`, and publishes snapshots at steady ticks.
+//! of `core::world`, and publishes snapshots at steady ticks, or sooner where there is news.
 
 mod order;
+mod rhythm;
 mod riding;
 mod watching;
 
@@ -11,7 +12,7 @@ use std::{
         Arc,
         mpsc::{Receiver, RecvTimeoutError, Sender, channel},
     },
-    time::{Duration, Instant},
+    time::Instant,
 };
 
 use roundel_core::{
@@ -29,6 +30,7 @@ use crate::{
     worker::{Sighted, meter::Median},
 };
 pub use order::{FusionLimits, Known, ObjectOrder, Order, Stand, Timekeeping};
+pub use rhythm::Rhythm;
 use riding::Riding;
 use watching::Watching;
 pub use watching::WatchingParts;
@@ -86,18 +88,13 @@ impl FusionTask {
         (Self { orders, ..self }, sender)
     }
 
-    /// Publishes a snapshot each `period` until the signal comes, and a last one then.
-    pub fn run(mut self, period: Duration, stop: &Stop) {
-        let mut tick = Instant::now() + period;
+    /// Publishes snapshots in this rhythm until the signal comes, and a last one then.
+    pub fn run(mut self, mut rhythm: Rhythm, stop: &Stop) {
         while !stop.is_stopped() {
-            self.take_until(tick, stop);
-            self.publish(self.clock.at(tick), None);
-            tick += period;
-            // After a stall the missed ticks are left out instead of being caught up in a burst.
-            let now = Instant::now();
-            while tick <= now {
-                tick += period;
-            }
+            self.take(&rhythm, stop);
+            let begun = Instant::now();
+            self.publish(self.clock.at(rhythm.pose_time(begun)), None);
+            rhythm.publish(begun, Instant::now());
         }
         while let Ok(sighted) = self.received.try_recv() {
             self.observe(&sighted);
@@ -106,15 +103,21 @@ impl FusionTask {
         self.publish(self.clock.now(), None);
     }
 
-    fn take_until(&mut self, tick: Instant, stop: &Stop) {
+    /// Takes frames until a snapshot is due; what waits already belongs to that as well.
+    fn take(&mut self, rhythm: &Rhythm, stop: &Stop) {
+        let mut has_news = false;
         loop {
             self.obey();
-            let rest = tick.saturating_duration_since(Instant::now());
-            if rest.is_zero() {
+            let now = Instant::now();
+            if now >= rhythm.tick() {
                 return;
             }
+            let rest = rhythm.due(has_news).saturating_duration_since(now);
             match self.received.recv_timeout(rest) {
-                Ok(sighted) => self.observe(&sighted),
+                Ok(sighted) => {
+                    self.observe(&sighted);
+                    has_news = true;
+                }
                 Err(RecvTimeoutError::Timeout) => return,
                 // All cameras have finished; tracks still grow old and are lost.
                 Err(RecvTimeoutError::Disconnected) => {
@@ -238,7 +241,7 @@ fn height_sentence(installation: &Installation, wrong: &WrongHeight) -> String {
 
 #[cfg(test)]
 mod tests {
-    use std::sync::mpsc::sync_channel;
+    use std::{sync::mpsc::sync_channel, time::Duration};
 
     use nalgebra::Vector3;
     use roundel_core::{
@@ -323,7 +326,7 @@ mod tests {
             FusionTask::new(Fusion::new(FusionParams::default()), hub.clone(), clock, receiver);
         let stop = Stop::default();
         stop.stop();
-        task.run(Duration::from_millis(10), &stop);
+        task.run(Rhythm::new(Duration::from_millis(10), false), &stop);
 
         let newest = hub.snapshots().borrow().clone();
         assert_eq!(newest.sequence, 1, "the last one");
@@ -352,7 +355,7 @@ mod tests {
             FusionTask::new(Fusion::new(FusionParams::default()), hub.clone(), clock, receiver);
         let stop = Stop::default();
         stop.stop();
-        task.run(Duration::from_millis(10), &stop);
+        task.run(Rhythm::new(Duration::from_millis(10), false), &stop);
         let (events, _) = hub.events(10);
         let told: Vec<_> = events.iter().map(|event| event.happening).collect();
         assert_eq!(told, [Happening::ClockSet(CameraId(0))]);
@@ -377,7 +380,7 @@ mod tests {
         let task = FusionTask::new(fusion, hub.clone(), clock, receiver);
         let stop = Stop::default();
         stop.stop();
-        task.run(Duration::from_millis(10), &stop);
+        task.run(Rhythm::new(Duration::from_millis(10), false), &stop);
         let (events, _) = hub.events(EVENTS_KEPT);
         let told: Vec<&str> = events
             .iter()
@@ -421,6 +424,31 @@ mod tests {
     }
 
     #[test]
+    fn a_prompt_one_tells_of_a_frame_long_before_the_tick() {
+        let clock = Clock::anchored_now();
+        let hub = hub(&clock);
+        let (sender, receiver) = sync_channel(QUEUE_FRAMES);
+        let task =
+            FusionTask::new(Fusion::new(FusionParams::default()), hub.clone(), clock, receiver);
+        let stop = Stop::default();
+        let running = std::thread::spawn({
+            let stop = stop.clone();
+            move || task.run(Rhythm::new(Duration::from_secs(3600), true), &stop)
+        });
+        for frame in 1..=3 {
+            let sequence = hub.snapshots().borrow().sequence;
+            sender.send(sighted(frame, clock.now())).unwrap();
+            while hub.snapshots().borrow().sequence == sequence {
+                std::thread::sleep(Duration::from_millis(1));
+            }
+        }
+        stop.stop();
+        // Ends the wait for the tick.
+        drop(sender);
+        running.join().unwrap();
+    }
+
+    #[test]
     fn ticks_go_on_when_no_camera_is_left() {
         let clock = Clock::anchored_now();
         let hub = hub(&clock);
@@ -430,7 +458,7 @@ mod tests {
         let stop = Stop::default();
         let ticking = std::thread::spawn({
             let stop = stop.clone();
-            move || task.run(Duration::from_millis(2), &stop)
+            move || task.run(Rhythm::new(Duration::from_millis(2), false), &stop)
         });
         while hub.snapshots().borrow().sequence < 3 {
             std::thread::sleep(Duration::from_millis(1));

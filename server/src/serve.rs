@@ -30,7 +30,7 @@ use crate::{
     },
     clock::Clock,
     config::Config,
-    fusion::{FusionTask, QUEUE_FRAMES, WatchingParts},
+    fusion::{FusionTask, QUEUE_FRAMES, Rhythm, WatchingParts},
     history::{History, HistoryError},
     hub::{Happening, Hub},
     record::{Recorder, Wanted},
@@ -273,8 +273,9 @@ impl Server {
         }
         let (task, orders) = task.taking_orders();
         let period = Duration::from_secs_f64(1.0 / config.server.snapshot_rate_hz);
+        let rhythm = Rhythm::new(period, config.server.is_prompt);
         let stop = self.stop_fusion.clone();
-        self.fusion = Some(spawn("fusion".to_owned(), move || task.run(period, &stop))?);
+        self.fusion = Some(spawn("fusion".to_owned(), move || task.run(rhythm, &stop))?);
         let parts = RosterParts {
             config: config.clone(),
             bodies,

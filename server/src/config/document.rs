@@ -34,8 +34,8 @@ const ROOT_KEYS: [&str; 12] = [
 ];
 const NODE_KEYS: [&str; 1] = ["server"];
 const DETECTION_KEYS: [&str; 1] = ["mode"];
-const SERVER_KEYS: [&str; 6] =
-    ["listen", "snapshot_rate_hz", "calibration", "watch", "setup", "allow_origins"];
+const SERVER_KEYS: [&str; 7] =
+    ["listen", "snapshot_rate_hz", "prompt", "calibration", "watch", "setup", "allow_origins"];
 const FUSION_KEYS: [&str; 4] =
     ["acceleration_m_s2", "late_window_ms", "predicted_after_ms", "lost_after_ms"];
 const LIMITS_KEYS: [&str; 3] = ["max_objects", "max_roundels_per_camera", "max_clients"];
@@ -127,6 +127,7 @@ fn server(root: &Table<'_, '_>, folder: &Path) -> Option<ServerConfig> {
     let snapshot_rate_hz = table.map_or(DEFAULT_RATE_HZ, |table| {
         table.number("snapshot_rate_hz", Allowed::PositiveUpTo(MAX_RATE_HZ), DEFAULT_RATE_HZ)
     });
+    let is_prompt = table.and_then(|table| table.flag("prompt")).unwrap_or(false);
     let calibration = table.and_then(|table| table.text("calibration"));
     let calibration = calibration.map(|file| folder.join(file));
     let watches = table.and_then(|table| table.flag("watch")).unwrap_or(true);
@@ -139,6 +140,7 @@ fn server(root: &Table<'_, '_>, folder: &Path) -> Option<ServerConfig> {
             Some(ServerConfig {
                 listen,
                 snapshot_rate_hz,
+                is_prompt,
                 calibration,
                 watches,
                 setup,

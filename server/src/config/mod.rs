@@ -92,6 +92,8 @@ pub struct ServerConfig {
     pub listen: SocketAddr,
     /// Snapshots a second.
     pub snapshot_rate_hz: f64,
+    /// Whether there is one as soon as a frame was fused, besides.
+    pub is_prompt: bool,
     /// Where calibrations of the arena are kept. `None`: until the end of the process.
     pub calibration: Option<PathBuf>,
     /// Whether cameras that were bumped are noticed, left out and found again.

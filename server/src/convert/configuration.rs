@@ -45,6 +45,7 @@ pub fn configuration(in_force: InForce) -> Result<v1::Configuration, EditError> 
             watch: config.server.watches,
             setup: config.server.setup,
             allow_origins: config.server.allow_origins.clone(),
+            prompt: config.server.is_prompt,
         }),
         detection: Some(v1::DetectionSetup { mode: mode(config.mode).to_owned() }),
         fusion: Some(v1::FusionSetup {

@@ -251,10 +251,11 @@ impl State {
 /// Tables and keys that differ and are read at a start only.
 fn needs_restart(before: &Config, after: &Config) -> Vec<String> {
     let (old, new) = (&before.server, &after.server);
-    let all: [(bool, &str); 14] = [
+    let all: [(bool, &str); 15] = [
         (before.name != after.name, "name"),
         (old.listen != new.listen, "[server] listen"),
         (old.snapshot_rate_hz != new.snapshot_rate_hz, "[server] snapshot_rate_hz"),
+        (old.is_prompt != new.is_prompt, "[server] prompt"),
         (old.calibration != new.calibration, "[server] calibration"),
         (old.watches != new.watches, "[server] watch"),
         (old.setup != new.setup, "[server] setup"),

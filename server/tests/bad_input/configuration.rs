@@ -395,6 +395,7 @@ fn wrong_values_are_named_with_their_line() {
             "snapshot_rate_hz = 1e6",
             "`snapshot_rate_hz` must be a number above 0, at most 1000",
         ),
+        ("prompt = false", "prompt = 1", "`prompt` must be"),
         ("watch = true", "watch = \"yes\"", "`watch` must be"),
         (
             "uncertainty_mm = 0.5",
