@@ -265,12 +265,15 @@ impl SeenPart {
     }
 }
 
+/// A roundel, and which part of what it is.
+type Claim = ((KindId, Option<Code>), Part);
+
 /// The roundels of a body, if nobody else has them.
 fn claims(
     id: BodyId,
     body: &Body,
     taken: &BTreeMap<(KindId, Option<Code>), Part>,
-) -> Result<Vec<((KindId, Option<Code>), Part)>, BodyError> {
+) -> Result<Vec<Claim>, BodyError> {
     let mut claims = Vec::new();
     for (mount, it) in body.mounts.iter().enumerate() {
         if !it.object_from_roundel.to_homogeneous().iter().all(|number| number.is_finite()) {
