@@ -3,7 +3,7 @@
 //! rejected is an orange box with the reason, or a dim one without, if it had hardly begun to look like
 //! a ring. The edges of masked regions are magenta.
 
-mod glyph;
+pub(crate) mod glyph;
 mod rejected;
 
 use roundel_core::{camera::PixelPoint, ellipse::Ellipse, id::TrackNumber, marker::Ring};

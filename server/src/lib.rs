@@ -16,6 +16,7 @@
 //! | [`convert`] | the only place where core's types become proto's | – |
 //! | [`api`] | gRPC, REST, WebSocket, metrics and the dashboard on one port | async tasks |
 //! | [`roster`] | which cameras there are: added, changed and removed, and written back | shared |
+//! | [`print`] | roundels on paper | whoever asks |
 //! | [`trial`] | one try of a source, before a camera is configured with it | whoever asks |
 //! | [`serve`] | puts the above together, and takes it apart on shutdown | – |
 //! | [`cli`] | the commands of `roundel` | main thread |
@@ -33,6 +34,7 @@ pub mod fusion;
 pub mod history;
 pub mod hub;
 pub mod image_file;
+pub mod print;
 mod reason;
 pub mod record;
 pub mod replay;

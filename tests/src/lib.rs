@@ -30,6 +30,7 @@
 //! | [`shared_data`] | the recordings beside the repository, where they are there |
 
 pub mod arena;
+pub mod board;
 pub mod bound;
 pub mod clutter;
 pub mod coded;

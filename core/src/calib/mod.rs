@@ -1,4 +1,7 @@
-//! What is measured once, so that everything else can be right: where cameras stand.
+//! What is measured once, so that everything else can be right: lenses, with the board for that, and where cameras
+//! stand.
 
 pub mod arena;
+pub mod board;
+pub mod lens;
 pub mod watch;

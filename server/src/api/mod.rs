@@ -11,6 +11,7 @@
 //! | [`push`] | the service of `push.proto`: remote programs feed cameras |
 //! | [`rest`], [`calibration`], [`recording`], [`replay`], [`history`], [`openapi`] | `/api/v1/…` and its description |
 //! | [`setup`], [`objects`], [`configuration`] | cameras and objects that are added, changed and removed, and all of it |
+//! | [`print`] | roundels as files to print |
 //! | [`simulation`] | simulated robots that clients drive |
 //! | [`trial`] | one try of a source |
 //! | [`ws`] | `/api/v1/stream` |
@@ -42,6 +43,7 @@ pub mod openapi;
 pub mod page;
 pub mod picture;
 mod port;
+pub mod print;
 pub mod push;
 pub mod query;
 pub mod recording;

@@ -1,6 +1,8 @@
-//! `roundel calibrate arena`: where all cameras stand, from robots that drive about.
+//! `roundel calibrate`: lenses, from views of a board; and where all cameras stand, from robots that drive about.
 
+mod lens;
 mod print;
+mod views;
 
 use std::{io, path::PathBuf, process::ExitCode, time::Duration};
 
@@ -23,9 +25,10 @@ const ENDED_BY_SIGNAL: u8 = 130;
 /// Parts of the bar.
 const BAR: u64 = 1000;
 
-/// Find out where cameras stand.
+/// Find out lenses, and where cameras stand.
 #[derive(Debug, Args)]
-#[command(after_help = "Example:\n  \
+#[command(after_help = "Examples:\n  \
+    roundel calibrate lens --output north.yaml v4l2:/dev/video0\n  \
     roundel calibrate arena --config lab.toml")]
 pub struct CalibrateArgs {
     #[command(subcommand)]
@@ -34,6 +37,7 @@ pub struct CalibrateArgs {
 
 #[derive(Debug, Subcommand)]
 enum What {
+    Lens(lens::LensArgs),
     Arena(ArenaArgs),
 }
 
@@ -104,7 +108,11 @@ fn seconds(text: &str) -> Result<f64, String> {
 
 /// Calibrates, and prints the report; 1 if cameras do not take over what they were to.
 pub(super) async fn run(arguments: CalibrateArgs) -> anyhow::Result<ExitCode> {
-    let What::Arena(arguments) = arguments.what;
+    let arguments = match arguments.what {
+        What::Arena(arguments) => arguments,
+        // It waits for pictures and computes.
+        What::Lens(arguments) => return tokio::task::block_in_place(|| lens::run(&arguments)),
+    };
     let Some(path) = &arguments.config else {
         let client = Client::connect(&arguments.server).await?;
         return calibrate(&client, &arguments).await;

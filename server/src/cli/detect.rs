@@ -1,7 +1,6 @@
 //! `roundel detect`: what the detector finds in image files.
 
 mod output;
-mod print;
 mod search;
 
 use std::{
@@ -14,14 +13,15 @@ use std::{
 
 use anyhow::Context;
 use clap::{Args, ValueEnum};
-use roundel_core::marker::{CodeLayout, Mode, Params, Polarity};
+use roundel_core::marker::{CodeLayout, Mode, Params};
 
-use self::{
-    print::{Diameters, Print},
-    search::{Found, Search, Wish},
-};
+use self::search::{Found, Search, Wish};
 use super::told;
-use crate::{camera_file, drawing::Canvas};
+use crate::{
+    camera_file,
+    drawing::Canvas,
+    print::spec::{self, Diameters, PolarityWord, Print},
+};
 
 /// Find roundels in images.
 #[derive(Debug, Args)]
@@ -44,11 +44,11 @@ pub struct DetectArgs {
     camera: Option<PathBuf>,
     /// Diameters of the print in millimetres; without the inner one, rings of any ratio are found,
     /// coded ones at theirs (0.6); of an elliptical disc the longer and the shorter one
-    #[arg(long, value_name = "OUTER_MM[:INNER_MM[:MINOR_MM]]", value_parser = print::diameters)]
+    #[arg(long, value_name = "OUTER_MM[:INNER_MM[:MINOR_MM]]", value_parser = spec::diameters)]
     marker: Option<Diameters>,
     /// Read codes: bits, and the least Hamming distance that the prints were made with [default
     /// distance: 1]
-    #[arg(long, value_name = "BITS[:DISTANCE]", value_parser = print::code)]
+    #[arg(long, value_name = "BITS[:DISTANCE]", value_parser = spec::code)]
     code: Option<CodeLayout>,
     /// Which of ring and disc is black; a white ring stands on black
     #[arg(long, value_enum, default_value_t)]
@@ -87,16 +87,6 @@ enum ModeWord {
     Precise,
     /// Rims from moments, poses in closed form
     Fast,
-}
-
-/// Words for polarities.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, ValueEnum)]
-enum PolarityWord {
-    /// Black ring, white disc, on white
-    #[default]
-    BlackRing,
-    /// White ring, black disc, on black
-    WhiteRing,
 }
 
 /// Searches all images and prints what was found, in the order given.
@@ -141,10 +131,7 @@ fn wish(arguments: &DetectArgs) -> anyhow::Result<Wish> {
         ModeWord::Precise => Mode::Precise,
         ModeWord::Fast => Mode::Fast,
     };
-    let polarity = match arguments.polarity {
-        PolarityWord::BlackRing => Polarity::BlackRing,
-        PolarityWord::WhiteRing => Polarity::WhiteRing,
-    };
+    let polarity = arguments.polarity.into();
     let elliptical = arguments.marker.is_some_and(|diameters| diameters.minor_m.is_some());
     if elliptical && arguments.code.is_some() {
         anyhow::bail!("--marker with an elliptical disc and --code exclude each other");

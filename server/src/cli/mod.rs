@@ -8,6 +8,7 @@ mod detect;
 mod eval;
 mod info;
 mod node;
+mod print;
 mod record;
 mod replay;
 mod serve;
@@ -42,6 +43,7 @@ enum Command {
     Detect(detect::DetectArgs),
     Watch(watch::WatchArgs),
     Calibrate(calibrate::CalibrateArgs),
+    Print(print::PrintArgs),
     Record(record::RecordArgs),
     Info(info::InfoArgs),
     Replay(replay::ReplayArgs),
@@ -64,6 +66,7 @@ pub fn main() -> ExitCode {
         Command::Detect(arguments) => detect::run(&arguments),
         Command::Watch(arguments) => run_async(watch::run(arguments)),
         Command::Calibrate(arguments) => run_async(calibrate::run(arguments)),
+        Command::Print(arguments) => print::run(&arguments),
         Command::Record(arguments) => run_async(record::run(arguments)),
         Command::Info(arguments) => info::run(&arguments),
         Command::Eval(arguments) => eval::run(&arguments),

@@ -1,13 +1,13 @@
 //! Letters of three by five dots: enough to read a number or a word in a picture.
 
 /// Dots across a character, without the gap to the next.
-pub(super) const COLUMNS: i64 = 3;
+pub(crate) const COLUMNS: i64 = 3;
 /// Dots down a character.
-pub(super) const ROWS: i64 = 5;
+pub(crate) const ROWS: i64 = 5;
 
 /// The rows of a character from the top, the left dot in the highest of three bits; a letter looks
 /// the same large and small, and what has no shape here is a blank.
-pub(super) fn rows(character: char) -> [u8; ROWS as usize] {
+pub(crate) fn rows(character: char) -> [u8; ROWS as usize] {
     match character.to_ascii_uppercase() {
         '0' | 'O' => [0b111, 0b101, 0b101, 0b101, 0b111],
         '1' => [0b010, 0b110, 0b010, 0b010, 0b111],

@@ -151,7 +151,7 @@ impl FrameSource for ImageSource {
 }
 
 /// The image files of a folder, or those that a pattern matches, in the natural order of their names.
-fn list_files(pattern: &str) -> Result<Vec<PathBuf>, String> {
+pub(super) fn list_files(pattern: &str) -> Result<Vec<PathBuf>, String> {
     let folder = Path::new(pattern);
     let is_folder = folder.is_dir();
     let mut files: Vec<PathBuf> = if is_folder {

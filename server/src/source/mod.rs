@@ -283,6 +283,11 @@ impl OpenSource for SourceOpener {
     }
 }
 
+/// The image files of a folder or pattern, or the one file, in natural order; the error says what is missing.
+pub fn image_files(pattern: &str) -> Result<Vec<std::path::PathBuf>, String> {
+    images::list_files(pattern)
+}
+
 /// The error of a frame of another size than the camera file's.
 fn wrong_size(what: &str, expected: (usize, usize), found: (usize, usize)) -> SourceError {
     SourceError::Size { what: what.to_owned(), expected, found }

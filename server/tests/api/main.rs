@@ -10,6 +10,7 @@ mod origin;
 mod picture;
 mod place;
 mod port;
+mod print;
 mod rig;
 mod service;
 mod simulation;

@@ -11,8 +11,10 @@ use roundel_core::{
     pose::{Locator, RoundelPose},
 };
 
-use super::print::Print;
-use crate::image_file::{self, GreyImage};
+use crate::{
+    image_file::{self, GreyImage},
+    print::spec::Print,
+};
 
 /// What was found in one image.
 pub(super) struct Found {

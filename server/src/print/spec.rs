@@ -1,28 +1,53 @@
-//! The print as told on the command line: its diameters and its code.
+//! Prints in words, as commands and requests have them: diameters, code, polarity, and numbers of codes.
 
+use clap::ValueEnum;
 use roundel_core::marker::{CodeLayout, Kind, Pattern, Polarity, Ring};
+
+/// Words for polarities.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, ValueEnum)]
+pub enum PolarityWord {
+    /// Black ring, white disc, on white
+    #[default]
+    BlackRing,
+    /// White ring, black disc, on black
+    WhiteRing,
+}
+
+impl From<PolarityWord> for Polarity {
+    fn from(word: PolarityWord) -> Self {
+        match word {
+            PolarityWord::BlackRing => Self::BlackRing,
+            PolarityWord::WhiteRing => Self::WhiteRing,
+        }
+    }
+}
 
 /// Diameters as given with `--marker`.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub(super) struct Diameters {
-    pub(super) outer_m: f64,
-    pub(super) inner_m: Option<f64>,
+pub struct Diameters {
+    /// Of the ring, metres.
+    pub outer_m: f64,
+    /// Of the disc, metres; of an elliptical one the longer.
+    pub inner_m: Option<f64>,
     /// Shorter diameter of an elliptical disc.
-    pub(super) minor_m: Option<f64>,
+    pub minor_m: Option<f64>,
 }
 
 /// All that is known of the print.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub(super) struct Print {
-    pub(super) diameters: Option<Diameters>,
-    pub(super) code: Option<CodeLayout>,
-    pub(super) polarity: Polarity,
+pub struct Print {
+    /// As given, if any.
+    pub diameters: Option<Diameters>,
+    /// Of coded prints.
+    pub code: Option<CodeLayout>,
+    /// Which is black.
+    pub polarity: Polarity,
 }
 
 impl Print {
     /// The kind to look for; `None` if any plausible ring is wanted. Without diameters its outer one
     /// is a metre.
-    pub(super) fn kind(&self) -> Option<Kind> {
+    pub fn kind(&self) -> Option<Kind> {
         let outer_m = self.diameters.map_or(1.0, |diameters| diameters.outer_m);
         let written = self.diameters.and_then(|diameters| diameters.inner_m);
         let inner_m = written.or(self.code.map(|_| outer_m * CodeLayout::RATIO))?;
@@ -36,7 +61,7 @@ impl Print {
     /// The kind that a ring's pose follows from; `None` if nothing says its size. Where the inner
     /// diameter was not given, it is taken as it is seen: the ratio of two nearly concentric circles is
     /// nearly that of their images.
-    pub(super) fn kind_of(&self, ring: &Ring) -> Option<Kind> {
+    pub fn kind_of(&self, ring: &Ring) -> Option<Kind> {
         let outer_m = self.diameters?.outer_m;
         let ratio = ring.inner.mean_radius_px() / ring.outer.mean_radius_px();
         let as_seen =
@@ -46,7 +71,7 @@ impl Print {
 }
 
 /// Reads `OUTER_MM[:INNER_MM[:MINOR_MM]]`.
-pub(super) fn diameters(text: &str) -> Result<Diameters, String> {
+pub fn diameters(text: &str) -> Result<Diameters, String> {
     let millimetres = |text: &str| -> Result<f64, String> {
         let value: f64 = text.trim().parse().map_err(|_| {
             format!(
@@ -83,7 +108,7 @@ pub(super) fn diameters(text: &str) -> Result<Diameters, String> {
 }
 
 /// Reads `BITS[:DISTANCE]`.
-pub(super) fn code(text: &str) -> Result<CodeLayout, String> {
+pub fn code(text: &str) -> Result<CodeLayout, String> {
     let whole = |part: &str| -> Result<u8, String> {
         part.trim()
             .parse()
@@ -93,6 +118,34 @@ pub(super) fn code(text: &str) -> Result<CodeLayout, String> {
     let layout = CodeLayout { bits: whole(bits)?, min_distance: whole(distance)? };
     layout.check().map_err(|error| error.to_string())?;
     Ok(layout)
+}
+
+/// Numbers of codes, in the order given.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct Numbers(pub Vec<u16>);
+
+/// Reads `1-24,30`.
+pub fn numbers(text: &str) -> Result<Numbers, String> {
+    let wrong = || format!("expected numbers from 1 on, such as 1-24,30, found `{text}`");
+    let number = |text: &str| text.trim().parse::<u16>().ok().filter(|&number| number > 0);
+    let mut numbers = Vec::new();
+    for part in text.split(',') {
+        let (first, last) = part.split_once('-').unwrap_or((part, part));
+        let (first, last) = number(first)
+            .zip(number(last))
+            .filter(|(first, last)| first <= last)
+            .ok_or_else(wrong)?;
+        numbers.extend(first..=last);
+    }
+    Ok(Numbers(numbers))
+}
+
+/// Reads `COLUMNSxROWS`.
+pub fn sides(text: &str) -> Result<(usize, usize), String> {
+    let side = |side: &str| side.trim().parse::<usize>().ok();
+    text.split_once(['x', 'X', '×'])
+        .and_then(|(columns, rows)| Some((side(columns)?, side(rows)?)))
+        .ok_or_else(|| format!("expected COLUMNSxROWS, such as 7x5, found `{text}`"))
 }
 
 #[cfg(test)]
@@ -139,6 +192,23 @@ mod tests {
         ] {
             let error = code(text).unwrap_err();
             assert!(error.contains(expected), "{error}");
+        }
+    }
+
+    #[test]
+    fn numbers_are_ranges_and_lists() {
+        assert_eq!(numbers("1-3, 30"), Ok(Numbers(vec![1, 2, 3, 30])));
+        for wrong in ["", "0", "3-1", "a", "1-", "1,,2", "70000"] {
+            let error = numbers(wrong).unwrap_err();
+            assert!(error.ends_with(&format!("found `{wrong}`")), "{error}");
+        }
+    }
+
+    #[test]
+    fn sides_of_a_board_are_two_numbers() {
+        assert_eq!(sides("7x5"), Ok((7, 5)));
+        for wrong in ["7", "7x", "x5", "7x5x3", "-7x5"] {
+            assert!(sides(wrong).unwrap_err().ends_with(&format!("found `{wrong}`")));
         }
     }
 

@@ -1,0 +1,161 @@
+//! Which distortion model: the one for which most speaks.
+//!
+//! Of models that explain n numbers with a sum of squares S by k parameters, the one with the least n ln(S/n) + k ln n
+//! is taken (Schwarz 1978): a further coefficient has to earn its keep.
+
+use super::{
+    LensCalibration, ViewFit,
+    bundle::{Bundle, Fit},
+    start::Started,
+};
+use crate::{calib::board::Board, camera::Lens};
+
+/// A distortion model with the coefficients that are estimated; the others are zero.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Model {
+    /// `plumb_bob` with k1.
+    Radial1,
+    /// `plumb_bob` with k1 and k2.
+    Radial2,
+    /// `plumb_bob` with k1, k2, p1 and p2.
+    Tangential,
+    /// `plumb_bob` with all five.
+    PlumbBob,
+    /// `rational_polynomial` with all eight.
+    Rational,
+    /// `equidistant` with two coefficients.
+    Equidistant2,
+    /// `equidistant` with all four.
+    Equidistant,
+}
+
+impl Model {
+    /// All of them, simple ones first.
+    pub const ALL: [Self; 7] = [
+        Self::Radial1,
+        Self::Radial2,
+        Self::Tangential,
+        Self::PlumbBob,
+        Self::Rational,
+        Self::Equidistant2,
+        Self::Equidistant,
+    ];
+
+    /// Coefficients of the lens in ROS' order.
+    pub(super) fn coefficients(self) -> usize {
+        match self {
+            Self::Radial1 | Self::Radial2 | Self::Tangential | Self::PlumbBob => 5,
+            Self::Rational => 8,
+            Self::Equidistant2 | Self::Equidistant => 4,
+        }
+    }
+
+    /// Those that are estimated, in ROS' order.
+    pub fn free(self) -> &'static [usize] {
+        match self {
+            Self::Radial1 => &[0],
+            Self::Radial2 | Self::Equidistant2 => &[0, 1],
+            Self::Tangential | Self::Equidistant => &[0, 1, 2, 3],
+            Self::PlumbBob => &[0, 1, 2, 3, 4],
+            Self::Rational => &[0, 1, 2, 3, 4, 5, 6, 7],
+        }
+    }
+
+    /// Names of the estimated coefficients.
+    pub fn names(self) -> Vec<&'static str> {
+        let all: &[&str] = match self {
+            Self::Equidistant2 | Self::Equidistant => &["k1", "k2", "k3", "k4"],
+            _ => &["k1", "k2", "p1", "p2", "k3", "k4", "k5", "k6"],
+        };
+        self.free().iter().map(|&index| all[index]).collect()
+    }
+
+    /// ROS' name of the lens model.
+    pub fn ros_name(self) -> &'static str {
+        match self {
+            Self::Rational => "rational_polynomial",
+            Self::Equidistant2 | Self::Equidistant => "equidistant",
+            _ => "plumb_bob",
+        }
+    }
+
+    pub(super) fn lens(self, coefficients: &[f64]) -> Option<Lens> {
+        Lens::from_ros(self.ros_name(), coefficients)
+    }
+}
+
+/// What speaks for a model.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Evidence {
+    /// The model.
+    pub model: Model,
+    /// Rms distance between seen and predicted centres, pixels.
+    pub rms_px: f64,
+    /// Schwarz's criterion; the smaller the better. Ten more is decisive.
+    pub criterion: f64,
+}
+
+/// The best model's fit.
+pub(super) struct Best {
+    model: Model,
+    fit: Fit,
+    evidence: Vec<Evidence>,
+}
+
+/// `None` if no model converges.
+pub(super) fn best(
+    board: &Board,
+    size: (usize, usize),
+    started: &Started,
+    models: &[Model],
+) -> Option<Best> {
+    let radius_m = board.kind().outer_diameter_m / 2.0;
+    let mut fits: Vec<(Evidence, Fit)> = models
+        .iter()
+        .filter_map(|&model| {
+            let fit = Bundle::new(size, radius_m, started, model).fit()?;
+            let (count, parameters) = (fit.count as f64, (4 + model.free().len()) as f64);
+            // Models that leave out other views are told by what a sighting costs them.
+            let criterion =
+                (fit.squares / count).max(1e-300).ln() * count + parameters * count.ln();
+            Some((Evidence { model, rms_px: fit.rms_px, criterion }, fit))
+        })
+        .collect();
+    // Only among those that explain as much: a model that leaves out half of the views fits the rest well.
+    let most = fits.iter().map(|(_, fit)| fit.count).max()?;
+    fits.retain(|(_, fit)| fit.count * 10 >= most * 9);
+    fits.sort_by(|one, other| {
+        let per_number = |it: &(Evidence, Fit)| it.0.criterion / it.1.count as f64;
+        per_number(one).total_cmp(&per_number(other))
+    });
+    let evidence = fits.iter().map(|(evidence, _)| *evidence).collect();
+    let (Evidence { model, .. }, fit) = fits.into_iter().next()?;
+    Some(Best { model, fit, evidence })
+}
+
+impl Best {
+    /// As it is told, for so many views that were given.
+    pub(super) fn told(self, given: usize, started: &Started) -> LensCalibration {
+        let Self { model, fit, evidence } = self;
+        let mut views = vec![None; given];
+        let mut outliers = 0;
+        for station in &fit.stations {
+            let begun = started.views.iter().find(|view| view.index == station.index);
+            outliers += begun.map_or(0, |view| view.sightings.len()) - station.points.len();
+            views[station.index] = Some(ViewFit {
+                pose: station.pose,
+                rms_px: station.rms_px(&fit.camera),
+                roundels: station.points.len(),
+            });
+        }
+        LensCalibration {
+            camera: fit.camera,
+            model,
+            covariance: fit.covariance,
+            rms_px: fit.rms_px,
+            views,
+            outliers,
+            evidence,
+        }
+    }
+}

@@ -1,0 +1,203 @@
+//! `roundel calibrate lens`: a camera file from views of the printed board.
+
+use std::{
+    fmt::Write as _,
+    fs,
+    io::Write as _,
+    path::{Path, PathBuf},
+    process::ExitCode,
+};
+
+use anyhow::Context;
+use clap::{Args, ValueEnum};
+use roundel_core::{
+    calib::{
+        board::Board,
+        lens::{LensCalibration, Model, calibrate},
+    },
+    marker::CodeLayout,
+};
+use serde_json::json;
+
+use super::{
+    Format,
+    views::{Gathered, Views, gather},
+};
+use crate::{
+    camera_file,
+    print::{
+        BOARD_LAYOUT, Order,
+        spec::{self, Diameters},
+    },
+};
+
+/// Find a lens: focal length, principal point and distortion, from views of the printed board.
+#[derive(Debug, Args)]
+#[command(after_help = "Examples:\n  \
+    roundel print --board 7x5 board.pdf\n  \
+    roundel calibrate lens --output north.yaml v4l2:/dev/video0       move the board before the camera\n  \
+    roundel calibrate lens --output north.yaml http://10.0.0.2:81/stream\n  \
+    roundel calibrate lens --output north.yaml views/                 a folder, or files\n\n\
+    Good views are chosen by themselves: the board held still for a moment, near and far, in the middle and in\n\
+    every corner, tilted to each side by 20° to 45°. Fix the print to something flat. It ends when nothing is\n\
+    missing, after --views views, or with Ctrl-C, which takes what there is.")]
+pub(super) struct LensArgs {
+    /// A source as in a configuration (images:, http:, v4l2:, rtsp:, file:, …), a folder, or image files
+    #[arg(required = true, value_name = "SOURCE")]
+    sources: Vec<String>,
+    /// The printed board: columns and rows
+    #[arg(long, value_name = "COLUMNSxROWS", value_parser = spec::sides, default_value = "7x5")]
+    board: (usize, usize),
+    /// Its roundels' outer diameter, millimetres, as measured on the print [default: 30]
+    #[arg(long, value_name = "OUTER_MM", value_parser = spec::diameters)]
+    marker: Option<Diameters>,
+    /// From centre to centre, millimetres, as measured on the print [default: 1.2 of the outer diameter]
+    #[arg(long, value_name = "MM")]
+    pitch: Option<f64>,
+    /// Its codes [default: 9]
+    #[arg(long, value_name = "BITS[:DISTANCE]", value_parser = spec::code)]
+    code: Option<CodeLayout>,
+    /// The distortion model [default: the one that the views speak for]
+    #[arg(long, value_enum)]
+    model: Option<ModelWord>,
+    /// Most views that are used
+    #[arg(long, default_value_t = 40, value_parser = clap::value_parser!(u16).range(5..=500))]
+    views: u16,
+    /// The camera's name in the file [default: the file's]
+    #[arg(long)]
+    name: Option<String>,
+    /// Where the camera_info YAML is written; without it, it is only shown
+    #[arg(long, short, value_name = "FILE.yaml")]
+    output: Option<PathBuf>,
+    /// How to print the report
+    #[arg(long, value_enum, default_value_t = Format::Table)]
+    format: Format,
+}
+
+/// Words for distortion models.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
+#[value(rename_all = "snake_case")]
+enum ModelWord {
+    /// k1 k2 p1 p2 k3
+    PlumbBob,
+    /// k1 k2 p1 p2 k3 k4 k5 k6
+    RationalPolynomial,
+    /// k1 k2 k3 k4, for fisheyes
+    Equidistant,
+}
+
+/// Chooses views, solves, writes the file, and prints the report.
+pub(super) fn run(arguments: &LensArgs) -> anyhow::Result<ExitCode> {
+    let board = board(arguments)?;
+    let views = Views { board: &board, most: usize::from(arguments.views) };
+    let gathered = gather(&arguments.sources, &views)?;
+    let model = arguments.model.map(|word| match word {
+        ModelWord::PlumbBob => Model::PlumbBob,
+        ModelWord::RationalPolynomial => Model::Rational,
+        ModelWord::Equidistant => Model::Equidistant,
+    });
+    let taken = gathered.chooser.taken();
+    let found = calibrate(&board, gathered.size, taken, model)
+        .with_context(|| format!("no lens was found: {}", gathered.told()))?;
+    let text = match arguments.format {
+        Format::Json => format!("{}\n", report(&found, &gathered)),
+        Format::Table => table(&found, &gathered)?,
+    };
+    std::io::stdout().write_all(text.as_bytes()).context("cannot write to the standard output")?;
+    if let Some(file) = &arguments.output {
+        let name = arguments.name.clone().unwrap_or_else(|| stem(file));
+        fs::write(file, camera_file::write(&name, &found.camera))
+            .with_context(|| format!("cannot write {}", file.display()))?;
+        eprintln!("wrote {}", file.display());
+    }
+    Ok(ExitCode::SUCCESS)
+}
+
+fn stem(file: &Path) -> String {
+    file.file_stem().unwrap_or_default().to_string_lossy().into_owned()
+}
+
+fn board(arguments: &LensArgs) -> anyhow::Result<Board> {
+    let layout = arguments.code.unwrap_or(BOARD_LAYOUT);
+    Ok(Order::board(arguments.board, arguments.marker, arguments.pitch, layout)?)
+}
+
+/// Names, values and deviations of what was estimated.
+fn parameters(found: &LensCalibration) -> Vec<(&'static str, f64, f64)> {
+    let intrinsics = found.camera.intrinsics();
+    let pinhole = [
+        ("fx", intrinsics.fx_px),
+        ("fy", intrinsics.fy_px),
+        ("cx", intrinsics.cx_px),
+        ("cy", intrinsics.cy_px),
+    ];
+    let coefficients = intrinsics.lens.coefficients();
+    let names = found.model.names();
+    let free = names.into_iter().zip(found.model.free().iter().map(|&index| coefficients[index]));
+    let values = pinhole.into_iter().chain(free);
+    values.zip(found.deviations()).map(|((name, value), sd)| (name, value, sd)).collect()
+}
+
+fn report(found: &LensCalibration, gathered: &Gathered) -> serde_json::Value {
+    let intrinsics = found.camera.intrinsics();
+    let parameters: serde_json::Map<String, serde_json::Value> = parameters(found)
+        .into_iter()
+        .map(|(name, value, sd)| (name.to_owned(), json!({"value": value, "deviation": sd})))
+        .collect();
+    let views: Vec<_> = found
+        .views
+        .iter()
+        .map(|view| view.map(|view| json!({"rms_px": view.rms_px, "roundels": view.roundels})))
+        .collect();
+    json!({
+        "width": intrinsics.width,
+        "height": intrinsics.height,
+        "distortion_model": intrinsics.lens.name(),
+        "distortion_coefficients": intrinsics.lens.coefficients(),
+        "parameters": parameters,
+        "covariance": (0..found.covariance.nrows())
+            .flat_map(|row| (row..found.covariance.ncols()).map(move |column| (row, column)))
+            .map(|place| found.covariance[place])
+            .collect::<Vec<_>>(),
+        "rms_px": found.rms_px,
+        "views": views,
+        "outliers": found.outliers,
+        "frames": gathered.frames,
+        "coverage": gathered.chooser.coverage().share(),
+        "evidence": found.evidence.iter().map(|evidence| json!({
+            "model": evidence.model.ros_name(),
+            "coefficients": evidence.model.names(),
+            "rms_px": evidence.rms_px,
+            "criterion": evidence.criterion,
+        })).collect::<Vec<_>>(),
+    })
+}
+
+fn table(found: &LensCalibration, gathered: &Gathered) -> anyhow::Result<String> {
+    let mut text = String::new();
+    let used = found.views.iter().flatten().count();
+    writeln!(text, "{}", gathered.told())?;
+    writeln!(
+        text,
+        "{used} views used, {} left out, {} roundels left out; rms {:.3} px; {} % of the picture covered",
+        found.views.len() - used,
+        found.outliers,
+        found.rms_px,
+        (gathered.chooser.coverage().share() * 100.0).round()
+    )?;
+    writeln!(text, "{} ({})", found.model.ros_name(), found.model.names().join(" "))?;
+    for (name, value, sd) in parameters(found) {
+        match name {
+            "fx" | "fy" | "cx" | "cy" => writeln!(text, "  {name:>3} {value:>12.3} ± {sd:.3} px")?,
+            _ => writeln!(text, "  {name:>3} {value:>12.6} ± {sd:.6}")?,
+        }
+    }
+    let wants = gathered.chooser.coverage().wants();
+    if !wants.is_empty() {
+        writeln!(text, "It would be known better with:")?;
+        for want in wants {
+            writeln!(text, "  {want}")?;
+        }
+    }
+    Ok(text)
+}

@@ -1,0 +1,75 @@
+//! The page of a calibration board.
+
+use roundel_core::calib::board::Board;
+use thiserror::Error;
+
+use super::{
+    marks, millimetres,
+    page::{Page, PageSize},
+    path::Place,
+    roundel::outline,
+    sheet::window,
+};
+
+/// The board is larger than the page.
+#[derive(Clone, Debug, PartialEq, Error)]
+#[error(
+    "a board of {columns} x {rows} with a pitch of {pitch} mm is {width} x {height} mm, and {page} has room \
+     for {room_width} x {room_height} mm: use a smaller pitch and outer diameter, fewer roundels, or a \
+     larger page"
+)]
+pub struct BoardPageError {
+    columns: usize,
+    rows: usize,
+    pitch: String,
+    width: String,
+    height: String,
+    page: String,
+    room_width: String,
+    room_height: String,
+}
+
+/// The board in the middle of one page, turned if it fits only then: its parts must not move against each
+/// other, so it is never spread over several.
+pub fn board_page(board: &Board, page: PageSize) -> Result<Page, BoardPageError> {
+    let kind = board.kind();
+    let (outer_mm, pitch_mm) = (kind.outer_diameter_m * 1e3, board.pitch_m() * 1e3);
+    let side = |count: usize| (count - 1) as f64 * pitch_mm + outer_mm;
+    let (width, height) = (side(board.columns()), side(board.rows()));
+    let fits = |page: &PageSize| {
+        let room = window(*page);
+        room.width() >= width && room.height() >= height
+    };
+    let Some(page) = [page, page.turned()].into_iter().find(fits) else {
+        let lying = if width > height { page.turned() } else { page };
+        let room = window(lying);
+        return Err(BoardPageError {
+            columns: board.columns(),
+            rows: board.rows(),
+            pitch: millimetres(pitch_mm),
+            width: millimetres(width),
+            height: millimetres(height),
+            page: page.name(),
+            room_width: millimetres(room.width()),
+            room_height: millimetres(room.height()),
+        });
+    };
+    let window = window(page);
+    let middle = Place::new((window.left + window.right) / 2.0, (window.top + window.bottom) / 2.0);
+    let codes = match kind.pattern {
+        roundel_core::marker::Pattern::Coded(layout) => layout.codes().ok(),
+        _ => None,
+    };
+    let prints = board.centers().map(|(number, center)| {
+        let teeth = codes.as_ref().and_then(|codes| codes.teeth(number)).unwrap_or_default();
+        outline(&kind, &teeth, middle.moved(center.x * 1e3, -center.y * 1e3), pitch_mm)
+    });
+    let about = format!(
+        "calibration board: {} x {} roundels of {} mm, {} mm from centre to centre",
+        board.columns(),
+        board.rows(),
+        millimetres(outer_mm),
+        millimetres(pitch_mm)
+    );
+    Ok(Page { size: page, window, prints: prints.collect(), marks: marks::foot(page, &about) })
+}

@@ -1,0 +1,134 @@
+//! What is printed round the roundels: cut marks, the ruler that checks the printer, small print.
+
+use super::{
+    page::{Anchor, PageSize, Shape},
+    path::{Area, Place},
+    sheet::{EDGE_MM, FOOT_MM, Item, RULER_MM},
+};
+
+/// Length of a cut mark, and how far it stays from the square, millimetres.
+pub(super) const CUT_MM: f64 = 3.0;
+pub(super) const CUT_GAP_MM: f64 = 0.5;
+/// Longest ruler, millimetres.
+const LONGEST_RULER_MM: f64 = 100.0;
+/// Lengths of the ruler's marks at each half and each whole centimetre, millimetres.
+const TICKS_MM: (f64, f64) = (1.5, 3.0);
+/// Height of capitals of the small print, millimetres.
+const SMALL_MM: f64 = 1.8;
+/// Length of a mark where sheets meet, and how far it stays from the window, millimetres.
+const JOIN_MM: f64 = 1.5;
+const JOIN_GAP_MM: f64 = 0.3;
+
+/// Marks in line with a square's sides, at its corners.
+pub(super) fn cut(square: &Area) -> Vec<Shape> {
+    let mut marks = Vec::with_capacity(8);
+    for (x, away_x) in [(square.left, -1.0), (square.right, 1.0)] {
+        for (y, away_y) in [(square.top, -1.0), (square.bottom, 1.0)] {
+            let (from, to) = (CUT_GAP_MM, CUT_GAP_MM + CUT_MM);
+            let line = |from, to| Shape::Line { from, to };
+            marks.push(line(Place::new(x + away_x * from, y), Place::new(x + away_x * to, y)));
+            marks.push(line(Place::new(x, y + away_y * from), Place::new(x, y + away_y * to)));
+        }
+    }
+    marks
+}
+
+/// Label and size in the square's lower corners, where they stay after cutting and no rim is near; none
+/// on black, and none where they would be too small to be read.
+pub(super) fn corner(item: &Item, square: &Area) -> Vec<Shape> {
+    let outer_mm = item.kind.outer_diameter_m * 1e3;
+    let height_mm = (outer_mm * 0.04).min(SMALL_MM * 1.5);
+    if height_mm < 0.8 || item.kind.polarity == roundel_core::marker::Polarity::WhiteRing {
+        return Vec::new();
+    }
+    let inset = 0.6 * height_mm;
+    let size = format!("{} mm", super::millimetres(outer_mm));
+    let text = |x, anchor, text| Shape::Text {
+        at: Place::new(x, square.bottom - inset),
+        anchor,
+        height_mm,
+        text,
+    };
+    vec![
+        text(square.left + inset, Anchor::Begin, item.label.clone()),
+        text(square.right - inset, Anchor::End, size),
+    ]
+}
+
+/// The small print at the foot of a page, and a ruler along the foot and one up the right.
+pub(super) fn foot(page: PageSize, about: &str) -> Vec<Shape> {
+    let (foot_y, right_x) =
+        (page.height_mm - EDGE_MM - FOOT_MM + 5.0, page.width_mm - EDGE_MM - RULER_MM + 3.0);
+    let length = |room_mm: f64| ((room_mm / 10.0).floor() * 10.0).min(LONGEST_RULER_MM);
+    let across = length(page.width_mm - 2.0 * EDGE_MM - RULER_MM);
+    let up = length(page.height_mm - 2.0 * EDGE_MM - FOOT_MM);
+    let mut shapes = vec![
+        Shape::Line { from: Place::new(EDGE_MM, foot_y), to: Place::new(EDGE_MM + across, foot_y) },
+        Shape::Line { from: Place::new(right_x, EDGE_MM), to: Place::new(right_x, EDGE_MM + up) },
+    ];
+    let tick = |index: usize| if index.is_multiple_of(2) { TICKS_MM.1 } else { TICKS_MM.0 };
+    for index in 0..=(across / 5.0).round() as usize {
+        let x = EDGE_MM + 5.0 * index as f64;
+        shapes.push(Shape::Line {
+            from: Place::new(x, foot_y),
+            to: Place::new(x, foot_y - tick(index)),
+        });
+    }
+    for index in 0..=(up / 5.0).round() as usize {
+        let y = EDGE_MM + 5.0 * index as f64;
+        shapes.push(Shape::Line {
+            from: Place::new(right_x, y),
+            to: Place::new(right_x + tick(index), y),
+        });
+    }
+    let lines = [
+        about.to_owned(),
+        format!(
+            "Print at 100 %, not fitted to the page: the rulers measure {across} mm across and {up} mm down."
+        ),
+    ];
+    for (index, text) in lines.into_iter().enumerate() {
+        shapes.push(Shape::Text {
+            at: Place::new(EDGE_MM, foot_y + 3.2 + 3.0 * index as f64),
+            anchor: Anchor::Begin,
+            height_mm: SMALL_MM,
+            text,
+        });
+    }
+    shapes
+}
+
+/// Where sheets of one large roundel meet, marked outside of their windows: the left and the upper edge are
+/// cut off at the window where a sheet joins there, and laid on the line that the other sheet's marks span.
+/// `sides`: whether there is a sheet to the left, right, top and bottom.
+pub(super) fn joins(window: &Area, overlap_mm: f64, sides: [bool; 4]) -> Vec<Shape> {
+    let [left, right, top, bottom] = sides;
+    let beyond = [JOIN_GAP_MM, JOIN_GAP_MM + JOIN_MM];
+    let mut marks = Vec::new();
+    for (is_there, x) in [(left, window.left), (right, window.right - overlap_mm)] {
+        if is_there {
+            let above = beyond.map(|away| Place::new(x, window.top - away));
+            let below = beyond.map(|away| Place::new(x, window.bottom + away));
+            marks.extend([above, below].map(|[from, to]| Shape::Line { from, to }));
+        }
+    }
+    for (is_there, y) in [(top, window.top), (bottom, window.bottom - overlap_mm)] {
+        if is_there {
+            let before = beyond.map(|away| Place::new(window.left - away, y));
+            let behind = beyond.map(|away| Place::new(window.right + away, y));
+            marks.extend([before, behind].map(|[from, to]| Shape::Line { from, to }));
+        }
+    }
+    marks
+}
+
+/// Whether a mark lies in an area as a whole.
+pub(super) fn is_inside(shape: &Shape, area: &Area) -> bool {
+    let holds = |place: &Place| {
+        (area.left..=area.right).contains(&place.x) && (area.top..=area.bottom).contains(&place.y)
+    };
+    match shape {
+        Shape::Line { from, to } => holds(from) && holds(to),
+        Shape::Text { at, .. } => holds(at),
+    }
+}

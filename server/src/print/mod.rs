@@ -1,0 +1,54 @@
+//! Roundels on paper: true to scale, as PDF, SVG or PNG.
+//!
+//! In: kinds of roundel, as the detector knows them ([`roundel_core::marker::Kind`]), numbers of codes, and
+//! a page. Out: files. All geometry is in millimetres from the page's top left corner ([`path`]); each
+//! format draws the same [`page::Page`]s. What is drawn is tested against the detector
+//! (`tests/tests/print.rs`).
+
+mod board;
+mod list;
+mod marks;
+mod order;
+pub mod page;
+pub mod path;
+mod pdf;
+mod raster;
+mod roundel;
+mod sheet;
+pub mod spec;
+mod svg;
+
+use roundel_core::marker::CodeLayout;
+
+pub use board::{BoardPageError, board_page};
+pub use list::{Listed, list};
+pub use order::{Order, OrderError, configured, of_kind, one_coded};
+pub use page::{Page, PageSize, PageSizeError};
+pub use pdf::pdf;
+pub use raster::{DPI_LIMITS, RasterError, png};
+pub use roundel::SIDE_SHARE;
+pub use sheet::{Item, MAX_PAGES, SheetError, sheets};
+pub use svg::svg;
+
+/// Of a board of which nothing else is said: its roundels' outer diameter, metres.
+pub const BOARD_OUTER_M: f64 = 0.03;
+/// Its pitch over that.
+pub const BOARD_PITCH: f64 = 1.2;
+/// Its codes.
+pub const BOARD_LAYOUT: CodeLayout = CodeLayout { bits: 9, min_distance: 1 };
+
+/// A length as people write it: to a hundredth, without zeros at its end.
+pub fn millimetres(length_mm: f64) -> String {
+    let text = format!("{length_mm:.2}");
+    text.trim_end_matches('0').trim_end_matches('.').to_owned()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn lengths_are_short() {
+        assert_eq!([160.0, 96.5, 0.128, 100.004].map(millimetres), ["160", "96.5", "0.13", "100"]);
+    }
+}

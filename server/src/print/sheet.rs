@@ -1,0 +1,386 @@
+//! Sheets: many roundels on a page, or one that is larger than a page on several.
+//!
+//! In: roundels of any kinds, and a page. Out: pages of outlines. Roundels of one size share pages, as
+//! many as fit, each in a square with cut marks at its corners; the page is turned where more fit then.
+//! A larger one is spread over pages that overlap by [`OVERLAP_MM`], with marks where sheets meet.
+
+use roundel_core::marker::{Kind, Pattern, Tooth};
+use thiserror::Error;
+
+use super::{
+    marks,
+    page::{Page, PageSize, Shape},
+    path::{Area, Place},
+    roundel::{LEAST_SIDE_SHARE, SIDE_SHARE, outline},
+};
+
+/// So much of a page's edges printers leave white, millimetres.
+pub(super) const EDGE_MM: f64 = 6.0;
+/// What ruler and small print take at the foot and at the right, millimetres.
+pub(super) const FOOT_MM: f64 = 13.0;
+pub(super) const RULER_MM: f64 = 6.0;
+/// Between squares, for their cut marks, millimetres.
+const GAP_MM: f64 = 2.0 * (marks::CUT_GAP_MM + marks::CUT_MM) + 1.0;
+/// A square that just fits does fit.
+const ROUNDING: f64 = 1e-9;
+/// What pages of one large roundel have in common, millimetres.
+const OVERLAP_MM: f64 = 10.0;
+/// Most pages of one file.
+pub const MAX_PAGES: usize = 500;
+/// Smallest roundel that a printer makes well, millimetres.
+const LEAST_OUTER_MM: f64 = 2.0;
+/// Largest roundel, millimetres.
+const LARGEST_OUTER_MM: f64 = 5000.0;
+
+/// One roundel to print.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Item {
+    /// What it is.
+    pub kind: Kind,
+    /// Which, of a coded kind.
+    pub number: Option<u16>,
+    /// Small print in its corner, such as `#17`.
+    pub label: String,
+}
+
+/// Why there is nothing to print.
+#[derive(Clone, Debug, PartialEq, Error)]
+pub enum SheetError {
+    /// Nothing to print.
+    #[error("nothing to print: expected at least one roundel")]
+    Empty,
+    /// Cannot be printed.
+    #[error(
+        "expected an outer diameter of {LEAST_OUTER_MM} to {LARGEST_OUTER_MM} mm, found {found_mm} mm"
+    )]
+    Size {
+        /// The outer diameter.
+        found_mm: f64,
+    },
+    /// No code of that number.
+    #[error(
+        "there is no code {number} of {bits} bits at a distance of {min_distance}: they are numbered \
+         from 1 to {count}"
+    )]
+    Number {
+        /// As asked for.
+        number: u16,
+        /// The layout's bits.
+        bits: u8,
+        /// The layout's least distance.
+        min_distance: u8,
+        /// How many there are.
+        count: usize,
+    },
+    /// Too much for one file.
+    #[error(
+        "this takes {found} pages, and a file holds {MAX_PAGES} at most: print fewer roundels at a \
+         time, or on larger pages"
+    )]
+    Pages {
+        /// As many would be needed.
+        found: usize,
+    },
+    /// No room beside ruler and margins.
+    #[error(
+        "a page of {width_mm} x {height_mm} mm has no room for roundels beside the ruler and the edge \
+         that printers leave white: use a larger page"
+    )]
+    Page {
+        /// The page's.
+        width_mm: f64,
+        /// The page's.
+        height_mm: f64,
+    },
+}
+
+/// Lays out `items` in their order.
+pub fn sheets(items: &[Item], page: PageSize) -> Result<Vec<Page>, SheetError> {
+    if items.is_empty() {
+        return Err(SheetError::Empty);
+    }
+    let mut pages = Vec::new();
+    for alike in items.chunk_by(|one, other| one.kind == other.kind) {
+        let outer_mm = alike[0].kind.outer_diameter_m * 1e3;
+        if !(LEAST_OUTER_MM..=LARGEST_OUTER_MM).contains(&outer_mm) {
+            return Err(SheetError::Size { found_mm: outer_mm });
+        }
+        let side_mm = SIDE_SHARE * outer_mm;
+        match Grid::best(page, side_mm).or_else(|| Grid::narrow(page, outer_mm)) {
+            Some(grid) => pages.extend(grid.fill(alike)?),
+            None => spread(alike, page, side_mm, &mut pages)?,
+        }
+        if pages.len() > MAX_PAGES {
+            return Err(SheetError::Pages { found: pages.len() });
+        }
+    }
+    Ok(pages)
+}
+
+/// The part of a page that prints may take.
+pub(super) fn window(page: PageSize) -> Area {
+    Area {
+        left: EDGE_MM,
+        top: EDGE_MM,
+        right: page.width_mm - EDGE_MM - RULER_MM,
+        bottom: page.height_mm - EDGE_MM - FOOT_MM,
+    }
+}
+
+/// Squares side by side on a page.
+struct Grid {
+    page: PageSize,
+    side_mm: f64,
+    columns: usize,
+    rows: usize,
+}
+
+impl Grid {
+    /// As many as fit, on the page as it is or turned; `None` if not one fits.
+    fn best(page: PageSize, side_mm: f64) -> Option<Self> {
+        let [upright, turned] = [page, page.turned()].map(|page| Self::of(page, side_mm));
+        let room = |grid: &Option<Self>| grid.as_ref().map_or(0, Self::cells);
+        if room(&turned) > room(&upright) { turned } else { upright }
+    }
+
+    /// One with as much margin as the page has, if that is enough; better than two sheets that are glued.
+    fn narrow(page: PageSize, outer_mm: f64) -> Option<Self> {
+        let window = window(page);
+        let side_mm = window.width().min(window.height()) - GAP_MM;
+        (side_mm >= LEAST_SIDE_SHARE * outer_mm).then(|| Self::of(page, side_mm)).flatten()
+    }
+
+    /// `None` if not one fits.
+    fn of(page: PageSize, side_mm: f64) -> Option<Self> {
+        let window = window(page);
+        let pitch_mm = side_mm + GAP_MM;
+        let (columns, rows) = (
+            (window.width() / pitch_mm + ROUNDING).floor().max(0.0) as usize,
+            (window.height() / pitch_mm + ROUNDING).floor().max(0.0) as usize,
+        );
+        (columns * rows > 0).then_some(Self { page, side_mm, columns, rows })
+    }
+
+    fn cells(&self) -> usize {
+        self.columns * self.rows
+    }
+
+    /// As many pages as `items` take.
+    fn fill(&self, items: &[Item]) -> Result<Vec<Page>, SheetError> {
+        let window = window(self.page);
+        let pitch_mm = self.side_mm + GAP_MM;
+        let count = items.len().div_ceil(self.cells());
+        if count > MAX_PAGES {
+            return Err(SheetError::Pages { found: count });
+        }
+        let mut pages = Vec::with_capacity(count);
+        for items in items.chunks(self.cells()) {
+            let mut page = Page { size: self.page, window, prints: Vec::new(), marks: Vec::new() };
+            for (index, item) in items.iter().enumerate() {
+                let center = Place::new(
+                    window.left + pitch_mm * ((index % self.columns) as f64 + 0.5),
+                    window.top + pitch_mm * ((index / self.columns) as f64 + 0.5),
+                );
+                let square = Area::square(center, self.side_mm);
+                page.prints.push(outline(&item.kind, &teeth(item)?, center, self.side_mm));
+                page.marks.extend(marks::cut(&square));
+                page.marks.extend(marks::corner(item, &square));
+            }
+            page.marks.extend(marks::foot(self.page, &footing(&items[0])));
+            pages.push(page);
+        }
+        Ok(pages)
+    }
+}
+
+/// One roundel after the other, each over several pages.
+fn spread(
+    items: &[Item],
+    page: PageSize,
+    side_mm: f64,
+    pages: &mut Vec<Page>,
+) -> Result<(), SheetError> {
+    let ways = [page, page.turned()].map(|page| Mosaic::of(page, side_mm));
+    let fewest = ways.into_iter().flatten().min_by_key(Mosaic::count);
+    let Some(mosaic) = fewest else {
+        let PageSize { width_mm, height_mm } = page;
+        return Err(SheetError::Page { width_mm, height_mm });
+    };
+    let found = mosaic.count().saturating_mul(items.len());
+    if found > MAX_PAGES {
+        return Err(SheetError::Pages { found });
+    }
+    for item in items {
+        let teeth = teeth(item)?;
+        pages.extend((0..mosaic.count()).map(|index| mosaic.sheet(index, item, &teeth)));
+    }
+    Ok(())
+}
+
+/// Sheets that overlap, and together hold one square.
+struct Mosaic {
+    page: PageSize,
+    window: Area,
+    side_mm: f64,
+    columns: usize,
+    rows: usize,
+}
+
+impl Mosaic {
+    /// `None` if a page holds little more than the overlap.
+    fn of(page: PageSize, side_mm: f64) -> Option<Self> {
+        let window = window(page);
+        if window.width() < 3.0 * OVERLAP_MM || window.height() < 3.0 * OVERLAP_MM {
+            return None;
+        }
+        // Cut marks lie outside of the square.
+        let whole_mm = side_mm + GAP_MM;
+        let along = |room_mm: f64| {
+            ((whole_mm - OVERLAP_MM) / (room_mm - OVERLAP_MM)).ceil().max(1.0) as usize
+        };
+        let (columns, rows) = (along(window.width()), along(window.height()));
+        Some(Self { page, window, side_mm, columns, rows })
+    }
+
+    fn count(&self) -> usize {
+        self.columns.saturating_mul(self.rows)
+    }
+
+    /// The sheet of that number, row by row.
+    fn sheet(&self, index: usize, item: &Item, teeth: &[Tooth]) -> Page {
+        let &Self { page, window, side_mm, columns, rows } = self;
+        let (column, row) = (index % columns, index / columns);
+        // So far apart are sheets that share an overlap; the square is in the middle of all.
+        let middle = |begin: f64, room: f64, count: usize, place: usize| {
+            let step = room - OVERLAP_MM;
+            begin + (step * count as f64 + OVERLAP_MM) / 2.0 - step * place as f64
+        };
+        let center = Place::new(
+            middle(window.left, window.width(), columns, column),
+            middle(window.top, window.height(), rows, row),
+        );
+        let square = Area::square(center, side_mm);
+        let mut marks: Vec<Shape> = marks::cut(&square)
+            .into_iter()
+            .chain(marks::corner(item, &square))
+            .filter(|shape| marks::is_inside(shape, &window))
+            .collect();
+        let joins = [column > 0, column + 1 < columns, row > 0, row + 1 < rows];
+        marks.extend(marks::joins(&window, OVERLAP_MM, joins));
+        let about = format!(
+            "{} {}, row {} of {rows}, column {} of {columns}; sheets overlap by {OVERLAP_MM} mm",
+            footing(item),
+            item.label,
+            row + 1,
+            column + 1
+        );
+        marks.extend(marks::foot(page, &about));
+        Page {
+            size: page,
+            window,
+            prints: vec![outline(&item.kind, teeth, center, side_mm)],
+            marks,
+        }
+    }
+}
+
+fn teeth(item: &Item) -> Result<Vec<Tooth>, SheetError> {
+    let Pattern::Coded(layout) = item.kind.pattern else { return Ok(Vec::new()) };
+    let number = item.number.unwrap_or(0);
+    let word = layout.codes().ok().map(|codes| (codes.len(), codes.teeth(number)));
+    match word {
+        Some((_, Some(teeth))) => Ok(teeth),
+        other => Err(SheetError::Number {
+            number,
+            bits: layout.bits,
+            min_distance: layout.min_distance,
+            count: other.map_or(0, |(count, _)| count),
+        }),
+    }
+}
+
+/// The kind as it has to be configured.
+fn footing(item: &Item) -> String {
+    let kind = &item.kind;
+    let mm = |length_m: f64| super::millimetres(length_m * 1e3);
+    let (outer, inner) = (mm(kind.outer_diameter_m), mm(kind.inner_diameter_m));
+    let size = match kind.pattern {
+        Pattern::Plain => format!("outer {outer} mm, inner {inner} mm"),
+        Pattern::Elliptical { minor_diameter_m } => {
+            format!("outer {outer} mm, inner {inner} x {} mm", mm(minor_diameter_m))
+        }
+        Pattern::Coded(layout) => format!(
+            "outer {outer} mm, code of {} bits at distance {}",
+            layout.bits, layout.min_distance
+        ),
+    };
+    if kind.name.is_empty() { size } else { format!("{}: {size}", kind.name) }
+}
+
+#[cfg(test)]
+mod tests {
+    use roundel_core::marker::CodeLayout;
+
+    use super::*;
+
+    const A4: PageSize = PageSize { width_mm: 210.0, height_mm: 297.0 };
+
+    fn plain(outer_mm: f64) -> Item {
+        let kind = Kind::plain("robot", outer_mm * 1e-3, outer_mm * 0.4e-3);
+        Item { kind, number: None, label: String::new() }
+    }
+
+    #[test]
+    fn as_many_fit_on_a_page_as_there_is_room_for() {
+        let pages = sheets(&vec![plain(50.0); 7], A4).unwrap();
+        assert_eq!(pages.iter().map(|page| page.prints.len()).collect::<Vec<_>>(), [6, 1]);
+        // One of 130 mm fits either way, upright first.
+        assert_eq!(sheets(&[plain(130.0)], A4).unwrap()[0].size, A4);
+        // One of 160 mm just fits, with less of a margin.
+        let pages = sheets(&[plain(160.0)], A4).unwrap();
+        assert_eq!((pages.len(), pages[0].prints.len()), (1, 1));
+        // Three fit side by side where the page is turned, two upright.
+        let pages = sheets(&vec![plain(58.0); 6], A4).unwrap();
+        assert!(pages.len() == 1, "{}", pages.len());
+    }
+
+    #[test]
+    fn a_large_roundel_goes_over_pages_that_overlap() {
+        let pages = sheets(&[plain(300.0)], A4).unwrap();
+        assert_eq!(pages.len(), 6);
+        // The next page's picture is the same, moved by the window but for the overlap.
+        let first = |page: &Page| match page.prints[0].steps[0] {
+            super::super::path::Step::Move(place) => place,
+            step => panic!("{step:?}"),
+        };
+        let (one, next) = (first(&pages[0]), first(&pages[1]));
+        let width = window(A4).width();
+        assert!((one.x - next.x - (width - OVERLAP_MM)).abs() < 1e-9 && one.y == next.y);
+        // Together they hold the whole square.
+        let columns = 3.0;
+        assert!(columns * (width - OVERLAP_MM) + OVERLAP_MM >= 300.0 * SIDE_SHARE);
+    }
+
+    #[test]
+    fn what_cannot_be_printed_says_why() {
+        let error = |items: &[Item], page| sheets(items, page).unwrap_err().to_string();
+        assert!(error(&[], A4).contains("at least one"));
+        assert!(error(&[plain(0.5)], A4).contains("found 0.5 mm"));
+        assert!(
+            error(&[plain(4999.0)], PageSize { width_mm: 100.0, height_mm: 100.0 })
+                .contains("pages")
+        );
+        let tiny = PageSize { width_mm: 50.0, height_mm: 50.0 };
+        assert!(
+            error(&[plain(90.0)], tiny).contains("has no room"),
+            "{}",
+            error(&[plain(90.0)], tiny)
+        );
+        let layout = CodeLayout { bits: 8, min_distance: 2 };
+        let count = layout.codes().unwrap().len();
+        let mut coded = plain(50.0);
+        coded.kind.pattern = Pattern::Coded(layout);
+        coded.number = Some(count as u16 + 1);
+        assert!(error(&[coded], A4).contains(&format!("numbered from 1 to {count}")));
+    }
+}

@@ -1,0 +1,51 @@
+//! Roundels to print, over REST.
+
+use axum::http::StatusCode;
+
+use crate::rig::Rig;
+
+#[tokio::test]
+async fn files_to_print_come_over_rest() {
+    let rig = Rig::start().await;
+    let pdf = rig.get("/api/v1/print?marker=160&code=8:2&ids=1-4").await;
+    assert_eq!((pdf.status, pdf.header("content-type")), (StatusCode::OK, "application/pdf"));
+    assert!(pdf.body.starts_with(b"%PDF-"));
+    assert!(pdf.header("content-disposition").contains("roundels.pdf"));
+    let svg = rig.get("/api/v1/print?marker=50:20&format=svg&page=Letter").await;
+    assert_eq!((svg.status, svg.header("content-type")), (StatusCode::OK, "image/svg+xml"));
+    assert!(svg.text().contains("width=\"215.9mm\""), "{}", svg.text());
+    let board = rig.get("/api/v1/print?board=7x5&format=svg").await;
+    assert!(board.text().contains("viewBox=\"0 0 297 210\""), "{}", board.text());
+    let codes = rig.get("/api/v1/codes?code=8:2").await.json();
+    assert_eq!((&codes[0]["number"], &codes[0]["word"]), (&1.into(), &"00000001".into()));
+    rig.stop().await;
+}
+
+#[tokio::test]
+async fn what_cannot_be_printed_names_the_parameter() {
+    let rig = Rig::start().await;
+    for (query, expected) in [
+        ("", "marker: expected OUTER_MM[:INNER_MM], or a board"),
+        ("marker=160", "marker: expected OUTER_MM:INNER_MM for a plain roundel"),
+        ("marker=big", "marker: expected OUTER_MM"),
+        ("marker=160:20", "another would not be found"),
+        ("marker=160&code=8:2&ids=0", "ids: expected numbers from 1 on"),
+        ("marker=160&code=8:2&ids=99", "there is no code 99 of 8 bits"),
+        ("marker=160:64&ids=1", "this kind has none"),
+        ("marker=160&code=40", "code: expected codes of 5 to 16 bits"),
+        ("marker=160:64&page=A9", "page: expected a page of A2"),
+        ("marker=160:64&format=doc", "format: expected pdf or svg"),
+        ("marker=50:20&format=svg&sheet=2", "sheet: expected a page from 1 to 1"),
+        ("marker=160:64&colour=red", "query: expected one of"),
+        ("marker=160:64&polarity=grey", "polarity: "),
+        ("board=2x2", "board: expected a board of 3 to 40"),
+        ("board=7x5&page=A5", "has room for"),
+    ] {
+        let answer = rig.get(&format!("/api/v1/print?{query}")).await;
+        assert_eq!(answer.status, StatusCode::BAD_REQUEST, "{query}: {}", answer.text());
+        let (code, message) = answer.error();
+        assert_eq!(code, "invalid_argument");
+        assert!(message.contains(expected), "{query}: {message}");
+    }
+    rig.stop().await;
+}

@@ -1,0 +1,116 @@
+//! How well lenses are found: 30 rendered views a seed, next to the truth and to what is stated.
+//!
+//! `cargo run --release -p roundel-tests --bin lenses -- [SEEDS] [--export DIR]`. With `--export` pictures of a
+//! chessboard of the same size from the same places are written, for `tests/compare/lens`.
+
+use std::{fs, path::PathBuf, process::ExitCode};
+
+use roundel_tests::{
+    board::{
+        SQUARE_M, SQUARES, board_print, camera, chessboard_print, imaging, lens, pictures, poses,
+    },
+    export::write_png,
+    normal::Random,
+};
+
+const VIEWS: usize = 30;
+
+fn main() -> ExitCode {
+    let mut arguments = std::env::args().skip(1);
+    let (mut seeds, mut export) = (50, None);
+    while let Some(argument) = arguments.next() {
+        match argument.as_str() {
+            "--export" => export = arguments.next().map(PathBuf::from),
+            number => match number.parse::<u64>() {
+                Ok(number) if number > 0 => seeds = number,
+                _ => {
+                    eprintln!("expected a number of seeds or --export DIR, found {number:?}");
+                    return ExitCode::from(2);
+                }
+            },
+        }
+    }
+    let truth = camera();
+    let print = board_print();
+    let mut squares: Vec<f64> = Vec::new();
+    let mut inside: Vec<u64> = Vec::new();
+    let (mut worst_focal, mut worst_center_px, mut rms_px, mut models) =
+        (0.0_f64, 0.0_f64, 0.0, Vec::new());
+    for seed in 0..seeds {
+        let poses = poses(&truth, VIEWS, &mut Random::new(seed, 0));
+        let found = match lens(&pictures(&truth, imaging(), &print, &poses, seed)) {
+            Ok(found) => found,
+            Err(error) => {
+                eprintln!("seed {seed}: {error}");
+                return ExitCode::FAILURE;
+            }
+        };
+        let is = found.camera.intrinsics();
+        let errors = [
+            is.fx_px - truth.focal_px[0],
+            is.fy_px - truth.focal_px[1],
+            is.cx_px - truth.center_px[0],
+            is.cy_px - truth.center_px[1],
+        ];
+        for (error, focal_px) in errors.iter().zip(truth.focal_px) {
+            worst_focal = worst_focal.max((error / focal_px).abs());
+        }
+        worst_center_px = worst_center_px.max(errors[2].hypot(errors[3]));
+        rms_px += found.rms_px / seeds as f64;
+        models.push(format!("{:?}", found.model));
+        squares.resize(errors.len(), 0.0);
+        inside.resize(errors.len(), 0);
+        for (index, (error, deviation)) in errors.iter().zip(found.deviations()).enumerate() {
+            squares[index] += (error / deviation).powi(2) / seeds as f64;
+            inside[index] += u64::from((error / deviation).abs() < 1.96);
+        }
+        if let (0, Some(folder)) = (seed, &export)
+            && let Err(error) = write(folder, &poses, found.rms_px)
+        {
+            eprintln!("{}: {error}", folder.display());
+            return ExitCode::FAILURE;
+        }
+    }
+    models.sort();
+    models.dedup();
+    println!(
+        "{VIEWS} views of {}x{}, noise 2, blur 0.8 px, {seeds} seeds",
+        truth.width, truth.height
+    );
+    println!(
+        "focal lengths at most {:.4} % off, centre {:.3} px; rms {rms_px:.4} px; {}",
+        worst_focal * 100.0,
+        worst_center_px,
+        models.join(", ")
+    );
+    for (name, (square, inside)) in ["fx", "fy", "cx", "cy"].iter().zip(squares.iter().zip(&inside))
+    {
+        println!(
+            "{name}: error over its stated deviation {:.2} rms, {:.0} % inside the stated 95 %",
+            square.sqrt(),
+            100.0 * *inside as f64 / seeds as f64
+        );
+    }
+    ExitCode::SUCCESS
+}
+
+/// The chessboard from the same places, and what Roundel's board gave there.
+fn write(folder: &PathBuf, poses: &[nalgebra::Isometry3<f64>], rms_px: f64) -> std::io::Result<()> {
+    fs::create_dir_all(folder)?;
+    let images = pictures(&camera(), imaging(), &chessboard_print(), poses, 1000);
+    for (index, image) in images.iter().enumerate() {
+        write_png(&folder.join(format!("chess-{index:02}.png")), image)?;
+    }
+    let truth = camera();
+    fs::write(
+        folder.join("board.json"),
+        format!(
+            "{{\"corners\": [{}, {}], \"square_m\": {SQUARE_M}, \"rms_px\": {rms_px}, \"focal_px\": {:?}, \
+             \"center_px\": {:?}}}\n",
+            SQUARES.0 - 1,
+            SQUARES.1 - 1,
+            truth.focal_px,
+            truth.center_px
+        ),
+    )
+}

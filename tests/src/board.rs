@@ -1,0 +1,199 @@
+//! Calibration boards as printed and as a camera sees them: Roundel's, and a chessboard of the same size for
+//! others. Written from the facts of the print alone: 7 by 5 coded roundels of 30 mm, 36 mm apart, numbered
+//! row by row from the top left.
+
+use nalgebra::{Isometry3, Point3, Translation3, UnitQuaternion, Vector3};
+use rayon::prelude::*;
+use roundel_core::{
+    calib::{
+        board::Board,
+        lens::{Chooser, LensCalibration, LensCalibrationError, View, calibrate},
+    },
+    frame::Frame,
+    marker::{CodeLayout, Detector, Mode, Params, Scratch},
+};
+
+use crate::{
+    coded::{coded_print, words},
+    normal::Random,
+    optics::{Distortion, Pinhole},
+    render::{Canvas, Image, Imaging, Ink, Outline, Print, Renderer, Seen},
+};
+
+/// Roundels across and down.
+pub const SIDES: (usize, usize) = (7, 5);
+/// Outer diameter and pitch, metres.
+pub const OUTER_M: f64 = 0.03;
+/// From centre to centre.
+pub const PITCH_M: f64 = 0.036;
+const BITS: u8 = 9;
+/// Corners of the ring's rim.
+const RIM: usize = 180;
+/// Squares of the chessboard across and down, and their side, metres.
+pub const SQUARES: (usize, usize) = (10, 7);
+/// A side of them.
+pub const SQUARE_M: f64 = 0.025;
+/// Both boards' paper reaches this far beyond.
+const EDGE_M: f64 = 0.012;
+
+/// Roundel's board.
+pub fn board_print() -> Print {
+    let words = words(BITS);
+    let half = |count: usize| (count as f64 * PITCH_M) / 2.0 + EDGE_M;
+    let mut inks = Vec::new();
+    for (index, word) in words.iter().take(SIDES.0 * SIDES.1).enumerate() {
+        let from_middle = |place: usize, count: usize| place as f64 - (count - 1) as f64 / 2.0;
+        let (x, y) = (
+            from_middle(index % SIDES.0, SIDES.0) * PITCH_M,
+            -from_middle(index / SIDES.0, SIDES.1) * PITCH_M,
+        );
+        let coded = coded_print(OUTER_M, BITS, *word, 0.1);
+        for ink in coded.inks {
+            let corners = match ink.outline {
+                Outline::Polygon(corners) => corners,
+                Outline::Disc { diameter_m } => circle(diameter_m / 2.0),
+                Outline::Ellipse { .. } => continue,
+            };
+            let moved = corners.into_iter().map(|[right, up]| [x + right, y + up]).collect();
+            inks.push(Ink { outline: Outline::Polygon(moved), white: ink.white });
+        }
+    }
+    Print { sheet: sheet(half(SIDES.0), half(SIDES.1)), inks }
+}
+
+/// The chessboard, its first square black.
+pub fn chessboard_print() -> Print {
+    let (across, down) = (SQUARES.0 as f64 * SQUARE_M, SQUARES.1 as f64 * SQUARE_M);
+    let mut inks = Vec::new();
+    for index in 0..SQUARES.0 * SQUARES.1 {
+        let (column, row) = (index % SQUARES.0, index / SQUARES.0);
+        if (column + row).is_multiple_of(2) {
+            let (left, top) =
+                (column as f64 * SQUARE_M - across / 2.0, down / 2.0 - row as f64 * SQUARE_M);
+            let (right, bottom) = (left + SQUARE_M, top - SQUARE_M);
+            let corners = straight(&[[left, top], [left, bottom], [right, bottom], [right, top]]);
+            inks.push(Ink { outline: Outline::Polygon(corners), white: false });
+        }
+    }
+    Print { sheet: sheet(across / 2.0 + EDGE_M, down / 2.0 + EDGE_M), inks }
+}
+
+fn sheet(half_across_m: f64, half_down_m: f64) -> Outline {
+    let (x, y) = (half_across_m, half_down_m);
+    Outline::Polygon(straight(&[[-x, y], [-x, -y], [x, -y], [x, y]]))
+}
+
+/// A polygon with corners along its sides, since a lens bends them.
+fn straight(corners: &[[f64; 2]]) -> Vec<[f64; 2]> {
+    const PARTS: usize = 16;
+    let count = corners.len();
+    let between = |index: usize| {
+        let (from, to) = (corners[index / PARTS], corners[(index / PARTS + 1) % count]);
+        let share = (index % PARTS) as f64 / PARTS as f64;
+        [0, 1].map(|axis| from[axis] + share * (to[axis] - from[axis]))
+    };
+    (0..count * PARTS).map(between).collect()
+}
+
+/// A circle as a polygon of the same area.
+fn circle(radius_m: f64) -> Vec<[f64; 2]> {
+    let step_rad = std::f64::consts::TAU / RIM as f64;
+    let radius_m = radius_m * (step_rad / step_rad.sin()).sqrt();
+    let corner = |index: usize| {
+        let (sin, cos) = (step_rad * index as f64).sin_cos();
+        [radius_m * cos, radius_m * sin]
+    };
+    (0..RIM).map(corner).collect()
+}
+
+/// The camera that is looked for: 1280x720, 70° across, barrel distortion, its axis off the middle.
+pub fn camera() -> Pinhole {
+    Pinhole {
+        width: 1280,
+        height: 720,
+        focal_px: [912.0, 909.5],
+        center_px: [652.3, 348.8],
+        distortion: Distortion::PlumbBob([-0.14, 0.05, 0.0009, -0.0006, 0.0]),
+    }
+}
+
+/// Noise 2, blur 0.8 px.
+pub fn imaging() -> Imaging {
+    Imaging { blur_px: 0.8, noise: 2.0, gradient: [0.1, -0.05], ..Imaging::default() }
+}
+
+/// camera_from_board of views as a person makes them: all over the picture, tilted to 45°, as near as it fits.
+pub fn poses(camera: &Pinhole, count: usize, random: &mut Random) -> Vec<Isometry3<f64>> {
+    let mut poses = Vec::with_capacity(count);
+    let half = [SIDES.0 as f64 * PITCH_M / 2.0, SIDES.1 as f64 * PITCH_M / 2.0];
+    while poses.len() < count {
+        let mut within = |range: f64| random.uniform(-range, range);
+        let lean_axis = Vector3::new(within(1.0), within(1.0), 0.0);
+        let Some(lean_axis) = lean_axis.try_normalize(1e-3) else { continue };
+        let lean = UnitQuaternion::from_scaled_axis(lean_axis * within(0.75));
+        let turn = UnitQuaternion::from_scaled_axis(Vector3::z() * within(0.3));
+        let faced = UnitQuaternion::from_scaled_axis(Vector3::x() * std::f64::consts::PI);
+        let place = Vector3::new(within(0.14), within(0.08), 0.34 + within(0.1));
+        let pose = Isometry3::from_parts(Translation3::from(place), lean * turn * faced);
+        let corners = [(-1.0, -1.0), (1.0, -1.0), (1.0, 1.0), (-1.0, 1.0)];
+        let is_seen = corners.iter().all(|(x, y)| {
+            let corner = pose * Point3::new(x * half[0], y * half[1], 0.0);
+            camera.project(&corner).is_some_and(|pixel| {
+                (4.0..camera.width as f64 - 5.0).contains(&pixel.x)
+                    && (4.0..camera.height as f64 - 5.0).contains(&pixel.y)
+            })
+        });
+        if is_seen {
+            poses.push(pose);
+        }
+    }
+    poses
+}
+
+/// Pictures of a board from these places, with noise of their own.
+pub fn pictures(
+    camera: &Pinhole,
+    imaging: Imaging,
+    print: &Print,
+    poses: &[Isometry3<f64>],
+    seed: u64,
+) -> Vec<Image> {
+    let renderer = Renderer::new(*camera, imaging);
+    let background = Canvas::flat(camera.width, camera.height, 120.0);
+    poses
+        .par_iter()
+        .enumerate()
+        .map(|(index, pose)| {
+            let motion = |_: f64| *pose;
+            let seen = [Seen { print, motion: &motion }];
+            renderer.frame(&background, &seen, &mut Random::new(seed, index as u64 + 1))
+        })
+        .collect()
+}
+
+/// Roundel's board as core describes it.
+pub fn board() -> Board {
+    let layout = CodeLayout { bits: BITS, min_distance: 1 };
+    Board::new(SIDES, PITCH_M, OUTER_M, layout).expect("the board that is printed by default")
+}
+
+/// What is found in pictures of the board, by detection, choice of views and all.
+pub fn lens(pictures: &[Image]) -> Result<LensCalibration, LensCalibrationError> {
+    let board = board();
+    let params = Params { mode: Mode::Precise, ..Params::default() };
+    let detector = Detector::new(vec![board.kind()], params).expect("the board's kind");
+    let views: Vec<View> = pictures
+        .par_iter()
+        .map_init(Scratch::default, |scratch, image| {
+            let frame = Frame::new(&image.pixels, image.width, image.height, image.width)
+                .expect("a rendered frame");
+            View::of_rings(&board, detector.detect(&frame, scratch))
+        })
+        .collect();
+    let size = pictures.first().map_or((0, 0), |image| (image.width, image.height));
+    let mut chooser = Chooser::new(board.clone(), size, false);
+    for view in views {
+        chooser.offer(view);
+    }
+    calibrate(&board, size, chooser.taken(), None)
+}
