@@ -14,19 +14,18 @@ use super::{
 /// The board is larger than the page.
 #[derive(Clone, Debug, PartialEq, Error)]
 #[error(
-    "a board of {columns} x {rows} with a pitch of {pitch} mm is {width} x {height} mm, and {page} has room \
-     for {room_width} x {room_height} mm: use a smaller pitch and outer diameter, fewer roundels, or a \
-     larger page"
+    "a board of {columns} x {rows} with a pitch of {} mm is {} x {} mm, and {page} has room for {} x {} mm: use a smaller \
+     pitch and outer diameter, fewer roundels, or a larger page",
+    millimetres(*.pitch_mm), millimetres(.size_mm.0), millimetres(.size_mm.1), millimetres(.room_mm.0),
+    millimetres(.room_mm.1)
 )]
 pub struct BoardPageError {
     columns: usize,
     rows: usize,
-    pitch: String,
-    width: String,
-    height: String,
+    pitch_mm: f64,
+    size_mm: (f64, f64),
     page: String,
-    room_width: String,
-    room_height: String,
+    room_mm: (f64, f64),
 }
 
 /// The board in the middle of one page, turned if it fits only then: its parts must not move against each
@@ -46,12 +45,10 @@ pub fn board_page(board: &Board, page: PageSize) -> Result<Page, BoardPageError>
         return Err(BoardPageError {
             columns: board.columns(),
             rows: board.rows(),
-            pitch: millimetres(pitch_mm),
-            width: millimetres(width),
-            height: millimetres(height),
+            pitch_mm,
+            size_mm: (width, height),
             page: page.name(),
-            room_width: millimetres(room.width()),
-            room_height: millimetres(room.height()),
+            room_mm: (room.width(), room.height()),
         });
     };
     let window = window(page);
