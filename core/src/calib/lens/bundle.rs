@@ -13,7 +13,7 @@ use nalgebra::{
 };
 
 use super::{
-    choice::Model,
+    model::Model,
     rim::offset_px,
     start::Started,
     view::{LEAST_ROUNDELS, Sighting},

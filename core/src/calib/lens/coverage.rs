@@ -2,7 +2,7 @@
 
 use std::fmt;
 
-use super::{start::Flat, view::View};
+use super::{flat::Flat, view::View};
 
 /// Zones of the picture across and down.
 const ZONES: (usize, usize) = (3, 3);

@@ -3,7 +3,7 @@
 //! In: the board's roundels as ellipses in raw pixels, in some ten views from different sides
 //! ([`view`]). Out: a [`Camera`] with the covariance of its parameters.
 //!
-//! The method is Zhang's (2000): a homography of each view gives the focal length
+//! The method is Zhang's (2000): a homography of each view ([`flat`]) gives the focal length
 //! and where the board was ([`start`]); then all is refined together ([`bundle`]) until the *ellipses' centres* are
 //! where they should be. The image of a circle's centre is not its ellipse's centre, and a lens bends the ellipse as
 //! well; so what is predicted is the centroid of the circle's image under the whole camera model
@@ -16,7 +16,10 @@
 
 mod bundle;
 mod choice;
+mod chooser;
 mod coverage;
+mod flat;
+mod model;
 mod rim;
 mod start;
 pub mod view;
@@ -25,9 +28,11 @@ use nalgebra::{DMatrix, Isometry3};
 use thiserror::Error;
 
 pub use self::{
-    choice::{Evidence, Model},
+    choice::Evidence,
+    chooser::{Chooser, Verdict},
     coverage::{Coverage, Want},
-    view::{Chooser, Sighting, Verdict, View},
+    model::Model,
+    view::{Sighting, View},
 };
 use super::board::Board;
 use crate::camera::Camera;

@@ -1,0 +1,90 @@
+//! Which of a stream of views are worth keeping.
+
+use super::{
+    super::board::Board,
+    coverage::Coverage,
+    flat::Flat,
+    view::{LEAST_ROUNDELS, View},
+};
+
+/// Views whose roundels moved by less than this share of the picture's diagonal, rms, are the same one.
+const SAME_SHARE: f64 = 0.02;
+/// Roundels that moved by more than this share of their diameter since the frame before are smeared.
+const MOVING_SHARE: f64 = 0.15;
+
+/// What became of a picture.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Verdict {
+    /// It is kept.
+    Taken,
+    /// No roundel of the board was found.
+    NoBoard,
+    /// Fewer roundels than [`LEAST_ROUNDELS`], or they are not where a flat board has them.
+    TooLittle,
+    /// The board moved, so its picture is smeared.
+    Moving,
+    /// One like it is kept already.
+    Alike,
+}
+
+/// Chooses views of a stream: the board held still for a moment, at a new place or turned anew.
+#[derive(Clone, Debug)]
+pub struct Chooser {
+    board: Board,
+    size: (usize, usize),
+    still: bool,
+    last: Option<View>,
+    taken: Vec<View>,
+    coverage: Coverage,
+}
+
+impl Chooser {
+    /// For a camera of `size` = (columns, rows). `still`: views follow one another in time, so a board that moves is
+    /// seen to move; else each picture stands for itself.
+    pub fn new(board: Board, size: (usize, usize), still: bool) -> Self {
+        let coverage = Coverage::new(size);
+        Self { board, size, still, last: None, taken: Vec::new(), coverage }
+    }
+
+    /// Looks at the next view.
+    pub fn offer(&mut self, view: View) -> Verdict {
+        let verdict = self.judge(&view);
+        if verdict == Verdict::Taken {
+            if let Some(flat) = Flat::of(&self.board, &view) {
+                self.coverage.add(&view, &flat, self.size);
+            }
+            self.taken.push(view.clone());
+        }
+        self.last = Some(view);
+        verdict
+    }
+
+    fn judge(&self, view: &View) -> Verdict {
+        if view.sightings.is_empty() {
+            return Verdict::NoBoard;
+        }
+        if view.sightings.len() < LEAST_ROUNDELS || Flat::of(&self.board, view).is_none() {
+            return Verdict::TooLittle;
+        }
+        let moved_px = self.last.as_ref().and_then(|last| last.distance_px(view));
+        if self.still
+            && moved_px.is_none_or(|moved_px| moved_px > MOVING_SHARE * view.mean_radius_px())
+        {
+            return Verdict::Moving;
+        }
+        let (width, height) = self.size;
+        let same_px = SAME_SHARE * (width as f64).hypot(height as f64);
+        let is_like = |taken: &View| taken.distance_px(view).is_some_and(|px| px < same_px);
+        if self.taken.iter().any(is_like) { Verdict::Alike } else { Verdict::Taken }
+    }
+
+    /// The views that were kept.
+    pub fn taken(&self) -> &[View] {
+        &self.taken
+    }
+
+    /// Where the board has been.
+    pub fn coverage(&self) -> &Coverage {
+        &self.coverage
+    }
+}
