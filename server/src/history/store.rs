@@ -208,8 +208,14 @@ impl Store {
         };
         let tier = TIERS.iter().rposition(|tier| tier.step_ns <= wanted_ns).unwrap_or(0);
         let mut all = Vec::new();
-        let mut count = 0;
-        for (key, identity) in objects {
+        let (mut count, mut coarsest) = (0, tier);
+        for (key, first_ns, identity) in objects {
+            let since_ns = first_ns.max(question.from.as_ns());
+            let tier = match question.step_s {
+                Some(_) => tier,
+                None => self.tier_since(tier, key, since_ns)?,
+            };
+            coarsest = coarsest.max(tier);
             let points = self.points(tier, key, question)?;
             count += points.len();
             if question.step_s.is_some() && count > question.max_points {
@@ -224,26 +230,43 @@ impl Store {
             }
         }
         let every = if question.step_s.is_some() { 1 } else { thin(&mut all, question.max_points) };
-        let step_s = TIERS[tier].step_ns as f64 * 1e-9 * every as f64;
+        let step_s = TIERS[coarsest].step_ns as f64 * 1e-9 * every as f64;
         Ok(Answer { objects: all, step_s, kept: self.kept()? })
     }
 
-    fn objects(&self, question: &Question) -> Result<Vec<(i64, Identity)>, HistoryError> {
+    /// The finest tier from `tier` on in which an object's points of that time have not been forgotten.
+    fn tier_since(&self, tier: usize, key: i64, since_ns: i64) -> Result<usize, HistoryError> {
+        let mut ask = self
+            .connection
+            .prepare_cached("SELECT min(time_ns) FROM point WHERE tier = ?1 AND object = ?2")
+            .map_err(|it| self.failed(it))?;
+        for (tier, grade) in TIERS.iter().enumerate().skip(tier) {
+            let first: Option<i64> = ask
+                .query_row(params![tier as i64, key], |row| row.get(0))
+                .map_err(|it| self.failed(it))?;
+            if first.is_some_and(|first_ns| first_ns <= since_ns.saturating_add(grade.step_ns)) {
+                return Ok(tier);
+            }
+        }
+        Ok(TIERS.len() - 1)
+    }
+
+    fn objects(&self, question: &Question) -> Result<Vec<(i64, i64, Identity)>, HistoryError> {
         let mut ask = self
             .connection
             .prepare_cached(
-                "SELECT key, run, id, name, kind, code FROM object WHERE first_ns <= ?2 AND last_ns >= ?1
+                "SELECT key, run, id, name, kind, code, first_ns FROM object WHERE first_ns <= ?2 AND last_ns >= ?1
                  ORDER BY first_ns, id",
             )
             .map_err(|it| self.failed(it))?;
         let read = |row: &rusqlite::Row<'_>| {
             let id: i64 = row.get(2)?;
             let (run, name, kind, code) = (row.get(1)?, row.get(3)?, row.get(4)?, row.get(5)?);
-            Ok((row.get(0)?, Identity { run, id: id as u64, name, kind, code }))
+            Ok((row.get(0)?, row.get(6)?, Identity { run, id: id as u64, name, kind, code }))
         };
         let times = [question.from.as_ns(), question.until.as_ns()];
         let found = ask.query_map(times, read).map_err(|it| self.failed(it))?;
-        let found: Result<Vec<(i64, Identity)>, _> = found.collect();
+        let found: Result<Vec<(i64, i64, Identity)>, _> = found.collect();
         let is_wanted = |identity: &Identity| {
             question.objects.is_empty()
                 || question.objects.iter().any(|it| {
@@ -253,7 +276,7 @@ impl Store {
                 })
         };
         let found = found.map_err(|it| self.failed(it))?;
-        Ok(found.into_iter().filter(|(_, identity)| is_wanted(identity)).collect())
+        Ok(found.into_iter().filter(|(_, _, identity)| is_wanted(identity)).collect())
     }
 
     fn points(
@@ -405,6 +428,9 @@ mod tests {
             count(&store.ask(&question).unwrap())
         };
         assert_eq!((finest(0, 1299), finest(1300, 2000)), (0, 2 * 700));
+        // Whoever leaves the distance of points open gets what is there.
+        let old = store.ask(&all(0, 1000)).unwrap();
+        assert!(count(&old) == 2 * 101 && (old.step_s - 10.0).abs() < 1e-9, "{}", old.step_s);
         let coarse = Question { step_s: Some(10.0), ..all(0, 2000) };
         assert_eq!(count(&store.ask(&coarse).unwrap()), 2 * 200);
         while store.forget(at(10_000_000), Duration::from_secs(100)).unwrap() {}
