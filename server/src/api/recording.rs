@@ -23,7 +23,10 @@ const LONGEST_S: f64 = 3.2e8;
 /// The recording that is being made, or the last one.
 #[utoipa::path(
     get, path = "/api/v1/recording", tag = "recording",
-    responses((status = 200, description = "how it is doing", body = v1::Recording)),
+    responses(
+        (status = 200, description = "how it is doing", body = v1::Recording),
+        (status = 409, description = "this server cannot record", body = ErrorBody),
+    ),
 )]
 pub async fn show(State(api): State<Arc<Api>>) -> Result<Json<v1::Recording>, ApiError> {
     newest(&api).map(Json)
@@ -62,7 +65,10 @@ pub async fn stop(State(api): State<Arc<Api>>) -> Result<Json<v1::Recording>, Ap
 /// The files of recordings in the server's folder, the oldest first.
 #[utoipa::path(
     get, path = "/api/v1/recordings", tag = "recording",
-    responses((status = 200, description = "the files", body = v1::ListRecordingsResponse)),
+    responses(
+        (status = 200, description = "the files", body = v1::ListRecordingsResponse),
+        (status = 409, description = "this server cannot record", body = ErrorBody),
+    ),
 )]
 pub async fn files(
     State(api): State<Arc<Api>>,
