@@ -117,7 +117,8 @@ async fn everything_goes_into_a_file_that_is_whole_at_the_end() {
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
 async fn files_follow_one_another_within_the_budget() {
     let folder = tempfile::tempdir().unwrap();
-    let limits = "start = true\nrotate_mb = 0.1\nbudget_gb = 0.0003\n";
+    // A file is looked at once a second, so it may be more than twice as long as it was to be.
+    let limits = "start = true\nrotate_mb = 0.1\nbudget_gb = 0.0006\n";
     let server = start(folder.path(), limits).await;
     let recorder = server.recorder().unwrap().clone();
     until("room made", || recorder.status().deleted >= 2).await;
@@ -126,7 +127,7 @@ async fn files_follow_one_another_within_the_budget() {
     assert_eq!((status.state, status.dropped), (State::Stopped, 0), "{status:?}");
     let files = recorder.list().unwrap();
     assert_eq!(files.len() as u32 + status.deleted, status.files, "{files:?}");
-    assert!(files.iter().map(|file| file.bytes).sum::<u64>() < 600_000, "{files:?}");
+    assert!(files.iter().map(|file| file.bytes).sum::<u64>() < 900_000, "{files:?}");
     // Each can be read by itself, and none lacks what the ones before have.
     assert!(files.len() >= 2, "{files:?}");
     let mut next = None;
