@@ -4,7 +4,7 @@
 //! many as fit, each in a square with cut marks at its corners; the page is turned where more fit then.
 //! A larger one is spread over pages that overlap by [`OVERLAP_MM`], with marks where sheets meet.
 
-use roundel_core::marker::{Kind, Pattern, Tooth};
+use roundel_core::marker::{CodeError, CodeLayout, Dictionary, Kind, Pattern, Tooth};
 use thiserror::Error;
 
 use super::{
@@ -72,6 +72,9 @@ pub enum SheetError {
         /// How many there are.
         count: usize,
     },
+    /// No such codes.
+    #[error(transparent)]
+    Code(#[from] CodeError),
     /// Too much for one file.
     #[error(
         "this takes {found} pages, and a file holds {MAX_PAGES} at most: print fewer roundels at a \
@@ -106,9 +109,10 @@ pub fn sheets(items: &[Item], page: PageSize) -> Result<Vec<Page>, SheetError> {
             return Err(SheetError::Size { found_mm: outer_mm });
         }
         let side_mm = SIDE_SHARE * outer_mm;
+        let codes = Codes::of(&alike[0].kind)?;
         match Grid::best(page, side_mm).or_else(|| Grid::narrow(page, outer_mm)) {
-            Some(grid) => pages.extend(grid.fill(alike)?),
-            None => spread(alike, page, side_mm, &mut pages)?,
+            Some(grid) => pages.extend(grid.fill(alike, &codes)?),
+            None => spread((alike, &codes), page, side_mm, &mut pages)?,
         }
         if pages.len() > MAX_PAGES {
             return Err(SheetError::Pages { found: pages.len() });
@@ -166,7 +170,7 @@ impl Grid {
     }
 
     /// As many pages as `items` take.
-    fn fill(&self, items: &[Item]) -> Result<Vec<Page>, SheetError> {
+    fn fill(&self, items: &[Item], codes: &Codes) -> Result<Vec<Page>, SheetError> {
         let window = window(self.page);
         let pitch_mm = self.side_mm + GAP_MM;
         let count = items.len().div_ceil(self.cells());
@@ -182,7 +186,7 @@ impl Grid {
                     window.top + pitch_mm * ((index / self.columns) as f64 + 0.5),
                 );
                 let square = Area::square(center, self.side_mm);
-                page.prints.push(outline(&item.kind, &teeth(item)?, center, self.side_mm));
+                page.prints.push(outline(&item.kind, &codes.teeth(item)?, center, self.side_mm));
                 page.marks.extend(marks::cut(&square));
                 page.marks.extend(marks::corner(item, &square));
             }
@@ -195,7 +199,7 @@ impl Grid {
 
 /// One roundel after the other, each over several pages.
 fn spread(
-    items: &[Item],
+    (items, codes): (&[Item], &Codes),
     page: PageSize,
     side_mm: f64,
     pages: &mut Vec<Page>,
@@ -211,7 +215,7 @@ fn spread(
         return Err(SheetError::Pages { found });
     }
     for item in items {
-        let teeth = teeth(item)?;
+        let teeth = codes.teeth(item)?;
         pages.extend((0..mosaic.count()).map(|index| mosaic.sheet(index, item, &teeth)));
     }
     Ok(())
@@ -284,18 +288,23 @@ impl Mosaic {
     }
 }
 
-fn teeth(item: &Item) -> Result<Vec<Tooth>, SheetError> {
-    let Pattern::Coded(layout) = item.kind.pattern else { return Ok(Vec::new()) };
-    let number = item.number.unwrap_or(0);
-    let word = layout.codes().ok().map(|codes| (codes.len(), codes.teeth(number)));
-    match word {
-        Some((_, Some(teeth))) => Ok(teeth),
-        other => Err(SheetError::Number {
-            number,
-            bits: layout.bits,
-            min_distance: layout.min_distance,
-            count: other.map_or(0, |(count, _)| count),
-        }),
+/// The codes of a kind, once for all of its roundels: listing those of 16 bits takes a while.
+struct Codes(Option<(CodeLayout, Dictionary)>);
+
+impl Codes {
+    fn of(kind: &Kind) -> Result<Self, SheetError> {
+        let Pattern::Coded(layout) = kind.pattern else { return Ok(Self(None)) };
+        Ok(Self(Some((layout, layout.codes()?))))
+    }
+
+    /// None, of a kind without codes.
+    fn teeth(&self, item: &Item) -> Result<Vec<Tooth>, SheetError> {
+        let Some((CodeLayout { bits, min_distance }, codes)) = &self.0 else {
+            return Ok(Vec::new());
+        };
+        let (bits, min_distance) = (*bits, *min_distance);
+        let (number, count) = (item.number.unwrap_or(0), codes.len());
+        codes.teeth(number).ok_or(SheetError::Number { number, bits, min_distance, count })
     }
 }
 

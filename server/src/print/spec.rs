@@ -120,6 +120,9 @@ pub fn code(text: &str) -> Result<CodeLayout, String> {
     Ok(layout)
 }
 
+/// As many as there are codes of any length; a request may not ask for memory without end.
+const MOST_NUMBERS: usize = u16::MAX as usize;
+
 /// Numbers of codes, in the order given.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Numbers(pub Vec<u16>);
@@ -136,6 +139,9 @@ pub fn numbers(text: &str) -> Result<Numbers, String> {
             .filter(|(first, last)| first <= last)
             .ok_or_else(wrong)?;
         numbers.extend(first..=last);
+        if numbers.len() > MOST_NUMBERS {
+            return Err(format!("expected at most {MOST_NUMBERS} numbers, found more"));
+        }
     }
     Ok(Numbers(numbers))
 }
@@ -202,6 +208,8 @@ mod tests {
             let error = numbers(wrong).unwrap_err();
             assert!(error.ends_with(&format!("found `{wrong}`")), "{error}");
         }
+        assert!(numbers("1-65535").is_ok());
+        assert!(numbers("1-65535,1").unwrap_err().contains("at most 65535 numbers"));
     }
 
     #[test]
