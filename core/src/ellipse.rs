@@ -195,6 +195,38 @@ pub(crate) fn semiaxes_px<T: Lane>(area_px2: T, difference_px2: T) -> [T; 2] {
 }
 
 impl Shape {
+    /// Of the area that a smooth closed contour encloses, from points of it evenly spaced in its parameter: each
+    /// as (x, y, dx, dy), with the derivative by the parameter times the parameter's step.
+    pub(crate) fn of_contour(points: impl Iterator<Item = [f64; 4]> + Clone) -> Self {
+        let (mut count, mut sum) = (0.0, [0.0; 2]);
+        for [x, y, ..] in points.clone() {
+            count += 1.0;
+            sum[0] += x;
+            sum[1] += y;
+        }
+        let (middle_x, middle_y) = (sum[0] / count, sum[1] / count);
+        let (mut area, mut first, mut second) = (0.0, [0.0; 2], [0.0; 3]);
+        for [x, y, dx, dy] in points {
+            let (px, py) = (x - middle_x, y - middle_y);
+            // ∬ f over a star-shaped area: ∮ f r×dr / (degree + 2).
+            let swept = px * dy - py * dx;
+            area += swept / 2.0;
+            first[0] += px * swept / 3.0;
+            first[1] += py * swept / 3.0;
+            second[0] += px * px * swept / 4.0;
+            second[1] += px * py * swept / 4.0;
+            second[2] += py * py * swept / 4.0;
+        }
+        let (mu, mv) = (first[0] / area, first[1] / area);
+        let covariance = Symmetric2 {
+            uu: second[0] / area - mu * mu,
+            uv: second[1] / area - mu * mv,
+            vv: second[2] / area - mv * mv,
+        };
+        let center = PixelPoint { u: middle_x + mu, v: middle_y + mv };
+        Self { area_px2: area.abs(), center, covariance }
+    }
+
     /// The ellipse of this area and this difference of eigenvalues; blur drops out of both.
     #[inline(always)]
     pub fn ellipse(&self) -> Ellipse {

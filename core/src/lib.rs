@@ -17,6 +17,7 @@
 //! | [`track`] | one object's motion over time |
 //! | [`world`] | all objects in the world frame, from all cameras |
 //! | [`calib`] | where the cameras stand, found once |
+//! | [`plan`] | what cameras and roundels would reach, before they are bought |
 //! | [`sim`] | simulated scenarios, rendered to pixels |
 //!
 //! Frames, units and signs: `docs/conventions.md`, shown at [`conventions`].
@@ -33,6 +34,7 @@ pub mod frame;
 pub mod id;
 mod lanes;
 pub mod marker;
+pub mod plan;
 pub mod pose;
 pub mod rigid;
 mod room;

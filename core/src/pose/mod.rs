@@ -238,7 +238,7 @@ fn check(kind: &Kind, ring: &Ring, noise: &RimNoise) -> Result<(), PoseError> {
     if !(inner_m > 0.0 && inner_m < outer_m && outer_m.is_finite()) {
         return Err(PoseError::Diameter { inner_m, outer_m });
     }
-    let RimNoise { edge_px, floor_px } = *noise;
+    let RimNoise { edge_px, floor_px, .. } = *noise;
     if !(edge_px > 0.0 && edge_px.is_finite() && floor_px > 0.0 && floor_px.is_finite()) {
         return Err(PoseError::Noise { edge_px, floor_px });
     }

@@ -49,13 +49,16 @@ pub struct RimNoise {
     /// Standard deviation of a shift of the whole rim across itself (blur, bloom), pixels, which no
     /// averaging removes; a quarter of it is also counted for the rim's centre and shape.
     pub floor_px: f64,
+    /// Whether both are stated for just the ring that they are given with, whose thin parts and uneven levels
+    /// then change nothing about them.
+    pub is_of_ring: bool,
 }
 
 impl Default for RimNoise {
     /// What the detector reaches at a blur of 0.5 to 0.9 px and noise of a 60th of the contrast
     /// (`tests/pixels.rs`); other noise is told by the ring itself.
     fn default() -> Self {
-        Self { edge_px: 0.03, floor_px: 0.0065 }
+        Self { edge_px: 0.03, floor_px: 0.0065, is_of_ring: false }
     }
 }
 
@@ -67,11 +70,18 @@ impl RimNoise {
     /// A black ring grown thin adds less: across 4 px of it errors are 1.6 times as large. The larger of the
     /// two counts, which at a ratio of diameters of 0.4 is the disc's, at 0.6 mostly the black's.
     pub(super) fn of_ring(&self, ring: &Ring, disc_px: f64, black_px: f64) -> RingNoise<f64> {
+        if self.is_of_ring {
+            return RingNoise { rims: [self.as_stated(); 2], disc: Known::whole() };
+        }
         let by_disc = (THIN_DISC_PX / disc_px).powi(6).min(MAX_GROWTH);
         let by_black = (THIN_BLACK_PX / black_px).powi(4).min(MAX_GROWTH_BY_BLACK);
         let growth = 1.0 + by_disc.max(by_black);
         let rim = self.of_rim(ring, growth);
         RingNoise { rims: [rim; 2], disc: Known::whole() }
+    }
+
+    fn as_stated(&self) -> RimErrors<f64> {
+        RimErrors { edge_px: self.edge_px, floor_px: self.floor_px, uneven_px: 0.0 }
     }
 
     /// The noise of a ring of these bits, whose rims are found point by point.

@@ -262,7 +262,7 @@ fn tally(radius_px: f64, tilts_rad: std::ops::Range<f64>, runs: usize, noise: &R
 #[test]
 fn covariance_is_that_of_the_errors() {
     let degrees = |range: std::ops::Range<f64>| range.start.to_radians()..range.end.to_radians();
-    let loud = RimNoise { edge_px: 0.15, floor_px: 0.02 };
+    let loud = RimNoise { edge_px: 0.15, floor_px: 0.02, ..RimNoise::default() };
     let cases = [
         (RimNoise::default(), [6.0, 8.0, 11.0, 15.0, 30.0, 60.0].as_slice()),
         (loud, [11.0, 15.0, 30.0, 60.0].as_slice()),
@@ -395,7 +395,7 @@ fn broken_input_is_a_typed_error() {
     let mut swapped = kind();
     std::mem::swap(&mut swapped.inner_diameter_m, &mut swapped.outer_diameter_m);
     assert!(matches!(refused(good, swapped, noise), PoseError::Diameter { .. }));
-    let noiseless = RimNoise { edge_px: 0.0, floor_px: 0.0 };
+    let noiseless = RimNoise { edge_px: 0.0, floor_px: 0.0, ..RimNoise::default() };
     assert!(matches!(refused(good, kind(), noiseless), PoseError::Noise { .. }));
     // This lens ends 773 px from its middle, so that a rim around there is half outside.
     let mut beyond = good;

@@ -45,6 +45,7 @@ pub use floor::WrongHeight;
 pub use fusion::{CameraPlacement, Fusion};
 pub use guard::{HeldBack, HeldStep};
 pub use landmark::{Landmark, TURN_SIGMA_RAD};
+pub use observation::seen_in_world;
 pub use param::{FusionParams, MotionClass};
 pub use rider::{CameraMount, Carrier, Unplaced};
 

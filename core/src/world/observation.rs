@@ -9,7 +9,7 @@
 use nalgebra::{Matrix3, UnitQuaternion, Vector3};
 
 use super::{
-    FusionParams,
+    CameraPlacement, FusionParams,
     rider::{Stand, with_arm},
 };
 use crate::{
@@ -118,6 +118,22 @@ pub(super) fn measure(
             (&rotation_total, &rotation_systematic),
         ),
     })
+}
+
+/// Where a camera that stands sees a detection, world frame, with the whole covariance that its measurement has
+/// in fusion, metres²; `None` of what fusion would refuse.
+pub fn seen_in_world(
+    detection: &Detection,
+    place: &CameraPlacement,
+    params: &FusionParams,
+) -> Option<(Vector3<f64>, Matrix3<f64>)> {
+    let stand = Stand {
+        world_from_camera: place.world_from_camera,
+        systematic: place.covariance,
+        fresh: Covariance6::zeros(),
+    };
+    let seen = measure(detection, (CameraId(0), 0), &stand, Lateness::default(), params).ok()?;
+    Some((seen.position_m, seen.position_noise.total))
 }
 
 /// A measurement that took its camera's place as exact, with the errors of that.

@@ -11,8 +11,7 @@ use super::{
     state::{MOTION, Problem, State},
 };
 use crate::{
-    camera::PixelPoint,
-    ellipse::{Ellipse, Shape, Symmetric2},
+    ellipse::{Ellipse, Shape},
     rigid::{Covariance6, UNKNOWN_ANGLE_VARIANCE_RAD2},
 };
 
@@ -138,29 +137,10 @@ pub fn rims(
 
 /// The ellipse of the area, centre and second moments that a contour encloses.
 fn ellipse_of(x: &[f32], y: &[f32], dx: &[f32], dy: &[f32], origin: (i64, i64)) -> Option<Ellipse> {
-    let count = x.len() as f64;
-    let mean = |list: &[f32]| list.iter().map(|&value| f64::from(value)).sum::<f64>() / count;
-    let (middle_x, middle_y) = (mean(x), mean(y));
-    let (mut area, mut first, mut second) = (0.0, [0.0; 2], [0.0; 3]);
-    for i in 0..x.len() {
-        let (px, py) = (f64::from(x[i]) - middle_x, f64::from(y[i]) - middle_y);
-        // ∬ f over a star-shaped area: ∮ f r×dr / (degree + 2).
-        let swept = px * f64::from(dy[i]) - py * f64::from(dx[i]);
-        area += swept / 2.0;
-        first[0] += px * swept / 3.0;
-        first[1] += py * swept / 3.0;
-        second[0] += px * px * swept / 4.0;
-        second[1] += px * py * swept / 4.0;
-        second[2] += py * py * swept / 4.0;
-    }
-    let (mu, mv) = (first[0] / area, first[1] / area);
-    let covariance = Symmetric2 {
-        uu: second[0] / area - mu * mu,
-        uv: second[1] / area - mu * mv,
-        vv: second[2] / area - mv * mv,
-    };
-    let center =
-        PixelPoint { u: origin.0 as f64 + middle_x + mu, v: origin.1 as f64 + middle_y + mv };
-    let ellipse = Shape { area_px2: area.abs(), center, covariance }.ellipse();
+    let points = (0..x.len()).map(|i| [x[i], y[i], dx[i], dy[i]].map(f64::from));
+    let mut shape = Shape::of_contour(points);
+    shape.center.u += origin.0 as f64;
+    shape.center.v += origin.1 as f64;
+    let ellipse = shape.ellipse();
     ellipse.is_valid().then_some(ellipse)
 }

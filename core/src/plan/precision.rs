@@ -1,0 +1,252 @@
+//! How exactly a roundel would be located.
+//!
+//! **From the picture.** A straight edge of contrast C, blurred to s² = blur² + 1/12 by lens and pixel, tells its
+//! place across itself, a unit of its length, with the variance
+//!
+//! v = σ² 2√π s / C²,  σ² = noise² + 1/12
+//!
+//! (Fisher's information of its pixels, ∫ g′² = C²/(2√π s); rounding to whole grey levels adds 1/12). With that
+//! noise of rims [`crate::pose::locate`] gives the pose's covariance, as it does of rings that are seen. The fit to grey
+//! levels reaches this bound but where a disc or a black is hardly wider than the blur; rims by moments are half again
+//! as noisy, and shifted as a whole by what blur leaves. How much so was found on rendered roundels of 12 to 75 px,
+//! ratios of 0.36 to 0.6, blurs of 0.5 to 1.1 px, noise of 1 to 4 levels and tilts to 50°.
+//!
+//! **From the lens** (the paper's Δf of equation 19 and ε of equation 17). The same ring is located through a camera
+//! whose parameters are moved by a little: the derivatives J of the position by fx, fy, cx, cy and the coefficients,
+//! with their covariance Σ, give J Σ Jᵀ. It is the same from frame to frame, so no filter averages it out.
+
+use std::f64::consts::PI;
+
+use nalgebra::{DMatrix, Matrix3, Matrix3xX, Vector3};
+
+use super::{
+    Imaging, Sensor,
+    sight::{Sighting, is_found, sight},
+};
+use crate::{
+    camera::{Camera, Intrinsics, Lens},
+    id::TrackNumber,
+    marker::{Kind, Mode, Pattern},
+    pose::{Detection, RimNoise, RoundelPose, locate},
+    rigid::Rigid,
+    time::Timestamp,
+};
+
+/// What the fit to grey levels leaves of blur's and bloom's shift of a whole rim, pixels, and how errors grow with the
+/// fourth power of blur over the narrower one of disc and black; from rendered roundels.
+const FIT_FLOOR_PX: f64 = 0.0005;
+const FIT_WASHED: f64 = 28.0;
+/// Rims by moments: their noise over that of the fit; the shift of a whole rim that is left at any size, pixels; with
+/// each pixel of blur beyond this one; and at a disc or a black as narrow as the blur, pixels, with this power of it.
+const MOMENTS_EDGE: f64 = 1.5;
+const MOMENTS_FLOOR_PX: f64 = 0.0008;
+const BLURRED_FLOOR: f64 = 0.02;
+const SHARP_PX: f64 = 0.8;
+const WASHED_FLOOR_PX: f64 = 0.95;
+const WASHED_POWER: f64 = 3.4;
+/// Steps of the derivatives by the camera's parameters: pixels, and numbers.
+const STEP_PX: f64 = 1e-2;
+const STEP: f64 = 1e-5;
+
+/// How well a camera's parameters are known.
+#[derive(Clone, Debug, PartialEq)]
+pub struct LensDoubt {
+    /// Which of the lens' coefficients were estimated, in ascending order; the others are taken as exact.
+    pub free: Vec<usize>,
+    /// Over fx, fy, cx, cy (pixels) and these coefficients.
+    pub covariance: DMatrix<f64>,
+}
+
+/// What a camera would make of a roundel.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Expected {
+    /// As imaged.
+    pub sighting: Sighting,
+    /// With the covariance from the picture alone.
+    pub pose: RoundelPose,
+    /// Of the position by the lens' doubt, camera frame, m²; zero where the lens is exact.
+    pub by_lens_m2: Matrix3<f64>,
+}
+
+/// What would be made of a roundel at a pose; `None` where it would not be found.
+pub fn expect(
+    sensor: &Sensor,
+    doubt: Option<&LensDoubt>,
+    kind: &Kind,
+    camera_from_roundel: &Rigid,
+) -> Option<Expected> {
+    // Most of what a camera does not see is told by its centre alone.
+    let center = sensor.camera.project(&camera_from_roundel.translation.vector).ok()?;
+    if !sensor.camera.contains(center) {
+        return None;
+    }
+    let sighting = sight(&sensor.camera, kind, &sensor.imaging, camera_from_roundel)?;
+    if !is_found(sensor, kind, &sighting) {
+        return None;
+    }
+    let (seen_as, noise) = (whole(kind), rim_noise(sensor, kind, &sighting));
+    let locate = |camera: &Camera| locate(camera, &seen_as, &sighting.ring, &noise);
+    let pose = locate(&sensor.camera).ok()?;
+    let position = |camera: &Camera| Some(locate(camera).ok()?.position_m);
+    let by_lens_m2 = match doubt {
+        Some(doubt) => doubt.carried(&sensor.camera, position)?,
+        None => Matrix3::zeros(),
+    };
+    Some(Expected { sighting, pose, by_lens_m2 })
+}
+
+/// The fit sees a coded disc's rim whole, if in parts at the teeth's inner and outer ends.
+fn whole(kind: &Kind) -> Kind {
+    match kind.pattern {
+        Pattern::Coded(_) => Kind { pattern: Pattern::Plain, ..kind.clone() },
+        Pattern::Plain | Pattern::Elliptical { .. } => kind.clone(),
+    }
+}
+
+/// The noise of a ring's rims, as its mode finds them.
+fn rim_noise(sensor: &Sensor, kind: &Kind, sighting: &Sighting) -> RimNoise {
+    let Imaging { noise, blur_px, .. } = sensor.imaging;
+    let variance = noise.powi(2) + 1.0 / 12.0;
+    let spread_px = (blur_px.powi(2) + 1.0 / 12.0).sqrt();
+    let per_length = 2.0 * PI.sqrt() * spread_px / sensor.imaging.contrast().powi(2);
+    let edge_px = (variance * per_length).sqrt();
+    // What is narrower than its blur is washed out: the disc, or the black beside it.
+    let (least, most) = kind.ratios();
+    let narrow_px = 0.5 * sighting.minor_px * least.min(1.0 - most);
+    let washed = spread_px / narrow_px;
+    match sensor.mode {
+        Mode::Precise => {
+            let growth = 1.0 + FIT_WASHED * washed.powi(4);
+            let (edge_px, floor_px) = (edge_px * growth, FIT_FLOOR_PX * growth);
+            RimNoise { edge_px, floor_px, is_of_ring: true }
+        }
+        Mode::Fast => {
+            let by_blur_px = BLURRED_FLOOR * (blur_px - SHARP_PX).max(0.0);
+            let by_width_px = WASHED_FLOOR_PX * washed.powf(WASHED_POWER);
+            let floor_px = MOMENTS_FLOOR_PX + by_blur_px + by_width_px;
+            RimNoise { edge_px: MOMENTS_EDGE * edge_px, floor_px, is_of_ring: true }
+        }
+    }
+}
+
+impl Expected {
+    /// Of the position, camera frame, m².
+    pub fn position_m2(&self) -> Matrix3<f64> {
+        self.pose.covariance.fixed_view::<3, 3>(0, 0) + self.by_lens_m2
+    }
+
+    /// Deviation along the line of sight, metres.
+    pub fn depth_m(&self) -> f64 {
+        self.along(&self.pose.position_m)
+    }
+
+    /// Root mean square of the deviations along the two directions across the line of sight, metres: what a place on a
+    /// known plane square to it is off by in each of its coordinates (2D mode).
+    pub fn across_m(&self) -> f64 {
+        let depth = self.depth_m();
+        (0.5 * (self.position_m2().trace() - depth * depth)).max(0.0).sqrt()
+    }
+
+    /// Root mean square of the distance from the truth, metres.
+    pub fn position_m(&self) -> f64 {
+        self.position_m2().trace().max(0.0).sqrt()
+    }
+
+    /// Root mean square of the angle by which the normal is off if the right one of two was taken, radians.
+    pub fn normal_rad(&self) -> f64 {
+        let rotation = self.pose.covariance.fixed_view::<3, 3>(3, 3).into_owned();
+        let about = self.pose.normal.dot(&(rotation * self.pose.normal));
+        (rotation.trace() - about).max(0.0).sqrt()
+    }
+
+    fn along(&self, axis: &Vector3<f64>) -> f64 {
+        let unit = axis.normalize();
+        unit.dot(&(self.position_m2() * unit)).max(0.0).sqrt()
+    }
+
+    /// As a worker hands it to fusion, the lens' doubt included.
+    pub fn detection(&self) -> Detection {
+        let mut pose = self.pose.clone();
+        let mut position = pose.covariance.fixed_view_mut::<3, 3>(0, 0);
+        position += self.by_lens_m2;
+        let (track, capture_time) = (TrackNumber(0), Timestamp::default());
+        Detection { track, ring: self.sighting.ring, capture_time, pose: Some(pose) }
+    }
+}
+
+impl LensDoubt {
+    /// Of what follows from a camera's parameters and an image.
+    fn carried(
+        &self,
+        camera: &Camera,
+        position: impl Fn(&Camera) -> Option<Vector3<f64>>,
+    ) -> Option<Matrix3<f64>> {
+        let count = 4 + self.free.len();
+        let mut slopes = Matrix3xX::zeros(count);
+        for number in 0..count {
+            let step = if number < 4 { STEP_PX } else { STEP };
+            let at = |step: f64| position(&self.moved(camera, number, step)?);
+            slopes.set_column(number, &((at(step)? - at(-step)?) / (2.0 * step)));
+        }
+        let carried = &slopes * &self.covariance * slopes.transpose();
+        Some((carried + carried.transpose()) * 0.5)
+    }
+
+    fn moved(&self, camera: &Camera, number: usize, step: f64) -> Option<Camera> {
+        let mut to: Intrinsics = camera.intrinsics().clone();
+        match number {
+            0 => to.fx_px += step,
+            1 => to.fy_px += step,
+            2 => to.cx_px += step,
+            3 => to.cy_px += step,
+            _ => {
+                let mut coefficients = to.lens.coefficients().to_vec();
+                *coefficients.get_mut(self.free[number - 4])? += step;
+                to.lens = Lens::from_ros(to.lens.name(), &coefficients)?;
+            }
+        }
+        Camera::new(to).ok()
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::super::{reach::before, tests::sensor};
+    use super::*;
+    use crate::camera::NormalizedPoint;
+
+    fn face_on(sensor: &Sensor, doubt: Option<&LensDoubt>, diameter_px: f64) -> Expected {
+        let kind = Kind::plain("", 0.16, 0.064);
+        let distance_m = sensor.camera.intrinsics().fx_px * 0.16 / diameter_px;
+        let pose = before(NormalizedPoint::default(), distance_m, 0.0);
+        expect(sensor, doubt, &kind, &pose).unwrap()
+    }
+
+    /// The Cramér-Rao bound of the pixels, which the crate of the tests finds by differences of rendered images.
+    #[test]
+    fn at_30_px_the_distance_is_known_to_a_seventieth_of_a_percent() {
+        let expected = face_on(&sensor(), None, 30.5);
+        let share = expected.depth_m() / expected.pose.position_m.norm();
+        assert!((share / 1.42e-4 - 1.0).abs() < 0.1, "{share}");
+        // Across it is a matter of the rims' length: 30.5 π 1.4 px, half of it for either direction.
+        let px = expected.across_m() / expected.pose.position_m.norm() * 700.0;
+        assert!((px - 0.0035).abs() < 0.0006, "{px}");
+    }
+
+    #[test]
+    fn noise_and_a_doubtful_lens_cost_precision() {
+        let clean = face_on(&sensor(), None, 30.0).depth_m();
+        let mut noisy = sensor();
+        noisy.imaging.noise = 4.0;
+        let ratio = face_on(&noisy, None, 30.0).depth_m() / clean;
+        assert!((ratio - f64::sqrt((16.0 + 1.0 / 12.0) / (4.0 + 1.0 / 12.0))).abs() < 0.03);
+        // Both focal lengths off together by a thousandth: so is the distance.
+        let mut covariance = DMatrix::zeros(4, 4);
+        covariance.view_mut((0, 0), (2, 2)).fill(0.7f64.powi(2));
+        let doubt = LensDoubt { free: Vec::new(), covariance };
+        let expected = face_on(&sensor(), Some(&doubt), 30.0);
+        let by_lens = expected.depth_m().powi(2) - clean.powi(2);
+        let share = by_lens.sqrt() / expected.pose.position_m.norm();
+        assert!((share / 1e-3 - 1.0).abs() < 0.01, "{share}");
+    }
+}

@@ -1,0 +1,138 @@
+//! How near and how far a roundel is found, and how wide the view is there (paper, equations 13 to 16).
+//!
+//! Distances are those from the image plane, along the optical axis, as in the paper. They are found by bisection on
+//! roundels projected through the whole lens model, so that the paper's kₓ and k_y (equation 15) are not needed.
+
+use nalgebra::{Translation3, UnitQuaternion, Vector3};
+
+use super::{
+    PlanError, Sensor,
+    sight::{EDGE_PX, is_found, least_minor_px, sight},
+    within,
+};
+use crate::{
+    camera::{NormalizedPoint, PixelPoint},
+    marker::{Kind, Params},
+    rigid::Rigid,
+};
+
+/// Distances are found to this share.
+const SHARE: f64 = 1e-4;
+/// Nearest and farthest distance that is looked at, outer diameters.
+const LOOKED_AT: (f64, f64) = (0.1, 1e5);
+
+/// Where a roundel is found.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Reach {
+    /// Nearest distance at which it is wholly in the picture however it is turned about the axis (v_min).
+    pub least_m: f64,
+    /// Farthest one on the optical axis (v′_max).
+    pub most_m: f64,
+    /// Farthest one at which it is found in every corner of the picture (v_max).
+    pub most_corner_m: f64,
+    /// Width and height at `most_corner_m` within which it is wholly in the picture (v_y, v_z).
+    pub base_m: [f64; 2],
+    /// Shorter diameter at `most_m`, pixels (D).
+    pub least_minor_px: f64,
+}
+
+/// Where a roundel tilted by this angle against the image plane is found.
+pub fn reach(sensor: &Sensor, kind: &Kind, tilt_rad: f64) -> Result<Reach, PlanError> {
+    sensor.check(kind)?;
+    let most_tilt_deg = Params::default().min_axis_ratio.acos().to_degrees();
+    within("tilt", tilt_rad.to_degrees(), [0.0, most_tilt_deg], "0 to 75 degrees")?;
+    let middle = middle(sensor);
+    let most_m = farthest(sensor, kind, tilt_rad, middle).ok_or_else(|| PlanError::NoReach {
+        outer_mm: kind.outer_diameter_m * 1e3,
+        tilt_deg: tilt_rad.to_degrees(),
+        most_px: sensor.camera.width().min(sensor.camera.height()) as f64,
+    })?;
+    let whole = |distance_m: f64| {
+        let pose = before(middle, distance_m, 0.0);
+        let seen = sight(&sensor.camera, kind, &sensor.imaging, &pose);
+        seen.is_some_and(|seen| seen.is_whole)
+    };
+    let least_m = bisect(most_m, LOOKED_AT.0 * kind.outer_diameter_m, whole);
+    let corners = corners(sensor, kind);
+    let at_corner = |corner: NormalizedPoint| farthest(sensor, kind, tilt_rad, corner);
+    // A corner that the lens model does not reach is none that anybody could use.
+    let most_corner_m = corners.iter().copied().filter_map(at_corner).fold(most_m, f64::min);
+    let base_m = base(sensor, kind, most_corner_m);
+    let least_minor_px = least_minor_px(sensor, kind, tilt_rad);
+    Ok(Reach { least_m, most_m, most_corner_m, base_m, least_minor_px })
+}
+
+/// A roundel at a place of the image plane and a distance, tilted against that plane about the picture's vertical.
+pub fn before(place: NormalizedPoint, distance_m: f64, tilt_rad: f64) -> Rigid {
+    let facing = UnitQuaternion::from_axis_angle(&Vector3::x_axis(), std::f64::consts::PI);
+    let tilt = UnitQuaternion::from_axis_angle(&Vector3::y_axis(), tilt_rad);
+    let position = Vector3::new(place.x, place.y, 1.0) * distance_m;
+    Rigid::from_parts(Translation3::from(position), tilt * facing)
+}
+
+/// On the optical axis, or in the picture's middle where that is not in the picture.
+fn middle(sensor: &Sensor) -> NormalizedPoint {
+    let camera = &sensor.camera;
+    let axis = NormalizedPoint::default();
+    if camera.distort(axis).is_ok_and(|pixel| camera.contains(pixel)) {
+        return axis;
+    }
+    let [u, v] = [camera.width(), camera.height()].map(|side| 0.5 * (side as f64 - 1.0));
+    camera.undistort(PixelPoint { u, v }).unwrap_or(axis)
+}
+
+/// `None` where it is found at no distance.
+fn farthest(sensor: &Sensor, kind: &Kind, tilt_rad: f64, place: NormalizedPoint) -> Option<f64> {
+    let is_found = |distance_m: f64| {
+        let pose = before(place, distance_m, tilt_rad);
+        let seen = sight(&sensor.camera, kind, &sensor.imaging, &pose);
+        seen.is_some_and(|seen| is_found(sensor, kind, &seen))
+    };
+    // Nearer it is larger, until it does not fit in: the near end is where it is just large enough by the pinhole.
+    let focal_px = sensor.camera.intrinsics().fx_px.min(sensor.camera.intrinsics().fy_px);
+    let by_pinhole_m =
+        focal_px * kind.outer_diameter_m * tilt_rad.cos() / least_minor_px(sensor, kind, tilt_rad);
+    let near_m = (1..12).map(|step| by_pinhole_m * 0.8f64.powi(step)).find(|&d| is_found(d))?;
+    Some(bisect(near_m, LOOKED_AT.1 * kind.outer_diameter_m, is_found))
+}
+
+/// From where something holds towards where it does not, the last place where it does.
+fn bisect(from: f64, to: f64, holds: impl Fn(f64) -> bool) -> f64 {
+    let (mut good, mut bad) = (from, to);
+    while (good / bad).ln().abs() > SHARE {
+        let middle = (good * bad).sqrt();
+        if holds(middle) { good = middle } else { bad = middle }
+    }
+    good
+}
+
+/// Half of the smallest roundel that is found, with its white edge, pixels.
+fn half_px(sensor: &Sensor, kind: &Kind) -> f64 {
+    0.5 * least_minor_px(sensor, kind, 0.0) + EDGE_PX + 1.0
+}
+
+/// Just within the picture's corners, as far as the lens reaches.
+fn corners(sensor: &Sensor, kind: &Kind) -> Vec<NormalizedPoint> {
+    let camera = &sensor.camera;
+    let edge_px = half_px(sensor, kind) + 0.25 * least_minor_px(sensor, kind, 0.0);
+    let ends = |side: usize| [edge_px, side as f64 - 1.0 - edge_px];
+    let (us, vs) = (ends(camera.width()), ends(camera.height()));
+    let all = us.into_iter().flat_map(|u| vs.map(|v| PixelPoint { u, v }));
+    all.filter_map(|corner| camera.undistort(corner).ok()).collect()
+}
+
+fn base(sensor: &Sensor, kind: &Kind, distance_m: f64) -> [f64; 2] {
+    let camera = &sensor.camera;
+    let edge_px = half_px(sensor, kind);
+    let [u, v] = [camera.width(), camera.height()].map(|side| side as f64 - 1.0);
+    let across = |ends: [PixelPoint; 2], of: fn(NormalizedPoint) -> f64| {
+        let [from, to] = ends.map(|end| camera.undistort(end).map(of));
+        from.and_then(|from| Ok((to? - from) * distance_m)).map_or(0.0, |side| side.max(0.0))
+    };
+    let level = |u: f64| PixelPoint { u, v: 0.5 * v };
+    let upright = |v: f64| PixelPoint { u: 0.5 * u, v };
+    [
+        across([level(edge_px), level(u - edge_px)], |point| point.x),
+        across([upright(edge_px), upright(v - edge_px)], |point| point.y),
+    ]
+}

@@ -1,0 +1,299 @@
+//! The reverse questions: which roundel does it, how many cameras, and where.
+//!
+//! Both are plain searches over what the forward model says, so that what they give is what it holds: the diameter by
+//! bisection, the cameras by trying every grid of downward cameras, fewer before more, at a number of heights.
+
+use nalgebra::{Translation3, UnitQuaternion, Vector3};
+
+use super::{
+    PlanError, Sensor,
+    map::{Field, Map, Station, Summary, map},
+    precision::{LensDoubt, expect},
+    reach::before,
+    within,
+};
+use crate::{
+    camera::NormalizedPoint,
+    marker::{Kind, Mask, Pattern},
+    rigid::{Covariance6, Rigid},
+    world::CameraPlacement,
+};
+
+/// Outer diameters that are looked at, metres.
+const DIAMETERS_M: (f64, f64) = (0.002, 10.0);
+/// A diameter is found to this share.
+const SHARE: f64 = 1e-3;
+/// Most cameras that are tried.
+pub const MOST_CAMERAS: usize = 64;
+/// Heights that are tried.
+const HEIGHTS: usize = 10;
+/// Spots of a map that a grid of cameras is judged by.
+const SPOTS: f64 = 300.0;
+
+/// The kind with another outer diameter and the same proportions.
+pub fn scaled(kind: &Kind, outer_m: f64) -> Kind {
+    let scale = outer_m / kind.outer_diameter_m;
+    let pattern = match kind.pattern {
+        Pattern::Elliptical { minor_diameter_m } => {
+            Pattern::Elliptical { minor_diameter_m: minor_diameter_m * scale }
+        }
+        other => other,
+    };
+    let inner_diameter_m = kind.inner_diameter_m * scale;
+    Kind { outer_diameter_m: outer_m, inner_diameter_m, pattern, ..kind.clone() }
+}
+
+/// The smallest outer diameter, metres, of roundels like this one that are found at a distance along the optical axis,
+/// tilted so, and located to `most_m` (rms of the distance from the truth) if that is given.
+pub fn smallest_m(
+    sensor: &Sensor,
+    doubt: Option<&LensDoubt>,
+    kind: &Kind,
+    (distance_m, tilt_rad): (f64, f64),
+    most_m: Option<f64>,
+) -> Result<f64, PlanError> {
+    sensor.check(kind)?;
+    within("distance", distance_m, [1e-3, 1e4], "0.001 to 10000 m")?;
+    if let Some(most_m) = most_m {
+        within("precision", most_m, [1e-7, 1e3], "0.0000001 to 1000 m")?;
+    }
+    let error_m = |outer_m: f64| {
+        let pose = before(NormalizedPoint::default(), distance_m, tilt_rad);
+        Some(expect(sensor, doubt, &scaled(kind, outer_m), &pose)?.position_m())
+    };
+    let does = |outer_m: f64| {
+        error_m(outer_m).is_some_and(|error_m| most_m.is_none_or(|most_m| error_m <= most_m))
+    };
+    // The largest that still fits into the picture is the best that there is.
+    let steps = (DIAMETERS_M.1 / DIAMETERS_M.0).ln() / 0.05;
+    let tried = || (0..=steps as usize).map(|step| DIAMETERS_M.0 * (0.05 * step as f64).exp());
+    let Some(mut good) = tried().find(|&outer_m| does(outer_m)) else {
+        let best = tried().filter_map(|outer| Some((outer, error_m(outer)?)));
+        return Err(PlanError::Unreachable(match best.min_by(|a, b| a.1.total_cmp(&b.1)) {
+            Some((outer_m, error_m)) => format!(
+                "no roundel is located to {:.3} mm at {distance_m} m: the best of this camera is {:.3} mm, with one \
+                 of {:.0} mm; take more pixels, a longer focal length, or cameras nearer by",
+                most_m.unwrap_or(f64::NAN) * 1e3,
+                error_m * 1e3,
+                outer_m * 1e3
+            ),
+            None => format!(
+                "no roundel of {:.0} mm to {:.0} m is found at {distance_m} m, tilted by {:.0}°",
+                DIAMETERS_M.0 * 1e3,
+                DIAMETERS_M.1,
+                tilt_rad.to_degrees()
+            ),
+        }));
+    };
+    let mut bad = good * (-0.05f64).exp();
+    while (good / bad).ln() > SHARE {
+        let middle = (good * bad).sqrt();
+        if does(middle) { good = middle } else { bad = middle }
+    }
+    Ok(good)
+}
+
+/// What a grid of cameras has to reach.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Wish {
+    /// The arena: least and greatest x and y, and the height of the roundels, metres.
+    pub field: Field,
+    /// Lowest and highest mount, metres.
+    pub mount_m: [f64; 2],
+    /// Cameras that have to see a spot.
+    pub views: usize,
+    /// Share of the spots for which that and the precision have to hold.
+    pub share: f64,
+    /// What a spot's rms distance from the truth may be, metres, if that matters.
+    pub most_m: Option<f64>,
+}
+
+/// Cameras that hang in a grid and look straight down.
+#[derive(Clone, Debug)]
+pub struct Grid {
+    /// Along x and y.
+    pub counts: [usize; 2],
+    /// Height, metres.
+    pub mount_m: f64,
+    /// Whether the pictures' longer side lies along y.
+    pub is_turned: bool,
+    /// The cameras.
+    pub stations: Vec<Station>,
+    /// What they see.
+    pub map: Map,
+}
+
+/// The fewest cameras that do what is wished; of equally many the most precise.
+pub fn fewest(
+    sensor: &Sensor,
+    doubt: Option<&LensDoubt>,
+    kind: &Kind,
+    wish: &Wish,
+) -> Result<Grid, PlanError> {
+    sensor.check(kind)?;
+    let field = wish.check()?;
+    let below_m = wish.mount_m[0] - field.height_m;
+    let straight = before(NormalizedPoint::default(), below_m, 0.0);
+    if expect(sensor, doubt, kind, &straight).is_none() {
+        return Err(PlanError::Unreachable(format!(
+            "a roundel of {:.0} mm is not found {below_m:.2} m before this camera, not even straight below the lowest \
+             mount; take larger roundels, another height, or more pixels",
+            kind.outer_diameter_m * 1e3
+        )));
+    }
+    let mut best: Option<(f64, Grid)> = None;
+    for count in 1..=MOST_CAMERAS {
+        let mut done: Option<Grid> = None;
+        for grid in tried(count, wish, sensor, doubt) {
+            let map = map(&grid.stations, kind, field)?;
+            let share = wish.fulfilled(&map);
+            let grid = Grid { map, ..grid };
+            if best.as_ref().is_none_or(|(most, _)| share > *most) {
+                best = Some((share, grid.clone()));
+            }
+            let p95_m = |grid: &Grid| grid.map.summary().p95_m;
+            if share >= wish.share && done.as_ref().is_none_or(|done| p95_m(&grid) < p95_m(done)) {
+                done = Some(grid);
+            }
+        }
+        if let Some(done) = done {
+            return Ok(done);
+        }
+    }
+    Err(wish.missed(best))
+}
+
+impl Wish {
+    /// The field with the spots that are judged.
+    fn check(&self) -> Result<Field, PlanError> {
+        let [low_m, high_m] = self.mount_m;
+        within("mount", low_m, [self.field.height_m + 0.05, 1e3], "above the roundels' height")?;
+        within("highest mount", high_m, [low_m, 1e3], "not below the lowest one")?;
+        within("views", self.views as f64, [1.0, 16.0], "1 to 16 cameras")?;
+        within("share", self.share, [0.01, 1.0], "0.01 to 1")?;
+        if let Some(most_m) = self.most_m {
+            within("precision", most_m, [1e-7, 1e3], "0.0000001 to 1000 m")?;
+        }
+        let sides = [0, 1].map(|axis| self.field.high_m[axis] - self.field.low_m[axis]);
+        for side in sides {
+            within("arena", side, [0.05, 1e3], "sides of 0.05 to 1000 m")?;
+        }
+        Ok(Field { step_m: (sides[0] * sides[1] / SPOTS).sqrt(), ..self.field })
+    }
+
+    /// Share of spots with enough views, exact enough.
+    fn fulfilled(&self, map: &Map) -> f64 {
+        let good = map.spots.iter().filter(|spot| {
+            let exact = spot.deviation.is_some_and(|deviation| {
+                self.most_m.is_none_or(|most_m| deviation.total_m <= most_m)
+            });
+            spot.cameras >= self.views && exact
+        });
+        good.count() as f64 / map.spots.len() as f64
+    }
+
+    fn missed(&self, best: Option<(f64, Grid)>) -> PlanError {
+        let tried = match best {
+            Some((share, grid)) if share > 0.0 => {
+                let Summary { median_m, .. } = grid.map.summary();
+                format!(
+                    "the best, {} x {} at {:.2} m, does it for {:.0} % (median {:.2} mm)",
+                    grid.counts[0],
+                    grid.counts[1],
+                    grid.mount_m,
+                    share * 100.0,
+                    median_m * 1e3
+                )
+            }
+            _ => "none of them sees a spot well enough".to_owned(),
+        };
+        PlanError::Unreachable(format!(
+            "no grid of up to {MOST_CAMERAS} such cameras at {} to {} m does it for {:.0} % of the arena: {tried}; take \
+             larger roundels, other heights, or more pixels",
+            self.mount_m[0],
+            self.mount_m[1],
+            self.share * 100.0
+        ))
+    }
+}
+
+/// Every grid of so many cameras that could cover the arena, with an empty map.
+fn tried<'a>(
+    count: usize,
+    wish: &'a Wish,
+    sensor: &'a Sensor,
+    doubt: Option<&'a LensDoubt>,
+) -> impl Iterator<Item = Grid> + 'a {
+    let [low_m, high_m] = wish.mount_m;
+    let heights = if high_m > low_m { HEIGHTS } else { 1 };
+    let pairs = (1..=count).filter(move |columns| count.is_multiple_of(*columns));
+    let grids = pairs.flat_map(move |columns| {
+        (0..2 * heights).map(move |number| {
+            let share = (number / 2) as f64 / (heights - 1).max(1) as f64;
+            let mount_m = high_m + share * (low_m - high_m);
+            ([columns, count / columns], mount_m, number % 2 == 1)
+        })
+    });
+    grids.filter_map(move |(counts, mount_m, is_turned)| {
+        if !could_cover(wish, sensor, counts, mount_m, is_turned) {
+            return None;
+        }
+        let stations = hung(wish, sensor, doubt, (counts, mount_m, is_turned));
+        let map = Map { field: wish.field, columns: 0, rows: 0, spots: Vec::new() };
+        Some(Grid { counts, mount_m, is_turned, stations, map })
+    })
+}
+
+/// Whether the pictures are wide enough together, by half again for what the lens adds at the corners.
+fn could_cover(
+    wish: &Wish,
+    sensor: &Sensor,
+    counts: [usize; 2],
+    mount_m: f64,
+    is_turned: bool,
+) -> bool {
+    let camera = sensor.camera.intrinsics();
+    let above_m = mount_m - wish.field.height_m;
+    let mut seen_m = [
+        camera.width as f64 / camera.fx_px * above_m,
+        camera.height as f64 / camera.fy_px * above_m,
+    ];
+    if is_turned {
+        seen_m.reverse();
+    }
+    let area_m2 = |sides: [f64; 2]| sides[0] * sides[1];
+    let arena_m = [0, 1].map(|axis| wish.field.high_m[axis] - wish.field.low_m[axis]);
+    let together = area_m2(seen_m) * (counts[0] * counts[1]) as f64 * 1.5;
+    together >= wish.share * wish.views as f64 * area_m2(arena_m)
+}
+
+/// Cameras over the middles of a grid's cells, looking straight down.
+fn hung(
+    wish: &Wish,
+    sensor: &Sensor,
+    doubt: Option<&LensDoubt>,
+    (counts, mount_m, is_turned): ([usize; 2], f64, bool),
+) -> Vec<Station> {
+    let down = UnitQuaternion::from_axis_angle(&Vector3::x_axis(), std::f64::consts::PI);
+    let quarter = UnitQuaternion::from_axis_angle(&Vector3::z_axis(), std::f64::consts::FRAC_PI_2);
+    let rotation = if is_turned { quarter * down } else { down };
+    let at = |index: usize, axis: usize| {
+        let (low, high) = (wish.field.low_m[axis], wish.field.high_m[axis]);
+        low + (high - low) * (index as f64 + 0.5) / counts[axis] as f64
+    };
+    let place = |index: usize| {
+        let (x, y) = (at(index % counts[0], 0), at(index / counts[0], 1));
+        Rigid::from_parts(Translation3::new(x, y, mount_m), rotation)
+    };
+    (0..counts[0] * counts[1])
+        .map(|index| Station {
+            sensor: sensor.clone(),
+            doubt: doubt.cloned(),
+            place: CameraPlacement {
+                world_from_camera: place(index),
+                covariance: Covariance6::zeros(),
+            },
+            mask: Mask::default(),
+        })
+        .collect()
+}

@@ -1,0 +1,132 @@
+//! How a roundel is imaged, and whether it would be found.
+//!
+//! Both rims are carried through the whole camera model point by point, and the ellipses of the areas that they
+//! enclose are what the detector measures of them. Found is what is wholly in the picture, wide enough and not tilted
+//! too far: the detector's own limits ([`crate::marker::Params`]), and what blur and noise leave of them, measured on
+//! rendered roundels (`--bin plans` of the tests' crate).
+
+use nalgebra::{Point3, Vector3};
+
+use super::{Imaging, Sensor};
+use crate::{
+    camera::Camera,
+    ellipse::{Ellipse, Shape},
+    marker::{Kind, Params, Pattern, Ring},
+    rigid::Rigid,
+};
+
+/// Points of a rim: the ellipse is exact to a millionth of a pixel where the lens is smooth.
+const POINTS: usize = 24;
+/// White that the detector wants round the ring, pixels.
+pub const EDGE_PX: f64 = 2.0;
+/// Of the least diameter that is found: this much above the detector's limit at this blur, pixels; …
+const LIMIT_MORE_PX: f64 = 0.1;
+const USUAL_BLUR_PX: f64 = 0.5;
+/// … for each unit by which a disc's ratio is below this one, this many pixels and so many a pixel of blur more; …
+const LARGE_DISC: f64 = 0.55;
+const SMALL_DISC_PX: f64 = 6.5;
+const SMALL_DISC: f64 = 5.5;
+/// … and black at least so wide against the blur.
+const BLACK_OVER_BLUR: f64 = 1.73;
+/// A ring's levels stray by this share of the noise in them, since they are means over its rim's width.
+const UNEVEN_SHARE: f64 = 2.0 / 3.0;
+
+/// A roundel as a camera would image it.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Sighting {
+    /// Its rims and levels.
+    pub ring: Ring,
+    /// Shorter diameter of the outer rim, pixels.
+    pub minor_px: f64,
+    /// Angle between normal and line of sight, radians.
+    pub tilt_rad: f64,
+    /// Whether the ring with its white edge is wholly in the picture.
+    pub is_whole: bool,
+}
+
+/// How a camera images a roundel at a pose; `None` if it is not before the camera or not within the lens' reach.
+pub fn sight(
+    camera: &Camera,
+    kind: &Kind,
+    imaging: &Imaging,
+    camera_from_roundel: &Rigid,
+) -> Option<Sighting> {
+    let center_m = camera_from_roundel.translation.vector;
+    let normal = camera_from_roundel.rotation * Vector3::z();
+    if normal.dot(&center_m) >= 0.0 {
+        return None;
+    }
+    let outer_m = 0.5 * kind.outer_diameter_m;
+    let along_m = 0.5 * kind.inner_diameter_m;
+    let across_m = match kind.pattern {
+        Pattern::Elliptical { minor_diameter_m } => 0.5 * minor_diameter_m,
+        Pattern::Plain | Pattern::Coded(_) => along_m,
+    };
+    let outer = rim(camera, camera_from_roundel, [outer_m; 2])?;
+    let inner = rim(camera, camera_from_roundel, [along_m, across_m])?;
+    let ring = Ring {
+        black: imaging.black,
+        white: imaging.white,
+        unevenness: UNEVEN_SHARE * imaging.noise / imaging.contrast(),
+        polarity: kind.polarity,
+        ..Ring::of_rims(outer, inner)
+    };
+    let (half_u, half_v) = outer.half_box_px();
+    let (reach_u, reach_v) = (half_u + EDGE_PX, half_v + EDGE_PX);
+    let (width, height) = (camera.width() as f64, camera.height() as f64);
+    let fits =
+        |middle: f64, reach: f64, side: f64| middle - reach >= -0.5 && middle + reach <= side - 0.5;
+    let is_whole = fits(outer.center.u, reach_u, width) && fits(outer.center.v, reach_v, height);
+    let tilt_rad = normal.angle(&-center_m);
+    Some(Sighting { ring, minor_px: 2.0 * outer.semi_minor_px, tilt_rad, is_whole })
+}
+
+/// The least shorter diameter of the outer rim that is found reliably (nine of ten), pixels: D of the paper's equation
+/// (14).
+///
+/// The detector's own limit, a little more the smaller the disc is against the blur (tilted the less so, since the disc
+/// is longer then), and as much as the black needs to be black between two white edges. Measured on rendered
+/// roundels of ratios of 0.3 to 0.65, blurs of 0.5 to 1.1 px, tilts to 55°, where it is within 6 %; noise of 1 to 4
+/// levels makes no difference.
+pub fn least_minor_px(sensor: &Sensor, kind: &Kind, tilt_rad: f64) -> f64 {
+    let limit_px = 2.0 * Params::default().min_semi_minor_px;
+    let (least, most) = kind.ratios();
+    let blur_px = sensor.imaging.blur_px;
+    let (blurred_px, small) = (blur_px - USUAL_BLUR_PX, (LARGE_DISC - least).max(0.0));
+    let by_disc_px = blurred_px + (SMALL_DISC_PX + SMALL_DISC * blurred_px) * small;
+    let by_black_px = 2.0 * BLACK_OVER_BLUR * blur_px / (1.0 - most);
+    (limit_px + LIMIT_MORE_PX + tilt_rad.cos() * by_disc_px).max(limit_px).max(by_black_px)
+}
+
+/// The least shorter diameter of the outer rim at which the teeth of a coded roundel are read, pixels; `None` of one
+/// without (`--bin codes` of the tests' crate).
+pub fn least_read_px(kind: &Kind) -> Option<f64> {
+    let Pattern::Coded(layout) = kind.pattern else { return None };
+    let bits = f64::from(layout.bits);
+    Some(bits * (4.5 + 0.14 * (bits - 8.0)))
+}
+
+/// Whether it would be found.
+pub fn is_found(sensor: &Sensor, kind: &Kind, sighting: &Sighting) -> bool {
+    let outer = &sighting.ring.outer;
+    let params = Params::default();
+    sighting.is_whole
+        && sighting.minor_px >= least_minor_px(sensor, kind, sighting.tilt_rad)
+        && outer.semi_minor_px >= params.min_axis_ratio * outer.semi_major_px
+}
+
+/// The ellipse of a rim of these semiaxes.
+fn rim(camera: &Camera, camera_from_roundel: &Rigid, [a_m, b_m]: [f64; 2]) -> Option<Ellipse> {
+    let step = std::f64::consts::TAU / POINTS as f64;
+    let mut points = [[0.0; 4]; POINTS];
+    for (index, point) in points.iter_mut().enumerate() {
+        let (sin, cos) = (index as f64 * step).sin_cos();
+        let place = camera_from_roundel * Point3::new(a_m * cos, b_m * sin, 0.0);
+        let ahead = camera_from_roundel.rotation * Vector3::new(-a_m * sin, b_m * cos, 0.0);
+        let (pixel, by_place) = camera.project_with_jacobian(&place.coords).ok()?;
+        let moved = by_place * ahead * step;
+        *point = [pixel.u, pixel.v, moved.x, moved.y];
+    }
+    let ellipse = Shape::of_contour(points.iter().copied()).ellipse();
+    ellipse.is_valid().then_some(ellipse)
+}
