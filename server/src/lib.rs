@@ -17,6 +17,7 @@
 //! | [`api`] | gRPC, REST, WebSocket, metrics and the dashboard on one port | async tasks |
 //! | [`roster`] | which cameras there are: added, changed and removed, and written back | shared |
 //! | [`print`] | roundels on paper | whoever asks |
+//! | [`plan`] | what an installation would reach | whoever asks |
 //! | [`trial`] | one try of a source, before a camera is configured with it | whoever asks |
 //! | [`serve`] | puts the above together, and takes it apart on shutdown | – |
 //! | [`cli`] | the commands of `roundel` | main thread |
@@ -34,6 +35,7 @@ pub mod fusion;
 pub mod history;
 pub mod hub;
 pub mod image_file;
+pub mod plan;
 pub mod print;
 mod reason;
 pub mod record;

@@ -324,6 +324,7 @@ impl Server {
             hub: self.hub.clone(),
             clock: self.clock,
             calibrator: self.calibrator.clone(),
+            kinds: config.kinds.clone(),
             fleets: self.fleets.clone(),
             ports,
             late_window_ms: config.fusion.late_window_s * 1e3,

@@ -55,6 +55,7 @@ pub fn run() {
             hub,
             clock,
             calibrator: Arc::new(calibrator),
+            kinds: Vec::new(),
             fleets: Arc::default(),
             ports: Arc::default(),
             late_window_ms: 300.0,

@@ -12,6 +12,7 @@
 //! | [`rest`], [`calibration`], [`recording`], [`replay`], [`history`], [`openapi`] | `/api/v1/…` and its description |
 //! | [`setup`], [`objects`], [`configuration`] | cameras and objects that are added, changed and removed, and all of it |
 //! | [`print`] | roundels as files to print |
+//! | [`plan`] | what the cameras would make of roundels all over the arena |
 //! | [`simulation`] | simulated robots that clients drive |
 //! | [`trial`] | one try of a source |
 //! | [`ws`] | `/api/v1/stream` |
@@ -42,6 +43,7 @@ pub mod objects;
 pub mod openapi;
 pub mod page;
 pub mod picture;
+pub mod plan;
 mod port;
 pub mod print;
 pub mod push;
@@ -61,6 +63,7 @@ use std::{
 };
 
 use axum::{Router, middleware};
+use roundel_core::marker::Kind;
 use tokio::net::TcpListener;
 use tokio_util::sync::CancellationToken;
 
@@ -123,6 +126,8 @@ pub struct Served {
     pub clock: Clock,
     /// Finds where cameras stand.
     pub calibrator: Arc<Calibrator>,
+    /// Kinds of roundel, by [`roundel_core::id::KindId`]; none where their sizes are not known.
+    pub kinds: Vec<Kind>,
     /// Simulated robots, which clients may drive.
     pub fleets: Arc<Fleets>,
     /// Where remote programs feed cameras, by camera; `None`: one that is not fed.
@@ -151,6 +156,8 @@ pub struct Api {
     pub clock: Clock,
     /// Finds where cameras stand.
     pub calibrator: Arc<Calibrator>,
+    /// As in [`Served`].
+    pub kinds: Vec<Kind>,
     /// Simulated robots, which clients may drive.
     pub fleets: Arc<Fleets>,
     /// Where remote programs feed cameras.
@@ -189,13 +196,14 @@ pub async fn serve(
     cancel: CancellationToken,
 ) {
     let cors = cors::layer(&served.allow_origins);
-    let Served { hub, clock, calibrator, fleets, ports, late_window_ms, .. } = served;
+    let Served { hub, clock, calibrator, kinds, fleets, ports, late_window_ms, .. } = served;
     let Served { trier, roster, recorder, replay, history, .. } = served;
     let counters = Counters::default();
     let api = Arc::new(Api {
         hub,
         clock,
         calibrator,
+        kinds,
         fleets,
         ports,
         late_window_ms,

@@ -7,8 +7,8 @@ use utoipa::{OpenApi, openapi};
 use utoipa_axum::{router::OpenApiRouter, routes};
 
 use super::{
-    Api, calibration, configuration, history, metrics, objects, print, recording, replay, rest,
-    setup, simulation, trial, ws,
+    Api, calibration, configuration, history, metrics, objects, plan, print, recording, replay,
+    rest, setup, simulation, trial, ws,
 };
 
 #[derive(OpenApi)]
@@ -45,6 +45,7 @@ pub fn described_routes() -> OpenApiRouter<Arc<Api>> {
         .routes(routes!(rest::info))
         .routes(routes!(calibration::show, calibration::start, calibration::cancel))
         .routes(routes!(calibration::apply))
+        .routes(routes!(plan::show))
         .routes(routes!(print::file))
         .routes(routes!(print::codes))
         .routes(routes!(recording::show, recording::start, recording::stop))

@@ -193,6 +193,7 @@ impl ReplayServer {
             hub: hub.clone(),
             clock,
             calibrator,
+            kinds: Vec::new(),
             fleets: Arc::<Fleets>::default(),
             ports: Arc::new(Ports::default()),
             late_window_ms,

@@ -9,6 +9,7 @@ mod observation;
 mod origin;
 mod picture;
 mod place;
+mod plan;
 mod port;
 mod print;
 mod rig;

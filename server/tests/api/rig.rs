@@ -12,7 +12,7 @@ use nalgebra::{UnitQuaternion, Vector3};
 use roundel_core::{
     camera::PixelPoint,
     id::{CameraId, KindId, ObjectId},
-    marker::Code,
+    marker::{Code, Kind},
     rigid::Covariance6,
     world::{LifeStage, ObjectState, ProcessNoise, Snapshot},
 };
@@ -82,6 +82,7 @@ impl Rig {
             hub: hub.clone(),
             clock,
             calibrator,
+            kinds: vec![Kind::plain("robot", 0.16, 0.064), Kind::plain("cart", 0.16, 0.08)],
             fleets: Arc::default(),
             ports: Arc::default(),
             late_window_ms: 300.0,

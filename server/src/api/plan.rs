@@ -1,0 +1,191 @@
+//! What the cameras of this server would make of roundels all over the arena: a map.
+
+use std::sync::Arc;
+
+use axum::{
+    Json,
+    extract::State,
+    http::{HeaderValue, Uri, header},
+    response::{IntoResponse, Response},
+};
+use clap::ValueEnum as _;
+use roundel_core::{
+    marker::{Kind, Polarity},
+    plan::{
+        Imaging,
+        map::{Field, map},
+    },
+};
+
+use super::{
+    Api,
+    error::{ApiError, ErrorBody},
+    query::Parameters,
+};
+use crate::{
+    plan::{
+        SPOTS,
+        picture::{self, Show},
+        report::{PlanMap, used},
+        station::{self, Named},
+    },
+    print::spec::{self, Print},
+};
+
+/// Most spots that are computed for a request.
+const MOST_SPOTS: usize = 20_000;
+/// Roundels lie so high, if nobody says how high, metres.
+const HEIGHT_M: f64 = 0.3;
+
+/// How exactly roundels would be located that lie face up, all over the arena, by the cameras as they stand now and with
+/// the blur and noise that are measured of them: from one set of frames, by the covariances that fusion uses.
+#[utoipa::path(
+    get, path = "/api/v1/plan", tag = "plan",
+    params(
+        ("format" = Option<String>, Query, description = "json, svg or png [json]"),
+        ("show" = Option<String>, Query, description = "of pictures: precision or cameras [precision]"),
+        ("roundel" = Option<String>, Query, description = "name of a kind of the configuration [the first one]", example = "robot"),
+        ("marker" = Option<String>, Query, description = "another roundel instead: OUTER_MM:INNER_MM", example = "160:64"),
+        ("height" = Option<f64>, Query, description = "of the roundels, metres [0.3]"),
+        ("min" = Option<String>, Query, description = "x,y where the map begins, metres [what the cameras see]", example = "-5,-4"),
+        ("max" = Option<String>, Query, description = "x,y where it ends, metres", example = "5,4"),
+        ("step" = Option<f64>, Query, description = "from spot to spot, metres [2400 spots]"),
+    ),
+    responses(
+        (status = 200, description = "the map", body = PlanMap),
+        (status = 400, description = "names the wrong parameter", body = ErrorBody),
+        (status = 412, description = "no camera's place is known", body = ErrorBody),
+    ),
+)]
+pub async fn show(State(api): State<Arc<Api>>, uri: Uri) -> Result<Response, ApiError> {
+    let mut parameters = Parameters::of(&uri)?;
+    let format = parameters.take("format")?.unwrap_or_else(|| "json".to_owned());
+    let show = match parameters.take("show")? {
+        Some(word) => Show::from_str(&word, true)
+            .map_err(|_| ApiError::invalid("show", "precision or cameras", word))?,
+        None => Show::default(),
+    };
+    let kind = kind(&api, &mut parameters)?;
+    let height_m = parameters.take_parsed("height", "metres")?.unwrap_or(HEIGHT_M);
+    let corners = [corner(&mut parameters, "min")?, corner(&mut parameters, "max")?];
+    let step_m = parameters.take_parsed::<f64>("step", "metres")?;
+    parameters.finish()?;
+    if !["json", "svg", "png"].contains(&format.as_str()) {
+        return Err(ApiError::invalid("format", "json, svg or png", format!("{format:?}")));
+    }
+    let cameras = cameras(&api);
+    let field = field(&cameras, height_m, corners, step_m)?;
+    let work = move || -> Result<Response, ApiError> {
+        let wrong = |error: roundel_core::plan::PlanError| ApiError::Invalid {
+            field: "query",
+            message: error.to_string(),
+        };
+        let map = map(&used(&cameras), &kind, field).map_err(wrong)?;
+        let map = PlanMap::of(&map, &kind.name, &cameras);
+        match format.as_str() {
+            "svg" => Ok(sent("image/svg+xml", picture::svg(&map, show).into_bytes())),
+            "png" => picture::png(&map, show)
+                .map(|bytes| sent("image/png", bytes))
+                .map_err(|error| ApiError::Internal(error.to_string())),
+            _ => Ok(Json(map).into_response()),
+        }
+    };
+    tokio::task::spawn_blocking(work)
+        .await
+        .map_err(|error| ApiError::Internal(format!("planning ended early: {error}")))?
+}
+
+/// The cameras as they are now, in their order.
+fn cameras(api: &Api) -> Vec<Named> {
+    let installation = api.hub.installation();
+    let states = api.hub.cameras();
+    let each = installation.cameras.iter();
+    each.filter_map(|(id, info)| Some(station::live(info, states.get(id)?, Imaging::default())))
+        .collect()
+}
+
+fn kind(api: &Api, parameters: &mut Parameters) -> Result<Kind, ApiError> {
+    let name = parameters.take("roundel")?;
+    let marker = parameters.take("marker")?;
+    if let Some(text) = marker {
+        if name.is_some() {
+            return Err(ApiError::invalid("marker", "no `roundel` beside it", "both"));
+        }
+        let wrong = |message| ApiError::Invalid { field: "marker", message };
+        let diameters = spec::diameters(&text).map_err(wrong)?;
+        let print = Print { diameters: Some(diameters), code: None, polarity: Polarity::BlackRing };
+        let expected = || ApiError::invalid("marker", "OUTER_MM:INNER_MM, such as 160:64", text);
+        return Ok(Kind { name: "the roundel".to_owned(), ..print.kind().ok_or_else(expected)? });
+    }
+    let known = || -> Vec<&str> { api.kinds.iter().map(|kind| kind.name.as_str()).collect() };
+    match name {
+        Some(name) => {
+            let found = api.kinds.iter().find(|kind| kind.name == name);
+            let known = format!("the kinds here are {}", known().join(", "));
+            found.cloned().ok_or(ApiError::NotFound { what: "roundel", name, known })
+        }
+        None => api.kinds.first().cloned().ok_or_else(|| {
+            let expected = "OUTER_MM:INNER_MM, since no size of a roundel is known here";
+            ApiError::invalid("marker", expected, "nothing")
+        }),
+    }
+}
+
+/// What is looked at: what was asked for, else what the cameras see.
+fn field(
+    cameras: &[Named],
+    height_m: f64,
+    [low, high]: [Option<[f64; 2]>; 2],
+    step_m: Option<f64>,
+) -> Result<Field, ApiError> {
+    let stations = used(cameras);
+    if stations.is_empty() {
+        let reasons: Vec<String> = cameras
+            .iter()
+            .filter_map(|camera| {
+                Some(format!("{}: {}", camera.name, camera.station.as_ref().err()?))
+            })
+            .collect();
+        return Err(ApiError::FailedPrecondition(format!(
+            "expected a camera whose lens and place are known, found none; {}",
+            if reasons.is_empty() { "there are no cameras".to_owned() } else { reasons.join("; ") }
+        )));
+    }
+    let seen = Field::seen_by(&stations, height_m, SPOTS);
+    let (low_m, high_m) = match (low.zip(high), &seen) {
+        (Some(corners), _) => corners,
+        (None, Some(seen)) => (low.unwrap_or(seen.low_m), high.unwrap_or(seen.high_m)),
+        (None, None) => {
+            let message = format!(
+                "no camera looks down on the plane {height_m} m high: say `min` and `max`, or another height"
+            );
+            return Err(ApiError::Invalid { field: "height", message });
+        }
+    };
+    let sides = [high_m[0] - low_m[0], high_m[1] - low_m[1]];
+    let usual_m = (sides[0] * sides[1] / SPOTS as f64).max(0.0).sqrt();
+    let field = Field { low_m, high_m, height_m, step_m: step_m.unwrap_or(usual_m) };
+    let wrong = |error: roundel_core::plan::PlanError| ApiError::Invalid {
+        field: "query",
+        message: error.to_string(),
+    };
+    let [columns, rows] = field.counts().map_err(wrong)?;
+    if columns * rows > MOST_SPOTS {
+        let expected = format!("so long a step that there are at most {MOST_SPOTS} spots");
+        return Err(ApiError::invalid("step", expected, format!("{columns} x {rows}")));
+    }
+    Ok(field)
+}
+
+fn corner(parameters: &mut Parameters, name: &'static str) -> Result<Option<[f64; 2]>, ApiError> {
+    let numbers: Vec<f64> = parameters.take_list(name, "x,y in metres")?;
+    match numbers[..] {
+        [] => Ok(None),
+        [x, y] => Ok(Some([x, y])),
+        _ => Err(ApiError::invalid(name, "x,y in metres", format!("{} numbers", numbers.len()))),
+    }
+}
+
+fn sent(kind: &'static str, bytes: Vec<u8>) -> Response {
+    ([(header::CONTENT_TYPE, HeaderValue::from_static(kind))], bytes).into_response()
+}

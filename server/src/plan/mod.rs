@@ -1,0 +1,16 @@
+//! What an installation would reach: maps and figures of [`roundel_core::plan`], for `roundel plan` and over REST.
+//!
+//! | module | what it does |
+//! | --- | --- |
+//! | [`station`] | cameras of a configuration or of a running server, as the plan takes them |
+//! | [`report`] | a map as numbers (JSON) |
+//! | [`picture`] | a map as SVG and PNG |
+//! | [`machine`] | what a machine takes for a frame: measured, kept in a file, read again |
+
+pub mod machine;
+pub mod picture;
+pub mod report;
+pub mod station;
+
+/// About so many spots a map has, if nobody says how far apart they are.
+pub const SPOTS: usize = 2400;

@@ -1,0 +1,108 @@
+//! A map as numbers.
+
+use roundel_core::plan::map::{Map, Spot, Station};
+use serde::Serialize;
+use utoipa::ToSchema;
+
+use super::station::Named;
+
+/// What cameras would make of roundels that lie face up, all over an arena.
+#[derive(Clone, Debug, Serialize, ToSchema)]
+pub struct PlanMap {
+    /// The kind of roundel.
+    pub roundel: String,
+    /// Height of the roundels, metres.
+    pub height_m: f64,
+    /// Place of the first spot: least x and y, metres.
+    pub min_m: [f64; 2],
+    /// Place of the last spot: greatest x and y, metres.
+    pub max_m: [f64; 2],
+    /// Spots along x.
+    pub columns: usize,
+    /// Spots along y.
+    pub rows: usize,
+    /// Cameras that would find one, by spot: row by row from the least y on, each from the least x on.
+    pub cameras: Vec<usize>,
+    /// Root mean square of the distance from the truth, of one set of frames, metres; null where no camera sees it.
+    pub deviation_m: Vec<Option<f64>>,
+    /// The level part of it, metres.
+    pub level_m: Vec<Option<f64>>,
+    /// The upright part of it, metres.
+    pub upright_m: Vec<Option<f64>>,
+    /// The same in a few numbers.
+    pub summary: PlanSummary,
+    /// The cameras.
+    pub stations: Vec<PlanStation>,
+}
+
+/// A map in a few numbers.
+#[derive(Clone, Debug, Serialize, ToSchema)]
+pub struct PlanSummary {
+    /// Share of spots that a camera sees.
+    pub seen_share: f64,
+    /// Share of spots that two see at least.
+    pub twice_share: f64,
+    /// Median of the deviations, metres; null if nothing is seen.
+    pub median_m: Option<f64>,
+    /// 95 % of the deviations are smaller, metres.
+    pub p95_m: Option<f64>,
+}
+
+/// A camera of a map.
+#[derive(Clone, Debug, Serialize, ToSchema)]
+pub struct PlanStation {
+    /// Its name.
+    pub name: String,
+    /// Where it stands, metres; null if it is left out.
+    pub position_m: Option<[f64; 3]>,
+    /// Why it is left out; empty if it is not.
+    pub reason: String,
+}
+
+/// The cameras that are planned with.
+pub fn used(cameras: &[Named]) -> Vec<Station> {
+    cameras.iter().filter_map(|camera| camera.station.as_deref().ok().cloned()).collect()
+}
+
+impl PlanMap {
+    /// Of a map of these cameras.
+    pub fn of(map: &Map, roundel: &str, cameras: &[Named]) -> Self {
+        let each = |value: fn(&roundel_core::plan::map::Deviation) -> f64| {
+            map.spots.iter().map(|spot: &Spot| spot.deviation.as_ref().map(value)).collect()
+        };
+        let summary = map.summary();
+        let finite = |value: f64| Some(value).filter(|value| value.is_finite());
+        Self {
+            roundel: roundel.to_owned(),
+            height_m: map.field.height_m,
+            min_m: map.field.low_m,
+            max_m: map.field.high_m,
+            columns: map.columns,
+            rows: map.rows,
+            cameras: map.spots.iter().map(|spot| spot.cameras).collect(),
+            deviation_m: each(|deviation| deviation.total_m),
+            level_m: each(|deviation| deviation.level_m),
+            upright_m: each(|deviation| deviation.upright_m),
+            summary: PlanSummary {
+                seen_share: summary.seen_share,
+                twice_share: summary.twice_share,
+                median_m: finite(summary.median_m),
+                p95_m: finite(summary.p95_m),
+            },
+            stations: cameras.iter().map(PlanStation::of).collect(),
+        }
+    }
+}
+
+impl PlanStation {
+    fn of(camera: &Named) -> Self {
+        let name = camera.name.clone();
+        match &camera.station {
+            Ok(station) => {
+                let position_m = station.place.world_from_camera.translation.vector.into();
+                Self { name, position_m: Some(position_m), reason: String::new() }
+            }
+            Err(reason) => Self { name, position_m: None, reason: reason.clone() },
+        }
+    }
+}

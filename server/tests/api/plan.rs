@@ -1,0 +1,101 @@
+//! The map of what the cameras would see, over REST.
+
+use axum::http::StatusCode;
+use roundel_core::{
+    camera::{Camera, Intrinsics, Lens},
+    id::CameraId,
+    rigid::{Covariance6, Rigid},
+    world::CameraPlacement,
+};
+use roundel_server::hub::{CameraPlace, PoseStatus};
+
+use crate::rig::Rig;
+
+/// 4 m above the floor, looking down.
+fn hang(rig: &Rig, camera: CameraId, x_m: f64) {
+    let intrinsics = Intrinsics {
+        width: 1280,
+        height: 720,
+        fx_px: 730.0,
+        fy_px: 730.0,
+        cx_px: 639.5,
+        cy_px: 359.5,
+        lens: Lens::PlumbBob([-0.08, 0.02, 0.0, 0.0, 0.0]),
+    };
+    let half_turn = nalgebra::UnitQuaternion::from_axis_angle(
+        &nalgebra::Vector3::x_axis(),
+        std::f64::consts::PI,
+    );
+    let world_from_camera =
+        Rigid::from_parts(nalgebra::Translation3::new(x_m, 0.0, 4.0), half_turn);
+    let placement = CameraPlacement { world_from_camera, covariance: Covariance6::zeros() };
+    rig.hub.update_camera(camera, |state| {
+        state.camera = Some(Camera::new(intrinsics).unwrap());
+        state.place = CameraPlace::standing(PoseStatus::Configured, placement);
+    });
+}
+
+#[tokio::test]
+async fn a_map_comes_as_numbers_and_as_pictures() {
+    let rig = Rig::start().await;
+    let ids: Vec<CameraId> = rig.hub.installation().cameras.keys().copied().collect();
+    hang(&rig, ids[0], -1.0);
+    let one = rig.get("/api/v1/plan?step=0.25").await;
+    assert_eq!(one.status, StatusCode::OK, "{}", one.text());
+    let one = one.json();
+    assert_eq!(one["roundel"], "robot");
+    let (columns, rows) = (one["columns"].as_u64().unwrap(), one["rows"].as_u64().unwrap());
+    assert_eq!(one["deviation_m"].as_array().unwrap().len() as u64, columns * rows);
+    // 3.7 m above the roundels the picture is 6.5 m wide; a roundel of 160 mm is 32 px there.
+    assert!((one["max_m"][0].as_f64().unwrap() - 2.3).abs() < 0.3, "{}", one["max_m"]);
+    let median_m = one["summary"]["median_m"].as_f64().unwrap();
+    assert!((3e-4..3e-3).contains(&median_m), "{median_m}");
+    assert_eq!(one["summary"]["twice_share"], 0.0);
+    assert!(one["stations"][1]["reason"].as_str().unwrap().contains("lens is not known"));
+
+    // A second camera adds to what the first one knows, where both see it.
+    hang(&rig, ids[1], 1.0);
+    let query = "/api/v1/plan?step=0.25&min=-1,-1&max=1,1";
+    let both = rig.get(query).await.json();
+    assert!(both["summary"]["twice_share"].as_f64().unwrap() > 0.9, "{}", both["summary"]);
+    assert!(both["summary"]["median_m"].as_f64().unwrap() < 0.8 * median_m);
+    let svg = rig.get(&format!("{query}&format=svg&show=cameras")).await;
+    assert_eq!(svg.header("content-type"), "image/svg+xml");
+    assert!(svg.text().contains("cameras that see robot"), "{}", svg.text());
+    let png = rig.get(&format!("{query}&format=png&marker=80:32")).await;
+    assert_eq!(png.header("content-type"), "image/png");
+    assert!(png.body.starts_with(b"\x89PNG"));
+    rig.stop().await;
+}
+
+#[tokio::test]
+async fn what_cannot_be_mapped_says_why() {
+    let rig = Rig::start().await;
+    let none = rig.get("/api/v1/plan").await;
+    assert_eq!(none.error().0, "failed_precondition");
+    assert!(none.error().1.contains("lens is not known yet"), "{}", none.text());
+    let ids: Vec<CameraId> = rig.hub.installation().cameras.keys().copied().collect();
+    hang(&rig, ids[0], 0.0);
+    for (query, expected) in [
+        ("format=doc", "format: expected json, svg or png"),
+        ("show=everything", "show: expected precision or cameras"),
+        ("marker=160", "marker: expected OUTER_MM:INNER_MM"),
+        ("marker=160:10", "expected an inner diameter of 0.2 to 0.8"),
+        ("marker=160:64&roundel=robot", "marker: expected no `roundel`"),
+        ("min=1", "min: expected x,y in metres"),
+        ("min=1,1&max=0,0", "arena along x: expected a side"),
+        ("step=0.001", "step: expected so long a step"),
+        ("step=0", "step: expected a distance above 0"),
+        ("height=high", "height: expected metres"),
+        ("height=9", "height: no camera looks down"),
+        ("colour=red", "query: expected one of"),
+    ] {
+        let answer = rig.get(&format!("/api/v1/plan?{query}")).await;
+        assert_eq!(answer.status, StatusCode::BAD_REQUEST, "{query}: {}", answer.text());
+        assert!(answer.error().1.contains(expected), "{query}: {}", answer.error().1);
+    }
+    let unknown = rig.get("/api/v1/plan?roundel=plate").await;
+    assert_eq!(unknown.status, StatusCode::NOT_FOUND);
+    assert!(unknown.error().1.contains("the kinds here are robot, cart"), "{}", unknown.text());
+    rig.stop().await;
+}
