@@ -261,7 +261,7 @@ pub fn event(event: &Event) -> v1::Event {
     }
 }
 
-/// What a server says of itself.
+/// What a server says of itself, but for what it can do.
 pub fn server_info(installation: &Installation) -> v1::ServerInfo {
     v1::ServerInfo {
         version: env!("CARGO_PKG_VERSION").to_owned(),
@@ -269,6 +269,7 @@ pub fn server_info(installation: &Installation) -> v1::ServerInfo {
         name: installation.name.clone(),
         started_time_ns: installation.started.as_ns(),
         snapshot_rate_hz: installation.snapshot_rate_hz,
+        ..v1::ServerInfo::default()
     }
 }
 

@@ -101,7 +101,10 @@ impl Feed {
         loop {
             self.receiver.changed().await.ok()?;
             let fused = self.receiver.borrow_and_update().clone();
-            let Some(missed) = self.pace.admit(fused.sequence, fused.fused_time) else {
+            // The times of a recording that is played go fast, and back.
+            let is_played = self.api.replay.is_some();
+            let time = if is_played { self.api.clock.now() } else { fused.fused_time };
+            let Some(missed) = self.pace.admit(fused.sequence, time) else {
                 continue;
             };
             let (api, filter) = (&self.api, &self.selection.filter);

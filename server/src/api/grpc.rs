@@ -20,7 +20,7 @@ use tower::service_fn;
 use super::{
     Api, calibration, configuration,
     error::{ApiError, SHUTTING_DOWN},
-    history, objects as configured, push, recording, replay,
+    history, objects as configured, push, recording, replay, rest,
     selection::Selection,
     setup, simulation, trial,
 };
@@ -373,6 +373,6 @@ impl v1::roundel_server::Roundel for Service {
         &self,
         _: Request<v1::GetServerInfoRequest>,
     ) -> Result<Response<v1::ServerInfo>, Status> {
-        Ok(Response::new(convert::server_info(&self.api.hub.installation())))
+        Ok(Response::new(rest::server_info(&self.api)))
     }
 }

@@ -231,7 +231,17 @@ pub async fn events(State(api): State<Arc<Api>>, uri: Uri) -> Result<Json<EventL
     responses((status = 200, description = "the server", body = v1::ServerInfo)),
 )]
 pub async fn info(State(api): State<Arc<Api>>) -> Json<v1::ServerInfo> {
-    Json(convert::server_info(&api.hub.installation()))
+    Json(server_info(&api))
+}
+
+pub(super) fn server_info(api: &Api) -> v1::ServerInfo {
+    v1::ServerInfo {
+        records: api.recorder.is_some(),
+        replays: api.replay.is_some(),
+        keeps_history: api.history.is_some(),
+        allows_setup: api.roster.is_some(),
+        ..convert::server_info(&api.hub.installation())
+    }
 }
 
 /// What each camera saw in its newest frame, with the poses in the camera's own frame.

@@ -80,6 +80,10 @@ async fn lists_and_single_things_are_readable() {
     assert_eq!(rig.get("/api/v1/events?backlog=0").await.json()["events"], serde_json::json!([]));
     let info = rig.get("/api/v1/info").await.json();
     assert_eq!((&info["name"], &info["source_id"]), (&"lab".into(), &"run".into()));
+    // The rig neither records nor plays, keeps nothing, and lets nobody set it up.
+    for ability in ["records", "replays", "keeps_history", "allows_setup"] {
+        assert_eq!(info[ability], false, "{ability}");
+    }
     rig.stop().await;
 }
 
