@@ -1,15 +1,20 @@
 /**
  * What the page takes of a browser with 400 objects at 60 Hz and 16 cameras: `npm run bench`, by Chromium's own trace.
  *
- *     npm run bench                  # 10 s of each view, and memory over 2 minutes
+ *     npm run bench                  # 10 s of each view, and two minutes in which views change
  *     MINUTES=10 ROBOTS=400 CAMERAS=16 npm run bench
  *     ROUNDEL_URL=http://127.0.0.1:7670 npm run bench   # whatever this server has
+ *
+ * The server is the real one with an invented crowd (`cargo build --release -p roundel-tests --bin crowd`; ROUNDEL_CROWD
+ * names another file of it), and where that has not been built, the mock.
  *
  * A frame is what lies between two animation frames; its time is that of all tasks of the page's main thread in it, by
  * the thread's own clock and by the wall's. Where the machine does other work, only the first is the page's.
  */
 
-import { fork } from "node:child_process";
+import { fork, spawn } from "node:child_process";
+import { existsSync } from "node:fs";
+import { join } from "node:path";
 import { fileURLToPath } from "node:url";
 
 import { countDraws, launch, openDashboard } from "./harness.mjs";
@@ -20,6 +25,10 @@ const ROBOTS = Number(process.env.ROBOTS ?? 400);
 const CAMERAS = Number(process.env.CAMERAS ?? 16);
 const MINUTES = Number(process.env.MINUTES ?? 2);
 const TRACE_MS = 10_000;
+/** Of each minute of the long run so much is traced. */
+const SAMPLE_MS = 5000;
+/** Trails have to grow first. */
+const WARM_UP_MS = 8000;
 /** How many snapshots cameras of an object are kept for: whom sixteen cameras see is dear to work out sixty times a second. */
 const KEPT = 30;
 
@@ -46,17 +55,35 @@ if (process.argv[2] === "serve") {
   const { url } = await startMock({ world: new Busy({ robots: ROBOTS, cameras: CAMERAS }) });
   process.send(url);
 } else {
-  const server = process.env.ROUNDEL_URL ? null : fork(fileURLToPath(import.meta.url), ["serve"]);
-  const url = process.env.ROUNDEL_URL ?? (await new Promise((resolve) => server.once("message", resolve)));
+  const { url, what, stop } = await startServer();
   const browser = await launch({ space: true });
   try {
-    console.log(`${url}: ${ROBOTS} objects, ${CAMERAS} cameras; ${browser.version()}`);
+    console.log(`${what} at ${url}: ${ROBOTS} objects, ${CAMERAS} cameras; ${browser.version()}`);
     for (const mode of ["top", "space", "health"]) await measureFrames(browser, url, mode);
-    if (MINUTES > 0) await measureMemory(browser, url);
+    if (MINUTES > 0) await measureMinutes(browser, url);
   } finally {
     await browser.close();
-    server?.kill();
+    stop();
   }
+}
+
+async function startServer() {
+  const given = process.env.ROUNDEL_URL;
+  if (given) return { url: given, what: "what is", stop: () => {} };
+  const target = process.env.CARGO_TARGET_DIR ?? fileURLToPath(new URL("../../target", import.meta.url));
+  const binary = process.env.ROUNDEL_CROWD ?? join(target, "release/crowd");
+  if (!process.env.ROUNDEL_CROWD && !existsSync(binary)) {
+    const mock = fork(fileURLToPath(import.meta.url), ["serve"]);
+    return { url: await new Promise((resolve) => mock.once("message", resolve)), what: "the mock", stop: () => mock.kill() };
+  }
+  // It ends with its standard input.
+  const server = spawn(binary, [String(ROBOTS), String(CAMERAS)], { stdio: ["pipe", "pipe", "inherit"] });
+  const url = await new Promise((resolve, reject) => {
+    server.stdout.once("data", (chunk) => resolve(String(chunk).trim()));
+    server.once("error", reject);
+    server.once("exit", (code) => reject(new Error(`${binary} ended with ${code}`)));
+  });
+  return { url, what: "the real server's crowd", stop: () => server.kill() };
 }
 
 async function measureFrames(browser, url, mode) {
@@ -64,15 +91,18 @@ async function measureFrames(browser, url, mode) {
   await page.locator("#object-rows button").nth(6).click();
   await page.locator(`input[name=mode][value=${mode}]`).check();
   const draws = await countDraws(page);
-  // Trails have to grow first.
-  await page.waitForTimeout(8000);
-  const events = await traced(browser, () => page.waitForTimeout(TRACE_MS));
+  await page.waitForTimeout(WARM_UP_MS);
+  console.log(`${mode}: ${await frameWords(browser, page, mode, draws, TRACE_MS)}`);
+  await context.close();
+}
+
+async function frameWords(browser, page, mode, draws, lengthMs) {
+  const events = await traced(browser, () => page.waitForTimeout(lengthMs));
   const frames = framesOf(events);
   const rate = await page.locator("#rate").textContent();
   const most = mode === "space" ? `, at most ${await draws()} draws` : "";
   const line = (key) => [0.5, 0.95, 0.99].map((part) => quantile(frames.map((frame) => frame[key]), part).toFixed(1)).join(" / ");
-  console.log(`${mode}: ${frames.length} frames in ${TRACE_MS / 1000} s at ${rate} snapshots a second; main thread p50 / p95 / p99: ${line("threadMs")} ms of its own, ${line("wallMs")} ms by the wall${most}`);
-  await context.close();
+  return `${frames.length} frames in ${lengthMs / 1000} s at ${rate} snapshots a second; main thread p50 / p95 / p99: ${line("threadMs")} ms of its own, ${line("wallMs")} ms by the wall${most}`;
 }
 
 async function traced(browser, body) {
@@ -120,18 +150,24 @@ function quantile(values, part) {
   return sorted[Math.min(sorted.length - 1, Math.floor(part * sorted.length))] ?? 0;
 }
 
-async function measureMemory(browser, url) {
+/** Memory each minute, with what a frame takes then; the view is another each minute. */
+async function measureMinutes(browser, url) {
   const { page, context } = await openDashboard(browser, url);
   const session = await context.newCDPSession(page);
   await session.send("Performance.enable");
   await page.locator("#object-rows button").nth(6).click();
+  const draws = await countDraws(page);
+  await page.waitForTimeout(WARM_UP_MS);
   for (let minute = 0; minute <= MINUTES; minute += 1) {
-    if (minute > 0) await page.waitForTimeout(60_000);
+    const mode = minute % 2 ? "space" : "top";
+    await page.locator(`input[name=mode][value=${mode}]`).check();
+    if (minute > 0) await page.waitForTimeout(60_000 - SAMPLE_MS);
+    const frames = await frameWords(browser, page, mode, draws, SAMPLE_MS);
     await session.send("HeapProfiler.collectGarbage");
     const { metrics } = await session.send("Performance.getMetrics");
     const held = (name) => metrics.find((metric) => metric.name === name).value;
     const { backingStorageSize = 0 } = await session.send("Runtime.getHeapUsage");
-    console.log(`after ${minute} min: ${(held("JSHeapUsedSize") / 1e6).toFixed(1)} MB of objects, ${(backingStorageSize / 1e6).toFixed(1)} MB of arrays, ${held("Nodes")} nodes`);
+    console.log(`after ${minute} min, ${mode}: ${(held("JSHeapUsedSize") / 1e6).toFixed(1)} MB of objects, ${(backingStorageSize / 1e6).toFixed(1)} MB of arrays, ${held("Nodes")} nodes; ${frames}`);
   }
   await context.close();
 }
