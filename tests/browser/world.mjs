@@ -71,6 +71,10 @@ export class World {
       name: "Test hall",
       started_time_ns: String(this.startedNs),
       snapshot_rate_hz: 60,
+      records: false,
+      replays: false,
+      keeps_history: false,
+      allows_setup: true,
     };
   }
 

@@ -4,9 +4,11 @@
  */
 
 import { cameraFootprint, drawBackdrop, gridStepM, RULER } from "./backdrop.js";
+import { nearestPlace } from "./courses.js";
 import { find, setText } from "./dom.js";
-import { fixed } from "./format.js";
+import { fixed, timeOfDay } from "./format.js";
 import { listenForGestures } from "./gesture.js";
+import { Layer } from "./layer.js";
 import { readPalette } from "./palette.js";
 import { discRadius, drawTracks } from "./plot.js";
 import { boundsOf, View } from "./view.js";
@@ -43,6 +45,8 @@ export class Arena {
     this.palette = readPalette();
     this.exaggeration = 10;
     this.trails = true;
+    /** @type {import("./courses.js").Overlay | null} what the history tells */
+    this.overlay = null;
     /** @type {number | null} */
     this.hovered = null;
     /** @type {[number, number] | null} */
@@ -162,6 +166,18 @@ export class Arena {
     this.askFrame();
   }
 
+  /** @param {import("./courses.js").Overlay | null} overlay */
+  setOverlay(overlay) {
+    this.overlay = overlay;
+    this.refresh();
+  }
+
+  /** What of the floor is seen from above; in 3D, what would be. @returns {import("./view.js").Bounds} metres */
+  inView() {
+    const { view } = this;
+    return { minX: view.worldX(RULER.left), maxX: view.worldX(view.width), minY: view.worldY(view.height - RULER.bottom), maxY: view.worldY(0) };
+  }
+
   onSnapshot() {
     if (this.fitsItself && (this.boundsFitted === "" || this.isLeft())) {
       this.fitNow();
@@ -249,7 +265,7 @@ export class Arena {
     this.boundsFitted = wanted;
     this.bounds = bounds;
     if (this.space) {
-      this.space.lay(this.palette, this.standing(), bounds);
+      this.space.lay(this.palette, this.standing(), bounds, this.overlay);
       this.space.fit(bounds);
     }
     this.view.fit(bounds, {
@@ -317,8 +333,8 @@ export class Arena {
     const space = this.mode === "space" ? this.space : null;
     if (this.backdropStale) {
       this.backdropStale = false;
-      if (space) space.lay(palette, this.standing(), this.bounds);
-      else drawBackdrop(this.layers.backdrop.context, view, palette, this.standing());
+      if (space) space.lay(palette, this.standing(), this.bounds, this.overlay);
+      else drawBackdrop(this.layers.backdrop.context, view, palette, this.standing(), this.overlay);
       this.describe();
     }
     const tracks = [...store.tracks.values()];
@@ -351,31 +367,16 @@ export class Arena {
     if (isSpace) parts.push("drag turns, Shift and drag moves");
     else if (this.pointer) {
       const [px, py] = this.pointer;
-      parts.push(`x ${fixed(this.view.worldX(px), 2)}  y ${fixed(this.view.worldY(py), 2)} m`);
+      parts.push(`x ${fixed(this.view.worldX(px), 2)}  y ${fixed(this.view.worldY(py), 2)} m`, this.passedWords(px, py));
     }
-    setText(this.caption, parts.join("  ·  "));
-  }
-}
-
-/** A canvas as sharp as the screen, with a context that counts in CSS pixels. */
-class Layer {
-  /** @param {HTMLElement} canvas */
-  constructor(canvas) {
-    if (!(canvas instanceof HTMLCanvasElement)) throw new Error(`#${canvas.id} is no canvas`);
-    const context = canvas.getContext("2d");
-    if (!context) throw new Error("this browser has no 2D canvas");
-    this.canvas = canvas;
-    this.context = context;
+    setText(this.caption, parts.filter(Boolean).join("  ·  "));
   }
 
-  /**
-   * @param {number} width CSS pixels
-   * @param {number} height
-   */
-  resize(width, height) {
-    const ratio = devicePixelRatio || 1;
-    this.canvas.width = Math.round(width * ratio);
-    this.canvas.height = Math.round(height * ratio);
-    this.context.setTransform(ratio, 0, 0, ratio, 0, 0);
+  /** Who passed the pointer when, of the history's courses. @param {number} px @param {number} py */
+  passedWords(px, py) {
+    const { view, overlay } = this;
+    if (!overlay || overlay.heat) return "";
+    const passed = nearestPlace(overlay.courses, view.worldX(px), view.worldY(py), REACH_COARSE_PX / view.scale);
+    return passed ? `${passed.course.label} was here at ${timeOfDay(passed.timeMs)}` : "";
   }
 }

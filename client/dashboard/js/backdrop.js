@@ -5,6 +5,7 @@
  */
 
 import { footprint, roundStep, rotate } from "./geometry.js";
+import { drawOverlay } from "./overlay.js";
 
 /** Width of the left ruler and height of the lower one, CSS pixels. */
 export const RULER = { left: 38, bottom: 22 };
@@ -18,14 +19,16 @@ export const RULER = { left: 38, bottom: 22 };
  * @param {View} view
  * @param {Palette} palette
  * @param {Camera[]} cameras
+ * @param {import("./courses.js").Overlay | null} overlay
  */
-export function drawBackdrop(context, view, palette, cameras) {
+export function drawBackdrop(context, view, palette, cameras, overlay) {
   context.fillStyle = palette.sheet;
   context.fillRect(0, 0, view.width, view.height);
   const stepM = gridStepM(view);
   drawGrid(context, view, palette, stepM);
   for (const camera of cameras) drawFootprint(context, view, palette, camera);
   drawAxes(context, view, palette, stepM);
+  if (overlay) drawOverlay(context, view, palette, overlay);
   for (const camera of cameras) drawCamera(context, view, palette, camera);
   drawRulers(context, view, palette, stepM);
 }

@@ -77,6 +77,7 @@ export function showCameras(store, edit) {
         list.append(card.root);
       }
       card.fill(camera, live, illnesses(camera, store.vitals.shares(camera.name)));
+      setText(card.noPicture, store.info?.replays ? "No picture recorded here" : `No picture from ${camera.name} yet`);
     }
     empty.hidden = store.cameras.length > 0 || !store.camerasKnown;
     const failed = store.cameras.filter((camera) => camera.status === "failed").length;
@@ -126,10 +127,8 @@ class Card {
     const image = new Image();
     image.alt = `What camera ${name} sees, with its detections drawn in`;
     this.picture = new Picture(image, name);
-    this.frame = element("button", { class: "frame", type: "button", title: "Enlarge" }, [
-      image,
-      element("span", { class: "no-picture" }, [`No picture from ${name} yet`]),
-    ]);
+    this.noPicture = element("span", { class: "no-picture" });
+    this.frame = element("button", { class: "frame", type: "button", title: "Enlarge" }, [image, this.noPicture]);
     this.frame.addEventListener("click", () => viewer.open(name, image));
     this.status = element("span", { class: "status" });
     this.statusShown = "";

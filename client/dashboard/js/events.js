@@ -34,6 +34,10 @@ const SIGNS = new Map([
   ["object_added", "starting"],
   ["object_changed", "starting"],
   ["object_removed", "finished"],
+  ["recording_begun", "starting"],
+  ["recording_ended", "finished"],
+  ["recording_failed", "failed"],
+  ["recording_lossy", "failed"],
 ]);
 
 /** @param {import("./store.js").Store} store */

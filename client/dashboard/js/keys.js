@@ -7,6 +7,7 @@ import { find } from "./dom.js";
  * @property {(mode: "top" | "space" | "health") => void} show
  * @property {(ms: number) => void} step through the last minute
  * @property {() => void} live
+ * @property {() => void} pause a recording that is played
  * @property {() => void} fit
  * @property {(step: 1 | -1) => void} selectNext
  * @property {() => void} follow
@@ -36,6 +37,7 @@ export function listenForKeys(handlers) {
     ">": () => handlers.step(10_000),
     ":": () => handlers.step(10_000),
     l: handlers.live,
+    " ": handlers.pause,
     0: handlers.fit,
     n: () => handlers.selectNext(1),
     p: () => handlers.selectNext(-1),
@@ -48,7 +50,7 @@ export function listenForKeys(handlers) {
     // A dialog has its own keys, and what is typed is text.
     if (document.querySelector("dialog[open]") || isTyping(event.target)) return;
     const action = actions[event.key.length === 1 ? event.key.toLowerCase() : event.key];
-    if (!action) return;
+    if (!action || (event.key === " " && isPressed(event.target))) return;
     event.preventDefault();
     action();
   });
@@ -59,4 +61,9 @@ function isTyping(target) {
   if (!(target instanceof HTMLElement)) return false;
   if (target instanceof HTMLInputElement) return !["checkbox", "radio", "range", "button"].includes(target.type);
   return target instanceof HTMLTextAreaElement || target instanceof HTMLSelectElement || target.isContentEditable;
+}
+
+/** Whether the space bar has its own meaning there. @param {EventTarget | null} target */
+function isPressed(target) {
+  return target instanceof HTMLButtonElement || target instanceof HTMLInputElement || (target instanceof HTMLElement && target.tagName === "SUMMARY");
 }

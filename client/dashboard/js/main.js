@@ -4,6 +4,7 @@ import { Arena } from "./arena.js";
 import { showCalibration } from "./calibration.js";
 import { showCameras } from "./cameras.js";
 import { connect } from "./connection.js";
+import { showCourses } from "./courses-view.js";
 import { find } from "./dom.js";
 import { showEvents } from "./events.js";
 import { showHealth } from "./health-view.js";
@@ -11,8 +12,12 @@ import { listenForKeys } from "./keys.js";
 import { showList } from "./list.js";
 import { showMasthead } from "./masthead.js";
 import { readInfo } from "./message.js";
+import { showObjects } from "./object-form.js";
 import { showOffer } from "./offer.js";
 import { showPanel } from "./panel.js";
+import { showPrint } from "./print.js";
+import { showRecording } from "./recording.js";
+import { showReplay } from "./replay.js";
 import { showSearch } from "./search.js";
 import { showSetup } from "./setup.js";
 import { Store } from "./store.js";
@@ -32,6 +37,11 @@ showCameras(store, setup.edit);
 showCalibration(store);
 showEvents(store);
 const timeline = showTimeline(store);
+showCourses(store, arena);
+showObjects(store);
+showPrint(store);
+showRecording(store);
+const replay = showReplay(store);
 const views = showViews(arena);
 const health = showHealth(store, { open: () => views.show("health"), isOpen: () => views.shown() === "health" });
 views.onHealth(health.opened);
@@ -39,6 +49,7 @@ listenForKeys({
   show: (mode) => views.show(mode),
   step: timeline.step,
   live: () => store.lookBack(null),
+  pause: () => store.info?.replays && replay.togglePause(),
   fit: () => arena.fit(),
   selectNext: (step) => store.selectNext(step),
   follow: () => store.follow(!store.following),
@@ -67,7 +78,6 @@ const connection = connect(streamAddress(), {
     // With each connection: it may be another server, or another version of it.
     if (state.phase !== "live" || before === "live") return;
     void loadInfo();
-    void showOffer();
   },
 });
 showMasthead(store, () => connection.retryNow());
@@ -83,7 +93,10 @@ function streamAddress() {
 async function loadInfo() {
   try {
     const response = await fetch("api/v1/info", { cache: "no-store" });
-    if (response.ok) store.setInfo(readInfo(await response.json()));
+    if (!response.ok) return;
+    const info = readInfo(await response.json());
+    store.setInfo(info);
+    await showOffer(info);
   } catch {
     // The stream tells of the loss; the name comes with the next connection.
   }

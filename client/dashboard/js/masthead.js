@@ -27,7 +27,8 @@ export function showMasthead(store, retryNow) {
 
   const showFigures = () => {
     const { phase } = store.connection;
-    const age = store.dataAgeMs();
+    // Of what is paused there is nothing that should come.
+    const age = store.replay?.paused || store.replay?.ended ? null : store.dataAgeMs();
     setText(figures.rate, phase === "live" ? fixed(store.snapshotRateHz(), 1) : "–");
     setText(figures.age, duration(age));
     figures.age.classList.toggle("stale", age !== null && age > STALE_MS);
@@ -98,6 +99,8 @@ function linkWords(store) {
   const { phase } = store.connection;
   if (phase === "connecting") return "Connecting…";
   if (phase === "lost") return store.connection.retryAtMs === null ? "Reconnecting…" : "Disconnected";
+  // Never "Live", as long as it is not known how it is played.
+  if (store.info?.replays) return store.replay?.ended ? "Recording, at its end" : store.replay?.paused ? "Recording, paused" : "Playing a recording";
   const age = store.dataAgeMs();
   return age !== null && age > STALE_MS ? "Connected, no new data" : "Live";
 }

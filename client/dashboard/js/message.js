@@ -64,7 +64,18 @@ import { count, list, milliseconds, nanoseconds, number, quaternion, text, vecto
 /** @typedef {{offsetMs: number, skewPpm: number, deviationMs: number}} Clock how late its stamps are */
 /** @typedef {{state: string, positionErrorM: number, positionDeviationM: number, rotationErrorRad: number, seenErrorM: number}} Agreement with the other cameras */
 /** @typedef {{sequence: number, timeMs: number, kind: string, objectId: number, camera: string, message: string}} Event */
-/** @typedef {{version: string, sourceId: string, name: string, startedTimeMs: number | null, snapshotRateHz: number}} ServerInfo */
+/**
+ * @typedef {object} ServerInfo
+ * @property {string} version
+ * @property {string} sourceId
+ * @property {string} name
+ * @property {number | null} startedTimeMs
+ * @property {number} snapshotRateHz
+ * @property {boolean} records recordings can be made
+ * @property {boolean} replays it plays a recording: nothing here is of now
+ * @property {boolean} keepsHistory
+ * @property {boolean} allowsSetup of cameras and objects, by this page
+ */
 
 const STATUSES = new Set(["starting", "running", "failed", "finished"]);
 
@@ -220,5 +231,9 @@ export function readInfo(raw) {
     name: text(raw?.name),
     startedTimeMs: started ? milliseconds(started) : null,
     snapshotRateHz: count(raw?.snapshot_rate_hz),
+    records: raw?.records === true,
+    replays: raw?.replays === true,
+    keepsHistory: raw?.keeps_history === true,
+    allowsSetup: raw?.allows_setup === true,
   };
 }

@@ -1,30 +1,45 @@
-/** What this server can do, by its own description: what it cannot is not on the page. */
+/** What this server can do, by its own description and by what it says of itself: what it cannot is not on the page. */
 
 import { find } from "./dom.js";
 
-/** Controls that lead nowhere without a call. @type {{control: string, method: string, path: string}[]} */
+/** @typedef {"records" | "replays" | "keepsHistory" | "allowsSetup"} Ability */
+
+/** Controls that lead nowhere without a call, or where this server refuses it. @type {{control: string, method: string, path: string, ability?: Ability}[]} */
 const NEEDS = [
-  { control: "#add-camera", method: "post", path: "/api/v1/cameras" },
+  { control: "#add-camera", method: "post", path: "/api/v1/cameras", ability: "allowsSetup" },
   { control: "#calibrate", method: "post", path: "/api/v1/calibration" },
-  { control: "#setup-try", method: "post", path: "/api/v1/sources/test" },
+  { control: "#setup-try", method: "post", path: "/api/v1/sources/test", ability: "allowsSetup" },
+  { control: "#add-object", method: "post", path: "/api/v1/configuration/objects", ability: "allowsSetup" },
+  { control: "#name-object", method: "put", path: "/api/v1/objects/{id}/name", ability: "allowsSetup" },
+  { control: "#print-open", method: "get", path: "/api/v1/print" },
+  { control: "#record", method: "post", path: "/api/v1/recording", ability: "records" },
+  { control: "#history-open", method: "get", path: "/api/v1/history", ability: "keepsHistory" },
+  { control: "#replay", method: "patch", path: "/api/v1/replay", ability: "replays" },
 ];
 /** Edits of cameras: one button on each card. */
-const EDIT = { method: "patch", path: "/api/v1/cameras/{name}" };
+const EDIT = { method: "patch", path: "/api/v1/cameras/{name}", ability: /** @type {const} */ ("allowsSetup") };
+/** What a server that plays a recording has nothing to do it with. */
+const LIVE_ONLY = ["#calibrate"];
 
 /**
- * Hides what is not offered. A server that does not describe itself is taken to offer everything: its answers then say
+ * Hides what is not offered. A server that does not describe itself is taken to have every call: its answers then say
  * what it does not.
+ * @param {import("./message.js").ServerInfo} info
  */
-export async function showOffer() {
-  let description;
+export async function showOffer(info) {
+  const paths = await describedPaths();
+  const offers = (/** @type {{method: string, path: string, ability?: Ability}} */ { method, path, ability }) =>
+    (!ability || info[ability]) && (!paths || Boolean(paths[path]?.[method]));
+  for (const need of NEEDS) find(need.control).hidden = !offers(need);
+  if (info.replays) for (const control of LIVE_ONLY) find(control).hidden = true;
+  document.body.classList.toggle("no-edits", !offers(EDIT));
+}
+
+async function describedPaths() {
   try {
     const response = await fetch("openapi.json", { cache: "no-cache" });
-    if (!response.ok) return;
-    description = await response.json();
+    return response.ok ? ((await response.json()).paths ?? null) : null;
   } catch {
-    return;
+    return null;
   }
-  const offers = (/** @type {{method: string, path: string}} */ { method, path }) => Boolean(description.paths?.[path]?.[method]);
-  for (const need of NEEDS) find(need.control).hidden = !offers(need);
-  document.body.classList.toggle("no-edits", !offers(EDIT));
 }

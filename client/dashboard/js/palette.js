@@ -13,6 +13,8 @@
  * @property {string} axisX
  * @property {string} axisY
  * @property {string} accent
+ * @property {string} heat of places that were taken long
+ * @property {boolean} isDark
  * @property {Record<import("./state.js").Stage, string>} stage
  * @property {string} font
  */
@@ -33,6 +35,8 @@ export function readPalette() {
     axisX: color("axis-x"),
     axisY: color("axis-y"),
     accent: color("accent"),
+    heat: color("heat"),
+    isDark: document.documentElement.dataset.theme === "dark",
     stage: {
       tracked: color("tracked"),
       predicted: color("predicted"),

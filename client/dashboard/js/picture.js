@@ -4,8 +4,9 @@
 
 /** Pause between the end of one request and the start of the next, ms: two to three a second. */
 const PAUSE_MS = 350;
-/** Pause after a failure, ms. */
+/** Pauses after the first failure and after many in a row, ms: a recording may have no pictures at all. */
 const FAILURE_PAUSE_MS = 2000;
+const LONGEST_PAUSE_MS = 30_000;
 /** A request that takes longer is given up, ms. */
 const TIMEOUT_MS = 5000;
 
@@ -33,6 +34,7 @@ export class Picture {
     this.inView = false;
     this.busy = false;
     this.timer = 0;
+    this.failures = 0;
     this.shown = "";
     image.dataset.camera = camera;
     pictures.set(image, this);
@@ -43,6 +45,7 @@ export class Picture {
   setWanted(wanted) {
     if (this.wanted === wanted) return;
     this.wanted = wanted;
+    this.failures = 0;
     this.wake();
   }
 
@@ -62,7 +65,9 @@ export class Picture {
     this.busy = true;
     const done = await this.fetchOnce();
     this.busy = false;
-    this.timer = setTimeout(() => void this.load(), done ? PAUSE_MS : FAILURE_PAUSE_MS);
+    this.failures = done ? 0 : this.failures + 1;
+    const pauseMs = done ? PAUSE_MS : Math.min(LONGEST_PAUSE_MS, FAILURE_PAUSE_MS * 2 ** (this.failures - 1));
+    this.timer = setTimeout(() => void this.load(), pauseMs);
   }
 
   /** @returns {Promise<boolean>} whether a picture came */

@@ -98,7 +98,7 @@ export const TABLES = {
   },
 };
 
-/** Values by number, in the words that JSON has for them. */
+/** Values by number, in the words that JSON has for them; numbers that are not used are holes. @type {Record<string, string[]>} */
 export const ENUMERATIONS = {
   LifeStage: ["unspecified", "tentative", "tracked", "predicted", "lost"],
   CameraStatus: ["unspecified", "starting", "running", "failed", "finished"],
@@ -115,6 +115,7 @@ export const ENUMERATIONS = {
     "camera_returned", "camera_drifted", "cameras_contradict", "cameras_agree", "cameras_misplaced",
     "camera_rate_off", "camera_rate_agrees", "camera_added", "camera_changed", "camera_removed",
     "object_added", "object_changed", "object_removed",
+    , , , , , , , , , , "recording_begun", "recording_ended", "recording_failed", "recording_lossy",
   ],
 };
 

@@ -1,8 +1,10 @@
 /** Adds, changes and removes cameras by form; every error stands at its field. */
 
 import { aimOf, orientationOf } from "./aim.js";
+import { ask } from "./ask.js";
 import { find, setText } from "./dom.js";
 import { trialWords } from "./trial.js";
+import { Troubles } from "./troubles.js";
 
 /** Fields of the form that a server's error can be about, by the name that it gives them. */
 const FIELDS = ["name", "source", "calibration", "pose", "rate_hz", "mode"];
@@ -29,7 +31,7 @@ class SetupForm {
     this.dialog = dialog;
     this.form = /** @type {HTMLFormElement} */ (find("#setup-form"));
     this.words = find("#setup-words");
-    this.trouble = find("#setup-trouble");
+    this.troubles = new Troubles("setup", FIELDS, { pose: "setup-place" });
     this.remove = /** @type {HTMLButtonElement} */ (find("#setup-remove"));
     this.buttons = [...dialog.querySelectorAll("button[data-acts]")].map((it) => /** @type {HTMLButtonElement} */ (it));
     /** @type {Setup | null} as the server has it; null: a new one */
@@ -69,7 +71,7 @@ class SetupForm {
     if (setup) this.fill(setup);
     this.showPlace();
     this.say("");
-    this.clear();
+    this.troubles.clear();
     this.dialog.showModal();
     this.field("name").focus();
   }
@@ -134,21 +136,21 @@ class SetupForm {
     if (this.field("place-found").checked) return { unknown: true };
     const numbers = ["at-x", "at-y", "at-z", "to-x", "to-y", "to-z", "turned"].map((name) => this.field(name).value.trim());
     if (numbers.some((it) => it === "" || !Number.isFinite(Number(it)))) {
-      this.blame("pose", "Fill in all numbers of the place, metres and degrees.");
+      this.troubles.blame("pose", "Fill in all numbers of the place, metres and degrees.");
       return undefined;
     }
     const [x, y, z, tx, ty, tz, turnedDeg] = numbers.map(Number);
     const position = { x, y, z };
     const orientation = orientationOf({ position, target: { x: tx, y: ty, z: tz }, turnedDeg });
     if (!orientation) {
-      this.blame("pose", "The camera is to look at another place than where it stands.");
+      this.troubles.blame("pose", "The camera is to look at another place than where it stands.");
       return undefined;
     }
     return { pose: { position, orientation } };
   }
 
   async save() {
-    this.clear();
+    this.troubles.clear();
     const wanted = this.read();
     if (!wanted) return;
     const done = this.before
@@ -170,13 +172,13 @@ class SetupForm {
   }
 
   async tryIt() {
-    this.clear();
+    this.troubles.clear();
     const source = this.field("source").value.trim();
-    if (source === "") return this.blame("source", "Fill in the source first.");
+    if (source === "") return this.troubles.blame("source", "Fill in the source first.");
     this.say("Opening it. A camera that does not answer takes up to 15 s.");
     const answer = await this.ask("POST", "sources/test", { source });
     this.say(answer ? trialWords(answer) : "");
-    if (answer?.error) this.blame("source", answer.error);
+    if (answer?.error) this.troubles.blame("source", answer.error);
   }
 
   /**
@@ -188,49 +190,10 @@ class SetupForm {
    */
   async ask(method, path, body) {
     for (const button of this.buttons) button.disabled = true;
-    try {
-      const headers = body === undefined ? undefined : { "content-type": "application/json" };
-      const response = await fetch(`api/v1/${path}`, { method, headers, body: body && JSON.stringify(body), cache: "no-store" });
-      const answer = await response.json();
-      if (response.ok) return answer;
-      this.refuse(answer?.error?.message ?? `The server answers with ${response.status}.`);
-    } catch {
-      this.refuse("No answer from the server. Try again.");
-    } finally {
-      for (const button of this.buttons) button.disabled = false;
-    }
-    return null;
-  }
-
-  /** An error begins with the field that it is about, if it is about one. @param {string} message */
-  refuse(message) {
-    const named = /^([a-z_]+): (.*)$/s.exec(message);
-    const field = named && FIELDS.includes(named[1]) ? named[1] : "";
-    this.blame(field, field && named ? named[2] : message);
-  }
-
-  /** @param {string} field empty: none of them @param {string} message */
-  blame(field, message) {
-    if (field === "") {
-      setText(this.trouble, message);
-      this.trouble.hidden = false;
-      return;
-    }
-    const trouble = find(`#setup-${field}-trouble`);
-    setText(trouble, message);
-    trouble.hidden = false;
-    const input = field === "pose" ? find("#setup-place") : this.field(field);
-    input.setAttribute("aria-invalid", "true");
-    input.closest("details")?.setAttribute("open", "");
-    if (input instanceof HTMLInputElement) input.focus();
-  }
-
-  clear() {
-    for (const trouble of [this.trouble, ...FIELDS.map((field) => find(`#setup-${field}-trouble`))]) {
-      setText(trouble, "");
-      trouble.hidden = true;
-    }
-    for (const input of this.dialog.querySelectorAll("[aria-invalid]")) input.removeAttribute("aria-invalid");
+    const { answer, refusal } = await ask(method, path, body);
+    for (const button of this.buttons) button.disabled = false;
+    if (refusal) this.troubles.refuse(refusal);
+    return answer;
   }
 
   /** @param {string} words */

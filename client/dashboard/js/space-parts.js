@@ -152,6 +152,38 @@ export class Swarm {
   }
 }
 
+/** Squares of the floor of one size each and of many colours. */
+export class Tiles {
+  constructor() {
+    this.geometry = new BufferGeometry();
+    const material = new MeshBasicMaterial({ vertexColors: true, transparent: true, depthWrite: false, side: DoubleSide });
+    this.object = new Mesh(this.geometry, material);
+    this.object.frustumCulled = false;
+    this.clear();
+  }
+
+  clear() {
+    /** @type {number[]} */
+    this.places = [];
+    /** @type {number[]} */
+    this.colors = [];
+  }
+
+  /** @param {number} x of its corner with the smallest coordinates @param {number} y @param {number} z @param {number} sideM @param {Rgb} color @param {number} alpha */
+  add(x, y, z, sideM, color, alpha) {
+    const [right, top] = [x + sideM, y + sideM];
+    this.places.push(x, y, z, right, y, z, right, top, z, x, y, z, right, top, z, x, top, z);
+    for (let corner = 0; corner < 6; corner += 1) this.colors.push(...color, alpha);
+  }
+
+  done() {
+    this.geometry.dispose();
+    this.geometry.setAttribute("position", new BufferAttribute(new Float32Array(this.places), 3));
+    this.geometry.setAttribute("color", new BufferAttribute(new Float32Array(this.colors), 4));
+    this.object.visible = this.places.length > 0;
+  }
+}
+
 /** The signs of the life stages, as index.html draws them, of radius 1 and lying on the floor. */
 export function stageShapes() {
   return {

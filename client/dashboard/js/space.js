@@ -10,8 +10,9 @@ import { cholesky } from "./geometry.js";
 import { FRAME_MS, GAP_MS } from "./history.js";
 import { drawLabels } from "./label.js";
 import { Orbit, VIEW_RAD } from "./orbit.js";
+import { layOverlay } from "./overlay.js";
 import { LEAD_S, trailPlan } from "./plot.js";
-import { Coverage, drawFrustum, layFloor, Lines, rgb, stageShapes, Swarm } from "./space-parts.js";
+import { Coverage, drawFrustum, layFloor, Lines, rgb, stageShapes, Swarm, Tiles } from "./space-parts.js";
 import { CHI2_95_3D } from "./state.js";
 
 /** Half a robot's width, metres; further away objects are drawn larger, to stay legible. */
@@ -48,6 +49,7 @@ export class SpaceView {
     this.scene.background = new Color();
     this.still = new Lines();
     this.coverage = new Coverage();
+    this.heat = new Tiles();
     this.moving = new Lines();
     this.trails = new Lines();
     this.bodies = new Swarm(new BoxGeometry(1, 0.8, 1.2), 1, 0);
@@ -64,7 +66,7 @@ export class SpaceView {
       unspecified: new Swarm(shapes.unspecified, 1, 0),
     };
     const swarms = [this.bodies, this.sheets, this.marks, this.ellipsoids, ...Object.values(this.stages)];
-    for (const { object } of [this.coverage, this.still, this.trails, this.moving, ...swarms]) this.scene.add(object);
+    for (const { object } of [this.coverage, this.heat, this.still, this.trails, this.moving, ...swarms]) this.scene.add(object);
     /** @type {Seen[]} what was drawn, for whoever points at it */
     this.seen = [];
     this.stepM = 1;
@@ -82,16 +84,18 @@ export class SpaceView {
   }
 
   /**
-   * What stands still: the floor, the cameras that stand, what they see.
+   * What stands still: the floor, the cameras that stand, what they see, what the history tells.
    * @param {Palette} palette
    * @param {Camera[]} cameras
    * @param {import("./view.js").Bounds} bounds
+   * @param {import("./courses.js").Overlay | null} overlay
    */
-  lay(palette, cameras, bounds) {
+  lay(palette, cameras, bounds, overlay) {
     /** @type {Color} */ (this.scene.background).set(palette.sheet);
     this.still.clear();
     this.stepM = layFloor(this.still, palette, bounds);
     for (const camera of cameras) drawFrustum(this.still, palette, camera);
+    layOverlay(this.still, this.heat, rgb, palette, overlay);
     this.still.done();
     this.coverage.show(cameras, palette);
     this.heightM = Math.max(LEAST_HEIGHT_M, ...cameras.map((camera) => camera.pose?.position.z ?? 0));

@@ -15,12 +15,15 @@ export const TRAIL_MS = 5000;
 const LOST_SHOWN_MS = 4000;
 /** Events remembered. */
 const MAX_EVENTS = 200;
+/** A pose time that is so much older than the one before is that of a recording in which somebody went back, ms. */
+const BACK_MS = 500;
 /** Window over which the snapshots are counted, ms. */
 const RATE_WINDOW_MS = 2000;
 
 /** @typedef {import("./state.js").ObjectState} ObjectState */
 /** @typedef {{state: ObjectState, lostAtMs: number | null}} Track */
 /** @typedef {"snapshot" | "time" | "cameras" | "events" | "selection" | "connection" | "info"} Topic */
+/** @typedef {{paused: boolean, ended: boolean}} ReplayState */
 
 export class Store {
   constructor() {
@@ -47,6 +50,8 @@ export class Store {
     this.connectionNumber = 0;
     /** @type {import("./message.js").ServerInfo | null} */
     this.info = null;
+    /** @type {ReplayState | null} how a recording is played; null: what comes is live */
+    this.replay = null;
     /** @type {import("./connection.js").ConnectionState} */
     this.connection = { phase: "connecting", sinceMs: performance.now(), retryAtMs: null };
     /** Snapshots that this page was too slow for, since it was opened. */
@@ -111,6 +116,7 @@ export class Store {
     const now = performance.now();
     // A server that has started again counts its objects anew; old trails would be of others.
     if (this.snapshot && this.snapshot.sourceId !== snapshot.sourceId) this.forget();
+    else if (this.snapshot && snapshot.poseTimeMs < this.snapshot.poseTimeMs - BACK_MS) this.forgetWay();
     this.snapshot = snapshot;
     this.missed += snapshot.missed;
     this.receivedAtMs = now;
@@ -183,12 +189,17 @@ export class Store {
     this.emit("events");
   }
 
-  /** Drops what belongs to another run of the server. */
-  forget() {
+  /** Drops how objects came to where they are; who they are stays. */
+  forgetWay() {
     this.live.clear();
     this.history.clear();
     this.latencies.clear();
     if (this.pastMs !== null) this.lookBack(null);
+  }
+
+  /** Drops what belongs to another run of the server. */
+  forget() {
+    this.forgetWay();
     // The new run's first events come before its first snapshot, which is what gave it away.
     this.events = this.events.filter((event) => event.connectionNumber === this.connectionNumber);
     this.missed = 0;
@@ -200,6 +211,11 @@ export class Store {
   setInfo(info) {
     this.info = info;
     this.emit("info");
+  }
+
+  /** @param {ReplayState | null} replay */
+  setReplay(replay) {
+    this.replay = replay;
   }
 
   /** @param {import("./connection.js").ConnectionState} connection */

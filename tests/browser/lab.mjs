@@ -1,0 +1,132 @@
+/**
+ * The real server on a laboratory of its own: one camera that plays pictures of a ring going round, objects that can be
+ * set up, recordings and a history, all in a folder that is gone afterwards. It takes next to nothing of a processor.
+ */
+
+import { spawn } from "node:child_process";
+import { existsSync } from "node:fs";
+import { mkdir, mkdtemp, readFile, rm, writeFile } from "node:fs/promises";
+import { tmpdir } from "node:os";
+import { join } from "node:path";
+import { fileURLToPath } from "node:url";
+
+const TARGET = process.env.CARGO_TARGET_DIR ?? fileURLToPath(new URL("../../target", import.meta.url));
+const BINARY = process.env.ROUNDEL_BINARY ?? join(TARGET, "debug/roundel");
+/** Why cases that need the server are left out; false where there is one, or where there has to be. */
+export const lacking = !process.env.ROUNDEL_BINARY && !existsSync(BINARY) && `${BINARY} has not been built (cargo build -p roundel-server)`;
+
+const [WIDTH, HEIGHT] = [160, 120];
+/** A ring of 160 mm is 40 pixels wide at 3 m. */
+const FOCAL_PX = 750;
+const FRAMES = 50;
+
+export const CONFIG = `# The lab's own words.
+name = "Ring lab"
+
+[server]
+listen = "127.0.0.1:0"
+
+[recording]
+folder = "recordings"
+min_free_mb = 1.0
+
+[history]
+file = "history.sqlite"
+
+[[roundel]]
+name = "robot"
+outer_mm = 160.0
+inner_mm = 64.0
+
+[[roundel]]
+name = "coded"
+outer_mm = 122.0
+inner_mm = 70.0
+code = { bits = 8, min_distance = 2 }
+
+[[camera]]
+name = "door"
+source = "images:door/*.pgm?fps=25&loop=true"
+calibration = "camera.yaml"
+pose = { position_m = [0.0, 0.0, 3.0], orientation_xyzw = [1.0, 0.0, 0.0, 0.0] }
+`;
+
+const LENS = `image_width: ${WIDTH}
+image_height: ${HEIGHT}
+camera_name: door
+camera_matrix: {rows: 3, cols: 3, data: [${FOCAL_PX}.0, 0.0, 79.5, 0.0, ${FOCAL_PX}.0, 59.5, 0.0, 0.0, 1.0]}
+distortion_model: plumb_bob
+distortion_coefficients: {rows: 1, cols: 5, data: [0.0, 0.0, 0.0, 0.0, 0.0]}
+`;
+
+/** White, with a black ring round a white disc. */
+function picture(frame) {
+  const turn = (2 * Math.PI * frame) / FRAMES;
+  const [u0, v0] = [79.5 + 34 * Math.cos(turn), 59.5 + 22 * Math.sin(turn)];
+  const pixels = Buffer.alloc(WIDTH * HEIGHT);
+  for (let v = 0; v < HEIGHT; v += 1) {
+    for (let u = 0; u < WIDTH; u += 1) {
+      const radius = Math.hypot(u - u0, v - v0);
+      const within = (edge) => Math.min(1, Math.max(0, edge - radius));
+      pixels[v * WIDTH + u] = Math.round(220 - 190 * (within(20.5) - within(8.5)));
+    }
+  }
+  return Buffer.concat([Buffer.from(`P5 ${WIDTH} ${HEIGHT} 255\n`), pixels]);
+}
+
+/** @param {string} [config] */
+export async function startLab(config = CONFIG) {
+  const folder = await mkdtemp(join(tmpdir(), "roundel-lab-"));
+  await mkdir(join(folder, "door"));
+  await mkdir(join(folder, "recordings"));
+  for (let frame = 0; frame < FRAMES; frame += 1) await writeFile(join(folder, "door", `${frame}.pgm`), picture(frame));
+  await writeFile(join(folder, "camera.yaml"), LENS);
+  await writeFile(join(folder, "lab.toml"), config);
+  const server = await start(["serve", "--config", join(folder, "lab.toml")], folder);
+  return {
+    ...server,
+    folder,
+    config: () => readFile(join(folder, "lab.toml"), "utf8"),
+    close: async () => {
+      await server.close();
+      await rm(folder, { recursive: true, force: true });
+    },
+  };
+}
+
+/** The server that plays this recording. @param {string} file @param {string[]} [options] */
+export function startReplay(file, options = []) {
+  return start(["replay", file, "--listen", "127.0.0.1:0", ...options]);
+}
+
+/** @param {string[]} words of the command line @param {string} [cwd] */
+async function start(words, cwd) {
+  const child = spawn(BINARY, words, { cwd, stdio: ["ignore", "pipe", "pipe"] });
+  const ended = new Promise((resolve) => child.once("exit", resolve));
+  let said = "";
+  const url = await new Promise((resolve, reject) => {
+    const listen = (chunk) => {
+      said += chunk;
+      const address = /http:\/\/127\.0\.0\.1:\d+/.exec(said)?.[0];
+      if (address) resolve(`${address}/`);
+    };
+    child.stdout.on("data", listen);
+    child.stderr.on("data", listen);
+    child.once("error", reject);
+    void ended.then(() => reject(new Error(`roundel ${words.join(" ")} ended: ${said}`)));
+  });
+  return {
+    url,
+    close: async () => {
+      child.kill();
+      await ended;
+    },
+  };
+}
+
+/** A call of its API. @param {{url: string}} server @param {string} method @param {string} path @param {object} [body] */
+export async function call({ url }, method, path, body) {
+  const headers = body && { "content-type": "application/json" };
+  const response = await fetch(new URL(`api/v1/${path}`, url), { method, headers, body: body && JSON.stringify(body) });
+  return { status: response.status, answer: await response.json() };
+}

@@ -1,0 +1,342 @@
+/** Recordings, replay, history, print and objects by click, on the real server (lab.mjs). */
+
+import assert from "node:assert/strict";
+import { readFile } from "node:fs/promises";
+import { createRequire } from "node:module";
+import { join } from "node:path";
+import { after, before, describe, test } from "node:test";
+
+import { launch, openDashboard } from "./harness.mjs";
+import { call, lacking, startLab, startReplay } from "./lab.mjs";
+
+const AXE = await readFile(createRequire(import.meta.url).resolve("axe-core/axe.min.js"), "utf8");
+/** The room at which a phone is held to. */
+const PHONE = { viewport: { width: 390, height: 844 }, hasTouch: true };
+
+let browser;
+/** @type {Awaited<ReturnType<typeof startLab>>} */
+let lab;
+before(async () => {
+  if (lacking) return;
+  [browser, lab] = await Promise.all([launch(), startLab()]);
+});
+after(async () => {
+  await browser?.close();
+  await lab?.close();
+});
+
+/** @param {string} url @param {(page: import("playwright-core").Page, opened: object) => Promise<void>} body */
+async function withPage(url, body, options = {}) {
+  const opened = await openDashboard(browser, url, options);
+  opened.page.setDefaultTimeout(30_000);
+  try {
+    await opened.page.locator("#object-rows tr").first().waitFor();
+    await body(opened.page, opened);
+    // Nothing is wrong but what was refused, or was not there, on purpose.
+    const grave = opened.complaints.filter((text) => !/status of (400|404|409|503)/.test(text));
+    assert.deepEqual(grave, []);
+    assert.deepEqual(opened.foreign, []);
+  } finally {
+    await opened.context.close();
+  }
+}
+
+const holds = (page, selector, text) => page.locator(selector, { hasText: text }).waitFor();
+const closed = (page, dialog) => page.locator(`${dialog}:not([open])`).waitFor({ state: "attached" });
+
+/** Until the server says so. */
+async function until(wanted, path = "recording", server = lab) {
+  for (let turn = 0; turn < 300; turn += 1) {
+    const { answer } = await call(server, "GET", path);
+    if (wanted(answer)) return answer;
+    await new Promise((resolve) => setTimeout(resolve, 100));
+  }
+  assert.fail(`GET ${path} never was as wanted`);
+}
+
+/** What a canvas shows. */
+const pictureOf = (page, id) => page.evaluate((name) => document.getElementById(name).toDataURL(), id);
+
+describe("recordings", { skip: lacking }, () => {
+  test("are begun and ended by click, seen from everywhere, and listed", async () => {
+    await withPage(lab.url, async (page) => {
+      await page.locator("#record").click();
+      await holds(page, "#recording-where", "There are no recordings");
+      await page.locator("#recording-name").fill("a/b");
+      await page.locator("#recording-start").click();
+      await holds(page, "#recording-name-trouble", "expected a name of letters");
+      assert.equal(await page.locator("#recording-name").getAttribute("aria-invalid"), "true");
+      await page.locator("#recording-name").fill("trial");
+      await page.locator("#recording-seconds").fill("0");
+      await page.locator("#recording-start").click();
+      await holds(page, "#recording-seconds-trouble", "expected seconds above 0");
+      await page.locator("#recording-seconds").fill("");
+      await page.locator("#recording-frames_every").fill("5");
+      await page.locator("#recording-start").click();
+      await holds(page, "#recording-words", /Recording into trial-.*mcap, one in 5 frames as a picture\./);
+      await holds(page, "#recording-words", /a second; .* of the disk are free, enough for \d/);
+      await holds(page, "#recording-rows", "being written");
+      assert.equal((await until((it) => it.messages > 50)).frames_every, 5);
+      await page.keyboard.press("Escape");
+      await holds(page, "#record", /Recording 0:\d\d/);
+      await holds(page, "#event-rows", "What happens is recorded");
+      // Another page sees it, too, and ends it.
+      await withPage(lab.url, async (other) => {
+        await holds(other, "#record", /Recording \d/);
+        await other.locator("#record").click();
+        await other.locator("#recording-stop").click();
+        await holds(other, "#recording-words", /The last recording, trial-.*mcap, is 0:\d\d long/);
+        await other.locator("#recording-start").waitFor();
+      });
+      await holds(page, "#record", "Record…");
+      const { files } = await until(({ files }) => files.length === 1 && !files[0].open, "recordings");
+      await page.locator("#record").click();
+      await holds(page, "#recording-rows", files[0].name);
+    });
+  });
+
+  test("end by themselves after a time, which the page notices", async () => {
+    await withPage(lab.url, async (page) => {
+      await page.locator("#record").click();
+      await page.locator("#recording-seconds").fill("1.5");
+      await page.locator("#recording-start").click();
+      await holds(page, "#recording-words", "Recording into");
+      await holds(page, "#recording-words", /The last recording/);
+    });
+  });
+});
+
+describe("a recording that is played", { skip: lacking }, () => {
+  let play;
+  before(async () => {
+    await call(lab, "POST", "recording", { name: "played", frames_every: 5 });
+    await until((it) => it.seconds > 6);
+    const { answer } = await call(lab, "DELETE", "recording");
+    play = await startReplay(join(answer.folder, answer.file));
+  });
+  after(() => play?.close());
+
+  test("is told plainly, pauses, goes where one wants, at any speed, again and again", async () => {
+    await withPage(play.url, async (page) => {
+      await holds(page, "#replay", "A recording, not live");
+      await holds(page, "#replay-file", "played-");
+      await holds(page, "#link-text", /^(Playing a recording|Recording, )/);
+      for (const control of ["#record", "#add-camera", "#calibrate", "#add-object", "#history-open"]) {
+        assert.equal(await page.locator(control).isVisible(), false, control);
+      }
+      await page.locator("#replay-loop").check();
+      await until((it) => it.looping, "replay", play);
+      await page.locator("#arena-stage").focus();
+      await page.keyboard.press("Space");
+      await until((it) => it.paused, "replay", play);
+      await holds(page, "#link-text", "Recording, paused");
+      await page.locator("#replay-position").fill("1");
+      const there = await until((it) => Math.abs(it.position_s - 1) < 0.2, "replay", play);
+      assert.equal(there.paused, true);
+      await holds(page, "#replay-time", "0:01 of");
+      await page.locator("#replay-speed").selectOption("5");
+      await until((it) => it.speed === 5, "replay", play);
+      await page.locator("#replay-pause").click();
+      await until((it) => !it.paused, "replay", play);
+      // It comes round: its objects go on all the same, though their times go back.
+      const wrapped = await page.evaluate(async () => {
+        const slider = document.querySelector("#replay-position");
+        for (let last = 0, turn = 0; turn < 300; turn += 1) {
+          if (Number(slider.value) < last - 2) return true;
+          last = Number(slider.value);
+          await new Promise((resolve) => setTimeout(resolve, 50));
+        }
+        return false;
+      });
+      assert.ok(wrapped);
+      const before = await page.locator("#object-rows td").first().textContent();
+      await page.waitForFunction((was) => document.querySelector("#object-rows td")?.textContent !== was, before);
+      await page.locator("[data-camera-card] img.loaded").waitFor();
+    });
+  });
+
+  test("waits at its end, and is played again", async () => {
+    await call(play, "PATCH", "replay", { looping: false, speed: 100, paused: false });
+    await withPage(play.url, async (page) => {
+      await holds(page, "#link-text", "Recording, at its end");
+      // A speed that is not in the list is shown as well.
+      assert.equal(await page.locator("#replay-speed").inputValue(), "100");
+      await page.locator("#replay-speed").selectOption("0.5");
+      await page.locator("#replay-pause", { hasText: "Play again" }).click();
+      await until((it) => !it.ended && it.position_s < 3, "replay", play);
+    });
+  });
+});
+
+describe("where objects were", { skip: lacking }, () => {
+  test("is drawn as courses and as a map of heat, for whom and when one wants", async () => {
+    await until((it) => it.points > 20, "history");
+    await withPage(lab.url, async (page) => {
+      const bare = await pictureOf(page, "arena-backdrop");
+      await page.locator("#history-open").click();
+      await holds(page, "#history-words", /^(\d+|\d+ objects), \d.*places, one each \d+.*Kept are/);
+      const courses = await pictureOf(page, "arena-backdrop");
+      assert.notEqual(courses, bare);
+      await page.locator("label:has(#history-heat)").click();
+      await holds(page, "#history-words", /Darkest: .* in a square of 0\.\d+ m/);
+      assert.notEqual(await pictureOf(page, "arena-backdrop"), courses);
+      const row = page.locator("#object-rows tr").first();
+      const id = await row.getAttribute("data-object-id");
+      await row.locator("button").click();
+      await page.waitForFunction((wanted) => document.querySelector("#history-objects").value === wanted, id);
+      await page.locator("#history-objects").fill("nobody");
+      await page.locator("#history-show").click();
+      await holds(page, "#history-words", "No such object was there then.");
+      await page.locator("#history-objects").fill(id);
+      await page.locator("#history-from").fill("2020-01-01T00:00:00");
+      await page.locator("#history-until").fill("2020-01-01T01:00:00");
+      await page.locator("#history-show").click();
+      await holds(page, "#history-words", "No such object was there then. Kept are");
+      await page.locator("#history-from").fill("2021-01-01T00:00:00");
+      await page.locator("#history-show").click();
+      await holds(page, "#history-from-trouble", "expected a time before");
+      await page.locator("#history-from").fill("");
+      await page.locator("#history-show").click();
+      await holds(page, "#history-from-trouble", "Fill in a day and a time.");
+      await page.getByRole("button", { name: "hour", exact: true }).click();
+      await holds(page, "#history-words", /Darkest/);
+      // The course is left of what is in view then.
+      await page.locator("#arena-stage").focus();
+      for (let turn = 0; turn < 12; turn += 1) await page.keyboard.press("ArrowRight");
+      await page.locator("#history-within").check();
+      await page.locator("#history-show").click();
+      await holds(page, "#history-words", "No such object was there then.");
+      await page.locator("#history-close").click();
+      assert.equal(await page.locator("#history").isVisible(), false);
+      await page.locator("#fit").click();
+    });
+  });
+
+  test("says who passed a place, and when", async () => {
+    await until((it) => it.points > 20, "history");
+    await withPage(lab.url, async (page) => {
+      await page.locator("#history-open").click();
+      await holds(page, "#history-words", "places, one each");
+      // Some column of the arena crosses the course; where, depends on how it is fitted.
+      const { x, y, width, height } = await page.locator("#arena-stage").boundingBox();
+      for (let row = 1; row < 60; row += 1) {
+        await page.mouse.move(x + width / 2, y + (height * row) / 60);
+        if (/\d+ was here at \d\d:\d\d:\d\d/.test((await page.locator("#arena-caption").textContent()) ?? "")) return;
+      }
+      assert.fail("no place of the course was found");
+    });
+  });
+});
+
+describe("prints", { skip: lacking }, () => {
+  test("are previewed and saved, and what is wrong is told at its field", async () => {
+    await withPage(lab.url, async (page) => {
+      await page.locator("#print-open").click();
+      await page.waitForFunction(() => document.querySelector("#print-picture").naturalWidth > 0);
+      assert.equal(await page.locator("#print-marker").inputValue(), "160:64");
+      await page.locator("#print-page").fill("A9");
+      await holds(page, "#print-page-trouble", "A9");
+      assert.equal(await page.locator("#print-files").isVisible(), false);
+      await page.locator("#print-page").fill("A3");
+      await page.locator("#print-kind").selectOption("coded");
+      assert.equal(await page.locator("#print-code").inputValue(), "8:2");
+      await page.locator("#print-ids").fill("1-3");
+      await page.waitForFunction(() => document.querySelector("#print-pdf").getAttribute("href").includes("ids=1-3"));
+      const [download] = await Promise.all([page.waitForEvent("download"), page.locator("#print-pdf").click()]);
+      assert.equal((await readFile(await download.path())).subarray(0, 5).toString(), "%PDF-");
+      await page.locator("#print-sheet").fill("99");
+      await holds(page, "#print-sheet-trouble", "a page from 1 to");
+      await page.locator("#print-sheet").fill("1");
+      await page.locator("#print-kind").selectOption("/board");
+      await page.waitForFunction(() => document.querySelector("#print-svg").getAttribute("href")?.includes("board=7x5"));
+      await page.locator("#print-board").fill("7");
+      await holds(page, "#print-board-trouble", /./);
+    });
+  });
+});
+
+describe("objects", { skip: lacking }, () => {
+  test("are named, added, changed and removed, and the configuration with them", async () => {
+    await withPage(lab.url, async (page) => {
+      await page.locator("#object-rows button").first().click();
+      await page.locator("#name-object", { hasText: "Name…" }).click();
+      await page.locator("#object-save").click();
+      await holds(page, "#object-name-trouble", "Give it a name.");
+      await page.locator("#object-name").fill("cart");
+      await page.locator("#object-save").click();
+      await closed(page, "#object");
+      await holds(page, "#object-rows", "cart");
+      assert.match(await lab.config(), /\[\[object\]\]\nname = "cart"/);
+
+      await page.locator("#add-object").click();
+      await page.locator("#object-choice option", { hasText: "cart" }).waitFor({ state: "attached" });
+      await page.locator("#object-name").fill("cart");
+      await page.locator("#object-roundel").selectOption("coded");
+      await page.locator("#object-code").fill("3");
+      await page.locator("#object-save").click();
+      await holds(page, "#object-name-trouble", "cart");
+      await page.locator("#object-name").fill("lift");
+      await page.locator("#object-code").fill("300");
+      await page.locator("#object-save").click();
+      await holds(page, "#object-code-trouble", /./);
+      await page.locator("#object-code").fill("3");
+      await page.locator("#object-offset-z").fill("-0.2");
+      await page.locator("#object-save").click();
+      await holds(page, "#object-offset_m-trouble", "Fill in all three");
+      await page.locator("#object-offset-x").fill("0");
+      await page.locator("#object-offset-y").fill("0.1");
+      await page.locator("#object-save").click();
+      await closed(page, "#object");
+      assert.match(await lab.config(), /name = "lift"\n(.*\n)*?offset_m = \[0\.0, 0\.1, -0\.2\]/);
+      await holds(page, "#event-rows", 'Object "lift" was added');
+
+      await page.locator("#add-object").click();
+      await page.locator("#object-choice").selectOption("lift");
+      assert.equal(await page.locator("#object-code").inputValue(), "3");
+      await page.locator("#object-motion").selectOption("ground");
+      await page.locator("#object-offset-x").fill("");
+      await page.locator("#object-offset-y").fill("");
+      await page.locator("#object-offset-z").fill("");
+      await page.locator("#object-save").click();
+      await closed(page, "#object");
+      const changed = await lab.config();
+      assert.match(changed, /motion = "ground"/);
+      assert.doesNotMatch(changed, /offset_m/);
+
+      for (const name of ["lift", "cart"]) {
+        await page.locator("#add-object").click();
+        await page.locator("#object-choice").selectOption(name);
+        await page.locator("#object-remove").click();
+        await page.locator("#object-remove", { hasText: `Remove ${name}` }).click();
+        await closed(page, "#object");
+      }
+      assert.doesNotMatch(await lab.config(), /\[\[object\]\]/);
+      await page.locator("#name-object", { hasText: "Name…" }).waitFor();
+    });
+  });
+});
+
+describe("all of these for everybody", { skip: lacking }, () => {
+  const openers = { record: "#recording", "print-open": "#print", "add-object": "#object", "history-open": "#history" };
+  for (const [words, options] of Object.entries({ light: { colorScheme: "light" }, dark: { colorScheme: "dark" }, "a phone": PHONE })) {
+    test(`axe finds nothing serious, and nothing is wider than the screen: ${words}`, async () => {
+      await withPage(
+        lab.url,
+        async (page) => {
+          await page.evaluate(AXE);
+          for (const [opener, part] of Object.entries(openers)) {
+            await page.locator(`#${opener}`).click();
+            await page.locator(part).waitFor();
+            const { violations } = await page.evaluate((selector) => globalThis.axe.run(selector), part);
+            const grave = violations.filter(({ impact }) => impact === "serious" || impact === "critical");
+            assert.deepEqual(grave.map(({ help, nodes }) => [part, help, nodes.map((node) => node.html)]), []);
+            const over = await page.evaluate(() => document.documentElement.scrollWidth - innerWidth);
+            assert.ok(over <= 0, `${part} is ${over} px wider than the screen`);
+            if (part !== "#history") await page.keyboard.press("Escape");
+          }
+        },
+        options,
+      );
+    });
+  }
+});
