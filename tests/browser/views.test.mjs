@@ -203,6 +203,11 @@ describe("health", () => {
       await page.keyboard.press("3");
       await shows(page, "health");
       await page.locator('#health-rows tr:first-child[data-name="north-west"][data-health="grave"]').waitFor();
+      // What ails two of them is said once.
+      world.failCamera("north-east", "no images in frames/north-west");
+      await page.locator("#verdict-text", { hasText: "2 of 4 cameras unwell" }).waitFor();
+      await page.waitForFunction(() => document.querySelectorAll("#unwell li").length === 1 && document.querySelectorAll("#unwell button").length === 2);
+      world.restoreCamera("north-east");
       world.restoreCamera("north-west");
       await page.locator("#verdict-text", { hasText: "All 4 cameras well" }).waitFor();
       await page.locator("#unwell").waitFor({ state: "hidden" });
@@ -358,7 +363,12 @@ describe("keys", () => {
 describe("what a server does not offer", () => {
   test("is not on the page, and all of it is where a server says nothing", async () => {
     await withWorld(new World(), {}, async (page) => {
-      for (const control of ["#add-camera", "#calibrate"]) assert.equal(await page.locator(control).isVisible(), true);
+      await page.locator("#add-camera").waitFor();
+      assert.equal(await page.locator("#calibrate").isVisible(), true);
+      // Of these its description says nothing.
+      for (const control of ["#record", "#replay", "#history-open", "#print-open", "#add-object"]) {
+        assert.equal(await page.locator(control).isVisible(), false, control);
+      }
       await page.route("**/openapi.json", (route) => route.fulfill({ json: { paths: { "/api/v1/cameras": { get: {} } } } }));
       await page.reload();
       await page.locator("#add-camera").waitFor({ state: "hidden" });
@@ -369,6 +379,22 @@ describe("what a server does not offer", () => {
       await page.reload();
       await page.locator("[data-camera-card]").first().waitFor();
       assert.equal(await page.locator("#calibrate").isVisible(), true);
+      // What it says that it does not do is left out all the same.
+      await page.locator("#print-open").waitFor();
+      assert.equal(await page.locator("#record").isVisible(), false);
+    });
+  });
+
+  test("is not on the page either where the server has the call and refuses it", async () => {
+    class Closed extends World {
+      info() {
+        return { ...super.info(), allows_setup: false };
+      }
+    }
+    await withWorld(new Closed(), {}, async (page) => {
+      await page.locator("#calibrate").waitFor();
+      await page.locator("body.no-edits").waitFor();
+      assert.equal(await page.locator("#add-camera").isVisible(), false);
     });
   });
 });

@@ -2,7 +2,7 @@
 
 import { element, find, glyph, paced, setAttribute, setText } from "./dom.js";
 import { fixed, whole } from "./format.js";
-import { illnesses, verdict } from "./health.js";
+import { illnesses, sameIllnesses, verdict } from "./health.js";
 
 const INTERVAL_MS = 500;
 /** Bars of the histogram of lateness. */
@@ -138,21 +138,21 @@ export function showHealth(store, { open, isOpen }) {
   return { update, opened: () => void loadCalibration().then(update) };
 }
 
-/** @param {HTMLElement} list @param {Patient[]} ill */
+/** What is the matter with several at once is said once. @param {HTMLElement} list @param {Patient[]} ill */
 function showUnwell(list, ill) {
   list.hidden = ill.length === 0;
-  while (list.children.length > ill.length) list.lastElementChild?.remove();
-  for (const [i, { camera, ills }] of ill.entries()) {
-    let item = /** @type {HTMLElement | undefined} */ (list.children[i]);
-    if (!item) {
-      item = element("li", {}, [element("button", { type: "button" }), element("span")]);
-      list.append(item);
+  const reasons = sameIllnesses(ill.map(({ camera, ills }) => ({ name: camera.name, ills })));
+  while (list.children.length > reasons.length) list.lastElementChild?.remove();
+  for (const [i, { names, why, isGrave }] of reasons.entries()) {
+    const item = /** @type {HTMLElement | undefined} */ (list.children[i]) ?? list.appendChild(element("li"));
+    setAttribute(item, "class", isGrave ? "grave" : "");
+    // Only words change while nobody else falls ill: who is on a button stays there.
+    if (item.dataset.names !== names.join()) {
+      item.dataset.names = names.join();
+      const buttons = names.map((name) => element("button", { type: "button", "data-camera": name }, [name]));
+      item.replaceChildren(...buttons.flatMap((button) => [button, " "]), element("span"));
     }
-    const [name, why] = /** @type {[HTMLElement, HTMLElement]} */ (/** @type {unknown} */ ([...item.children]));
-    setAttribute(item, "class", ills[0].isGrave ? "grave" : "");
-    name.dataset.camera = camera.name;
-    setText(name, camera.name);
-    setText(why, ` ${ills.map((one) => one.why).join(" ")}`);
+    setText(/** @type {Element} */ (item.lastElementChild), why);
   }
 }
 

@@ -101,6 +101,7 @@ export function showPanel(store) {
     setText(body.precision, precisionWords(state));
     fillAxes(body, state);
     const before = store.history.one(state.id, store.shownMs - AGO_MS)?.positionM;
+    setText(body.ago, past ? "10 s before" : "10 s ago");
     for (const [i, axis] of AXES.entries()) setText(body.axes[i].before, fixed(before?.[axis], 3));
     for (const [i, { value }] of VALUES.entries()) setText(body.values[i], value(state));
     setAttribute(follow, "aria-pressed", String(store.following));
@@ -126,7 +127,8 @@ function makeBody(target, rest) {
     velocity: element("td", { "data-value": `velocity-${axis}` }),
     before: element("td", { "data-value": `before-${axis}` }),
   }));
-  const row = (/** @type {string} */ name, /** @type {string} */ unit, /** @type {Node[]} */ cells) =>
+  const ago = element("span");
+  const row = (/** @type {string | Node} */ name, /** @type {string} */ unit, /** @type {Node[]} */ cells) =>
     element("tr", {}, [element("th", { scope: "row" }, [name, " ", element("small", {}, [unit])]), ...cells]);
   const table = element("table", { class: "axes" }, [
     element("thead", {}, [
@@ -139,7 +141,7 @@ function makeBody(target, rest) {
       row("Position", "m", axes.map((axis) => axis.position)),
       row("σ", "mm", axes.map((axis) => axis.sigma)),
       row("Velocity", "m/s", axes.map((axis) => axis.velocity)),
-      row("10 s before", "m", axes.map((axis) => axis.before)),
+      row(ago, "m", axes.map((axis) => axis.before)),
     ]),
   ]);
   const values = VALUES.map(({ key }) => element("dd", { "data-value": key }));
@@ -150,7 +152,7 @@ function makeBody(target, rest) {
   );
   target.append(stage, precision, table);
   rest.append(list);
-  return { stage, precision, axes, values };
+  return { stage, precision, axes, values, ago };
 }
 
 /**

@@ -3,7 +3,7 @@
 import assert from "node:assert/strict";
 import { test } from "node:test";
 
-import { illnesses, Latencies, verdict, Vitals } from "../../../client/dashboard/js/health.js";
+import { illnesses, Latencies, sameIllnesses, verdict, Vitals } from "../../../client/dashboard/js/health.js";
 import { readCameras } from "../../../client/dashboard/js/message.js";
 
 const POSE = { position: { x: 0, y: 0, z: 5 }, orientation: { x: 1, y: 0, z: 0, w: 0 } };
@@ -80,4 +80,24 @@ test("all cameras make one sentence", () => {
   assert.equal(verdict(1, 0), "Camera well");
   assert.equal(verdict(16, 0), "All 16 cameras well");
   assert.equal(verdict(16, 2), "2 of 16 cameras unwell");
+});
+
+test("who ails from the same is named together, with how much from least to most", () => {
+  const ill = (name, why, isGrave = false) => ({ name, ills: [{ isGrave, why }] });
+  assert.deepEqual(
+    sameIllnesses([
+      ill("a", "39 % of its frames are left out."),
+      ill("b", "It gives nothing.", true),
+      ill("c", "35 % of its frames are left out."),
+      ill("d", "9.5 % of its frames are left out."),
+    ]),
+    [
+      { names: ["a", "c", "d"], why: "9.5 to 39 % of its frames are left out.", isGrave: false },
+      { names: ["b"], why: "It gives nothing.", isGrave: true },
+    ],
+  );
+  // Numbers that are part of an address, a file or a device are no amounts.
+  for (const [one, other] of [["No route to host 10.0.0.4.", "No route to host 10.0.0.5."], ["/dev/video0 is gone.", "/dev/video1 is gone."], ["http://cam:81/a fails.", "http://cam:82/a fails."]]) {
+    assert.equal(sameIllnesses([ill("a", one), ill("b", other)]).length, 2, one);
+  }
 });
