@@ -84,6 +84,7 @@ fn served(hub: Arc<Hub>, clock: Clock) -> Served {
         hub,
         clock,
         calibrator: Arc::new(calibrator),
+        kinds: Vec::new(),
         fleets: Arc::default(),
         ports: Arc::default(),
         late_window_ms: 300.0,
