@@ -334,6 +334,38 @@ describe("finding", () => {
   });
 });
 
+describe("a list of hundreds", () => {
+  test("has rows for those in sight only, and for whoever comes into sight or is looked for", async () => {
+    await withWorld(new World({ robots: 400, cameras: 1 }), {}, async (page) => {
+      await page.locator('[data-object-id="1"]').waitFor();
+      const rows = page.locator("#object-rows tr");
+      assert.ok((await rows.count()) < 100, `${await rows.count()} rows`);
+      // The list is as long as if all were there.
+      const scroller = page.locator(".objects .scroll");
+      const { long, rowHeight } = await scroller.evaluate((it) => ({ long: it.scrollHeight, rowHeight: it.querySelector("#object-rows tr").offsetHeight }));
+      assert.ok(Math.abs(long - 400 * rowHeight) < 4 * rowHeight, `${long} px for rows of ${rowHeight}`);
+      await scroller.evaluate((it) => (it.scrollTop = it.scrollHeight));
+      await page.locator('[data-object-id="400"]').waitFor();
+      await page.locator('[data-object-id="1"]').waitFor({ state: "detached" });
+      await page.locator("#search").fill("200");
+      await page.keyboard.press("Enter");
+      await page.locator('[data-object-id="200"].selected').waitFor();
+      assert.equal(await rows.count(), 1);
+      // The field is emptied; what is selected stays so.
+      await page.keyboard.press("Escape");
+      await page.locator("#arena-stage").focus();
+      await page.keyboard.press("n");
+      const shown = page.locator('[data-object-id="201"].selected');
+      await shown.waitFor();
+      const inside = await shown.evaluate((row) => {
+        const [box, frame] = [row.getBoundingClientRect(), row.closest(".scroll").getBoundingClientRect()];
+        return box.top >= frame.top - 1 && box.bottom <= frame.bottom + 1;
+      });
+      assert.ok(inside);
+    });
+  });
+});
+
 describe("keys", () => {
   test("tell themselves, and work from anywhere but a field", async () => {
     await withPage({}, async (page) => {

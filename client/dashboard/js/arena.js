@@ -330,6 +330,8 @@ export class Arena {
 
   draw() {
     const { view, palette, store } = this;
+    // Behind the table of health nobody sees it; it is drawn anew when it comes back, since its size changes then.
+    if (this.stage.clientWidth === 0) return;
     const space = this.mode === "space" ? this.space : null;
     if (this.backdropStale) {
       this.backdropStale = false;

@@ -8,10 +8,12 @@ import { fixed } from "./format.js";
 
 /** Faster than this, figures flicker instead of being read, ms. */
 const INTERVAL_MS = 200;
-/** Of rows that are scrolled out of sight so many are brought up to date each time, in turns. */
+/** From so many objects on only rows about those in sight are there: a table of hundreds is dear to lay out. */
+const MANY = 150;
+/** Rows beyond the edges that are there nevertheless. */
+const MARGIN_ROWS = 8;
+/** Of fewer, rows that are scrolled out of sight are brought up to date in turns, so many each time. */
 const UNSEEN_AT_ONCE = 12;
-/** Rows beyond the edges that count as in sight. */
-const MARGIN_ROWS = 2;
 
 /** @typedef {import("./state.js").ObjectState} ObjectState */
 /** @typedef {{row: HTMLElement, button: HTMLElement, sign: Element, label: Element, code: HTMLElement, cells: Element[], stage: string}} Row */
@@ -28,51 +30,82 @@ export function showList(store) {
 
   body.addEventListener("click", (event) => {
     const row = event.target instanceof Element ? event.target.closest("tr") : null;
-    if (row) store.select(Number(row.dataset.objectId));
+    if (row?.dataset.objectId) store.select(Number(row.dataset.objectId));
   });
 
   const scroller = /** @type {HTMLElement} */ (body.closest(".scroll"));
+  const gaps = [makeGap(), makeGap()];
+  body.before(gaps[0]);
+  body.after(gaps[1]);
   let turn = 0;
   /** @type {((state: ObjectState) => boolean) | null} */
   let filter = null;
-  /** Whether a row is up for new figures: four hundred at once would hold the page up. @type {(i: number) => boolean} */
-  let isDue = () => true;
-  const lookWhatIsSeen = (/** @type {number} */ count) => {
-    const height = /** @type {HTMLElement | null} */ (body.firstElementChild)?.offsetHeight || 27;
-    const first = Math.floor(scroller.scrollTop / height) - MARGIN_ROWS;
-    const last = first + Math.ceil(scroller.clientHeight / height) + 2 * MARGIN_ROWS;
-    const from = turn % Math.max(1, count);
-    turn = from + UNSEEN_AT_ONCE;
-    isDue = (i) => (i >= first && i <= last) || (i >= from && i < from + UNSEEN_AT_ONCE);
+  /** @type {ObjectState[]} all that fit, also those without a row */
+  let listed = [];
+
+  const rowHeight = () => rows.values().next().value?.row.offsetHeight || 27;
+
+  /** Which of so many rows are in sight, or nearly. @param {number} count @returns {[number, number]} the first, and the one after the last */
+  const inSight = (count) => {
+    const height = rowHeight();
+    const first = Math.max(0, Math.min(count, Math.floor(scroller.scrollTop / height)) - MARGIN_ROWS);
+    return [first, Math.min(count, first + Math.ceil(scroller.clientHeight / height) + 2 * MARGIN_ROWS)];
   };
 
   const update = () => {
-    const tracks = store.sortedTracks().filter(({ state }) => !filter || filter(state));
-    const ids = new Set(tracks.map(({ state }) => state.id));
-    lookWhatIsSeen(tracks.length);
-    for (const [id, { row }] of rows) {
-      if (ids.has(id)) continue;
-      row.remove();
-      rows.delete(id);
-    }
-    for (const [i, { state }] of tracks.entries()) {
+    const all = store.sortedTracks().filter(({ state }) => !filter || filter(state)).map(({ state }) => state);
+    const [first, last] = inSight(all.length);
+    const [from, to] = all.length > MANY ? [first, last] : [0, all.length];
+    listed = all;
+    const there = all.slice(from, to);
+    keepRows(new Set(there.map((state) => state.id)));
+    turn %= Math.max(1, all.length);
+    for (const [k, state] of there.entries()) {
+      const i = from + k;
       let row = rows.get(state.id);
       const isNew = !row;
       if (!row) {
         row = makeRow(state);
         rows.set(state.id, row);
-        body.insertBefore(row.row, body.children[i] ?? null);
       }
-      if (isNew || isDue(i) || row.stage !== state.stage) fillRow(row, state, store.selected);
+      if (body.children[k] !== row.row) body.insertBefore(row.row, body.children[k] ?? null);
+      // Four hundred at once would hold the page up.
+      const isDue = (i >= first && i < last) || (i >= turn && i < turn + UNSEEN_AT_ONCE);
+      if (isNew || isDue || row.stage !== state.stage) fillRow(row, state, store.selected);
     }
+    turn += UNSEEN_AT_ONCE;
+    fillGaps(from, all.length - to);
     setText(empty, filter ? "No object fits." : "No object is in view.");
-    empty.hidden = tracks.length > 0;
+    empty.hidden = all.length > 0;
+  };
+
+  /** @param {Set<number>} ids */
+  const keepRows = (ids) => {
+    for (const [id, { row }] of rows) {
+      if (ids.has(id)) continue;
+      row.remove();
+      rows.delete(id);
+    }
+  };
+
+  /** Room for rows that are not there. @param {number} before @param {number} after */
+  const fillGaps = (before, after) => {
+    const height = rowHeight();
+    for (const [i, count] of [before, after].entries()) {
+      gaps[i].hidden = count === 0;
+      /** @type {HTMLElement} */ (gaps[i].querySelector("td")).style.height = `${count * height}px`;
+    }
   };
 
   // What comes into sight is up to date as soon as it does.
   scroller.addEventListener("scroll", paced(50, update), { passive: true });
 
   const markSelected = () => {
+    const at = listed.findIndex((state) => state.id === store.selected);
+    if (at >= 0 && store.selected !== null && !rows.has(store.selected)) {
+      scroller.scrollTop = at * rowHeight() - scroller.clientHeight / 2;
+      update();
+    }
     for (const [id, { row, button }] of rows) {
       const chosen = id === store.selected;
       row.classList.toggle("selected", chosen);
@@ -94,6 +127,11 @@ export function showList(store) {
       update();
     },
   };
+}
+
+/** What stands for rows that are not there. */
+function makeGap() {
+  return element("tbody", { "aria-hidden": "true", hidden: "" }, [element("tr", {}, [element("td", { colspan: "6" })])]);
 }
 
 /**
