@@ -133,6 +133,8 @@ describe("a recording that is played", { skip: lacking }, () => {
       await page.locator("#replay-position").fill("1");
       const there = await until((it) => Math.abs(it.position_s - 1) < 0.2, "replay", play);
       assert.equal(there.paused, true);
+      // The time between its capture and now says nothing.
+      assert.equal(await page.locator("#age").textContent(), "–");
       await holds(page, "#replay-time", "0:01 of");
       await page.locator("#replay-speed").selectOption("5");
       await until((it) => it.speed === 5, "replay", play);

@@ -27,8 +27,8 @@ export function showMasthead(store, retryNow) {
 
   const showFigures = () => {
     const { phase } = store.connection;
-    // Of what is paused there is nothing that should come.
-    const age = store.replay?.paused || store.replay?.ended ? null : store.dataAgeMs();
+    // What is played is of any age.
+    const age = store.info?.replays ? null : store.dataAgeMs();
     setText(figures.rate, phase === "live" ? fixed(store.snapshotRateHz(), 1) : "–");
     setText(figures.age, duration(age));
     figures.age.classList.toggle("stale", age !== null && age > STALE_MS);

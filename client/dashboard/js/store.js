@@ -121,7 +121,8 @@ export class Store {
     this.missed += snapshot.missed;
     this.receivedAtMs = now;
     this.arrivals.push(now);
-    if (snapshot.latencyMs !== null) this.latencies.take(snapshot.latencyMs);
+    // What is played was late then, not now.
+    if (snapshot.latencyMs !== null && !this.info?.replays) this.latencies.take(snapshot.latencyMs);
     const live = new Set();
     for (const state of snapshot.objects) {
       live.add(state.id);
