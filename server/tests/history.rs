@@ -52,6 +52,20 @@ async fn where_objects_were_is_kept_over_a_restart() {
         let wrong = v1::QueryHistoryRequest { max_points: 5001, ..Default::default() };
         let error = client.history(wrong).await.unwrap_err().to_string();
         assert!(error.contains("max_points: expected 1 to 5000, found 5001"), "{error}");
+        // A side may be infinitely far, as of every box that a client asks for.
+        let corner = |x, y, z| Some(v1::Vector3 { x, y, z });
+        let far = f64::INFINITY;
+        let part = |min, max| v1::QueryHistoryRequest {
+            region: Some(v1::Box { min, max }),
+            ..Default::default()
+        };
+        let everywhere = part(corner(-far, -far, -far), corner(far, far, far));
+        assert!(client.history(everywhere).await.unwrap().points >= answer.points);
+        let nowhere = part(corner(500.0, 0.0, 0.0), corner(far, far, far));
+        assert_eq!(client.history(nowhere).await.unwrap().points, 0);
+        let wrong = part(corner(1.0, 0.0, 0.0), corner(0.0, 1.0, 1.0));
+        let error = client.history(wrong).await.unwrap_err().to_string();
+        assert!(error.contains("max.x: expected at least 1 (min.x), found 0"), "{error}");
         server.shutdown().await;
     }
 }

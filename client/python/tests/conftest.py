@@ -27,9 +27,11 @@ def binary() -> Path:
 class Server:
     """A running `roundel demo`."""
 
-    def __init__(self, listen: str = "127.0.0.1:0", *options: str) -> None:
+    def __init__(self, listen: str = "127.0.0.1:0", *options: str, folder: Path | None = None) -> None:
         command = [str(binary()), "demo", "--listen", listen, "--robots", str(ROBOTS), *options]
-        self.process = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True)
+        self.process = subprocess.Popen(
+            command, cwd=folder, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True
+        )
         assert self.process.stdout is not None
         said = []
         for line in self.process.stdout:

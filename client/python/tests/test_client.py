@@ -6,6 +6,7 @@ import asyncio
 import itertools
 import threading
 import time
+from pathlib import Path
 from typing import TypeVar
 
 import numpy as np
@@ -58,6 +59,30 @@ def test_everything_that_can_be_asked_is_answered(server: Server) -> None:
         assert frames[2].frame > frames[0].frame
         with pytest.raises(Refused, match="no camera \"camera-9\"; there are: camera-0"):
             next(client.observations(["camera-9"]))
+        newest = client.newest_observations(["camera-3", "camera-2"])
+        assert [frame.camera for frame in newest] == ["camera-2", "camera-3"]
+        assert newest[0].frame >= frames[2].frame
+
+
+def test_a_recording_is_begun_ended_and_listed(tmp_path: Path, own_server: list[Server]) -> None:
+    own_server.append(Server("127.0.0.1:0", folder=tmp_path))
+    with Client.connect(own_server[0].url) as client:
+        assert client.recording().state == v1.RECORDING_STATE_IDLE
+        with pytest.raises(Refused, match="nothing is being recorded"):
+            client.stop_recording()
+        begun = client.start_recording("trial", frames_every=0)
+        assert begun.state == v1.RECORDING_STATE_RECORDING and begun.file.startswith("trial-")
+        until_all_are_there(client)
+        ended = client.stop_recording()
+        assert ended.state == v1.RECORDING_STATE_STOPPED and ended.messages > begun.messages
+        listed = client.recordings()
+        assert [(file.name, file.bytes, file.open) for file in listed] == [(begun.file, ended.bytes, False)]
+        assert (tmp_path / "recordings" / begun.file).stat().st_size == ended.bytes
+        # This server plays none and keeps no history: it says so.
+        with pytest.raises(Refused, match="roundel replay"):
+            client.control_replay(paused=True)
+        with pytest.raises(Refused, match="history"):
+            client.history([1, "robot"], region_m=((-1, -1, 0), (1, 1, float("inf"))))
 
 
 def test_what_is_configured_is_read_checked_and_changed(server: Server) -> None:
@@ -249,6 +274,13 @@ def test_asyncio_gives_the_same(server: Server) -> None:
             assert (await client.configuration()).name == "demo"
             with pytest.raises(Refused, match="no object \"nobody\""):
                 await client.object_setup("nobody")
+            assert [frame.camera for frame in await client.newest_observations(["camera-1"])] == ["camera-1"]
+            assert (await client.recording()).state == v1.RECORDING_STATE_IDLE
+            assert await client.recordings() == []
+            with pytest.raises(Refused, match="roundel replay"):
+                await client.replay()
+            with pytest.raises(Refused, match="history"):
+                await client.history()
             assert abs((await client.clock_offset()).offset_ns) < 10**9
             sequences = []
             async for snapshot in client.snapshots(Subscription(max_rate_hz=30.0)):

@@ -5,12 +5,13 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from roundel import Disconnected, InvalidAddress, LifeStage, Reconnected, Refused, Snapshot, Subscription, Unreachable, v1
+from roundel import Conflict, Disconnected, InvalidAddress, LifeStage, Reconnected, Refused, Snapshot, Subscription, Unreachable, v1
 from roundel._address import target
 from roundel._backoff import FIRST_S, LONGEST_S, Backoff
-from roundel._calls import calibration_request, drive_request
+from roundel._calls import ANSWERS, calibration_request, drive_request, history_request
 from roundel._follower import Follower
 from roundel.clock import best
+from roundel.errors import from_rpc
 
 import grpc
 
@@ -150,9 +151,30 @@ def test_the_quickest_probe_gives_the_offset() -> None:
     assert best([(v1.ServerTime(sent_time_ns=10, received_time_ns=0, replied_time_ns=0), 5)]) is None
 
 
+def test_every_call_of_the_service_is_there_with_its_answer() -> None:
+    service = v1.Snapshot.DESCRIPTOR.file.pool.FindServiceByName("roundel.v1.Roundel")
+    wanted = {method.name: method.output_type.name for method in service.methods}
+    assert {call: answer.DESCRIPTOR.name for call, answer in ANSWERS.items()} == wanted
+
+
+def test_who_was_second_is_told_to_read_again() -> None:
+    class Aborted(grpc.RpcError):
+        def code(self) -> grpc.StatusCode:
+            return grpc.StatusCode.ABORTED
+
+        def details(self) -> str:
+            return "the configuration has changed"
+
+    error = from_rpc("http://a", Aborted())
+    assert isinstance(error, Conflict) and not error.is_temporary
+    assert str(error) == "somebody else was first: the configuration has changed"
+
+
 def test_wrong_arguments_are_told_before_anything_is_sent() -> None:
     with pytest.raises(ValueError, match="corners of three numbers"):
         Subscription(region_m=((0, 0), (1, 1, 1))).request()
+    with pytest.raises(ValueError, match="corners of three numbers"):
+        history_request([], ((0, 0), (1, 1, 1)), (0, 0), 0)
     with pytest.raises(ValueError, match="two or three numbers"):
         drive_request({1: [0.5]})
     with pytest.raises(ValueError, match="if_sound"):

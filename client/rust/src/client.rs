@@ -181,6 +181,20 @@ impl Client {
         Ok(self.messages(answer.map_err(|status| self.error(&status))?.into_inner()))
     }
 
+    /// What the cameras of these names saw in their newest frames, once; no names: all cameras. A camera that has given
+    /// no frame yet is not among them.
+    ///
+    /// # Errors
+    /// As of [`Client::observations`].
+    pub async fn newest_observations(
+        &self,
+        cameras: &[&str],
+    ) -> Result<Vec<v1::FrameObservations>, Error> {
+        let cameras = cameras.iter().map(|&name| name.to_owned()).collect();
+        let answer = self.service().get_observations(v1::GetObservationsRequest { cameras }).await;
+        answer.map(|frames| frames.into_inner().frames).map_err(|status| self.error(&status))
+    }
+
     pub(crate) async fn subscribe(
         &self,
         request: v1::SubscribeSnapshotsRequest,

@@ -26,8 +26,8 @@ impl Client {
     /// everything that is the same in both goes on.
     ///
     /// # Errors
-    /// [`Error::Refused`] says what is wrong with it, or what takes a start of the server; nothing is changed then. And
-    /// those of the connection.
+    /// [`Error::Refused`] says what is wrong with it, or what takes a start of the server; [`Error::Conflict`] that the
+    /// one in force has another version by now. Nothing is changed then. And those of the connection.
     pub async fn apply_configuration(
         &self,
         toml: &str,

@@ -40,6 +40,12 @@ pub enum Error {
         /// Names the field or thing, what was expected, and what was found.
         message: String,
     },
+    /// Somebody else was first: what the request builds on has changed since it was read. Read it again.
+    #[error("somebody else was first: {message}")]
+    Conflict {
+        /// What has changed.
+        message: String,
+    },
     /// The server cannot answer now; a later try may succeed.
     #[error("the server cannot answer now ({code:?}): {message}")]
     Server {
@@ -68,6 +74,7 @@ impl Error {
             | Code::NotFound
             | Code::OutOfRange
             | Code::FailedPrecondition => Self::Refused { message },
+            Code::Aborted => Self::Conflict { message },
             Code::Unimplemented => Self::NotRoundel {
                 address: address.to_owned(),
                 reason: format!("it does not know this call ({message})"),
@@ -94,4 +101,19 @@ pub(crate) fn chain(error: &(dyn std::error::Error + 'static)) -> String {
         next = error.source();
     }
     text
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn who_was_second_is_told_to_read_again_and_not_to_try_again() {
+        let status = Status::aborted("the camera has changed");
+        let error = Error::from_status("http://a", &status);
+        assert_eq!(error, Error::Conflict { message: "the camera has changed".to_owned() });
+        assert!(!error.is_temporary());
+        let error = Error::from_status("http://a", &Status::unavailable("no room"));
+        assert!(error.is_temporary());
+    }
 }

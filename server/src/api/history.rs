@@ -15,6 +15,7 @@ use super::{
     Api,
     error::{ApiError, ErrorBody},
     query::Parameters,
+    region::Region,
 };
 use crate::{
     convert,
@@ -129,15 +130,9 @@ fn question(api: &Api, request: v1::QueryHistoryRequest) -> Result<Question, Api
         most if most <= MAX_POINTS => most,
         most => return Err(ApiError::invalid("max_points", format!("1 to {MAX_POINTS}"), most)),
     };
-    let corner = |corner: Option<v1::Vector3>, name| {
-        let corner = corner.filter(|it| [it.x, it.y, it.z].iter().all(|it| it.is_finite()));
-        let corner = corner.map(|it| [it.x, it.y, it.z]);
-        corner.ok_or_else(|| ApiError::invalid(name, "three numbers of metres", "none"))
-    };
-    let region = request
-        .region
-        .map(|it| Ok::<_, ApiError>([corner(it.min, "min")?, corner(it.max, "max")?]));
-    let (objects, region_m) = (request.objects, region.transpose()?);
+    let region = request.region.map(|it| Region::checked(it, ["min", "max"])).transpose()?;
+    let region_m = region.map(|it| [it.min_m.into(), it.max_m.into()]);
+    let objects = request.objects;
     Ok(Question { objects, region_m, from, until, max_points, step_s: None })
 }
 

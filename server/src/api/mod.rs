@@ -20,6 +20,7 @@
 //! | [`page`] | the dashboard's files |
 //! | [`encoded`] | snapshots as bytes, once for all who want the same |
 //! | [`selection`], [`feed`] | which snapshots a subscriber gets, and what is in them |
+//! | `region` | a box of the world that a client asks for |
 //! | [`picture`] | a frame with its detections drawn in, as JPEG |
 //! | `deadline` | calls that end when their client gives up |
 //! | `cors` | pages of other servers |
@@ -49,6 +50,7 @@ pub mod print;
 pub mod push;
 pub mod query;
 pub mod recording;
+mod region;
 pub mod replay;
 pub mod rest;
 pub mod selection;

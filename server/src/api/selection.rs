@@ -9,7 +9,6 @@ use std::{
     hash::{Hash, Hasher},
 };
 
-use nalgebra::Vector3;
 use roundel_core::{
     id::{KindId, ObjectId},
     world,
@@ -17,7 +16,7 @@ use roundel_core::{
 use roundel_proto::v1;
 
 use crate::{
-    api::error::ApiError,
+    api::{error::ApiError, region::Region},
     convert,
     hub::{FusedSnapshot, Installation},
 };
@@ -55,20 +54,6 @@ pub const QUERY_FIELDS: FieldNames = FieldNames {
     horizon_ms: "horizon_ms",
     roundels: "roundels",
 };
-
-/// An axis-aligned box in the world frame, metres; its faces belong to it, and a side may be
-/// infinitely far.
-#[derive(Clone, Debug, PartialEq)]
-struct Region {
-    min_m: Vector3<f64>,
-    max_m: Vector3<f64>,
-}
-
-impl Region {
-    fn contains(&self, point_m: &Vector3<f64>) -> bool {
-        (0..3).all(|axis| self.min_m[axis] <= point_m[axis] && point_m[axis] <= self.max_m[axis])
-    }
-}
 
 /// What a snapshot's message holds.
 #[derive(Clone, Debug, Default)]
@@ -155,7 +140,8 @@ impl Selection {
         kinds: &[String],
         names: &FieldNames,
     ) -> Result<Self, ApiError> {
-        let region = request.region.map(|region| checked_region(region, names)).transpose()?;
+        let region =
+            request.region.map(|it| Region::checked(it, [names.min, names.max])).transpose()?;
         if let Some(rate_hz) = request.max_rate_hz
             && !(rate_hz > 0.0 && rate_hz.is_finite())
         {
@@ -206,30 +192,6 @@ fn checked_kinds(
     kinds.sort_unstable();
     kinds.dedup();
     Ok(kinds)
-}
-
-fn checked_region(region: v1::Box, names: &FieldNames) -> Result<Region, ApiError> {
-    let min_m = checked_corner(region.min, names.min)?;
-    let max_m = checked_corner(region.max, names.max)?;
-    for (axis, name) in ["x", "y", "z"].into_iter().enumerate() {
-        if min_m[axis] > max_m[axis] {
-            let expected = format!("at least {} ({}.{name})", min_m[axis], names.min);
-            return Err(ApiError::invalid(format!("{}.{name}", names.max), expected, max_m[axis]));
-        }
-    }
-    Ok(Region { min_m, max_m })
-}
-
-fn checked_corner(corner: Option<v1::Vector3>, field: &str) -> Result<Vector3<f64>, ApiError> {
-    let Some(corner) = corner else {
-        return Err(ApiError::invalid(field, "a corner of the box, metres", "nothing"));
-    };
-    for (name, side) in [("x", corner.x), ("y", corner.y), ("z", corner.z)] {
-        if side.is_nan() {
-            return Err(ApiError::invalid(format!("{field}.{name}"), "metres", side));
-        }
-    }
-    Ok(Vector3::new(corner.x, corner.y, corner.z))
 }
 
 #[cfg(test)]

@@ -11,13 +11,14 @@
 
 from roundel.client import Client, Latest, Snapshots
 from roundel.clock import ClockOffset
-from roundel.errors import InvalidAddress, NotRoundel, Refused, RoundelError, ServerError, Unreachable
+from roundel.errors import Conflict, InvalidAddress, NotRoundel, Refused, RoundelError, ServerError, Unreachable
 from roundel.snapshot import Disconnected, LifeStage, Reconnected, Robot, Snapshot, Update
 from roundel.subscription import Subscription
 
 __all__ = [
     "Client",
     "ClockOffset",
+    "Conflict",
     "Disconnected",
     "InvalidAddress",
     "Latest",

@@ -30,6 +30,7 @@ OPTIONS: list[tuple[str, Any]] = [
 ANSWERS: dict[str, Any] = {
     "SubscribeSnapshots": v1.Snapshot,
     "SubscribeObservations": v1.FrameObservations,
+    "GetObservations": v1.GetObservationsResponse,
     "SubscribeEvents": v1.Event,
     "TestSource": v1.SourceTest,
     "GetCameraSetup": v1.CameraSetup,
@@ -56,6 +57,13 @@ ANSWERS: dict[str, Any] = {
     "WatchCalibration": v1.Calibration,
     "CancelCalibration": v1.Calibration,
     "ApplyCalibration": v1.Calibration,
+    "StartRecording": v1.Recording,
+    "StopRecording": v1.Recording,
+    "GetRecording": v1.Recording,
+    "ListRecordings": v1.ListRecordingsResponse,
+    "GetReplay": v1.Replay,
+    "ControlReplay": v1.Replay,
+    "QueryHistory": v1.QueryHistoryResponse,
 }
 """What each call answers with."""
 
@@ -94,3 +102,50 @@ def calibration_request(
         raise ValueError(f"apply: expected one of {', '.join(sorted(words))}, found {apply!r}")
     word = f"CALIBRATION_APPLY_{apply.upper()}"
     return v1.StartCalibrationRequest(seconds=seconds, refine_lenses=refine_lenses, apply=word)
+
+
+def recording_request(name: str, frames_every: int | None, seconds: float | None) -> v1.StartRecordingRequest:
+    """What is None is as configured."""
+    return v1.StartRecordingRequest(name=name, frames_every=frames_every, seconds=seconds)
+
+
+def replay_request(
+    paused: bool | None, speed: float | None, position_s: float | None, looping: bool | None
+) -> v1.ControlReplayRequest:
+    """What is None stays as it is."""
+    request = v1.ControlReplayRequest(speed=speed, position_s=position_s)
+    if paused is not None:
+        request.paused = paused
+    if looping is not None:
+        request.looping = looping
+    return request
+
+
+def history_request(
+    objects: Sequence[int | str],
+    region_m: tuple[Sequence[float], Sequence[float]] | None,
+    times_ns: tuple[int, int],
+    max_points: int,
+) -> v1.QueryHistoryRequest:
+    """Objects by id, name or number of their code; the region between two corners; 0: an hour before, until now."""
+    from_ns, until_ns = times_ns
+    return v1.QueryHistoryRequest(
+        objects=[str(each) for each in objects],
+        region=None if region_m is None else region(region_m),
+        from_time_ns=from_ns,
+        until_time_ns=until_ns,
+        max_points=max_points,
+    )
+
+
+def region(corners_m: tuple[Sequence[float], Sequence[float]]) -> v1.Box:
+    """The box between two corners, metres; a side may be infinite."""
+    low, high = (_corner(corner) for corner in corners_m)
+    return v1.Box(min=low, max=high)
+
+
+def _corner(corner: Sequence[float]) -> v1.Vector3:
+    if len(corner) != 3:
+        raise ValueError(f"region_m: expected corners of three numbers, found {list(corner)}")
+    x, y, z = corner
+    return v1.Vector3(x=float(x), y=float(y), z=float(z))

@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-import asyncio
 import time
-from collections import deque
 from types import TracebackType
 from typing import Any, AsyncIterator, Mapping, Sequence
 
@@ -13,10 +11,12 @@ import grpc.aio
 
 from roundel import _calls, clock, v1
 from roundel._address import target
-from roundel._follower import Follower
-from roundel.errors import RoundelError, ServerError, Unreachable, from_rpc
-from roundel.snapshot import Snapshot, Update
+from roundel._aio_snapshots import Latest, Snapshots
+from roundel.errors import RoundelError, ServerError, from_rpc
+from roundel.snapshot import Snapshot
 from roundel.subscription import Subscription
+
+__all__ = ["Client", "Latest", "Snapshots"]
 
 
 class Client:
@@ -92,6 +92,10 @@ class Client:
         """What these cameras see, frame by frame; no names: all. Ends with an error when the connection is lost."""
         request = v1.SubscribeObservationsRequest(cameras=list(cameras))
         return self._stream("SubscribeObservations", request)
+
+    async def newest_observations(self, cameras: Sequence[str] = ()) -> list[v1.FrameObservations]:
+        """What these cameras saw in their newest frames, once; no names: all."""
+        return list((await self._call("GetObservations", v1.GetObservationsRequest(cameras=list(cameras)))).frames)
 
     async def clock_offset(self, probes: int = clock.PROBES) -> clock.ClockOffset:
         """By how much the server's clock is ahead of this machine's."""
@@ -194,6 +198,53 @@ class Client:
         request = v1.ApplyConfigurationRequest(toml=toml, version=version)
         return await self._call("ApplyConfiguration", request)  # type: ignore[no-any-return]
 
+    # Recordings, and what was
+
+    async def start_recording(
+        self, name: str = "", frames_every: int | None = None, seconds: float | None = None
+    ) -> v1.Recording:
+        """Has the server record into files on its machine; one in `frames_every` frames as a picture, 0: none."""
+        return await self._call("StartRecording", _calls.recording_request(name, frames_every, seconds))  # type: ignore[no-any-return]
+
+    async def stop_recording(self) -> v1.Recording:
+        """Ends the recording; its files are whole when this returns."""
+        return await self._call("StopRecording", v1.StopRecordingRequest())  # type: ignore[no-any-return]
+
+    async def recording(self) -> v1.Recording:
+        """The recording that is being made, or the last one."""
+        return await self._call("GetRecording", v1.GetRecordingRequest())  # type: ignore[no-any-return]
+
+    async def recordings(self) -> list[v1.RecordingFile]:
+        """The files of recordings in the server's folder, the oldest first."""
+        return list((await self._call("ListRecordings", v1.ListRecordingsRequest())).files)
+
+    async def replay(self) -> v1.Replay:
+        """The recording that the server plays (``roundel replay``), and how far it is."""
+        return await self._call("GetReplay", v1.GetReplayRequest())  # type: ignore[no-any-return]
+
+    async def control_replay(
+        self,
+        paused: bool | None = None,
+        speed: float | None = None,
+        position_s: float | None = None,
+        looping: bool | None = None,
+    ) -> v1.Replay:
+        """Pauses what the server plays, goes on, seeks, changes its speed; what is None stays as it is."""
+        request = _calls.replay_request(paused, speed, position_s, looping)
+        return await self._call("ControlReplay", request)  # type: ignore[no-any-return]
+
+    async def history(
+        self,
+        objects: Sequence[int | str] = (),
+        region_m: tuple[Sequence[float], Sequence[float]] | None = None,
+        from_ns: int = 0,
+        until_ns: int = 0,
+        max_points: int = 0,
+    ) -> v1.QueryHistoryResponse:
+        """Where objects (by id, name or code; none: all) were; from an hour before until now where times are 0."""
+        request = _calls.history_request(objects, region_m, (from_ns, until_ns), max_points)
+        return await self._call("QueryHistory", request)  # type: ignore[no-any-return]
+
     async def _call(self, call: str, request: Any, timeout_s: float | None = None) -> Any:
         method = self._channel.unary_unary(_calls.path(call), _calls.encoded, _calls.ANSWERS[call].FromString)
         try:
@@ -214,128 +265,3 @@ class Client:
             raise from_rpc(self.address, error) from error
         finally:
             messages.cancel()
-
-
-class Snapshots(AsyncIterator[Update]):
-    """Snapshots, and word of connections lost and back; ends when closed, or with an error that asking again cannot heal."""
-
-    def __init__(self, client: Client, subscription: Subscription) -> None:
-        self._client = client
-        self._request = subscription.request()
-        self._follower = Follower()
-        self._held: deque[Update] = deque()
-        self._messages: Any = None
-        self._pause_s = 0.0
-        self._is_closed = False
-
-    @property
-    def missed(self) -> int:
-        """Snapshots missed so far, since this client was too slow for them or had no connection."""
-        return self._follower.missed
-
-    def close(self) -> None:
-        """Ends the stream."""
-        self._is_closed = True
-        if self._messages is not None:
-            self._messages.cancel()
-
-    def __aiter__(self) -> Snapshots:
-        return self
-
-    async def __anext__(self) -> Update:
-        if not self._held:
-            if self._pause_s:
-                await asyncio.sleep(self._pause_s)
-                self._pause_s = 0.0
-            await self._receive()
-        return self._held.popleft()
-
-    async def _receive(self) -> None:
-        if self._is_closed:
-            raise StopAsyncIteration
-        try:
-            if self._messages is None:
-                self._messages = self._client._open("SubscribeSnapshots", self._request)
-            message = await self._messages.read()
-        except grpc.aio.AioRpcError as failure:
-            self._lost(from_rpc(self._client.address, failure))
-        except asyncio.CancelledError:
-            # Closed by another task, and not a cancellation of this one.
-            if self._is_closed:
-                raise StopAsyncIteration from None
-            raise
-        else:
-            if message is grpc.aio.EOF:  # type: ignore[attr-defined]
-                self._lost(Unreachable(self._client.address, "the server ended the stream"))
-            else:
-                self._held.extend(self._follower.received(message))
-
-    def _lost(self, error: RoundelError) -> None:
-        self._messages = None
-        update = self._follower.lost(error)
-        self._pause_s = update.retry_in_s
-        self._held.append(update)
-
-
-class Latest:
-    """The newest snapshot at any time. A task reads; whoever asks gets the newest, and nothing waits for it."""
-
-    def __init__(self, client: Client, subscription: Subscription) -> None:
-        self._updates = Snapshots(client, subscription)
-        self._value: Snapshot | None = None
-        self._fresh = asyncio.Event()
-        self.skipped = 0
-        """Snapshots that came and were replaced before anybody took them."""
-        self._reader = asyncio.create_task(self._read(), name="roundel-latest")
-
-    @property
-    def value(self) -> Snapshot | None:
-        """The newest snapshot; None before the first. Does not wait."""
-        self._fresh.clear()
-        return self._value
-
-    @property
-    def missed(self) -> int:
-        """Snapshots that never came, as of :attr:`Snapshots.missed`."""
-        return self._updates.missed
-
-    async def next(self) -> Snapshot:
-        """The newest snapshot that nobody has taken yet; waits for one."""
-        fresh = asyncio.create_task(self._fresh.wait())
-        try:
-            await asyncio.wait({fresh, self._reader}, return_when=asyncio.FIRST_COMPLETED)
-        finally:
-            fresh.cancel()
-        if self._fresh.is_set() and self._value is not None:
-            self._fresh.clear()
-            return self._value
-        # The reader has ended: with an error, or since it was closed.
-        await self._reader
-        raise StopAsyncIteration
-
-    def __aiter__(self) -> Latest:
-        return self
-
-    async def __anext__(self) -> Snapshot:
-        return await self.next()
-
-    async def close(self) -> None:
-        """Ends the stream and its task."""
-        self._updates.close()
-        self._reader.cancel()
-        await asyncio.gather(self._reader, return_exceptions=True)
-
-    async def __aenter__(self) -> Latest:
-        return self
-
-    async def __aexit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
-        await self.close()
-
-    async def _read(self) -> None:
-        async for update in self._updates:
-            if isinstance(update, Snapshot):
-                self.skipped += self._fresh.is_set()
-                self._value = update
-                self._fresh.set()

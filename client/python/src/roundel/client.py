@@ -5,9 +5,7 @@ A client may be used from several threads; an iterator belongs to one of them, b
 
 from __future__ import annotations
 
-import threading
 import time
-from collections import deque
 from types import TracebackType
 from typing import Any, Iterator, Mapping, Sequence
 
@@ -15,10 +13,12 @@ import grpc
 
 from roundel import _calls, clock, v1
 from roundel._address import target
-from roundel._follower import Follower, Newest, log
-from roundel.errors import RoundelError, ServerError, Unreachable, from_rpc
-from roundel.snapshot import Snapshot, Update
+from roundel._snapshots import Latest, Snapshots
+from roundel.errors import RoundelError, ServerError, from_rpc
+from roundel.snapshot import Snapshot
 from roundel.subscription import Subscription
+
+__all__ = ["Client", "Latest", "Snapshots"]
 
 
 class Client:
@@ -95,6 +95,10 @@ class Client:
         """What these cameras see, frame by frame; no names: all. Ends with an error when the connection is lost."""
         request = v1.SubscribeObservationsRequest(cameras=list(cameras))
         return self._stream("SubscribeObservations", request)
+
+    def newest_observations(self, cameras: Sequence[str] = ()) -> list[v1.FrameObservations]:
+        """What these cameras saw in their newest frames, once; no names: all."""
+        return list(self._call("GetObservations", v1.GetObservationsRequest(cameras=list(cameras))).frames)
 
     def clock_offset(self, probes: int = clock.PROBES) -> clock.ClockOffset:
         """By how much the server's clock is ahead of this machine's."""
@@ -200,6 +204,53 @@ class Client:
         request = v1.ApplyConfigurationRequest(toml=toml, version=version)
         return self._call("ApplyConfiguration", request)  # type: ignore[no-any-return]
 
+    # Recordings, and what was
+
+    def start_recording(
+        self, name: str = "", frames_every: int | None = None, seconds: float | None = None
+    ) -> v1.Recording:
+        """Has the server record into files on its machine; one in `frames_every` frames as a picture, 0: none."""
+        return self._call("StartRecording", _calls.recording_request(name, frames_every, seconds))  # type: ignore[no-any-return]
+
+    def stop_recording(self) -> v1.Recording:
+        """Ends the recording; its files are whole when this returns."""
+        return self._call("StopRecording", v1.StopRecordingRequest())  # type: ignore[no-any-return]
+
+    def recording(self) -> v1.Recording:
+        """The recording that is being made, or the last one."""
+        return self._call("GetRecording", v1.GetRecordingRequest())  # type: ignore[no-any-return]
+
+    def recordings(self) -> list[v1.RecordingFile]:
+        """The files of recordings in the server's folder, the oldest first."""
+        return list(self._call("ListRecordings", v1.ListRecordingsRequest()).files)
+
+    def replay(self) -> v1.Replay:
+        """The recording that the server plays (``roundel replay``), and how far it is."""
+        return self._call("GetReplay", v1.GetReplayRequest())  # type: ignore[no-any-return]
+
+    def control_replay(
+        self,
+        paused: bool | None = None,
+        speed: float | None = None,
+        position_s: float | None = None,
+        looping: bool | None = None,
+    ) -> v1.Replay:
+        """Pauses what the server plays, goes on, seeks, changes its speed; what is None stays as it is."""
+        request = _calls.replay_request(paused, speed, position_s, looping)
+        return self._call("ControlReplay", request)  # type: ignore[no-any-return]
+
+    def history(
+        self,
+        objects: Sequence[int | str] = (),
+        region_m: tuple[Sequence[float], Sequence[float]] | None = None,
+        from_ns: int = 0,
+        until_ns: int = 0,
+        max_points: int = 0,
+    ) -> v1.QueryHistoryResponse:
+        """Where objects (by id, name or code; none: all) were; from an hour before until now where times are 0."""
+        request = _calls.history_request(objects, region_m, (from_ns, until_ns), max_points)
+        return self._call("QueryHistory", request)  # type: ignore[no-any-return]
+
     def _call(self, call: str, request: Any, timeout_s: float | None = None) -> Any:
         method = self._channel.unary_unary(_calls.path(call), _calls.encoded, _calls.ANSWERS[call].FromString)
         try:
@@ -219,145 +270,3 @@ class Client:
             raise from_rpc(self.address, error) from error
         finally:
             messages.cancel()
-
-
-class Snapshots(Iterator[Update]):
-    """Snapshots, and word of connections lost and back; ends when closed, or with an error that asking again cannot heal."""
-
-    def __init__(self, client: Client, subscription: Subscription) -> None:
-        self._client = client
-        self._request = subscription.request()
-        self._follower = Follower()
-        self._held: deque[Update] = deque()
-        self._messages: Any = None
-        self._pause_s = 0.0
-        self._closed = threading.Event()
-
-    @property
-    def missed(self) -> int:
-        """Snapshots missed so far, since this client was too slow for them or had no connection."""
-        return self._follower.missed
-
-    def close(self) -> None:
-        """Ends the stream; another thread that waits for its next value is let go."""
-        self._closed.set()
-        if self._messages is not None:
-            self._messages.cancel()
-
-    def __enter__(self) -> Snapshots:
-        return self
-
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
-        self.close()
-
-    def __iter__(self) -> Snapshots:
-        return self
-
-    def __next__(self) -> Update:
-        if not self._held:
-            if self._pause_s and self._closed.wait(self._pause_s):
-                raise StopIteration
-            self._pause_s = 0.0
-            self._receive()
-        return self._held.popleft()
-
-    def _receive(self) -> None:
-        try:
-            if self._messages is None:
-                self._messages = self._client._open("SubscribeSnapshots", self._request)
-            if self._closed.is_set():
-                self._messages.cancel()
-                raise StopIteration
-            message = next(self._messages, None)
-        except grpc.RpcError as failure:
-            if self._closed.is_set():
-                raise StopIteration from None
-            self._lost(from_rpc(self._client.address, failure))
-        except ValueError as failure:
-            # grpc's word for a channel that was closed.
-            raise StopIteration from failure
-        else:
-            if message is None:
-                self._lost(Unreachable(self._client.address, "the server ended the stream"))
-            else:
-                self._held.extend(self._follower.received(message))
-
-    def _lost(self, error: RoundelError) -> None:
-        self._messages = None
-        update = self._follower.lost(error)
-        self._pause_s = update.retry_in_s
-        self._held.append(update)
-
-
-class Latest:
-    """The newest snapshot at any time. A thread reads; whoever asks gets the newest, and nothing waits for it."""
-
-    def __init__(self, client: Client, subscription: Subscription) -> None:
-        self._updates = Snapshots(client, subscription)
-        self._newest = Newest()
-        self._reader = threading.Thread(target=self._read, name="roundel-latest", daemon=True)
-        self._reader.start()
-
-    @property
-    def value(self) -> Snapshot | None:
-        """The newest snapshot; None before the first. Does not wait."""
-        with self._newest.changed:
-            self._newest.is_taken = True
-            return self._newest.value
-
-    @property
-    def skipped(self) -> int:
-        """Snapshots that came and were replaced before anybody took them."""
-        return self._newest.skipped
-
-    @property
-    def missed(self) -> int:
-        """Snapshots that never came, as of :attr:`Snapshots.missed`."""
-        return self._updates.missed
-
-    def next(self, timeout_s: float | None = None) -> Snapshot:
-        """The newest snapshot that nobody has taken yet; waits for one, and raises TimeoutError in vain."""
-        newest = self._newest
-        with newest.changed:
-            if not newest.changed.wait_for(lambda: newest.is_closed or not newest.is_taken, timeout_s):
-                raise TimeoutError(f"no snapshot within {timeout_s} s")
-            if newest.value is not None and not newest.is_taken:
-                newest.is_taken = True
-                return newest.value
-            if newest.failure is not None:
-                raise newest.failure
-            raise StopIteration
-
-    def __iter__(self) -> Iterator[Snapshot]:
-        while True:
-            try:
-                snapshot = self.next()
-            except StopIteration:
-                return
-            yield snapshot
-
-    def close(self) -> None:
-        """Ends the stream and its thread."""
-        self._updates.close()
-        self._reader.join()
-
-    def __enter__(self) -> Latest:
-        return self
-
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
-        self.close()
-
-    def _read(self) -> None:
-        failure: BaseException | None = None
-        try:
-            for update in self._updates:
-                if isinstance(update, Snapshot):
-                    self._newest.put(update)
-        except RoundelError as error:
-            log.error("%s", error)
-            failure = error
-        self._newest.end(failure)

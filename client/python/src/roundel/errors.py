@@ -69,6 +69,15 @@ class ServerError(RoundelError):
         self.code = code
 
 
+class Conflict(RoundelError):
+    """Somebody else was first: what the request builds on has changed since it was read. Read it again."""
+
+    def __init__(self, message: str, code: grpc.StatusCode) -> None:
+        super().__init__(f"somebody else was first: {message}")
+        self.message = message
+        self.code = code
+
+
 def from_rpc(address: str, error: grpc.RpcError) -> RoundelError:
     """What a failed call to `address` means."""
     # Both of grpc's kinds of errors have these; their common base declares neither.
@@ -76,6 +85,8 @@ def from_rpc(address: str, error: grpc.RpcError) -> RoundelError:
     message = (error.details() if hasattr(error, "details") else None) or str(error)
     if code in _REFUSALS:
         return Refused(message, code)
+    if code is grpc.StatusCode.ABORTED:
+        return Conflict(message, code)
     if code is grpc.StatusCode.UNIMPLEMENTED:
         return NotRoundel(address, f"it does not know this call ({message})")
     if code in (grpc.StatusCode.UNAVAILABLE, grpc.StatusCode.DEADLINE_EXCEEDED):

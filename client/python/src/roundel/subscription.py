@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Sequence
 
-from roundel import v1
+from roundel import _calls, v1
 
 
 @dataclass(frozen=True)
@@ -31,17 +31,9 @@ class Subscription:
             object_ids=list(self.ids), roundels=list(self.roundels), omit_covariance=not self.covariance
         )
         if self.region_m is not None:
-            low, high = (_corner(corner) for corner in self.region_m)
-            request.region.CopyFrom(v1.Box(min=low, max=high))
+            request.region.CopyFrom(_calls.region(self.region_m))
         if self.max_rate_hz is not None:
             request.max_rate_hz = self.max_rate_hz
         if self.horizon_s:
             request.horizon_ms = self.horizon_s * 1e3
         return request
-
-
-def _corner(corner: Sequence[float]) -> v1.Vector3:
-    if len(corner) != 3:
-        raise ValueError(f"region_m: expected corners of three numbers, found {list(corner)}")
-    x, y, z = corner
-    return v1.Vector3(x=float(x), y=float(y), z=float(z))
