@@ -19,6 +19,7 @@
 //! # Ok::<(), Box<dyn std::error::Error>>(())
 //! ```
 
+mod albedo;
 mod canvas;
 #[cfg(test)]
 mod contour;

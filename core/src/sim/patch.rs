@@ -15,7 +15,9 @@
 
 use nalgebra::{Isometry3, Matrix2, Matrix3, Point3, Vector2, Vector3};
 
-use super::{light::falloff, noise::STEPS_PER_LEVEL, ray::RayRow, teeth::Teeth};
+use super::{
+    albedo::PlanePoint, light::falloff, noise::STEPS_PER_LEVEL, ray::RayRow, teeth::Teeth,
+};
 use crate::camera::{Camera, PixelPoint};
 
 /// Coverage beyond so many standard deviations of an edge is left out.
@@ -48,10 +50,6 @@ pub(super) enum Sheet {
     /// Radius.
     Disc(f32),
 }
-
-/// Albedo of white paper and of black print.
-pub(super) const WHITE: f32 = 0.90;
-pub(super) const BLACK: f32 = 0.07;
 
 /// A plane seen by a camera, and how it is lit.
 #[derive(Clone, Debug)]
@@ -295,135 +293,6 @@ fn dim(light: [f64; 3], camera_from_plane: &Isometry3<f64>) -> [f64; 3] {
     };
     let here = at(0.0, 0.0);
     [here, (at(STEP_M, 0.0) - here) / STEP_M, (at(0.0, STEP_M) - here) / STEP_M]
-}
-
-/// A pixel's point of the plane, with its derivatives by u and v.
-struct PlanePoint {
-    x_m: f32,
-    y_m: f32,
-    x_by_px: [f32; 2],
-    y_by_px: [f32; 2],
-    motion_px: [f32; 2],
-    variance_px2: f32,
-}
-
-/// Distance from the plane's origin, what turns a distance to a rim into standard deviations, and
-/// half the blur's variance along a rim.
-struct Radial {
-    radius_m: f32,
-    sharpness: f32,
-    half_variance_m2: f32,
-}
-
-impl PlanePoint {
-    /// The blur's variance, in the plane, of a coordinate that has this gradient.
-    #[inline(always)]
-    fn variance(&self, gradient: [f32; 2]) -> f32 {
-        let along = self.motion_px[0] * gradient[0] + self.motion_px[1] * gradient[1];
-        let slope = gradient[0] * gradient[0] + gradient[1] * gradient[1];
-        self.variance_px2 * slope + along * along * (1.0 / 12.0)
-    }
-
-    /// 1 / standard deviation, in the plane, of an edge whose distance has this gradient.
-    #[inline(always)]
-    fn sharpness(&self, gradient: [f32; 2]) -> f32 {
-        1.0 / (self.variance(gradient) + 1e-24).sqrt()
-    }
-
-    #[inline(always)]
-    fn radial(&self) -> Radial {
-        let squared = self.x_m * self.x_m + self.y_m * self.y_m + 1e-12;
-        let radius_m = squared.sqrt();
-        // Times the radius: dividing by it once is enough.
-        let gradient =
-            [0, 1].map(|axis| self.x_m * self.x_by_px[axis] + self.y_m * self.y_by_px[axis]);
-        let along =
-            [0, 1].map(|axis| self.x_m * self.y_by_px[axis] - self.y_m * self.x_by_px[axis]);
-        Radial {
-            radius_m,
-            sharpness: radius_m * self.sharpness(gradient),
-            half_variance_m2: 0.5 * self.variance(along) / squared,
-        }
-    }
-
-    /// In units of its semiaxes an ellipse is the unit circle, and the plane as flat as it was.
-    #[inline(always)]
-    fn elliptical_albedo(&self, outer_radius_m: f32, semiaxes_m: [f32; 2]) -> f32 {
-        let [per_x, per_y] = semiaxes_m.map(|semiaxis_m| 1.0 / semiaxis_m);
-        let scaled = PlanePoint {
-            x_m: self.x_m * per_x,
-            y_m: self.y_m * per_y,
-            x_by_px: self.x_by_px.map(|slope| slope * per_x),
-            y_by_px: self.y_by_px.map(|slope| slope * per_y),
-            ..*self
-        };
-        let black = self.radial().inside(outer_radius_m) - scaled.radial().inside(1.0);
-        WHITE - (WHITE - BLACK) * black
-    }
-
-    /// Coverage of what lies counter-clockwise of the ray from the origin that has this cosine and
-    /// sine, up to half a turn.
-    #[inline(always)]
-    fn beside(&self, cosine: f32, sine: f32) -> f32 {
-        let gradient = [0, 1].map(|axis| cosine * self.y_by_px[axis] - sine * self.x_by_px[axis]);
-        normal_cdf((cosine * self.y_m - sine * self.x_m) * self.sharpness(gradient))
-    }
-
-    #[inline(always)]
-    fn coded_albedo(&self, outer_radius_m: f32, teeth: &Teeth) -> f32 {
-        let radial = self.radial();
-        let disc = radial.inside(teeth.inner_radius_m);
-        let mut share = 0.0;
-        for [from_cosine, from_sine, to_cosine, to_sine] in teeth.edges() {
-            // Of both half planes one holds the other, but for the wedge, and on the far side its opposite. Their
-            // product would lose what blur takes across a narrow tooth.
-            let wedge = self.beside(*from_cosine, *from_sine) - self.beside(*to_cosine, *to_sine);
-            share += wedge.max(0.0);
-        }
-        let black = radial.inside(outer_radius_m) - disc
-            + (disc - radial.inside(teeth.core_radius_m)) * share.min(1.0);
-        WHITE - (WHITE - BLACK) * black
-    }
-
-    /// Coverage of a rectangle.
-    #[inline(always)]
-    fn within(&self, half_m: [f32; 2]) -> f32 {
-        let across = self.sharpness(self.x_by_px);
-        let along = self.sharpness(self.y_by_px);
-        normal_cdf((half_m[0] - self.x_m.abs()) * across)
-            * normal_cdf((half_m[1] - self.y_m.abs()) * along)
-    }
-}
-
-impl Radial {
-    /// Coverage of a disc.
-    #[inline(always)]
-    fn inside(&self, radius_m: f32) -> f32 {
-        let shift_m = self.half_variance_m2 / radius_m;
-        normal_cdf((radius_m - self.radius_m - shift_m) * self.sharpness)
-    }
-
-    #[inline(always)]
-    fn ring_albedo(&self, outer_radius_m: f32, inner_radius_m: f32) -> f32 {
-        WHITE - (WHITE - BLACK) * (self.inside(outer_radius_m) - self.inside(inner_radius_m))
-    }
-}
-
-/// Standard normal distribution, to 2e-7 (Abramowitz and Stegun 7.1.28, without a branch).
-#[inline(always)]
-fn normal_cdf(x: f32) -> f32 {
-    // Beyond 6 standard deviations nothing changes, but powers would overflow.
-    let t = (x.abs() * std::f32::consts::FRAC_1_SQRT_2).min(4.5);
-    let series = 1.0
-        + t * (0.070_523_08
-            + t * (0.042_282_01
-                + t * (0.009_270_527
-                    + t * (0.000_152_014_3 + t * (0.000_276_567_2 + t * 0.000_043_063_8)))));
-    let power2 = series * series;
-    let power4 = power2 * power2;
-    let power8 = power4 * power4;
-    let half_tail = 0.5 / (power8 * power8);
-    0.5 + (0.5 - half_tail).copysign(x)
 }
 
 #[cfg(test)]

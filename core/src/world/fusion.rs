@@ -1,9 +1,11 @@
 //! The fusion machine: frames in, snapshots and events out. How detections become sightings, by cameras
-//! that stand or ride, is in `place`, and those of several roundels of one object one sighting in `parts`.
+//! that stand or ride, is in `place`, and those of several roundels of one object one
+//! sighting in `parts`; how tracks begin and end, in `lives`.
 
 mod guarded;
 mod height;
 mod leave;
+mod lives;
 mod parts;
 mod place;
 mod renew;
@@ -13,8 +15,7 @@ use std::collections::{BTreeMap, VecDeque};
 use nalgebra::Vector3;
 
 use super::{
-    Event, EventKind, FrameObservations, FusionParams, LifeStage, MotionClass, ObjectState,
-    Snapshot,
+    Event, EventKind, FrameObservations, FusionParams, MotionClass, ObjectState, Snapshot,
     anchor::{Anchors, Stamp},
     association::{Scratch, Sighting, associate},
     body::Bodies,
@@ -27,7 +28,6 @@ use super::{
     landmark::Landmark,
     life::Track,
     localize::OWN_NUMBER,
-    merge,
     observation::Lateness,
     rider::Riders,
     snapshot::state_of,
@@ -40,8 +40,6 @@ use crate::{
     track::{Inserted, Measurement},
 };
 
-/// Events kept for a caller that does not fetch them; the oldest give way.
-const MAX_EVENTS: usize = 10_000;
 /// Pairs of tracks are compared this often.
 const MERGE_EVERY_NS: i64 = 50_000_000;
 
@@ -382,95 +380,5 @@ impl Fusion {
         let contradicted = track.is_witnessed_against(seen, &self.params);
         self.counts.contradicted += u64::from(contradicted);
         contradicted
-    }
-
-    fn begin(&mut self, sighting: &Sighting) {
-        if self.tracks.len() >= self.params.max_objects {
-            self.counts.over_max_objects += 1;
-            return;
-        }
-        let id = ObjectId(self.next_id);
-        self.next_id += 1;
-        self.counts.used += 1;
-        self.counts.begun += 1;
-        self.newest_used = self.newest_used.max(Some(sighting.measurement.time));
-        let subject = sighting.subject;
-        let class = subject.kind.and_then(|kind| self.classes.get(&kind)).copied();
-        let mut model = match subject.body {
-            Some(body) => self.bodies.model(body, &self.params),
-            None => self.params.motion_model(&class.unwrap_or_default()),
-        };
-        // Where its own camera is its place hangs on its orientation, whose errors last.
-        model.learns_turning &= sighting.measurement.number != OWN_NUMBER;
-        let mut track = Track::begin(id, subject, sighting.measurement, model);
-        sighting.code.into_iter().for_each(|code| track.codes.add(code));
-        self.tracks.push(track);
-    }
-
-    /// Lets time pass for all tracks.
-    fn advance(&mut self, now: Timestamp) {
-        let mut index = 0;
-        while index < self.tracks.len() {
-            match self.tracks[index].advance(now, &self.params) {
-                Ok(event) => {
-                    if let Some(event) = event {
-                        self.tell(event);
-                    }
-                    index += 1;
-                }
-                Err(event) => {
-                    let track = self.tracks.remove(index);
-                    self.end(track, event);
-                }
-            }
-        }
-    }
-
-    /// Ends all tracks: time goes on elsewhere.
-    fn restart(&mut self) {
-        self.counts.restarts += 1;
-        self.next_merge = None;
-        self.newest_used = None;
-        for mut track in std::mem::take(&mut self.tracks) {
-            let known = !track.is_tentative();
-            let event = track.lose(track.newest);
-            self.end(track, known.then_some(event));
-        }
-    }
-
-    fn merge(&mut self, now: Timestamp) {
-        while let Some((stays, goes)) = merge::find(&mut self.tracks, now) {
-            let mut gone = self.tracks[goes].clone();
-            self.tracks[stays].adopt_views(&gone);
-            self.tracks[stays].codes.join(&gone.codes);
-            self.tracks.remove(goes);
-            self.counts.merged += 1;
-            let known = !gone.is_tentative();
-            let event = gone.lose(now);
-            self.end(gone, known.then_some(event));
-        }
-    }
-
-    /// A track's end; one that was known is told and named once more.
-    fn end(&mut self, track: Track, event: Option<Event>) {
-        if track.subject.body.is_some() {
-            // Another track of that body, if there is one, may claim the id now.
-            let twins = self.tracks.iter_mut().filter(|other| other.subject == track.subject);
-            twins.for_each(|twin| twin.identified = None);
-        }
-        let Some(event) = event else { return };
-        self.tell(event);
-        if self.lost.len() >= self.params.max_objects {
-            self.lost.remove(0);
-        }
-        debug_assert!(track.stage == LifeStage::Lost && event.kind == EventKind::Lost);
-        self.lost.push(track);
-    }
-
-    fn tell(&mut self, event: Event) {
-        if self.events.len() == MAX_EVENTS {
-            self.events.pop_front();
-        }
-        self.events.push_back(event);
     }
 }

@@ -5,7 +5,7 @@
 //! | `supervisor` | runs the worker again after a failure, with growing pauses |
 //! | [`pipeline`] | pixels → detections with poses and times |
 //! | `remote` | what was seen elsewhere, and only passes through |
-//! | `placing` | finds the place of a camera whose pose is unknown |
+//! | `place`, `placing` | where the camera stands, and what finds that where it is unknown |
 //! | [`adoption`] | a new lens and place, taken over between two frames |
 //! | `pace` | whether the camera gives as many frames as was promised |
 //! | [`meter`] | rates and medians over the newest frames |
@@ -17,6 +17,7 @@ pub mod adoption;
 pub mod meter;
 mod pace;
 pub mod pipeline;
+mod place;
 mod placing;
 mod remote;
 mod supervisor;
@@ -30,11 +31,12 @@ use std::{
 };
 
 use roundel_core::{
-    id::{CameraId, KindId},
+    id::CameraId,
     time::Timestamp,
-    world::{CameraPlacement, FrameObservations, reference::Reference},
+    world::{CameraPlacement, FrameObservations},
 };
 
+pub use place::Place;
 pub use supervisor::{Pauses, run};
 
 use crate::{
@@ -56,46 +58,6 @@ pub struct Sighted {
     pub observations: Arc<FrameObservations>,
     /// The camera's place from this frame on, where it is new.
     pub placement: Option<CameraPlacement>,
-}
-
-/// Where a worker's camera stands.
-#[derive(Clone, Debug)]
-pub enum Place {
-    /// Known from the start, and how.
-    Standing(PoseStatus, Box<CameraPlacement>),
-    /// To be found from roundels of these kinds at these places.
-    Unknown {
-        /// The references.
-        references: Vec<Reference>,
-        /// Their kinds of roundel.
-        kinds: Vec<KindId>,
-    },
-    /// On an object: fusion says where.
-    Rides,
-    /// Where it did before: nothing is said of it anew.
-    Kept,
-}
-
-impl Place {
-    /// What the hub shows of it before a frame has come; `None`: what it shows already, or what fusion says.
-    pub fn shown(&self) -> Option<CameraPlace> {
-        match self {
-            Self::Standing(status, placement) => Some(CameraPlace::standing(*status, **placement)),
-            Self::Unknown { .. } => Some(CameraPlace::searching(
-                "it looks for the reference roundels, of which it must see three",
-            )),
-            Self::Rides | Self::Kept => None,
-        }
-    }
-
-    fn search(&self) -> Option<Placing> {
-        match self {
-            Self::Unknown { references, kinds } => {
-                Some(Placing::new(references.clone(), kinds.clone()))
-            }
-            Self::Standing(..) | Self::Rides | Self::Kept => None,
-        }
-    }
 }
 
 /// What a worker has counted.

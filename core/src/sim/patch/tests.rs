@@ -1,7 +1,10 @@
 use std::f32::consts::{PI, TAU};
 
 use super::*;
-use crate::marker::CodeLayout;
+use crate::{
+    marker::CodeLayout,
+    sim::albedo::{BLACK, WHITE, normal_cdf},
+};
 
 #[test]
 fn normal_cdf_agrees_with_tabled_values() {
