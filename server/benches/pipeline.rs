@@ -3,7 +3,8 @@
 //!
 //! `r4_lite` gives all cameras a frame at once and waits for the snapshot with all of them. `r4` has 50 robots with
 //! codes of 9 bits (8 bits have not so many) before four cameras of 1920x1080, which are not in step, as cameras are: they get their frames in
-//! turn, and each one is waited for.
+//! turn, at the rate of the preset, and each one is waited for. What the cameras show moves: twenty frames of driving,
+//! forward and back.
 //!
 //! Snapshots are published as soon as a frame has been fused (`prompt`), besides the steady ones. Besides criterion's
 //! mean, the percentiles of all runs are printed.
@@ -35,6 +36,11 @@ use roundel_server::{
 use tonic::{Streaming, transport::Endpoint};
 
 type Pixels = Arc<Vec<u8>>;
+
+/// Frames rendered for each camera.
+const FRAMES: usize = 20;
+/// The first one's number in the scenario.
+const FIRST: u64 = 30;
 
 /// Frames from the benchmark instead of a camera.
 struct Fed {
@@ -89,13 +95,13 @@ impl Case {
         format!("{preset}/robots={robots}/cameras={cameras}/{mode}")
     }
 
-    fn scenario(&self) -> Scenario {
+    fn params(&self) -> ScenarioParams {
         let mut params = ScenarioParams::r4_lite(1);
         if self.preset == "r4" {
             params = ScenarioParams::r4(1);
             params.kinds[0].pattern = Pattern::Coded(CodeLayout { bits: 9, min_distance: 1 });
         }
-        Scenario::new(ScenarioParams { robots: self.robots, ..params }).expect("room for them")
+        ScenarioParams { robots: self.robots, ..params }
     }
 
     fn config(&self) -> Config {
@@ -118,30 +124,45 @@ impl Case {
     }
 }
 
-/// A server whose cameras show one frame each, again and again, and a client of it.
+/// Nanoseconds until a snapshot was fused, then until it was sent, then until it was there.
+type Stages = [i64; 3];
+
+/// A camera's way to the server, and what it shows.
+type Feed = (SyncSender<(Pixels, Timestamp)>, Vec<Pixels>);
+
+/// A server whose cameras show their frames forward and back, again and again, and a client of it.
 struct Bench {
     server: Server,
-    cameras: Vec<(SyncSender<(Pixels, Timestamp)>, Pixels)>,
+    cameras: Vec<Feed>,
     at_once: bool,
-    /// Whose turn it was.
-    turn: usize,
+    /// From one frame of a camera to the next.
+    period: Duration,
+    /// How often frames were given.
+    given: usize,
+    /// When they are due again.
+    due: Instant,
     snapshots: Streaming<Snapshot>,
 }
 
 impl Bench {
     async fn start(case: Case) -> Self {
-        let (config, scenario) = (case.config(), case.scenario());
+        let params = case.params();
+        let period = Duration::from_secs_f64(1.0 / params.optics.rate_hz);
+        let (config, scenario) = (case.config(), Scenario::new(params).expect("room for them"));
         let (begun, senders) = channel();
         let server = Server::start_with_sources(config, move |setting| {
             let camera = &setting.camera.calibration;
             let size = (camera.width(), camera.height());
-            let mut pixels = vec![0; size.0 * size.1];
-            Renderer::new(&scenario, setting.index)
-                .expect("a camera of the preset")
-                .render(30, &mut pixels)
-                .expect("a buffer of its size");
+            let mut renderer =
+                Renderer::new(&scenario, setting.index).expect("a camera of the preset");
+            let frame = |number: usize| {
+                let mut pixels = vec![0; size.0 * size.1];
+                renderer.render(FIRST + number as u64, &mut pixels).expect("a buffer of its size");
+                Arc::new(pixels)
+            };
+            let shown = (0..FRAMES).map(frame).collect();
             let (sender, frames) = sync_channel(1);
-            begun.send((sender, Arc::new(pixels))).expect("the bench waits for it");
+            begun.send((sender, shown)).expect("the bench waits for it");
             let newest = Pixels::default();
             Box::new(Fed { frames: Some(frames), newest, size, stop: setting.stop })
         })
@@ -153,26 +174,37 @@ impl Bench {
         let request = SubscribeSnapshotsRequest::default();
         let snapshots = client.subscribe_snapshots(request).await.expect("a stream").into_inner();
         let cameras = senders.try_iter().collect();
-        Self { server, cameras, at_once: case.at_once, turn: 0, snapshots }
+        let at_once = case.at_once;
+        Self { server, cameras, at_once, period, given: 0, due: Instant::now(), snapshots }
     }
 
-    /// Gives each camera its frame, or the next one its own, and waits for the snapshot with all of that.
-    async fn once(&mut self) -> Duration {
-        self.turn = (self.turn + 1) % self.cameras.len();
-        let chosen = if self.at_once { 0..self.cameras.len() } else { self.turn..self.turn + 1 };
+    /// Gives each camera its frame, or the next one its own, once they are due, and waits for the snapshot with all of
+    /// that: how long it took, and how much of that until it was fused, until it was sent and until it was there.
+    async fn once(&mut self) -> (Duration, Stages) {
+        let turns = if self.at_once { 1 } else { self.cameras.len() };
+        let (round, turn) = (self.given / turns, self.given % turns);
+        let chosen = if self.at_once { 0..self.cameras.len() } else { turn..turn + 1 };
+        let place = round % (2 * FRAMES - 2);
+        let number = place.min(2 * FRAMES - 2 - place);
+        self.given += 1;
+        tokio::time::sleep_until(self.due.into()).await;
+        self.due = Instant::now() + self.period / turns as u32;
         let hub = self.server.hub();
         let fused = hub.fusion_counts().frames + chosen.len() as u64;
-        let begun = Instant::now();
-        for (sender, pixels) in &self.cameras[chosen] {
-            sender.send((pixels.clone(), self.server.clock().now())).expect("a worker");
+        let (begun, given_ns) = (Instant::now(), self.server.clock().now().as_ns());
+        for (sender, shown) in &self.cameras[chosen] {
+            sender.send((shown[number].clone(), self.server.clock().now())).expect("a worker");
         }
         loop {
             let snapshot = self.snapshots.message().await.expect("a stream").expect("a snapshot");
             // One of a camera's frame alone may come before that of all.
             let has_all = hub.fusion_counts().frames >= fused;
             if has_all && snapshot.sequence >= hub.snapshots().borrow().sequence {
+                let took = begun.elapsed();
+                let there_ns = self.server.clock().now().as_ns();
+                let times_ns = [given_ns, snapshot.fused_time_ns, snapshot.sent_time_ns, there_ns];
                 black_box(snapshot);
-                return begun.elapsed();
+                return (took, [0, 1, 2].map(|stage| times_ns[stage + 1] - times_ns[stage]));
             }
         }
     }
@@ -190,17 +222,16 @@ fn frame_to_client(criterion: &mut Criterion) {
     let r4 = Case { preset: "r4", robots: 50, cameras: 4, at_once: false, ..lite };
     for case in [lite, Case { cameras: 4, ..lite }, r4, Case { mode: "fast", ..r4 }] {
         let mut bench = runtime.block_on(Bench::start(case));
-        let mut all = Vec::new();
+        let (mut all, mut stages) = (Vec::new(), [const { Vec::new() }; 3]);
         group.bench_function(case.name(), |bencher| {
             bencher.iter_custom(|runs| {
                 runtime.block_on(async {
                     let mut sum = Duration::ZERO;
                     for _ in 0..runs {
-                        let took = bench.once().await;
+                        let (took, parts_ns) = bench.once().await;
                         all.push(took);
+                        stages.iter_mut().zip(parts_ns).for_each(|(all, part)| all.push(part));
                         sum += took;
-                        // As long as cameras take for their next frames, or so.
-                        tokio::time::sleep(Duration::from_millis(12)).await;
                     }
                     sum
                 })
@@ -210,8 +241,13 @@ fn frame_to_client(criterion: &mut Criterion) {
         if let (Some(median), Some(p99)) = (all.get(all.len() / 2), all.get(all.len() * 99 / 100)) {
             let states = bench.server.hub().cameras();
             let detect_ms = states.values().map(|camera| camera.detect_ms).fold(0.0, f64::max);
+            let [fused_ms, sent_ms, there_ms] = stages.map(|mut all| {
+                all.sort_unstable();
+                all[all.len() / 2] as f64 * 1e-6
+            });
             println!(
-                "{}: p50 {median:?}, p99 {p99:?} of {}; of that detection {detect_ms:.2} ms",
+                "{}: p50 {median:?}, p99 {p99:?} of {}; detection {detect_ms:.2} ms, fused {fused_ms:.2} ms after \
+                 the frame, sent {sent_ms:.2} ms later, there after another {there_ms:.2} ms",
                 case.name(),
                 all.len()
             );
