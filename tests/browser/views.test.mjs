@@ -334,6 +334,40 @@ describe("finding", () => {
   });
 });
 
+describe("what the cameras cover", () => {
+  test("is shown as the server foretells it, and what it refuses at its field", async () => {
+    await withWorld(new World(), {}, async (page) => {
+      const asked = [];
+      await page.route("**/openapi.json", (route) => route.fulfill({ json: { paths: { "/api/v1/plan": { get: {} } } } }));
+      await page.route("**/api/v1/plan?*", (route) => {
+        const query = new URL(route.request().url()).searchParams;
+        asked.push(Object.fromEntries(query));
+        if (query.get("roundel") === "cart") {
+          return route.fulfill({ status: 400, json: { error: { code: "invalid_argument", message: "roundel: the kinds here are robot" } } });
+        }
+        return route.fulfill({ contentType: "image/svg+xml", body: '<svg xmlns="http://www.w3.org/2000/svg" width="40" height="30"><rect width="40" height="30"/></svg>' });
+      });
+      await page.reload();
+      await page.locator("#plan-open").click();
+      const isThere = () => page.waitForFunction(() => document.querySelector("#plan-picture").naturalWidth === 40);
+      await isThere();
+      assert.deepEqual(asked[0], { format: "svg", show: "precision" });
+      await page.locator("#plan-roundel").fill("cart");
+      await page.locator("#plan-roundel-trouble", { hasText: "the kinds here are robot" }).waitFor();
+      assert.equal(await page.locator("#plan-picture").isVisible(), false);
+      await page.locator("#plan-roundel").fill("");
+      await page.locator("#plan-height").fill("1.5");
+      const last = page.waitForRequest((request) => request.url().includes("show=cameras"));
+      await page.locator("#plan-show").selectOption("cameras");
+      await last;
+      await page.locator("#plan-picture").waitFor();
+      assert.deepEqual(asked.at(-1), { format: "svg", show: "cameras", height: "1.5" });
+      await page.keyboard.press("Escape");
+      await page.waitForFunction(() => !document.querySelector("#plan-picture").src);
+    });
+  });
+});
+
 describe("a list of hundreds", () => {
   test("has rows for those in sight only, and for whoever comes into sight or is looked for", async () => {
     await withWorld(new World({ robots: 400, cameras: 1 }), {}, async (page) => {

@@ -11,6 +11,7 @@ const NEEDS = [
   { control: "#setup-try", method: "post", path: "/api/v1/sources/test", ability: "allowsSetup" },
   { control: "#add-object", method: "post", path: "/api/v1/configuration/objects", ability: "allowsSetup" },
   { control: "#name-object", method: "put", path: "/api/v1/objects/{id}/name", ability: "allowsSetup" },
+  { control: "#plan-open", method: "get", path: "/api/v1/plan" },
   { control: "#print-open", method: "get", path: "/api/v1/print" },
   { control: "#record", method: "post", path: "/api/v1/recording", ability: "records" },
   { control: "#history-open", method: "get", path: "/api/v1/history", ability: "keepsHistory" },
@@ -19,7 +20,7 @@ const NEEDS = [
 /** Edits of cameras: one button on each card. */
 const EDIT = { method: "patch", path: "/api/v1/cameras/{name}", ability: /** @type {const} */ ("allowsSetup") };
 /** What a server that plays a recording has nothing to do it with. */
-const LIVE_ONLY = ["#calibrate"];
+const LIVE_ONLY = ["#calibrate", "#plan-open"];
 
 /**
  * Hides what is not offered. A server that does not describe itself is taken to have every call: its answers then say
