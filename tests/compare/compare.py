@@ -51,8 +51,11 @@ def apriltag(decimate):
     return lambda image: [np.array(tag.corners, np.float32) for tag in detector.detect(image)]
 
 
-def blob():
-    detector = cv2.SimpleBlobDetector_create(cv2.SimpleBlobDetector_Params())
+def blob(largest=None):
+    """largest: area of a blob, pixels; OpenCV's default is 5000."""
+    parameters = cv2.SimpleBlobDetector_Params()
+    parameters.maxArea = largest or parameters.maxArea
+    detector = cv2.SimpleBlobDetector_create(parameters)
     return lambda image: detector.detect(image)
 
 
@@ -75,13 +78,8 @@ def place(found):
     return a + share * (c - a)
 
 
-def depth(found, image, truth):
-    """Distance from the camera, metres, by solvePnP of a square or by the size of a blob."""
-    focal, size = FOCAL_PX, truth["size_m"]
-    if isinstance(found, cv2.KeyPoint):
-        return focal * size / found.size
-    height, width = image.shape
-    camera = np.array([[focal, 0, (width - 1) / 2], [0, focal, (height - 1) / 2], [0, 0, 1]])
+def position(found, size, camera, distortion):
+    """Middle of a square of this side before this camera, metres, by solvePnP."""
     h = size / 2
     corners = np.array([[-h, h, 0], [h, h, 0], [h, -h, 0], [-h, -h, 0]])
     # AprilTag lists its corners the other way round.
@@ -89,8 +87,18 @@ def depth(found, image, truth):
     if np.linalg.det([points[1] - points[0], points[2] - points[1]]) < 0:
         points = points[::-1]
     flag = cv2.SOLVEPNP_IPPE_SQUARE
-    _, _, shift = cv2.solvePnP(corners, points, camera, np.zeros(5), flags=flag)
-    return float(np.linalg.norm(shift))
+    _, _, shift = cv2.solvePnP(corners, points, camera, distortion, flags=flag)
+    return shift.ravel()
+
+
+def depth(found, image, truth):
+    """Distance from the camera, metres, by solvePnP of a square or by the size of a blob."""
+    focal, size = FOCAL_PX, truth["size_m"]
+    if isinstance(found, cv2.KeyPoint):
+        return focal * size / found.size
+    height, width = image.shape
+    camera = np.array([[focal, 0, (width - 1) / 2], [0, focal, (height - 1) / 2], [0, 0, 1]])
+    return float(np.linalg.norm(position(found, size, camera, np.zeros(5))))
 
 
 def matched(places, truths):

@@ -19,6 +19,8 @@
 //! | [`pipeline`] | core's own way from such frames to detections and world poses, without a server |
 //! | [`precision`] | single poses drawn at random, with their errors next to the bound |
 //! | [`recall`] | what of shown roundels is found, and what else |
+//! | [`paper`] | the paper's experiments, beside its figures |
+//! | [`rival`] | prints that other detectors look for |
 //! | [`python`] | Python with packages from PyPI, for tests that need them |
 //! | [`scenario`] | what fusion has to hold: seeded worlds, their bars, one table |
 //! | [`score`] | snapshots against the truth: normalized errors, swaps, rms |
@@ -42,6 +44,7 @@ pub mod healing;
 pub mod layering;
 pub mod normal;
 pub mod optics;
+pub mod paper;
 pub mod passing;
 pub mod pipeline;
 pub mod precision;
@@ -49,6 +52,7 @@ pub mod process;
 pub mod python;
 pub mod recall;
 pub mod render;
+pub mod rival;
 pub mod scenario;
 pub mod score;
 pub mod sensor;

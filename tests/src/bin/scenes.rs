@@ -13,7 +13,8 @@ use roundel_tests::{
     clutter::{Clutter, background},
     normal::Random,
     optics::{Distortion, Pinhole},
-    render::{Canvas, Image, Imaging, Ink, Outline, Print, Renderer, Seen},
+    render::{Canvas, Image, Imaging, Print, Renderer, Seen},
+    rival::{Cells, disc, marker, write_pgm},
 };
 use serde_json::json;
 
@@ -24,8 +25,6 @@ const INNER_M: f64 = 0.064;
 /// Focal length over the image's width: that of the reference installations.
 const FOCAL: f64 = 1100.0 / 1920.0;
 const MAX_TILT_RAD: f64 = 50.0 * std::f64::consts::PI / 180.0;
-
-type Cells = Vec<Vec<u8>>;
 
 /// One scene, of as many kinds of marker as there are.
 struct Scene {
@@ -48,12 +47,13 @@ fn main() -> anyhow::Result<()> {
     scenes.par_iter().try_for_each(|scene| {
         let prints = |name: &str, print: &dyn Fn(usize) -> Print| {
             let prints: Vec<_> = (0..scene.poses.len()).map(print).collect();
-            write(&folder.join(format!("{}-{name}.pgm", scene.name)), &scene.render(&prints))
+            let path = folder.join(format!("{}-{name}.pgm", scene.name));
+            write_pgm(&path, &scene.render(&prints)).with_context(|| path.display().to_string())
         };
         prints("roundel", &|_| Print::plain(SIZE_M, INNER_M, 0.2))?;
-        prints("disc", &|_| disc())?;
+        prints("disc", &|_| disc(SIZE_M))?;
         for (family, cells) in &markers {
-            prints(family, &|index| marker(&cells[index % cells.len()]))?;
+            prints(family, &|index| marker(&cells[index % cells.len()], SIZE_M))?;
         }
         anyhow::Ok(())
     })?;
@@ -144,39 +144,6 @@ fn pose(
     Isometry3::from_parts(Translation3::from(position), aside * facing * lean * spin)
 }
 
-fn square(at: [f64; 2], half_m: f64) -> Outline {
-    let [x, y] = at;
-    Outline::Polygon(vec![
-        [x - half_m, y - half_m],
-        [x + half_m, y - half_m],
-        [x + half_m, y + half_m],
-        [x - half_m, y + half_m],
-    ])
-}
-
-/// A black square with white cells in it, on a sheet with one cell of margin.
-fn marker(cells: &Cells) -> Print {
-    let count = cells.len();
-    let cell_m = SIZE_M / count as f64;
-    let mut inks = vec![Ink { outline: square([0.0; 2], SIZE_M / 2.0), white: false }];
-    for (row, line) in cells.iter().enumerate() {
-        for (column, bit) in line.iter().enumerate() {
-            if *bit == 1 {
-                let place = |i: usize| (i as f64 - (count as f64 - 1.0) / 2.0) * cell_m;
-                let outline = square([place(column), -place(row)], cell_m / 2.0);
-                inks.push(Ink { outline, white: true });
-            }
-        }
-    }
-    Print { sheet: square([0.0; 2], SIZE_M / 2.0 + cell_m), inks }
-}
-
-fn disc() -> Print {
-    let mut print = Print::plain(SIZE_M, INNER_M, 0.2);
-    print.inks.truncate(1);
-    print
-}
-
 impl Scene {
     fn render(&self, prints: &[Print]) -> Image {
         let renderer = Renderer::new(self.camera, self.imaging);
@@ -201,10 +168,4 @@ impl Scene {
         let markers: Vec<_> = self.poses.iter().map(of_pose).collect();
         json!({ "focal_px": self.camera.focal_px[0], "markers": markers })
     }
-}
-
-fn write(path: &Path, image: &Image) -> anyhow::Result<()> {
-    let mut bytes = format!("P5\n{} {}\n255\n", image.width, image.height).into_bytes();
-    bytes.extend(&image.pixels);
-    fs::write(path, bytes).with_context(|| path.display().to_string())
 }

@@ -1,0 +1,157 @@
+//! A table of the paper's figures beside ours, as Markdown.
+
+use std::fmt;
+
+/// What counts as better.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Aim {
+    /// Less: errors, times, smallest sizes.
+    Less,
+    /// More: distances.
+    More,
+    /// Neither: what is told for the sake of comparison.
+    Neither,
+}
+
+/// One figure.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Row {
+    /// Of what, with its unit.
+    pub case: String,
+    /// As the paper measured it.
+    pub paper: Option<f64>,
+    /// As the paper predicted it.
+    pub paper_model: Option<f64>,
+    /// As the sensor model predicts what is measured here.
+    pub model: Option<f64>,
+    /// As measured here.
+    pub here: f64,
+    /// What counts as better than the paper's measurement.
+    pub aim: Aim,
+    /// Why it differs, where the table's remarks do not say.
+    pub note: String,
+}
+
+impl Row {
+    /// A figure with nothing to compare yet.
+    pub fn new(case: impl Into<String>, here: f64) -> Self {
+        let case = case.into();
+        Self {
+            case,
+            paper: None,
+            paper_model: None,
+            model: None,
+            here,
+            aim: Aim::Neither,
+            note: String::new(),
+        }
+    }
+
+    /// With the paper's measurement, and what counts as better than that.
+    #[must_use]
+    pub fn paper(self, paper: f64, aim: Aim) -> Self {
+        Self { paper: Some(paper), aim, ..self }
+    }
+
+    /// With the paper's prediction.
+    #[must_use]
+    pub fn paper_model(self, paper_model: f64) -> Self {
+        Self { paper_model: Some(paper_model), ..self }
+    }
+
+    /// With the model's prediction.
+    #[must_use]
+    pub fn model(self, model: f64) -> Self {
+        Self { model: Some(model), ..self }
+    }
+
+    /// With a reason.
+    #[must_use]
+    pub fn note(self, note: impl Into<String>) -> Self {
+        Self { note: note.into(), ..self }
+    }
+
+    /// How many times better than the paper's measurement it is, where that can be said; below 1 it is worse.
+    pub fn factor(&self) -> Option<f64> {
+        let paper = self.paper?;
+        match self.aim {
+            Aim::Less => Some(paper / self.here),
+            Aim::More => Some(self.here / paper),
+            Aim::Neither => None,
+        }
+    }
+
+    /// Whether every number in it is finite.
+    pub fn is_finite(&self) -> bool {
+        let others = [self.paper, self.paper_model, self.model];
+        others.into_iter().flatten().chain([self.here]).all(f64::is_finite)
+    }
+}
+
+/// The figures of one experiment.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Table {
+    /// Which of the paper's, and of what.
+    pub title: String,
+    /// Figures.
+    pub rows: Vec<Row>,
+    /// How it was measured, and what makes it differ from the paper.
+    pub remarks: Vec<String>,
+    /// What was left out here, by name, and why.
+    pub skipped: Vec<String>,
+}
+
+/// Three digits that count, none of them after a point that says nothing.
+fn digits(value: f64) -> String {
+    if value == 0.0 || !value.is_finite() {
+        return format!("{value}");
+    }
+    let whole = value.abs().log10().floor() as i32 + 1;
+    format!("{value:.*}", (3 - whole).clamp(0, 7) as usize)
+}
+
+impl fmt::Display for Table {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        let optional = |value: Option<f64>| value.map_or("–".to_owned(), digits);
+        writeln!(f, "## {}\n", self.title)?;
+        for remark in &self.remarks {
+            writeln!(f, "{remark}\n")?;
+        }
+        writeln!(f, "| | paper | its model | our model | here | better by | why |")?;
+        writeln!(f, "| --- | ---: | ---: | ---: | ---: | ---: | --- |")?;
+        for row in &self.rows {
+            let [paper, paper_model, model] = [row.paper, row.paper_model, row.model].map(optional);
+            let better = row.factor().map_or("–".to_owned(), |factor| format!("{factor:.2}"));
+            let (case, here, note) = (&row.case, digits(row.here), &row.note);
+            writeln!(
+                f,
+                "| {case} | {paper} | {paper_model} | {model} | {here} | {better} | {note} |"
+            )?;
+        }
+        for what in &self.skipped {
+            writeln!(f, "\nskipped: {what}")?;
+        }
+        Ok(())
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn digits_count() {
+        let shown = [(0.012_34, "0.0123"), (1.0, "1.00"), (19.84, "19.8"), (1234.5, "1234")];
+        for (value, text) in shown {
+            assert_eq!(digits(value), text);
+        }
+    }
+
+    #[test]
+    fn better_is_less_or_more() {
+        assert_eq!(Row::new("error", 1.0).paper(4.0, Aim::Less).factor(), Some(4.0));
+        assert_eq!(Row::new("distance", 6.0).paper(4.0, Aim::More).factor(), Some(1.5));
+        assert_eq!(Row::new("of another", 6.0).paper(4.0, Aim::Neither).factor(), None);
+        assert!(!Row::new("none", f64::NAN).is_finite());
+    }
+}
