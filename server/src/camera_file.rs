@@ -2,7 +2,10 @@
 //!
 //! Read are `image_width`, `image_height`, `camera_matrix`, `distortion_model` and
 //! `distortion_coefficients`; rectification, projection and whatever else stands there is ignored,
-//! as ROS itself tolerates it. Errors name file, line, field and remedy.
+//! as ROS itself tolerates it. Beside that stands how well the parameters are known, if `roundel calibrate lens` has
+//! written the file: `parameter_names` and `parameter_covariance`. Errors name file, line, field and remedy.
+
+mod doubt;
 
 use std::{
     fmt::Write as _,
@@ -10,7 +13,10 @@ use std::{
     path::{Path, PathBuf},
 };
 
-use roundel_core::camera::{Camera, CameraError, Intrinsics, Lens};
+use roundel_core::{
+    camera::{Camera, CameraError, Intrinsics, Lens},
+    plan::precision::LensDoubt,
+};
 use serde::Deserialize;
 use serde_saphyr::Spanned;
 use thiserror::Error;
@@ -52,6 +58,8 @@ struct Document {
     camera_matrix: Option<Spanned<Matrix>>,
     distortion_model: Option<Spanned<String>>,
     distortion_coefficients: Option<Spanned<Matrix>>,
+    parameter_names: Option<Vec<String>>,
+    parameter_covariance: Option<Spanned<Matrix>>,
 }
 
 #[derive(Deserialize)]
@@ -78,6 +86,11 @@ impl Wrong {
 
 /// Reads a camera file.
 pub fn load(path: &Path) -> Result<Camera, CameraFileError> {
+    Ok(load_with_doubt(path)?.0)
+}
+
+/// The same with how well its parameters are known; `None` if the file does not say.
+pub fn load_with_doubt(path: &Path) -> Result<(Camera, Option<LensDoubt>), CameraFileError> {
     let text =
         read(path).map_err(|source| CameraFileError::Read { path: path.to_owned(), source })?;
     parse(&text).map_err(|wrong| CameraFileError::Content {
@@ -97,7 +110,7 @@ fn read(path: &Path) -> io::Result<String> {
     fs::read_to_string(path)
 }
 
-fn parse(text: &str) -> Result<Camera, Wrong> {
+fn parse(text: &str) -> Result<(Camera, Option<LensDoubt>), Wrong> {
     let document: Document = serde_saphyr::from_str(text).map_err(|error| {
         let line = error.location().map_or(1, |location| location.line());
         Wrong::at(
@@ -111,9 +124,10 @@ fn parse(text: &str) -> Result<Camera, Wrong> {
     let (height, height_line) = side("image_height", document.image_height)?;
     let (matrix, matrix_line) = camera_matrix(document.camera_matrix)?;
     let (lens, lens_line) = lens(document.distortion_model, document.distortion_coefficients)?;
+    let doubt = doubt::doubt(&lens, document.parameter_names, document.parameter_covariance)?;
     let [fx_px, _, cx_px, _, fy_px, cy_px, ..] = matrix;
     let intrinsics = Intrinsics { width, height, fx_px, fy_px, cx_px, cy_px, lens };
-    Camera::new(intrinsics).map_err(|error| {
+    let camera = Camera::new(intrinsics).map_err(|error| {
         let line = match &error {
             CameraError::Size { field: "width", .. } => width_line,
             CameraError::Size { .. } => height_line,
@@ -121,7 +135,8 @@ fn parse(text: &str) -> Result<Camera, Wrong> {
             CameraError::Coefficient { .. } => lens_line,
         };
         Wrong::at(line, error.to_string(), "calibrate the camera again, or correct the number")
-    })
+    })?;
+    Ok((camera, doubt))
 }
 
 fn first_line(text: &str) -> &str {
@@ -221,6 +236,11 @@ fn lens(
 
 /// The text of a camera file that reads as this camera, every number exactly.
 pub fn write(name: &str, camera: &Camera) -> String {
+    write_with_doubt(name, camera, None)
+}
+
+/// The same with how well its parameters are known.
+pub fn write_with_doubt(name: &str, camera: &Camera, doubt: Option<&LensDoubt>) -> String {
     let Intrinsics { width, height, fx_px, fy_px, cx_px, cy_px, lens } = camera.intrinsics();
     let coefficients = lens.coefficients();
     let mut text = String::new();
@@ -235,6 +255,9 @@ pub fn write(name: &str, camera: &Camera) -> String {
         lens.name(),
         coefficients.len(),
     );
+    if let Some(doubt) = doubt {
+        text.push_str(&doubt::written(lens, doubt));
+    }
     text
 }
 
@@ -242,7 +265,7 @@ pub fn write(name: &str, camera: &Camera) -> String {
 mod tests {
     use super::*;
 
-    const GOOD: &str = "\
+    pub(super) const GOOD: &str = "\
 image_width: 1280
 image_height: 720
 camera_name: north
@@ -264,7 +287,8 @@ binning_x: 0
 
     #[test]
     fn a_ros_file_is_read() {
-        let camera = parse(GOOD).map_err(|wrong| wrong.message).unwrap();
+        let (camera, doubt) = parse(GOOD).map_err(|wrong| wrong.message).unwrap();
+        assert_eq!(doubt, None);
         let read = camera.intrinsics();
         assert_eq!((read.width, read.height), (1280, 720));
         assert_eq!((read.fx_px, read.fy_px, read.cx_px, read.cy_px), (733.0, 734.0, 640.0, 360.0));
@@ -289,7 +313,22 @@ binning_x: 0
             };
             let camera = Camera::new(intrinsics).unwrap();
             let text = write("a \"quoted\" name", &camera);
-            assert_eq!(parse(&text).map_err(|wrong| wrong.message).unwrap(), camera);
+            assert_eq!(
+                parse(&text).map_err(|wrong| wrong.message).unwrap(),
+                (camera.clone(), None)
+            );
+            // With what is known of all but the second coefficient.
+            let free: Vec<usize> =
+                (0..camera.intrinsics().lens.coefficients().len()).filter(|&k| k != 1).collect();
+            let root = nalgebra::DMatrix::from_fn(free.len() + 4, free.len() + 4, |row, column| {
+                1.0 / (1.0 + row as f64 * 3.0 + column as f64)
+            });
+            let doubt = LensDoubt { free, covariance: &root * root.transpose() };
+            let text = write_with_doubt("known", &camera, Some(&doubt));
+            let (_, read) = parse(&text).map_err(|wrong| wrong.message).unwrap();
+            let read = read.unwrap();
+            assert_eq!(read.free, doubt.free);
+            assert!((read.covariance - doubt.covariance).amax() < 1e-12);
         }
     }
 

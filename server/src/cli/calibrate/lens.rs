@@ -16,6 +16,7 @@ use roundel_core::{
         lens::{LensCalibration, Model, calibrate},
     },
     marker::CodeLayout,
+    plan::precision::LensDoubt,
 };
 use serde_json::json;
 
@@ -106,7 +107,9 @@ pub(super) fn run(arguments: &LensArgs) -> anyhow::Result<ExitCode> {
     std::io::stdout().write_all(text.as_bytes()).context("cannot write to the standard output")?;
     if let Some(file) = &arguments.output {
         let name = arguments.name.clone().unwrap_or_else(|| stem(file));
-        fs::write(file, camera_file::write(&name, &found.camera))
+        let doubt =
+            LensDoubt { free: found.model.free().to_vec(), covariance: found.covariance.clone() };
+        fs::write(file, camera_file::write_with_doubt(&name, &found.camera, Some(&doubt)))
             .with_context(|| format!("cannot write {}", file.display()))?;
         eprintln!("wrote {}", file.display());
     }
