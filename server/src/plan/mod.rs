@@ -10,6 +10,7 @@
 pub mod machine;
 pub mod picture;
 pub mod report;
+mod scale;
 pub mod station;
 
 /// About so many spots a map has, if nobody says how far apart they are.
