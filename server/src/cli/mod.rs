@@ -8,6 +8,7 @@ mod detect;
 mod eval;
 mod info;
 mod node;
+mod plan;
 mod print;
 mod record;
 mod replay;
@@ -43,6 +44,7 @@ enum Command {
     Detect(detect::DetectArgs),
     Watch(watch::WatchArgs),
     Calibrate(calibrate::CalibrateArgs),
+    Plan(plan::PlanArgs),
     Print(print::PrintArgs),
     Record(record::RecordArgs),
     Info(info::InfoArgs),
@@ -66,6 +68,7 @@ pub fn main() -> ExitCode {
         Command::Detect(arguments) => detect::run(&arguments),
         Command::Watch(arguments) => run_async(watch::run(arguments)),
         Command::Calibrate(arguments) => run_async(calibrate::run(arguments)),
+        Command::Plan(arguments) => plan::run(&arguments),
         Command::Print(arguments) => print::run(&arguments),
         Command::Record(arguments) => run_async(record::run(arguments)),
         Command::Info(arguments) => info::run(&arguments),

@@ -1,0 +1,70 @@
+//! `roundel plan --measure`: what this machine takes for a frame.
+
+use std::io::Write as _;
+
+use anyhow::Context;
+use indicatif::{ProgressBar, ProgressStyle};
+use serde_json::json;
+
+use super::{Format, PlanArgs};
+use crate::plan::machine::{Machine, Measured, measure, usual_path};
+
+pub(super) fn run(arguments: &PlanArgs) -> anyhow::Result<()> {
+    let usual = || usual_path(arguments.config.as_deref());
+    let path = arguments.machine.clone().or_else(usual).context(
+        "where to keep it? There is neither HOME nor XDG_CONFIG_HOME: say --machine FILE",
+    )?;
+    let style = ProgressStyle::with_template("measuring {bar:30} {pos}/{len} {eta}")
+        .context("a template of our own")?;
+    let bar = ProgressBar::new(0).with_style(style);
+    let (machine, measured) = measure(|done, of| {
+        bar.set_length(of as u64);
+        bar.set_position(done as u64);
+    })?;
+    bar.finish_and_clear();
+    machine.save(&path)?;
+    let text = match arguments.format {
+        Format::Json => format!("{:#}\n", report(&machine, &measured)),
+        Format::Table => table(&machine, &measured),
+    };
+    std::io::stdout().write_all(text.as_bytes()).context("cannot write to the standard output")?;
+    eprintln!("wrote {}", path.display());
+    Ok(())
+}
+
+fn report(machine: &Machine, measured: &[Measured]) -> serde_json::Value {
+    let each: Vec<_> = measured
+        .iter()
+        .map(|one| {
+            json!({
+                "mode": format!("{:?}", one.mode).to_lowercase(),
+                "image_px": one.load.image_px,
+                "roundels": one.load.roundels,
+                "diameter_px": one.load.diameter_px,
+                "searched_share": one.load.searched_share,
+                "measured_s": one.time_s,
+                "model_s": machine.of(one.mode).frame_s(&one.load),
+            })
+        })
+        .collect();
+    json!({"precise_s": machine.precise.0, "fast_s": machine.fast.0, "measured": each})
+}
+
+fn table(machine: &Machine, measured: &[Measured]) -> String {
+    let mut text =
+        "mode     megapixels  roundels  px    searched  measured ms  model ms\n".to_owned();
+    for one in measured {
+        let load = &one.load;
+        text.push_str(&format!(
+            "{:8} {:10.2}  {:8.1}  {:4.0}  {:8}  {:11.3}  {:8.3}\n",
+            format!("{:?}", one.mode).to_lowercase(),
+            load.image_px * 1e-6,
+            load.roundels,
+            load.diameter_px,
+            if load.searched_share > 0.0 { "yes" } else { "" },
+            one.time_s * 1e3,
+            machine.of(one.mode).frame_s(load) * 1e3,
+        ));
+    }
+    text
+}

@@ -1,0 +1,116 @@
+//! What cannot be planned, and the good answer beside it.
+
+use std::{
+    fs,
+    process::{Command, Output},
+};
+
+use super::lab;
+
+fn plan(arguments: &[&str]) -> Output {
+    let mut command = Command::new(env!("CARGO_BIN_EXE_roundel"));
+    // No times of this machine's user.
+    command.env_remove("XDG_CONFIG_HOME").env("HOME", "/nonexistent");
+    command.arg("plan").args(arguments).output().unwrap()
+}
+
+fn stderr(output: &Output) -> String {
+    String::from_utf8_lossy(&output.stderr).into_owned()
+}
+
+const PINHOLE: [&str; 4] = ["--resolution", "640x480", "--fov", "60"];
+
+#[test]
+fn what_cannot_be_planned_is_named() {
+    let folder = lab();
+    let text = folder.path().join("text.toml");
+    fs::write(&text, "not a configuration").unwrap();
+    let text = text.to_str().unwrap();
+    for (arguments, code, expected) in [
+        (vec![], 1, "which camera? Say --camera FILE"),
+        (vec!["--camera", "/no/such.yaml"], 1, "cannot read camera file /no/such.yaml"),
+        (vec!["--camera", text], 1, "not a camera_info YAML"),
+        (vec!["--resolution", "640x480"], 2, "--fov"),
+        (vec!["--resolution", "0x480", "--fov", "60"], 1, "width: expected 1 to 16384 pixels"),
+        (vec!["--resolution", "640", "--fov", "60"], 2, "expected COLUMNSxROWS"),
+        (vec!["--resolution", "640x480", "--fov", "180"], 1, "--fov: expected 1 to 150 degrees"),
+        (vec!["--resolution", "8x8", "--fov", "60"], 1, "is found at no distance"),
+        (vec!["--map", "map.svg"], 1, "a map needs cameras with places"),
+        (vec!["--config", text], 1, "text.toml:1"),
+        (vec!["--config", "/no/such.toml"], 1, "cannot read the configuration"),
+    ] {
+        let output = plan(&arguments);
+        assert_eq!(output.status.code(), Some(code), "{arguments:?}: {}", stderr(&output));
+        assert!(stderr(&output).contains(expected), "{arguments:?}: {}", stderr(&output));
+        assert!(output.stdout.is_empty());
+    }
+}
+
+#[test]
+fn what_is_wrong_about_a_pinhole_and_its_roundel_is_named() {
+    for (arguments, code, expected) in [
+        (vec!["--marker", "0"], 2, "above 0 mm"),
+        (vec!["--marker", "160:10"], 1, "expected an inner diameter of 0.2 to 0.8"),
+        (vec!["--code", "40"], 2, "codes of 5 to 16 bits"),
+        (vec!["--polarity", "grey"], 2, "black-ring"),
+        (vec!["--tilt", "80"], 1, "tilt: expected 0 to 75 degrees, found 80"),
+        (vec!["--noise=-1"], 1, "noise: expected 0 to 60 grey levels, found -1"),
+        (vec!["--blur", "0"], 1, "blur: expected 0.1 to 5 px"),
+        (vec!["--white", "50"], 1, "white less black: expected at least 20"),
+        (vec!["--distance", "500"], 1, "is found from"),
+        (vec!["--distance", "0"], 1, "--distance: expected metres above 0"),
+        (vec!["--lost", "2"], 1, "--lost: expected a share of 0 to 1"),
+        (vec!["--precision", "1"], 1, "say --distance M"),
+        (vec!["--precision", "0.00001", "--distance", "5"], 1, "precision: expected 0.0000001"),
+        (vec!["--precision", "0.001", "--distance", "5"], 1, "the best of this camera is"),
+        (vec!["--arena", "10"], 2, "expected WIDTHxDEPTH in metres"),
+        (vec!["--arena", "4x3"], 1, "how high can the cameras hang?"),
+        (vec!["--arena", "4x3", "--mount", "5:3"], 2, "LOWEST:HIGHEST"),
+        (vec!["--arena", "4x3", "--mount", "0.1"], 1, "mount: expected above"),
+        (vec!["--arena", "4x3", "--mount", "50"], 1, "not even straight below"),
+        (vec!["--machine", "/no/machine.toml"], 1, "`roundel plan --measure` writes such a file"),
+    ] {
+        let all: Vec<&str> = PINHOLE.iter().chain(&arguments).copied().collect();
+        let output = plan(&all);
+        assert_eq!(output.status.code(), Some(code), "{arguments:?}: {}", stderr(&output));
+        assert!(stderr(&output).contains(expected), "{arguments:?}: {}", stderr(&output));
+        assert!(output.stdout.is_empty());
+    }
+}
+
+#[test]
+fn a_camera_is_planned_and_the_cameras_for_an_arena_are_found() {
+    let folder = lab();
+    let camera = folder.path().join("north.yaml");
+    let camera = camera.to_str().unwrap();
+    let told = plan(&["--camera", camera, "--distance", "3", "--format", "json"]);
+    assert!(told.status.success(), "{}", stderr(&told));
+    let told: serde_json::Value = serde_json::from_slice(&told.stdout).unwrap();
+    // 600 px, 160 mm, 3 m.
+    assert!((told["minor_px"].as_f64().unwrap() - 32.0).abs() < 0.6, "{told}");
+    let depth_m = told["depth_deviation_m"].as_f64().unwrap();
+    assert!((2e-4..8e-4).contains(&depth_m), "{told}");
+    assert!(told["times"].as_str().unwrap().starts_with("not measured"), "{told}");
+    assert_eq!(told["lens_uncertainty_known"], false);
+
+    let map = folder.path().join("grid.svg");
+    let map = map.to_str().unwrap();
+    let wish = ["--arena", "4x3", "--mount", "3:4", "--map", map];
+    let found = plan(&[&["--camera", camera][..], &wish].concat());
+    assert!(found.status.success(), "{}", stderr(&found));
+    let text = String::from_utf8(found.stdout).unwrap();
+    assert!(text.contains("cameras: ") && text.contains("% seen"), "{text}");
+    assert!(fs::read_to_string(map).unwrap().contains("</svg>"));
+
+    let lab = folder.path().join("lab.toml");
+    fs::write(&lab, super::EXAMPLE).unwrap();
+    let map = folder.path().join("lab.png");
+    let (lab, map) = (lab.to_str().unwrap(), map.to_str().unwrap());
+    let seen = plan(&["--config", lab, "--map", map, "--step", "0.5"]);
+    assert!(seen.status.success(), "{}", stderr(&seen));
+    let text = String::from_utf8(seen.stdout).unwrap();
+    assert!(text.contains("north") && text.contains("south        left out: its pose"), "{text}");
+    assert!(fs::read(map).unwrap().starts_with(b"\x89PNG"));
+    let unknown = plan(&["--config", lab, "--kind", "plate"]);
+    assert!(stderr(&unknown).contains("no roundel \"plate\""), "{}", stderr(&unknown));
+}
