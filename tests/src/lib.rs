@@ -17,6 +17,7 @@
 //! | [`sensor`] | what those cameras would tell of the robots, without pixels, with the errors stated |
 //! | [`export`] | such an arena as an installation on disk, for `roundel serve` |
 //! | [`pipeline`] | core's own way from such frames to detections and world poses, without a server |
+//! | [`plans`] | what the plan of an installation foretells, beside what happens |
 //! | [`precision`] | single poses drawn at random, with their errors next to the bound |
 //! | [`recall`] | what of shown roundels is found, and what else |
 //! | [`paper`] | the paper's experiments, beside its figures |
@@ -47,6 +48,7 @@ pub mod optics;
 pub mod paper;
 pub mod passing;
 pub mod pipeline;
+pub mod plans;
 pub mod precision;
 pub mod process;
 pub mod python;

@@ -1,0 +1,123 @@
+//! The plan's predictions beside simulation: `cargo run --release -p roundel-tests --bin plans -- [SET-UPS]`, and of
+//! time on this machine: `… -- times`.
+
+use std::process::ExitCode;
+
+use roundel_tests::plans::{Pair, compare, times};
+
+/// Roundels at each distance, and for the errors of each set-up.
+const REACHES: usize = 20;
+const SHOTS: usize = 120;
+/// What the plan may be off by.
+const DISTANCE_SHARE: f64 = 0.10;
+const PRECISION_SHARE: f64 = 0.30;
+const TIME_SHARE: f64 = 0.30;
+
+fn main() -> ExitCode {
+    let argument = std::env::args().nth(1);
+    if argument.as_deref() == Some("times") {
+        return timed();
+    }
+    match argument.as_deref().map_or(Ok(100), str::parse::<u64>) {
+        Ok(count) if count > 0 => planned(count),
+        _ => {
+            eprintln!("expected a number of set-ups, such as 100, or times");
+            ExitCode::from(2)
+        }
+    }
+}
+
+fn timed() -> ExitCode {
+    let all = match times() {
+        Ok(all) => all,
+        Err(error) => {
+            eprintln!("error: {error:#}");
+            return ExitCode::FAILURE;
+        }
+    };
+    println!("  mode    | megapixels  roundels  px   searched | measured ms  plan/measured");
+    for (load, mode, pair) in &all {
+        println!(
+            "{:9} | {:10.2}  {:8}  {:3}  {:8} | {:11.3}  {:12.2}{}",
+            format!("{mode:?}"),
+            load.image_px * 1e-6,
+            load.roundels,
+            load.diameter_px,
+            if load.searched_share > 0.0 { "yes" } else { "" },
+            pair.simulated * 1e3,
+            pair.ratio(),
+            mark(pair, TIME_SHARE)
+        );
+    }
+    let pairs: Vec<Pair> = all.iter().map(|(.., pair)| *pair).collect();
+    told("time", &pairs, TIME_SHARE);
+    ExitCode::SUCCESS
+}
+
+fn planned(count: u64) -> ExitCode {
+    println!(
+        "  mode    | picture    f px | outer mm ratio tilt | noise blur contrast | farthest m  plan/sim | \
+         px    | depth mm  plan/sim | across mm  plan/sim"
+    );
+    let mut all: [Vec<Pair>; 3] = Default::default();
+    for (set_up, reach, errors) in compare(count, (REACHES, SHOTS)) {
+        let camera = &set_up.camera;
+        let imaging = &set_up.imaging;
+        let reach = match reach {
+            Ok(reach) => reach,
+            Err(error) => {
+                println!("{error}");
+                continue;
+            }
+        };
+        println!(
+            "{:9} | {:4}x{:4} {:6.0} | {:8.0} {:5.2} {:4.0} | {:5.1} {:4.2} {:8.0} | {:10.2} {:9.3}{} | {:5.1} | {:8.3} {:9.2}{} | {:9.4} {:9.2}{} {}",
+            format!("{:?}", set_up.mode),
+            camera.width,
+            camera.height,
+            camera.focal_px[0],
+            set_up.outer_m * 1e3,
+            set_up.ratio,
+            set_up.tilt_rad.to_degrees(),
+            imaging.noise,
+            imaging.blur_px,
+            imaging.white - imaging.black,
+            reach.simulated,
+            reach.ratio(),
+            mark(&reach, DISTANCE_SHARE),
+            set_up.diameter_px,
+            errors.depth_m.simulated * 1e3,
+            errors.depth_m.ratio(),
+            mark(&errors.depth_m, PRECISION_SHARE),
+            errors.across_m.simulated * 1e3,
+            errors.across_m.ratio(),
+            mark(&errors.across_m, PRECISION_SHARE),
+            if errors.missed > 0 { format!("{} missed", errors.missed) } else { String::new() },
+        );
+        all[0].push(reach);
+        all[1].push(errors.depth_m);
+        all[2].push(errors.across_m);
+    }
+    let [reaches, depths, acrosses] = &all;
+    told("farthest distance", reaches, DISTANCE_SHARE);
+    told("error along the line of sight (3D)", depths, PRECISION_SHARE);
+    told("error across it (2D)", acrosses, PRECISION_SHARE);
+    ExitCode::SUCCESS
+}
+
+fn mark(pair: &Pair, share: f64) -> char {
+    if pair.holds(share) { ' ' } else { '!' }
+}
+
+fn told(what: &str, pairs: &[Pair], share: f64) {
+    let held = pairs.iter().filter(|pair| pair.holds(share)).count();
+    let mut ratios: Vec<f64> = pairs.iter().map(Pair::ratio).collect();
+    ratios.sort_by(f64::total_cmp);
+    let (Some(least), Some(most)) = (ratios.first(), ratios.last()) else { return };
+    println!(
+        "{what}: {held} of {} within {:.0} %; plan over simulation {least:.2} to {most:.2}, median {:.2}",
+        pairs.len(),
+        share * 100.0,
+        ratios[ratios.len() / 2]
+    );
+}
