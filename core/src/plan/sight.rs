@@ -127,6 +127,8 @@ fn rim(camera: &Camera, camera_from_roundel: &Rigid, [a_m, b_m]: [f64; 2]) -> Op
         let moved = by_place * ahead * step;
         *point = [pixel.u, pixel.v, moved.x, moved.y];
     }
-    let ellipse = Shape::of_contour(points.iter().copied()).ellipse();
+    let mut ellipse = Shape::of_contour(points.iter().copied()).ellipse();
+    // Of a circle rounding alone says which axis is the longer one.
+    ellipse.semi_minor_px = ellipse.semi_minor_px.min(ellipse.semi_major_px);
     ellipse.is_valid().then_some(ellipse)
 }

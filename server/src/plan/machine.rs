@@ -24,15 +24,15 @@ const ROUNDS: usize = 12;
 /// What is rendered: width and height, outer diameter in metres, robots, height of the camera in metres.
 const CASES: [((usize, usize), f64, usize, f64); 12] = [
     ((640, 480), 0.16, 4, 4.0),
-    ((640, 480), 0.25, 16, 4.0),
+    ((640, 480), 0.25, 12, 4.0),
     ((1280, 720), 0.10, 4, 4.0),
     ((1280, 720), 0.16, 8, 6.0),
     ((1280, 720), 0.16, 24, 6.0),
-    ((1280, 720), 0.25, 12, 3.5),
+    ((1280, 720), 0.25, 8, 3.5),
     ((1920, 1080), 0.10, 24, 6.0),
     ((1920, 1080), 0.16, 4, 6.0),
     ((1920, 1080), 0.16, 24, 6.0),
-    ((1920, 1080), 0.25, 12, 3.5),
+    ((1920, 1080), 0.25, 8, 3.5),
     ((1920, 1080), 0.25, 24, 6.0),
     ((2592, 1944), 0.16, 16, 6.0),
 ];
@@ -206,9 +206,8 @@ type Case = ((usize, usize), f64, usize, f64);
 
 fn scenario((size, outer_m, robots, above_m): Case) -> anyhow::Result<Scenario> {
     let mut params = ScenarioParams::r4_lite(1);
-    params.arena_m = [0.9 * above_m, 0.7 * above_m];
     params.robots = robots;
-    params.still = robots / 4;
+    params.still = 0;
     params.flying_share = 0.0;
     params.flying_top_m = 1.5;
     params.booms = 0;
