@@ -216,6 +216,20 @@ fn no_more_than_the_limit_are_found() {
     }
 }
 
+/// What is not seen takes no room from what is: a robot that was carried elsewhere is there again with the next search.
+#[test]
+fn at_the_limit_one_that_is_elsewhere_is_found_at_once() {
+    let params = Params { max_roundels: 2, search_frames: 1, ..Params::default() };
+    let mut tracker = Tracker::new(Detector::new(Vec::new(), params).unwrap());
+    let stays = roundel((40.0, 40.0), 14.0, 0.5);
+    let mut frames = vec![vec![stays, roundel((40.0, 110.0), 14.0, 0.5)]; 3];
+    frames.extend(vec![vec![stays, roundel((150.0, 110.0), 14.0, 0.5)]; 3]);
+    let tracked = follow(&mut tracker, &frames);
+    assert_eq!(numbers(&tracked[2]), [1, 2]);
+    assert_eq!(numbers(&tracked[3]), [1, 3]);
+    assert_eq!(numbers(&tracked[5]), [1, 3]);
+}
+
 /// Feeds frames of moving roundels to a tracker; gives what it says of each frame.
 fn follow(tracker: &mut Tracker, frames: &[Vec<Roundel>]) -> Vec<Vec<TrackedRing>> {
     let pictures = (0..).zip(frames).map(|(seed, roundels)| drawn(roundels, 2.0, seed));

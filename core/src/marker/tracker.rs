@@ -259,10 +259,11 @@ impl Tracker {
 
     /// Searches the next part of the frame for new roundels; all of it while none is followed.
     fn search_part(&mut self, frame: &Frame) {
-        if self.tracks.len() >= self.detector.params().max_roundels {
+        let seen = self.tracks.iter().filter(|track| track.missed == 0).count();
+        if seen >= self.detector.params().max_roundels {
             return;
         }
-        let none = self.tracks.iter().all(|track| track.missed > 0);
+        let none = seen == 0;
         let parts = if none { 1 } else { self.detector.params().search_frames as usize };
         let rows = frame.height().div_ceil(parts).next_multiple_of(ROW_STEP);
         if none || self.next_row >= frame.height() {
@@ -277,7 +278,7 @@ impl Tracker {
     }
 
     /// Gives each ring that `search` finds to the nearest missing track whose gate it passes, or to
-    /// a new one while there is room.
+    /// a new one, for which the track that has been missing longest gives way where there is no more room.
     fn take_found(&mut self, search: impl FnOnce(&Detector, &mut Scratch)) {
         self.scratch.found.clear();
         search(&self.detector, &mut self.scratch);
@@ -289,12 +290,19 @@ impl Tracker {
                 .min_by(|a, b| a.0.total_cmp(&b.0));
             if let Some((_, track)) = near {
                 track.update(ring, Expected::new(&ring.outer, &ring.inner));
-            } else if self.tracks.len() < most {
+            } else if self.tracks.len() < most || give_way(&mut self.tracks) {
                 self.tracks.push(Track::new(self.next_number, *ring));
                 self.next_number += 1;
             }
         }
     }
+}
+
+/// Takes out the track that has been missing longest; whether there was one.
+fn give_way(tracks: &mut Vec<Track>) -> bool {
+    let missing = tracks.iter().enumerate().filter(|(_, track)| track.missed > 0);
+    let longest = missing.max_by_key(|(_, track)| track.missed).map(|(place, _)| place);
+    longest.map(|place| tracks.remove(place)).is_some()
 }
 
 /// Side of a cell, pixels.
