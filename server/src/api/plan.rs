@@ -54,7 +54,7 @@ const HEIGHT_M: f64 = 0.3;
     responses(
         (status = 200, description = "the map", body = PlanMap),
         (status = 400, description = "names the wrong parameter", body = ErrorBody),
-        (status = 412, description = "no camera's place is known", body = ErrorBody),
+        (status = 409, description = "no camera's place is known", body = ErrorBody),
     ),
 )]
 pub async fn show(State(api): State<Arc<Api>>, uri: Uri) -> Result<Response, ApiError> {

@@ -3,6 +3,7 @@
 
 mod add;
 mod change;
+mod coded;
 mod configuration;
 mod file;
 mod object;
