@@ -1,7 +1,10 @@
 //! A history that a server keeps, asked over gRPC and REST.
 
-use std::time::Duration;
+use std::{net::SocketAddr, time::Duration};
 
+use axum::body::Body;
+use http_body_util::BodyExt;
+use hyper_util::{client::legacy, rt::TokioExecutor};
 use roundel_client::{Client, v1};
 use roundel_server::{config::Config, serve::Server};
 use tokio::time::{sleep, timeout};
@@ -52,6 +55,7 @@ async fn where_objects_were_is_kept_over_a_restart() {
         let wrong = v1::QueryHistoryRequest { max_points: 5001, ..Default::default() };
         let error = client.history(wrong).await.unwrap_err().to_string();
         assert!(error.contains("max_points: expected 1 to 5000, found 5001"), "{error}");
+        exported(server.local_addr(), answer.points as usize).await;
         // A side may be infinitely far, as of every box that a client asks for.
         let corner = |x, y, z| Some(v1::Vector3 { x, y, z });
         let far = f64::INFINITY;
@@ -83,4 +87,56 @@ async fn without_one_that_is_said() {
     let refused = Server::start(Config::parse(&text, folder.path()).unwrap()).await;
     let error = refused.err().unwrap().to_string();
     assert!(error.contains("taken") && error.contains("`file` in [history]"), "{error}");
+}
+
+/// The whole as tables: CSV from each server, Parquet from one that is built with it.
+async fn exported(address: SocketAddr, at_least: usize) {
+    let (status, text) = got(address, "history.csv").await;
+    assert_eq!(status, 200);
+    let text = String::from_utf8(text).unwrap();
+    let mut lines = text.lines();
+    let names = "time_ns,object_id,name,roundel,code,x_m,y_m,z_m,yaw_rad,source_id";
+    assert_eq!(lines.next(), Some(names));
+    assert!(lines.count() >= at_least);
+    let (status, bytes) = got(address, "history.parquet").await;
+    #[cfg(not(feature = "parquet"))]
+    {
+        let told = String::from_utf8(bytes).unwrap();
+        assert_eq!((status, told.contains("--features parquet")), (409, true), "{told}");
+    }
+    #[cfg(feature = "parquet")]
+    {
+        use parquet::{
+            file::{reader::FileReader, serialized_reader::SerializedFileReader},
+            record::RowAccessor,
+        };
+
+        assert_eq!(status, 200);
+        let reader = SerializedFileReader::new(axum::body::Bytes::from(bytes)).unwrap();
+        let schema = reader.metadata().file_metadata().schema_descr_ptr();
+        let columns: Vec<&str> = schema.columns().iter().map(|column| column.name()).collect();
+        assert_eq!(columns.join(","), names);
+        let rows: Vec<_> = reader.get_row_iter(None).unwrap().map(Result::unwrap).collect();
+        assert!(rows.len() >= at_least, "{} rows", rows.len());
+        // The rows of the other table, number by number: those of its first object, which may have more by now.
+        let lines: Vec<Vec<&str>> =
+            text.lines().skip(1).map(|it| it.split(',').collect()).collect();
+        for (row, cells) in rows.iter().zip(lines.iter().take_while(|it| it[1] == lines[0][1])) {
+            assert_eq!(row.get_long(1).unwrap().to_string(), cells[1]);
+            assert_eq!(row.get_string(3).unwrap(), "robot");
+            assert!(row.get_int(4).is_err(), "no code is null");
+            for (column, cell) in [(5, cells[5]), (6, cells[6]), (7, cells[7])] {
+                assert_eq!(row.get_double(column).unwrap(), cell.parse::<f64>().unwrap());
+            }
+            assert_eq!(row.get_string(9).unwrap(), cells[9]);
+        }
+    }
+}
+
+async fn got(address: SocketAddr, table: &str) -> (u16, Vec<u8>) {
+    let client = legacy::Client::builder(TokioExecutor::new()).build_http::<Body>();
+    let url = format!("http://{address}/api/v1/{table}").parse().unwrap();
+    let response = timeout(PATIENCE, client.get(url)).await.unwrap().unwrap();
+    let status = response.status().as_u16();
+    (status, response.into_body().collect().await.unwrap().to_bytes().to_vec())
 }

@@ -1,6 +1,6 @@
 //! The history, over REST; the same functions answer gRPC.
 
-use std::{fmt::Write as _, sync::Arc};
+use std::sync::Arc;
 
 use axum::{
     Json,
@@ -20,7 +20,7 @@ use super::{
 use crate::{
     convert,
     history::{
-        HistoryError,
+        HistoryError, export,
         store::{Answer, MAX_EXPORTED, MAX_POINTS, Question},
     },
 };
@@ -72,7 +72,47 @@ pub async fn show(
     ),
 )]
 pub async fn export(State(api): State<Arc<Api>>, uri: Uri) -> Result<Response, ApiError> {
-    let mut parameters = Parameters::of(&uri)?;
+    let text = export::csv(&whole(&api, &uri).await?);
+    Ok(file("text/csv; charset=utf-8", "attachment; filename=\"history.csv\"", text))
+}
+
+/// The same as Parquet, from a server that was built with it.
+#[utoipa::path(
+    get, path = "/api/v1/history.parquet", tag = "poses",
+    params(
+        ("objects" = Option<String>, Query, description = "as of /api/v1/history"),
+        ("from" = Option<i64>, Query, description = "as of /api/v1/history"),
+        ("until" = Option<i64>, Query, description = "as of /api/v1/history"),
+        ("min" = Option<String>, Query, description = "as of /api/v1/history"),
+        ("max" = Option<String>, Query, description = "as of /api/v1/history"),
+        ("step_s" = Option<f64>, Query, description = "as of /api/v1/history.csv"),
+    ),
+    responses(
+        (status = 200, description = "the columns of history.csv; time_ns is a timestamp, and what is not known is null", body = Vec<u8>, content_type = "application/vnd.apache.parquet"),
+        (status = 400, description = "names the wrong parameter, or more than 2,000,000 rows", body = ErrorBody),
+        (status = 409, description = "none is kept ([history] in the configuration), or this server writes no Parquet", body = ErrorBody),
+    ),
+)]
+pub async fn parquet(State(api): State<Arc<Api>>, uri: Uri) -> Result<Response, ApiError> {
+    let answer = whole(&api, &uri).await?;
+    // Millions of rows take their time.
+    let written = tokio::task::spawn_blocking(move || export::parquet(&answer)).await;
+    let bytes = written.map_err(|error| ApiError::Internal(format!("no Parquet: {error}")))?;
+    let kind = "application/vnd.apache.parquet";
+    Ok(file(kind, "attachment; filename=\"history.parquet\"", bytes?))
+}
+
+fn file(kind: &'static str, disposition: &'static str, content: impl IntoResponse) -> Response {
+    let headers = [
+        (header::CONTENT_TYPE, HeaderValue::from_static(kind)),
+        (header::CONTENT_DISPOSITION, HeaderValue::from_static(disposition)),
+    ];
+    (headers, content).into_response()
+}
+
+/// All that is asked for, without thinning.
+async fn whole(api: &Api, uri: &Uri) -> Result<Answer, ApiError> {
+    let mut parameters = Parameters::of(uri)?;
     let step_s = parameters.take_parsed::<f64>("step_s", "a number of seconds")?.unwrap_or(0.1);
     if step_s.is_nan() || step_s <= 0.0 {
         return Err(ApiError::invalid("step_s", "seconds above 0", step_s));
@@ -80,17 +120,8 @@ pub async fn export(State(api): State<Arc<Api>>, uri: Uri) -> Result<Response, A
     let mut request = wish(&mut parameters)?;
     parameters.finish()?;
     request.max_points = 0;
-    let question = question(&api, request)?;
-    let question = Question { max_points: MAX_EXPORTED, step_s: Some(step_s), ..question };
-    let text = csv(&ask(&api, question).await?);
-    let headers = [
-        (header::CONTENT_TYPE, HeaderValue::from_static("text/csv; charset=utf-8")),
-        (
-            header::CONTENT_DISPOSITION,
-            HeaderValue::from_static("attachment; filename=\"history.csv\""),
-        ),
-    ];
-    Ok((headers, text).into_response())
+    let question = question(api, request)?;
+    ask(api, Question { max_points: MAX_EXPORTED, step_s: Some(step_s), ..question }).await
 }
 
 fn wish(parameters: &mut Parameters) -> Result<v1::QueryHistoryRequest, ApiError> {
@@ -149,39 +180,11 @@ async fn ask(api: &Api, question: Question) -> Result<Answer, ApiError> {
     Ok(answered?)
 }
 
-fn csv(answer: &Answer) -> String {
-    let quoted = |text: &str| {
-        if text.contains([',', '"', '\n']) {
-            format!("\"{}\"", text.replace('"', "\"\""))
-        } else {
-            text.to_owned()
-        }
-    };
-    let mut text = "time_ns,object_id,name,roundel,code,x_m,y_m,z_m,yaw_rad,source_id\n".to_owned();
-    for (identity, points) in &answer.objects {
-        let [name, kind, run] =
-            [&identity.name, &identity.kind, &identity.run].map(|it| quoted(it));
-        let code = if identity.code > 0 { identity.code.to_string() } else { String::new() };
-        for point in points {
-            let [x, y, z] = point.position_m;
-            let yaw = point.yaw_rad.map_or(String::new(), |yaw| yaw.to_string());
-            // Writing to a string cannot fail.
-            let _ = writeln!(
-                text,
-                "{},{},{name},{kind},{code},{x},{y},{z},{yaw},{run}",
-                point.time.as_ns(),
-                identity.id
-            );
-        }
-    }
-    text
-}
-
 impl From<HistoryError> for ApiError {
     fn from(error: HistoryError) -> Self {
         match error {
             HistoryError::TooMuch(found) => Self::Invalid { field: "from", message: found },
-            HistoryError::Store { .. } | HistoryError::Newer { .. } => {
+            HistoryError::Store { .. } | HistoryError::Newer { .. } | HistoryError::Form(_) => {
                 Self::FailedPrecondition(error.to_string())
             }
         }

@@ -4,6 +4,7 @@
 //! cameras by `camera`.
 
 mod camera;
+mod recording;
 
 use std::{
     fmt::Write,
@@ -134,6 +135,9 @@ pub async fn metrics(State(api): State<Arc<Api>>) -> Response {
     camera::write_cameras(&mut page, &api.hub.installation(), &api.hub.cameras());
     write_fusion(&mut page, &api);
     write_clients(&mut page, &api);
+    if let Some(recorder) = &api.recorder {
+        recording::write_recording(&mut page, &recorder.status());
+    }
     ([(header::CONTENT_TYPE, "text/plain; version=0.0.4; charset=utf-8")], page.text)
         .into_response()
 }

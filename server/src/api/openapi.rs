@@ -34,6 +34,7 @@ pub fn described_routes() -> OpenApiRouter<Arc<Api>> {
         .routes(routes!(objects::show, objects::change, objects::remove))
         .routes(routes!(history::show))
         .routes(routes!(history::export))
+        .routes(routes!(history::parquet))
         .routes(routes!(rest::cameras, setup::add))
         .routes(routes!(rest::camera, setup::change, setup::remove))
         .routes(routes!(setup::show))

@@ -2,12 +2,14 @@
 //!
 //! | module | what it does |
 //! | --- | --- |
+//! | [`export`] | tables for other programs |
 //! | [`store`] | the file: what is kept, what is forgotten, what is asked |
 //! | `task` | the thread that fills it from the hub's snapshots |
 //!
 //! Points are kept in tiers ([`TIERS`]), each ten times as coarse as the one before and kept for longer; a question is
 //! answered out of the finest tier that gives no more points than are wanted.
 
+pub mod export;
 pub mod store;
 mod task;
 
@@ -70,6 +72,9 @@ pub enum HistoryError {
     /// The question is for too much.
     #[error("{0}")]
     TooMuch(String),
+    /// The form that is asked for cannot be written.
+    #[error("{0}")]
+    Form(String),
 }
 
 /// Fills a history and answers questions about it.
