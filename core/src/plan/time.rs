@@ -32,10 +32,11 @@ pub struct Load {
 pub struct Constants(pub [f64; TERMS]);
 
 impl Constants {
-    /// Of precise mode on one core of an Intel Xeon (2 GHz, virtual), for whoever has not measured.
-    pub const PRECISE: Self = Self([5e-6, 7e-12, 4e-10, 4e-6, 2e-7, 0.0, 4e-6]);
+    /// Of precise mode on one core of a virtual machine (Intel Xeon), as `roundel plan --measure` found them; for
+    /// whoever has not measured.
+    pub const PRECISE: Self = Self([5.0e-6, 1.2e-11, 1.45e-10, 1.22e-5, 0.0, 9.5e-9, 9.7e-6]);
     /// The same of fast mode.
-    pub const FAST: Self = Self([5e-6, 7e-12, 4e-10, 7e-7, 2e-8, 0.0, 1e-6]);
+    pub const FAST: Self = Self([1.5e-6, 8.3e-12, 1.35e-10, 4.0e-6, 0.0, 8.0e-10, 7.4e-6]);
 
     /// Seconds a frame, on one core.
     pub fn frame_s(&self, load: &Load) -> f64 {

@@ -201,7 +201,7 @@ impl PlanArgs {
             (None, Some(path)) if path.exists() => Ok((Machine::load(&path)?, measured_in(&path))),
             (None, _) => Ok((
                 Machine::default(),
-                "not measured: those of an Intel Xeon of 2 GHz stand in; `roundel plan --measure` measures this \
+                "not measured: those of a virtual machine (Intel Xeon) stand in; `roundel plan --measure` measures this \
                  machine"
                     .to_owned(),
             )),

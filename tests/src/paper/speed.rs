@@ -170,8 +170,7 @@ pub fn platforms(length: Length) -> anyhow::Result<Table> {
             machine()
         ),
         "How much of the factor is the processor's is not known: WhyCon's own code is not run here. After the jump of \
-         the fast one the roundel is found again once its track is given up, six frames later, since the tracker has \
-         room for one; those frames cost little, and count."
+         the fast one the whole image is searched, which counts."
             .to_owned(),
     ];
     let skipped = vec![
