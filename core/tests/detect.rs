@@ -297,6 +297,30 @@ fn a_new_roundel_is_found_while_another_is_followed() {
 }
 
 #[test]
+fn searched_after_the_others_are_known_it_is_seen_in_the_frame_after() {
+    let parts = || Params { search_frames: 1, ..Params::default() };
+    let tracker = || Tracker::new(Detector::new(vec![], parts()).unwrap());
+    let (mut at_once, mut apart) = (tracker(), tracker());
+    let one = roundel((60.0, 60.0), 14.0, 0.4);
+    let other = roundel((140.0, 110.0), 14.0, 0.4);
+    let mut seen = Vec::new();
+    for number in 0..5 {
+        // The second is there from the third frame on.
+        let pixels = drawn(&[one, other][..if number < 2 { 1 } else { 2 }], 2.0, number);
+        let view = frame(&pixels, WIDTH);
+        let plain = numbers(at_once.process(&view));
+        seen.push((plain, numbers(apart.follow(&view))));
+        apart.seek(&view);
+    }
+    let [first, before, there, next, last] = &seen[..] else { unreachable!() };
+    // Where none is followed, all is searched at once.
+    for same in [first, before, next, last] {
+        assert_eq!(same.0, same.1, "{seen:?}");
+    }
+    assert_eq!((there.0.len(), there.1.len()), (2, 1), "{seen:?}");
+}
+
+#[test]
 fn a_sudden_change_of_light_loses_nobody() {
     let mut tracker = Tracker::new(any_ring());
     for (light, seed) in [(1.0, 1), (0.4, 2), (1.2, 3), (0.3, 4)] {

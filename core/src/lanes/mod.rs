@@ -283,6 +283,17 @@ macro_rules! lanes {
 lanes!(f64x4, mask64x4, 4);
 lanes!(f64x8, mask64x8, 8);
 
+/// The whole number at or below one of less than four millions. Unlike a cast, it is done to several at once by the
+/// compiler.
+#[inline(always)]
+pub(crate) fn floor(x: f32) -> i32 {
+    // So large that a step of the last bit is 1.
+    const LARGE: f32 = 12_582_912.0;
+    let shifted = x + LARGE;
+    let nearest = shifted.to_bits() as i32 - LARGE.to_bits() as i32;
+    nearest - i32::from(shifted - LARGE > x)
+}
+
 #[cfg(test)]
 mod tests {
     use proptest::prelude::*;
@@ -322,5 +333,12 @@ mod tests {
     fn exponentials_end_where_they_are_held() {
         assert_eq!((-1e3f64).exponential(), (-40f64).exponential());
         assert_eq!(1e3f64.exponential(), 40f64.exponential());
+    }
+
+    #[test]
+    fn whole_numbers_are_those_below() {
+        for x in [0.0, -0.0, 0.3, 0.5, 0.999_999, 1.0, 1.5, 2.5, 4095.999] {
+            assert_eq!([floor(x), floor(-x)], [x.floor() as i32, (-x).floor() as i32], "{x}");
+        }
     }
 }

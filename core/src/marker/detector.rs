@@ -192,7 +192,7 @@ impl Detector {
         if self.coded.is_empty() {
             return measure(frame, probe, &self.rules, &self.kinds, scratch);
         }
-        let coded = coded::measure(frame, probe, &self.rules, &self.coded);
+        let coded = coded::measure(frame, probe, &self.rules, &self.coded, scratch.level);
         if coded.is_ok_and(|ring| ring.code.is_some()) || self.coded.len() == self.kinds.len() {
             return coded;
         }

@@ -61,7 +61,8 @@ const FOLLOWING_TURNS: usize = 2;
 /// Memory of measuring one ring.
 #[derive(Debug)]
 pub(crate) struct MeasureScratch {
-    level: Level,
+    /// What the processor can do at once.
+    pub level: Level,
     patch: Patch,
     spans: Spans,
     belts: BeltScratch,

@@ -55,6 +55,7 @@ mod mask;
 mod measure;
 mod middle;
 mod normal;
+mod occupied;
 mod outline;
 mod oval;
 mod param;

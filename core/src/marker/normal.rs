@@ -1,6 +1,6 @@
 //! The normal distribution as blur needs it: what of an edge's light lies beyond a cut.
 
-use crate::lanes::Lane;
+use crate::lanes::{Lane, floor};
 
 /// What of an edge's light lies beyond a cut parallel to it.
 #[derive(Clone, Copy, Debug)]
@@ -45,9 +45,9 @@ fn upper_tail<T: Lane>(z: T, density: T) -> T {
 #[inline(always)]
 pub(crate) fn normal_each(z: f32) -> (f32, f32) {
     const LEAST_POWER: f32 = -120.0;
-    // 2^x = 2^n 2^f, f in (-1, 0], by its series.
+    // 2^x = 2^n 2^f, f in [0, 1), by its series.
     let power = (-0.5 * std::f32::consts::LOG2_E * z * z).max(LEAST_POWER);
-    let whole = power as i32;
+    let whole = floor(power);
     let rest = (power - whole as f32) * std::f32::consts::LN_2;
     let mut value = 1.0 + rest * (1.0 / 7.0);
     for k in [6.0, 5.0, 4.0, 3.0, 2.0, 1.0] {

@@ -22,6 +22,7 @@ use crate::{
         examine::Probe,
         follow::Expected,
         kind::Polarity,
+        occupied::Occupied,
         reject::{Reject, RejectCounts, Rejected},
     },
     segment::Window,
@@ -53,6 +54,8 @@ pub struct Tracker {
     next_number: u64,
     size: (usize, usize),
     next_row: usize,
+    /// Whether the newest frame has been searched for new roundels.
+    has_searched: bool,
     occupied: Occupied,
 }
 
@@ -135,6 +138,7 @@ impl Tracker {
             next_number: 1,
             size: (0, 0),
             next_row: 0,
+            has_searched: false,
             occupied: Occupied::default(),
         }
     }
@@ -169,6 +173,32 @@ impl Tracker {
     /// The roundels of the next frame, by the number of their track. A frame of another size than
     /// the one before starts afresh.
     pub fn process(&mut self, frame: &Frame) -> &[TrackedRing] {
+        self.follow_known(frame);
+        self.search_part(frame);
+        self.show()
+    }
+
+    /// The same without a search for new roundels, unless none is followed: for those to whom each fraction of a
+    /// millisecond counts. [`Tracker::seek`] is to have the same frame then.
+    pub fn follow(&mut self, frame: &Frame) -> &[TrackedRing] {
+        self.follow_known(frame);
+        self.has_searched = self.tracks.iter().all(|track| track.missed > 0);
+        if self.has_searched {
+            self.search_part(frame);
+        }
+        self.show()
+    }
+
+    /// Searches the next part of a frame that was followed for new roundels; the frame after it is the first that
+    /// shows them. [`Tracker::rejects`] are those of this search then.
+    pub fn seek(&mut self, frame: &Frame) {
+        self.scratch.rejects.clear();
+        if !std::mem::take(&mut self.has_searched) {
+            self.search_part(frame);
+        }
+    }
+
+    fn follow_known(&mut self, frame: &Frame) {
         let size = (frame.width(), frame.height());
         if size != self.size {
             self.reset();
@@ -180,9 +210,12 @@ impl Tracker {
         for track in &mut self.tracks {
             track.missed += 1;
         }
-        self.follow(frame);
+        self.measure_tracks(frame);
         self.seek_missing(frame);
-        self.search_part(frame);
+    }
+
+    /// Gives up those that are missing for too long; the others that are seen.
+    fn show(&mut self) -> &[TrackedRing] {
         let coast = self.detector.params().coast_frames;
         self.tracks.retain(|track| track.missed <= coast);
 
@@ -193,7 +226,7 @@ impl Tracker {
     }
 
     /// Measures every track's ring at its prediction.
-    fn follow(&mut self, frame: &Frame) {
+    fn measure_tracks(&mut self, frame: &Frame) {
         self.occupied.begin(frame);
         for tracks in self.tracks.chunks_mut(TOGETHER) {
             let scratch = &mut self.scratch;
@@ -303,53 +336,6 @@ fn give_way(tracks: &mut Vec<Track>) -> bool {
     let missing = tracks.iter().enumerate().filter(|(_, track)| track.missed > 0);
     let longest = missing.max_by_key(|(_, track)| track.missed).map(|(place, _)| place);
     longest.map(|place| tracks.remove(place)).is_some()
-}
-
-/// Side of a cell, pixels.
-const CELL_PX: f64 = 16.0;
-
-/// Cells of the frame that claims reach into, so that a ring is compared with its neighbours and not
-/// with all rings of the frame.
-#[derive(Debug, Default)]
-struct Occupied {
-    /// The number of the frame in which a claim reached into the cell last.
-    cells: Vec<u64>,
-    columns: usize,
-    frame: u64,
-}
-
-impl Occupied {
-    /// Begins a new frame; cells are not touched for it.
-    fn begin(&mut self, frame: &Frame) {
-        let cells = |side: usize| (side as f64 / CELL_PX) as usize + 1;
-        let (columns, rows) = (cells(frame.width()), cells(frame.height()));
-        if self.columns != columns || self.cells.len() != columns * rows {
-            self.columns = columns;
-            self.cells.clear();
-            self.cells.resize(columns * rows, 0);
-        }
-        self.frame += 1;
-    }
-
-    /// The cell of a coordinate; the last of `count` if it lies beyond.
-    fn cell(x: f64, count: usize) -> usize {
-        ((x / CELL_PX).max(0.0) as usize).min(count - 1)
-    }
-
-    fn add(&mut self, center: PixelPoint, (half_u, half_v): (f64, f64)) {
-        let rows = self.cells.len() / self.columns;
-        let left = Self::cell(center.u - half_u, self.columns);
-        let right = Self::cell(center.u + half_u, self.columns);
-        for row in Self::cell(center.v - half_v, rows)..=Self::cell(center.v + half_v, rows) {
-            self.cells[row * self.columns + left..=row * self.columns + right].fill(self.frame);
-        }
-    }
-
-    fn holds(&self, center: PixelPoint) -> bool {
-        let rows = self.cells.len() / self.columns;
-        let (row, column) = (Self::cell(center.v, rows), Self::cell(center.u, self.columns));
-        self.cells[row * self.columns + column] == self.frame
-    }
 }
 
 /// Where to look for a track: within half a radius or so, since most move less from where they are

@@ -233,6 +233,14 @@ impl Worker {
             received_time: received,
         };
         let observations = Arc::new(self.parts.pipeline.process(&lent.frame, &by));
+        if self.running_since.is_none() {
+            self.running_since = Some(begun);
+            self.report_running((lent.frame.width(), lent.frame.height()), received);
+        }
+        self.find_place(&observations, received);
+        self.hand_to_fusion(observations.clone());
+        // Nobody waits for what follows.
+        self.parts.pipeline.seek(&lent.frame);
         self.detect_ms.add(begun.elapsed().as_secs_f64() * 1e3);
         let times = self.parts.pipeline.times();
         self.find_ms.add(times.find_ms);
@@ -243,12 +251,6 @@ impl Worker {
         }
         self.rate.add(received);
         self.judge_pace(received, 1 + info.skipped + info.broken);
-        if self.running_since.is_none() {
-            self.running_since = Some(begun);
-            self.report_running((lent.frame.width(), lent.frame.height()), received);
-        }
-        self.find_place(&observations, received);
-        self.hand_to_fusion(observations.clone());
         self.publish(lent, observations);
     }
 

@@ -126,10 +126,11 @@ impl Pipeline {
     }
 
     /// What is seen in one frame, each detection with the capture time of its own row. A ring whose
-    /// pose cannot be computed is a detection without a pose.
+    /// pose cannot be computed is a detection without a pose. [`Pipeline::seek`] is to have the same frame once this
+    /// has been handed on.
     pub fn process(&mut self, view: &Frame<'_>, by: &Seen) -> FrameObservations {
         let begun = Instant::now();
-        let rings = self.tracker.process(view);
+        let rings = self.tracker.follow(view);
         let found = Instant::now();
         self.locator.locate_all_at(view, by.capture_time, rings, &mut self.located);
         let mut detections = Vec::with_capacity(rings.len());
@@ -153,10 +154,7 @@ impl Pipeline {
             find_ms: milliseconds(found - begun),
             locate_ms: milliseconds(found.elapsed()),
         };
-        let rejects = self.tracker.rejects().iter();
-        for (total, (_, count)) in self.counts.rejects.iter_mut().zip(rejects) {
-            *total += u64::from(count);
-        }
+        self.count_rejects();
         FrameObservations {
             camera: by.camera,
             frame: by.frame,
@@ -164,6 +162,21 @@ impl Pipeline {
             received_time: by.received_time,
             calibration_version: by.calibration_version,
             detections,
+        }
+    }
+
+    /// Searches a part of the frame for roundels that are not followed yet; they are in the next frame's observations.
+    pub fn seek(&mut self, view: &Frame<'_>) {
+        let begun = Instant::now();
+        self.tracker.seek(view);
+        self.count_rejects();
+        self.times.find_ms += begun.elapsed().as_secs_f64() * 1e3;
+    }
+
+    fn count_rejects(&mut self) {
+        let rejects = self.tracker.rejects().iter();
+        for (total, (_, count)) in self.counts.rejects.iter_mut().zip(rejects) {
+            *total += u64::from(count);
         }
     }
 }
@@ -235,7 +248,9 @@ mod tests {
             received_time: capture_time,
         };
         let view = Frame::new(pixels, WIDTH, HEIGHT, WIDTH).unwrap();
-        pipeline.process(&view, &by).detections
+        let found = pipeline.process(&view, &by).detections;
+        pipeline.seek(&view);
+        found
     }
 
     #[test]

@@ -79,6 +79,7 @@ impl Chart {
     }
 
     /// The same, to a thousandth of a pixel.
+    #[inline(always)]
     pub fn image_f32(&self, x: (f32, f32)) -> (f32, f32) {
         let (d0, d1, root) = (self.offset.0 as f32, self.offset.1 as f32, self.root as f32);
         let along = d0 * x.0 + d1 * x.1;

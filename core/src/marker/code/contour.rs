@@ -13,13 +13,16 @@
 //! The rim is where such a turn leaves it as it is. A ring that is followed begins where it is expected and is
 //! there in two or three turns, others begin at a rough outline.
 
+use fearless_simd::{Simd, dispatch};
+use fearless_simd_macros::simd;
+
 use crate::{
     camera::PixelPoint,
     ellipse::{Ellipse, Symmetric2},
     marker::{
         code::{
             light::Light,
-            points::{Each, Edges, POINTS, Points, basis, mean, smoothed, tilted},
+            points::{Each, Edges, POINTS, Points, harmonics, mean, smoothed, sum, tilted},
         },
         reject::Reject,
     },
@@ -99,10 +102,16 @@ pub(crate) fn outer_rim(light: &Light, outline: &Ellipse, threshold: f64) -> Res
 /// The outer rim of a ring that is followed, from where it is expected.
 pub(crate) fn followed_rim(light: &Light, expected: &Ellipse) -> Result<Rim, Reject> {
     let mut rim = Rim::about(expected);
-    let (mut reach, mut grown_before_px) = (Reach::Far(EXPECTED_PX), f64::NAN);
+    let (mut reach, mut grown_before_px) = (Reach::Near, f64::NAN);
     for _ in 0..MOST_TURNS {
         let before = rim.ellipse;
-        rim = fitted(light, &rim, None, reach)?;
+        rim = match (fitted(light, &rim, None, reach), reach) {
+            // It has moved further than most do.
+            (Err(Reject::Covered), Reach::Near) => {
+                fitted(light, &rim, None, Reach::Far(EXPECTED_PX))?
+            }
+            (turned, _) => turned?,
+        };
         let after = &mut rim.ellipse;
         let longer_px = after.semi_major_px - before.semi_major_px;
         let wider_px = after.semi_minor_px - before.semi_minor_px;
@@ -140,6 +149,17 @@ enum Reach {
 
 /// One turn; the level halfway is `threshold` or what the neighbourhood says.
 fn fitted(light: &Light, rim: &Rim, threshold: Option<f64>, reach: Reach) -> Result<Rim, Reject> {
+    dispatch!(light.level, simd => fitted_with(simd, light, rim, threshold, reach))
+}
+
+#[simd]
+fn fitted_with<S: Simd>(
+    _simd: S,
+    light: &Light,
+    rim: &Rim,
+    threshold: Option<f64>,
+    reach: Reach,
+) -> Result<Rim, Reject> {
     if light.frame.width() < 2 || light.frame.height() < 2 {
         return Err(Reject::FrameEdge);
     }
@@ -188,25 +208,18 @@ fn fitted(light: &Light, rim: &Rim, threshold: Option<f64>, reach: Reach) -> Res
 }
 
 /// The ellipse that follows the points, and the rms of what they stray from it, pixels.
+#[inline(always)]
 fn moved(ellipse: &Ellipse, points: &Points, shares: &Each) -> Option<(Ellipse, f64)> {
-    let mut sums = [0.0; 5];
-    for (index, &share) in shares.iter().enumerate() {
-        for (sum, basis) in sums.iter_mut().zip(basis(index)) {
-            *sum += f64::from(share) * f64::from(basis);
-        }
-    }
-    let n = POINTS as f64;
-    let [alpha, x, y, gamma, eta] =
-        [sums[0] / n, 2.0 * sums[1] / n, 2.0 * sums[2] / n, 2.0 * sums[3] / n, 2.0 * sums[4] / n];
-    let harmonics = [alpha, x, y, gamma, eta].map(|harmonic| harmonic as f32);
+    let bases = harmonics();
+    let alpha = mean(shares);
+    let [x, y, gamma, eta] =
+        bases.each_ref().map(|basis| 2.0 * sum(|at| shares[at] * basis[at]) / POINTS as f64);
+    let [whole, by_x, by_y, by_p, by_q] = [alpha, x, y, gamma, eta].map(|it| it as f32);
     let mut rest = [0.0; POINTS];
+    let [xs, ys, ps, qs] = bases;
     for index in 0..POINTS {
-        let [whole, x, y, p, q] = basis(index);
-        let followed = harmonics[0] * whole
-            + harmonics[1] * x
-            + harmonics[2] * y
-            + harmonics[3] * p
-            + harmonics[4] * q;
+        let followed =
+            whole + by_x * xs[index] + by_y * ys[index] + by_p * ps[index] + by_q * qs[index];
         let off_px = (shares[index] - followed) * points.height_px[index];
         rest[index] = off_px * off_px;
     }

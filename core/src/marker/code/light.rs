@@ -1,10 +1,14 @@
 //! Grey levels between pixels, of one point or of many.
 
-use crate::frame::Frame;
+use fearless_simd::Level;
+
+use crate::{frame::Frame, lanes::floor};
 
 /// Grey levels between pixels; a point outside of the frame is as its edge.
 pub(crate) struct Light<'a, 'f> {
     pub frame: &'a Frame<'f>,
+    /// What the processor can do at once.
+    pub level: Level,
     /// A white ring is seen as a black one.
     pub inverted: bool,
 }
@@ -36,6 +40,7 @@ impl Light<'_, '_> {
     ///
     /// Only the pixels themselves are fetched one by one; what comes before and after is done to all points
     /// alike, for the compiler to take several at once.
+    #[inline(always)]
     pub fn each<const COUNT: usize>(&self, places: &Places<COUNT>) -> [f32; COUNT] {
         let Places { origin, u, v } = places;
         let (left, du) = split(u, origin.0, self.frame.width());
@@ -44,9 +49,9 @@ impl Light<'_, '_> {
         let (mut above, mut below) = ([[0u8; COUNT]; 2], [[0u8; COUNT]; 2]);
         for index in 0..COUNT {
             let at = top[index] as usize * stride + left[index] as usize;
-            let (pair, next) = (&pixels[at..at + 2], &pixels[at + stride..at + stride + 2]);
-            (above[0][index], above[1][index]) = (pair[0], pair[1]);
-            (below[0][index], below[1][index]) = (next[0], next[1]);
+            let (rows, next) = (&pixels[at..at + stride + 2], stride);
+            (above[0][index], above[1][index]) = (rows[0], rows[1]);
+            (below[0][index], below[1][index]) = (rows[next], rows[next + 1]);
         }
         let (from, sign) = if self.inverted { (255.0, -1.0) } else { (0.0, 1.0) };
         let mut levels = [0.0; COUNT];
@@ -63,6 +68,7 @@ impl Light<'_, '_> {
 }
 
 /// The pixels before points along one side of the frame, and how far the points are beyond them.
+#[inline(always)]
 fn split<const COUNT: usize>(
     places: &[f32; COUNT],
     origin: i32,
@@ -73,8 +79,7 @@ fn split<const COUNT: usize>(
     for index in 0..COUNT {
         // What is no number is the edge.
         let place = places[index].max(low).min(high);
-        let whole = place as i32;
-        let whole = whole - i32::from(whole as f32 > place);
+        let whole = floor(place);
         beyond[index] = place - whole as f32;
         // Where single precision has rounded up to the last pixel.
         pixels[index] = (whole + origin).min(side as i32 - 2);
@@ -99,7 +104,7 @@ mod tests {
             let pixels: Vec<u8> =
                 (0..SIZE.0 * SIZE.1).map(|at| (at * 7919 % 251) as u8).collect();
             let frame = Frame::new(&pixels, SIZE.0, SIZE.1, SIZE.0).unwrap();
-            let light = Light { frame: &frame, inverted };
+            let light = Light { frame: &frame, level: Level::new(), inverted };
             let places = Places {
                 origin,
                 u: at.map(|(u, _)| (u - f64::from(origin.0)) as f32),
@@ -116,7 +121,7 @@ mod tests {
     fn what_is_no_number_is_the_edge() {
         let pixels = [1, 2, 3, 4];
         let frame = Frame::new(&pixels, 2, 2, 2).unwrap();
-        let light = Light { frame: &frame, inverted: false };
+        let light = Light { frame: &frame, level: Level::new(), inverted: false };
         let (u, v) = ([f32::NAN, f32::INFINITY, f32::NEG_INFINITY], [f32::NAN; 3]);
         let levels = light.each(&Places { origin: (1000, -1000), u, v });
         assert!(

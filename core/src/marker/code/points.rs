@@ -31,14 +31,22 @@ const LEAST_SLOPE: f64 = 1.0;
 /// A number for each point.
 pub(super) type Each = [f32; POINTS];
 
-/// cos t and sin t of the points.
-static PARAMETERS: LazyLock<[Each; 2]> = LazyLock::new(|| {
+/// cos t and sin t of the points, cos 2t and sin 2t.
+static HARMONICS: LazyLock<[Each; 4]> = LazyLock::new(|| {
     let turn = |index: usize| std::f64::consts::TAU * index as f64 / POINTS as f64;
     [
         std::array::from_fn(|index| turn(index).cos() as f32),
         std::array::from_fn(|index| turn(index).sin() as f32),
+        std::array::from_fn(|index| turn(2 * index).cos() as f32),
+        std::array::from_fn(|index| turn(2 * index).sin() as f32),
     ]
 });
+
+/// cos t, sin t, cos 2t and sin 2t of the points.
+#[inline(always)]
+pub(super) fn harmonics() -> &'static [Each; 4] {
+    &HARMONICS
+}
 
 /// The points of a rim.
 pub(super) struct Points {
@@ -56,6 +64,7 @@ pub(super) struct Points {
 }
 
 impl Points {
+    #[inline(always)]
     pub fn of(ellipse: &Ellipse) -> Self {
         // What is further away is beyond any frame's edge.
         let whole = |center: f64| center.floor().clamp(-FARTHEST_PX, FARTHEST_PX) as i32;
@@ -71,7 +80,7 @@ impl Points {
         let bend = 0.5 * (per_a * per_b) * (per_a * per_b);
         let [mut u, mut v, mut normal_u, mut normal_v] = [[0.0; POINTS]; 4];
         let [mut height_px, mut drawn_per_px] = [[0.0; POINTS]; 2];
-        let [cos, sin] = &*PARAMETERS;
+        let [cos, sin, ..] = harmonics();
         for index in 0..POINTS {
             let (cos, sin) = (cos[index], sin[index]);
             let (x, y) = (a * cos, b * sin);
@@ -88,6 +97,7 @@ impl Points {
     }
 
     /// Levels so far outwards of each point.
+    #[inline(always)]
     fn levels(&self, light: &Light, out_px: &Each) -> Each {
         let mut places = Places { origin: self.origin, u: self.u, v: self.v };
         for (index, out_px) in out_px.iter().enumerate() {
@@ -109,6 +119,7 @@ impl Points {
     }
 
     /// Levels of ring and margin, without what blur mixes of one into the other.
+    #[inline(always)]
     pub fn black_and_white(&self, light: &Light, semi_minor_px: f64, blur_px: f64) -> (Each, Each) {
         let aside_px = (LEVEL_SHARE * semi_minor_px).clamp(LEVEL_PX.0, LEVEL_PX.1);
         let blacks = self.levels(light, &[-aside_px as f32; POINTS]);
@@ -144,11 +155,13 @@ pub(super) struct Edges {
 
 impl Edges {
     /// Within half a pixel; what seems to be further off than a whole one is none.
+    #[inline(always)]
     pub fn near(light: &Light, points: &Points, half: &Each) -> Self {
         Self::about(light, points, half, (&[0.0; POINTS], &[true; POINTS], 1.0))
     }
 
     /// As [`crossing`] finds them, at all points at once where they are within a pixel.
+    #[inline(always)]
     pub fn far(light: &Light, points: &Points, half: &Each, reach_px: f64) -> Self {
         let here = points.levels(light, &[0.0; POINTS]);
         let inside = points.levels(light, &[-1.0; POINTS]);
@@ -176,6 +189,7 @@ impl Edges {
     }
 
     /// From levels half a pixel to either side of where they are thought to be, and at most so far from there.
+    #[inline(always)]
     fn about(
         light: &Light,
         points: &Points,
@@ -204,6 +218,7 @@ impl Edges {
 }
 
 /// Means over neighbours: less noise, and what light varies stays.
+#[inline(always)]
 pub(super) fn smoothed(levels: &Each) -> Each {
     const SIDE: usize = 3;
     let mut round = [0.0; POINTS + 2 * SIDE];
@@ -220,15 +235,12 @@ pub(super) fn smoothed(levels: &Each) -> Each {
 }
 
 /// The plane through them: what a light varies, and not what teeth near by add here and there.
+#[inline(always)]
 pub(super) fn tilted(levels: &Each) -> Each {
-    let [cos, sin] = &*PARAMETERS;
-    let (mut mean, mut x, mut y) = (0.0, 0.0, 0.0);
-    for index in 0..POINTS {
-        let level = levels[index];
-        mean += level / POINTS as f32;
-        x += 2.0 * level * cos[index] / POINTS as f32;
-        y += 2.0 * level * sin[index] / POINTS as f32;
-    }
+    let [cos, sin, ..] = harmonics();
+    let mean = mean(levels) as f32;
+    let x = (2.0 * sum(|index| levels[index] * cos[index]) / POINTS as f64) as f32;
+    let y = (2.0 * sum(|index| levels[index] * sin[index]) / POINTS as f64) as f32;
     let mut plane = [0.0; POINTS];
     for (index, level) in plane.iter_mut().enumerate() {
         *level = mean + x * cos[index] + y * sin[index];
@@ -265,13 +277,20 @@ fn walked(profile: impl Fn(f64) -> f64, reach_px: f64) -> Option<f64> {
     }
 }
 
-/// The harmonics at a point.
-pub(super) fn basis(index: usize) -> [f32; 5] {
-    let [cos, sin] = &*PARAMETERS;
-    let (cos, sin) = (cos[index], sin[index]);
-    [1.0, cos, sin, cos * cos - sin * sin, 2.0 * sin * cos]
+/// Sum of what each point gives, eight of them side by side.
+#[inline(always)]
+pub(super) fn sum(of: impl Fn(usize) -> f32) -> f64 {
+    const LANES: usize = 8;
+    let mut sums = [0.0; LANES];
+    for first in (0..POINTS).step_by(LANES) {
+        for (lane, sum) in sums.iter_mut().enumerate() {
+            *sum += f64::from(of(first + lane));
+        }
+    }
+    sums.iter().sum()
 }
 
+#[inline(always)]
 pub(super) fn mean(levels: &Each) -> f64 {
-    levels.iter().map(|&level| f64::from(level)).sum::<f64>() / POINTS as f64
+    sum(|index| levels[index]) / POINTS as f64
 }

@@ -6,9 +6,16 @@
 //! it lies. What comes out is how white each angle is, as a share of half the contrast about its mean:
 //! +1 in a gap, -1 in a tooth, rounded off by blur.
 
+use fearless_simd::{Simd, dispatch};
+use fearless_simd_macros::simd;
+
 use crate::{
     frame::Frame,
-    marker::{Polarity, code::chart::Chart},
+    lanes::floor,
+    marker::{
+        Polarity,
+        code::{chart::Chart, light::Light},
+    },
 };
 
 /// Most samples that a profile has.
@@ -72,7 +79,18 @@ impl Directions {
 
     /// The profile of one roundel; `None` if the annulus is not wholly inside the frame, or the levels
     /// are none.
-    pub fn profile(&self, frame: &Frame, chart: &Chart, levels: &Levels) -> Option<Profile> {
+    pub fn profile(&self, light: &Light, chart: &Chart, levels: &Levels) -> Option<Profile> {
+        dispatch!(light.level, simd => self.profile_with(simd, light.frame, chart, levels))
+    }
+
+    #[simd]
+    fn profile_with<S: Simd>(
+        &self,
+        _simd: S,
+        frame: &Frame,
+        chart: &Chart,
+        levels: &Levels,
+    ) -> Option<Profile> {
         let contrast = levels.white - levels.black;
         let sign = if levels.polarity == Polarity::BlackRing { 1.0 } else { -1.0 };
         let scale = (sign * 2.0 / contrast / PLACES.len() as f64) as f32;
@@ -87,7 +105,7 @@ impl Directions {
                 *place = chart.image_f32(point);
             }
             for (sum, &(u, v)) in profile.white.iter_mut().zip(&places[..len]) {
-                *sum += level_at(frame, u, v);
+                *sum += level_at(frame.pixels(), u, v);
             }
             if circle == PLACES.len() / 2 {
                 let variance_px2 = (levels.blur_px * levels.blur_px) as f32 + SAMPLING_PX2;
@@ -115,15 +133,16 @@ impl Directions {
 }
 
 /// Grey level between four pixels of the frame.
-#[inline]
-fn level_at(frame: &Frame, u: f32, v: f32) -> f32 {
-    let (left, top) = (u as usize, v as usize);
+#[inline(always)]
+fn level_at((pixels, stride): (&[u8], usize), u: f32, v: f32) -> f32 {
+    let (left, top) = (floor(u), floor(v));
     let (du, dv) = (u - left as f32, v - top as f32);
-    let row = |v: usize| {
-        let pair = &frame.row(v)[left..left + 2];
-        let (left, right) = (f32::from(pair[0]), f32::from(pair[1]));
+    let at = top as usize * stride + left as usize;
+    let rows = &pixels[at..at + stride + 2];
+    let row = |[left, right]: [u8; 2]| {
+        let (left, right) = (f32::from(left), f32::from(right));
         left + (right - left) * du
     };
-    let (above, below) = (row(top), row(top + 1));
+    let (above, below) = (row([rows[0], rows[1]]), row([rows[stride], rows[stride + 1]]));
     above + (below - above) * dv
 }

@@ -8,6 +8,8 @@
 //! whatever the rivals (a plain disc, clutter, a half covered ring) has a low ρ or a wrong amplitude,
 //! and is refused.
 
+use fearless_simd::Level;
+
 use crate::{
     frame::Frame,
     marker::{
@@ -15,6 +17,7 @@ use crate::{
         code::{
             Code, CodeError, CodeLayout, CodeReading, Dictionary,
             chart::Chart,
+            light::Light,
             profile::{Directions, Levels, MAX_SAMPLES, Profile},
             word::{self, Found},
         },
@@ -81,12 +84,13 @@ impl CodeReader {
             polarity: ring.polarity,
             blur_px: USUAL_BLUR_PX,
         };
-        Some(self.read_in(frame, &chart, &levels)?.seen_in(&chart, self.ratio))
+        let light = Light { frame, level: Level::new(), inverted: false };
+        Some(self.read_in(&light, &chart, &levels)?.seen_in(&chart, self.ratio))
     }
 
     /// The same in a chart.
-    pub(crate) fn read_in(&self, frame: &Frame, chart: &Chart, levels: &Levels) -> Option<Read> {
-        let profile = self.directions_for(chart).profile(frame, chart, levels)?;
+    pub(crate) fn read_in(&self, light: &Light, chart: &Chart, levels: &Levels) -> Option<Read> {
+        let profile = self.directions_for(chart).profile(light, chart, levels)?;
         let found = word::find(&profile, &self.dictionary, &self.own_distances)?;
         let fit = self.fit(&profile, &found)?;
         let confidence = self.confidence(&found, fit.square);

@@ -1,0 +1,50 @@
+//! Where in a frame there are rings already, coarsely.
+
+use crate::{camera::PixelPoint, frame::Frame};
+
+/// Side of a cell, pixels.
+const CELL_PX: f64 = 16.0;
+
+/// Cells of the frame that claims reach into, so that a ring is compared with its neighbours and not
+/// with all rings of the frame.
+#[derive(Debug, Default)]
+pub(super) struct Occupied {
+    /// The number of the frame in which a claim reached into the cell last.
+    cells: Vec<u64>,
+    columns: usize,
+    frame: u64,
+}
+
+impl Occupied {
+    /// Begins a new frame; cells are not touched for it.
+    pub fn begin(&mut self, frame: &Frame) {
+        let cells = |side: usize| (side as f64 / CELL_PX) as usize + 1;
+        let (columns, rows) = (cells(frame.width()), cells(frame.height()));
+        if self.columns != columns || self.cells.len() != columns * rows {
+            self.columns = columns;
+            self.cells.clear();
+            self.cells.resize(columns * rows, 0);
+        }
+        self.frame += 1;
+    }
+
+    /// The cell of a coordinate; the last of `count` if it lies beyond.
+    fn cell(x: f64, count: usize) -> usize {
+        ((x / CELL_PX).max(0.0) as usize).min(count - 1)
+    }
+
+    pub fn add(&mut self, center: PixelPoint, (half_u, half_v): (f64, f64)) {
+        let rows = self.cells.len() / self.columns;
+        let left = Self::cell(center.u - half_u, self.columns);
+        let right = Self::cell(center.u + half_u, self.columns);
+        for row in Self::cell(center.v - half_v, rows)..=Self::cell(center.v + half_v, rows) {
+            self.cells[row * self.columns + left..=row * self.columns + right].fill(self.frame);
+        }
+    }
+
+    pub fn holds(&self, center: PixelPoint) -> bool {
+        let rows = self.cells.len() / self.columns;
+        let (row, column) = (Self::cell(center.v, rows), Self::cell(center.u, self.columns));
+        self.cells[row * self.columns + column] == self.frame
+    }
+}
