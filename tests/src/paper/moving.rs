@@ -13,6 +13,7 @@ use rayon::prelude::*;
 use roundel_core::{
     camera::NormalizedPoint,
     marker::Params,
+    plan::paper::{lens_share, range_share},
     pose::Detection,
     world::reference::{Homography, Sighting, align},
 };
@@ -173,8 +174,8 @@ pub fn table(length: Length) -> anyhow::Result<Table> {
     let axis_error_px =
         model::axis_error_px(&camera().imaging, [semi_major_px, 0.9 * semi_major_px]);
     // The middle of what the targets cover.
-    let plane = model::lens_share(lens.coefficients, 0.2, 0.1);
-    let space = model::range_share(lens.focal_share, axis_error_px, semi_major_px, plane);
+    let plane = lens_share(lens.coefficients, [0.2, 0.1]);
+    let space = range_share(lens.focal_share, axis_error_px, semi_major_px, plane);
     let found = format!("{} of {of} found", misses.len());
     let rows = vec![
         Row::new("2D, mean: cm", 100.0 * mean(|it| it.plane_m)).paper(1.2, Aim::Less).note(found),

@@ -12,6 +12,7 @@ use nalgebra::{Matrix3, Point3, Vector2, Vector3};
 use roundel_core::{
     camera::NormalizedPoint,
     marker::Params,
+    plan::paper::{lens_share, range_share},
     world::reference::{Homography, Sighting, align},
 };
 
@@ -267,15 +268,14 @@ fn predicted(hall: &Hall, lens: &Calibrated, plane: bool) -> f64 {
         (0..hall.true_m.len()).filter(|&index| !Hall::is_reference(index)).collect();
     let share = |index: &usize| {
         let place = hall.pose(*index).translation.vector;
-        let lens_share = model::lens_share(lens.coefficients, place.x / place.z, place.y / place.z);
+        let lens_share = lens_share(lens.coefficients, [place.x / place.z, place.y / place.z]);
         let tiles_share = TILES_MEAN_M / place.norm();
         if plane {
             return lens_share.hypot(tiles_share);
         }
         let semiaxes_px = hall.semiaxes_px(*index);
         let axis_error_px = model::axis_error_px(&hall.camera.imaging, semiaxes_px);
-        model::range_share(lens.focal_share, axis_error_px, semiaxes_px[0], lens_share)
-            .hypot(tiles_share)
+        range_share(lens.focal_share, axis_error_px, semiaxes_px[0], lens_share).hypot(tiles_share)
     };
     measured.iter().map(share).sum::<f64>() / measured.len() as f64
 }

@@ -10,13 +10,14 @@ use nalgebra::Vector2;
 use roundel_core::{
     frame::Frame,
     marker::{Detector, Mode, Params, Tracker},
+    plan::paper::Speed,
     pose::Locator,
 };
 
 use super::{
     Aim, Length, Row, Table,
     datasets::{Dataset, SIDE_M},
-    model::Speed,
+    model::speed_between,
     others::{self, Job, Others},
     scene::{PaperCamera, printed},
 };
@@ -48,7 +49,7 @@ fn speeds(length: Length) -> [Speed; 2] {
     [0, 1].map(|mode: usize| {
         let of = |times: &[Times; 2]| times[mode].follow_s;
         let searched_pixel_s = small[mode].search_s / (1024.0 * 768.0);
-        Speed::between([(30.0, of(&small)), (90.0, of(&large))], searched_pixel_s)
+        speed_between([(30.0, of(&small)), (90.0, of(&large))], searched_pixel_s)
     })
 }
 

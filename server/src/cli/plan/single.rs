@@ -114,7 +114,9 @@ fn expected(
 fn papers(sensor: &Sensor, kind: &Kind, tilt_rad: f64) -> paper::Pinhole {
     let Intrinsics { width, height, fx_px, fy_px, cx_px, cy_px, lens } = sensor.camera.intrinsics();
     let shrink = match lens {
-        Lens::PlumbBob([k1, k2, ..]) => paper::shrink(*k1, *k2, [cx_px / fx_px, cy_px / fy_px]),
+        Lens::PlumbBob(coefficients) => {
+            paper::shrink(*coefficients, [cx_px / fx_px, cy_px / fy_px])
+        }
         _ => [1.0; 2],
     };
     paper::Pinhole {
@@ -128,10 +130,11 @@ fn papers(sensor: &Sensor, kind: &Kind, tilt_rad: f64) -> paper::Pinhole {
 }
 
 impl Told {
-    /// η₃D of equation (19) with the paper's Δe₀, metres.
+    /// Equation (19) with the paper's Δe₀ and an exact lens, metres.
     fn papers_depth_m(&self) -> f64 {
-        let share = self.paper.depth_share(self.distance_m, 0.0, paper::AXIS_ERROR_PX, 0.0);
-        share * self.distance_m
+        let untilted = paper::Pinhole { tilt_rad: [0.0; 2], ..self.paper };
+        let semi_major_px = 0.5 * untilted.pattern_px(self.distance_m)[0];
+        paper::range_share(0.0, paper::AXIS_ERROR_PX, semi_major_px, 0.0) * self.distance_m
     }
 
     fn table(&self, arguments: &PlanArgs) -> String {
