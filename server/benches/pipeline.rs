@@ -35,6 +35,10 @@ use roundel_server::{
 };
 use tonic::{Streaming, transport::Endpoint};
 
+/// As of the `roundel` command.
+#[global_allocator]
+static ALLOCATOR: mimalloc::MiMalloc = mimalloc::MiMalloc;
+
 type Pixels = Arc<Vec<u8>>;
 
 /// Frames rendered for each camera.

@@ -14,7 +14,8 @@ pub use calibration::calibration;
 pub use configuration::{configuration, configuration_check};
 pub use object_setup::{object_setup, written_object};
 pub use recording::{
-    fused_camera, history, read_fused_camera, read_pose, recording, recordings, replay,
+    fused_camera, fused_configuration, history, read_fused_camera, read_pose,
+    recorded_configuration, recording, recordings, replay,
 };
 pub use setup::{setup, written};
 pub use trial::trial;
@@ -182,6 +183,7 @@ pub fn camera(installation: &Installation, id: CameraId, state: &CameraState) ->
         latency_ms: state.latency_ms,
         blur_px: state.blur_px,
         noise: state.noise,
+        reprojection_px: state.reprojection_px,
         clock: state.clock.as_ref().map(camera_clock),
         pose_status: pose_status(*status) as i32,
         pose_reason: reason.clone(),

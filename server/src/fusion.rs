@@ -2,6 +2,7 @@
 //! of `core::world`, and publishes snapshots at steady ticks, or sooner where there is news.
 
 mod order;
+mod reprojection;
 mod rhythm;
 mod riding;
 mod sentence;
@@ -29,7 +30,10 @@ use crate::{
     stop::Stop,
     worker::{Sighted, meter::Median},
 };
-pub use order::{FusionLimits, Known, ObjectOrder, Order, Stand, Timekeeping};
+pub use order::{
+    FusionLimits, Known, ObjectOrder, Order, Settings, Stand, Timekeeping, WrittenSettings,
+};
+use reprojection::Reprojection;
 pub use rhythm::Rhythm;
 use riding::Riding;
 use sentence::Subject;
@@ -52,6 +56,7 @@ pub struct FusionTask {
     /// What the newest snapshot says of each object, for messages about it.
     known: BTreeMap<ObjectId, Subject>,
     riding: Riding,
+    reprojection: Reprojection,
     watching: Option<Watching>,
 }
 
@@ -71,6 +76,7 @@ impl FusionTask {
             latency_ms: BTreeMap::new(),
             known: BTreeMap::new(),
             riding: Riding::default(),
+            reprojection: Reprojection::default(),
             watching: None,
         }
     }
@@ -181,6 +187,7 @@ impl FusionTask {
             // Nobody judges who is held back.
             self.fusion.drain_held_back().for_each(drop);
         }
+        self.reprojection.advance(pose_time, &self.cameras, (&mut self.fusion, &self.hub));
         let events: Vec<Event> = self.fusion.drain_events().collect();
         for wrong in self.fusion.drain_wrong_heights() {
             let message = sentence::of_height(&self.hub.installation(), &wrong);

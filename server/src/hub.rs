@@ -8,6 +8,7 @@
 mod camera;
 mod event;
 mod installation;
+mod objects;
 
 use std::{
     collections::{BTreeMap, VecDeque},
@@ -20,9 +21,8 @@ use std::{
 use axum::body::Bytes;
 use roundel_core::{
     id::{BodyId, CameraId, KindId, ObjectId},
-    marker::Code,
     time::Timestamp,
-    world::{FrameObservations, FusionCounts, LifeStage, Snapshot},
+    world::{FrameObservations, FusionCounts, Snapshot},
 };
 use tokio::sync::{OnceCell, broadcast, watch};
 
@@ -32,13 +32,13 @@ pub use camera::{
 };
 pub use event::{Change, Event, Happening};
 pub use installation::{Installation, Named};
+pub use objects::ObjectRecord;
+use objects::Objects;
 
 /// Observations that a slow reader may lag behind before it misses some.
 const OBSERVATIONS_KEPT: usize = 256;
 /// Events remembered for those who ask later.
 pub const EVENTS_KEPT: usize = 1000;
-/// How long a lost object stays in the list of objects.
-const LOST_KEPT_SECONDS: f64 = 60.0;
 
 /// A snapshot with what the server adds to it.
 #[derive(Clone, Debug, Default)]
@@ -77,27 +77,6 @@ impl Picture {
     }
 }
 
-/// An object as the list of objects shows it.
-#[derive(Clone, Debug)]
-pub struct ObjectRecord {
-    /// Whose.
-    pub id: ObjectId,
-    /// Its kind of roundel.
-    pub kind: Option<KindId>,
-    /// Which body, if it is one.
-    pub body: Option<BodyId>,
-    /// The code that it was seen with most of late.
-    pub code: Option<Code>,
-    /// In the newest snapshot, or Lost.
-    pub stage: LifeStage,
-    /// Capture time of the first detection.
-    pub first_seen: Timestamp,
-    /// Capture time of the newest detection.
-    pub last_seen: Timestamp,
-    /// Detections used.
-    pub observations: u64,
-}
-
 #[derive(Default)]
 struct CameraSlot {
     state: Mutex<CameraState>,
@@ -118,7 +97,7 @@ pub struct Hub {
     observations: broadcast::Sender<Arc<FrameObservations>>,
     events: broadcast::Sender<Arc<Event>>,
     event_log: Mutex<EventLog>,
-    objects: Mutex<BTreeMap<ObjectId, ObjectRecord>>,
+    objects: Mutex<Objects>,
     /// One for each camera of the installation.
     cameras: RwLock<BTreeMap<CameraId, Arc<CameraSlot>>>,
     fusion_counts: Mutex<FusionCounts>,
@@ -187,13 +166,11 @@ impl Hub {
     /// As which an object of the configuration is followed, or was last, within the last minute.
     pub fn object_named(&self, name: &str) -> Option<ObjectId> {
         let named = self.installation().named(name)?;
-        let is_it = |record: &&ObjectRecord| match named {
+        let is_it = |record: &ObjectRecord| match named {
             Named::Kind(kind) => record.body.is_none() && record.kind == Some(kind),
             Named::Body(body) => record.body == Some(body),
         };
-        let objects = lock(&self.objects);
-        let newest = objects.values().filter(is_it).max_by_key(|record| record.last_seen);
-        newest.map(|record| record.id)
+        lock(&self.objects).newest(is_it)
     }
 
     /// The body of a name; one that is not known yet is from now on.
@@ -219,7 +196,7 @@ impl Hub {
 
     /// Hands on a new snapshot; the sequence is counted here.
     pub fn publish_snapshot(&self, snapshot: Snapshot, fused_time: Timestamp) {
-        self.record_objects(&snapshot);
+        lock(&self.objects).take(&snapshot);
         self.snapshot.send_modify(|newest| {
             let sequence = newest.sequence + 1;
             *newest = Arc::new(FusedSnapshot { sequence, fused_time, snapshot });
@@ -295,12 +272,12 @@ impl Hub {
 
     /// Every object of now and of the last minute, by id.
     pub fn objects(&self) -> Vec<ObjectRecord> {
-        lock(&self.objects).values().cloned().collect()
+        lock(&self.objects).all()
     }
 
     /// Forgets all objects, as where time goes on elsewhere.
     pub fn forget_objects(&self) {
-        lock(&self.objects).clear();
+        *lock(&self.objects) = Objects::default();
     }
 
     /// Changes a camera's state; of one that was removed nothing is kept.
@@ -349,35 +326,6 @@ impl Hub {
         if let Some(slot) = self.slot(id) {
             slot.picture.send_replace(Some(Arc::new(picture)));
         }
-    }
-
-    fn record_objects(&self, snapshot: &Snapshot) {
-        let mut objects = lock(&self.objects);
-        for record in objects.values_mut() {
-            let gone = snapshot.objects.binary_search_by_key(&record.id, |o| o.id).is_err();
-            if gone {
-                record.stage = LifeStage::Lost;
-            }
-        }
-        for state in &snapshot.objects {
-            objects.insert(
-                state.id,
-                ObjectRecord {
-                    id: state.id,
-                    kind: state.kind,
-                    body: state.body,
-                    code: state.code,
-                    stage: state.stage,
-                    first_seen: state.first_observation,
-                    last_seen: state.newest_observation,
-                    observations: state.observations,
-                },
-            );
-        }
-        objects.retain(|_, record| {
-            record.stage != LifeStage::Lost
-                || snapshot.pose_time.seconds_since(record.last_seen) < LOST_KEPT_SECONDS
-        });
     }
 }
 

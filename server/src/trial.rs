@@ -229,6 +229,7 @@ impl Trier {
                     received_time: self.clock.now(),
                 },
             );
+            pipeline.seek(&lent.frame);
             trial.roundels = seen.detections.len();
             decode_ms.add(info.decoding.as_secs_f64() * 1e3);
             detect_ms.add(pipeline.times().find_ms);

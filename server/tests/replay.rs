@@ -32,6 +32,11 @@ const LEAST_FOLLOWED: usize = 3;
 
 /// Two simulated cameras, recorded from the begin with every frame as it was searched.
 async fn recorded(folder: &Path) -> PathBuf {
+    recorded_while(folder, async |_| {}).await
+}
+
+/// The same, while something happens to the server when robots are followed.
+async fn recorded_while(folder: &Path, happens: impl AsyncFnOnce(Client)) -> PathBuf {
     let mut text = "name = \"lab\"\n[server]\nlisten = \"127.0.0.1:0\"\nsnapshot_rate_hz = 30.0\n\
                     [[roundel]]\nname = \"robot\"\nouter_mm = 160.0\ninner_mm = 64.0\n\
                     [[object]]\nname = \"the robot\"\nroundel = \"robot\"\n\
@@ -46,6 +51,7 @@ async fn recorded(folder: &Path) -> PathBuf {
     let recorder = server.recorder().unwrap().clone();
     let followed = || server.hub().snapshots().borrow().snapshot.objects.len() >= LEAST_FOLLOWED;
     until("robots", followed).await;
+    happens(Client::connect(&format!("http://{}", server.local_addr())).await.unwrap()).await;
     let begun = server.hub().snapshots().borrow().sequence;
     until("two seconds", || server.hub().snapshots().borrow().sequence > begun + 60).await;
     until("robots", followed).await;
@@ -133,6 +139,69 @@ async fn fused_anew_it_gives_the_same_bits_as_before_and_each_time() {
         }
     }
     assert!(compared > 20, "{compared} detections of {} frames", after.len());
+}
+
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn what_was_changed_meanwhile_changes_again_where_it_did() {
+    let folder = tempfile::tempdir().unwrap();
+    let change = async |client: Client| {
+        let offset_m = Some(v1::Vector3 { x: 0.05, y: 0.0, z: -0.3 });
+        let named = v1::ObjectSetup { name: "rover".into(), offset_m, ..Default::default() };
+        client.change_object("the robot", named, &["name", "offset_m"]).await.unwrap();
+        let now = client.configuration().await.unwrap().toml;
+        let text =
+            format!("[fusion]\nacceleration_m_s2 = 6.0\n{}", now.split_once('\n').unwrap().1);
+        let text = format!("name = \"lab\"\n{text}");
+        client.apply_configuration(&text, "").await.unwrap();
+    };
+    let file = recorded_while(folder.path(), change).await;
+    let told: Vec<v1::RecordedConfiguration> = read(&file, Topic::Configuration);
+    let renamed: Vec<&str> = told.iter().map(|it| it.renamed_to.as_str()).collect();
+    assert_eq!(renamed, ["", "rover", ""], "{told:?}");
+    assert_eq!(told.iter().map(|it| it.fused).collect::<Vec<_>>(), [false, true, true]);
+
+    let anew = folder.path().join("anew.mcap");
+    assert_eq!(copy(open(&file, From::Observations), &anew, |_| {}).unwrap().faulty, 0);
+    let live: Vec<v1::Snapshot> = read(&file, Topic::Snapshots);
+    let fused: Vec<v1::Snapshot> = read(&anew, Topic::Snapshots);
+    // Live, the name was another one as soon as it was wanted, a moment before fusion heard of it.
+    let nameless = |mut snapshots: Vec<v1::Snapshot>| {
+        let objects = snapshots.iter_mut().flat_map(|it| &mut it.objects);
+        objects.for_each(|object| object.name.clear());
+        said(&snapshots)
+    };
+    let live = nameless(live);
+    assert_eq!(nameless(fused.clone()), live);
+    let name = |it: Option<&v1::Snapshot>| it.unwrap().objects[0].name.clone();
+    let followed = || fused.iter().filter(|it| !it.objects.is_empty());
+    assert_eq!([name(followed().next()), name(followed().next_back())], ["the robot", "rover"]);
+    // What comes out can be fused anew itself.
+    let again = folder.path().join("again.mcap");
+    copy(open(&anew, From::Observations), &again, |_| {}).unwrap();
+    assert_eq!(nameless(read(&again, Topic::Snapshots)), live);
+
+    // Begun near the end, it is as if all before had happened; and at its begin nothing of it has.
+    let scene = open(&file, From::Observations);
+    let begin = beginning(&scene, &file, From::Observations);
+    let server = ReplayServer::start(scene, "127.0.0.1:0".parse().unwrap(), begin).await.unwrap();
+    let called = |what| {
+        let installation = server.hub().installation();
+        installation.object_names.values().any(|name| name == what)
+    };
+    until("the end", || server.replay().status().ended).await;
+    assert!(called("rover"));
+    let (begin, end) = server.replay().status().span;
+    let client = Client::connect(&format!("http://{}", server.local_addr())).await.unwrap();
+    for (second, name) in [(0.0, "the robot"), (end.seconds_since(begin) - 0.2, "rover")] {
+        let wish = v1::ControlReplayRequest {
+            paused: Some(true),
+            position_s: Some(second),
+            ..v1::ControlReplayRequest::default()
+        };
+        client.control_replay(wish).await.unwrap();
+        until(name, || called(name)).await;
+    }
+    server.shutdown().await;
 }
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]

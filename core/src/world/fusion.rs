@@ -2,6 +2,7 @@
 //! that stand or ride, is in `place`, and those of several roundels of one object one
 //! sighting in `parts`; how tracks begin and end, in `lives`.
 
+mod compared;
 mod guarded;
 mod height;
 mod leave;
@@ -9,6 +10,8 @@ mod lives;
 mod parts;
 mod place;
 mod renew;
+
+pub use compared::Compared;
 
 use std::collections::{BTreeMap, VecDeque};
 
@@ -213,10 +216,11 @@ impl Fusion {
     /// what was not seen until `pose_time` becomes predicted or lost, the lost named this once.
     pub fn snapshot(&mut self, pose_time: Timestamp) -> Snapshot {
         self.advance(self.timeline.newest().map_or(pose_time, |newest| newest.max(pose_time)));
-        let mut objects: Vec<_> = self
-            .tracks
-            .iter_mut()
-            .chain(&mut self.lost)
+        // States are large: sorted are the tracks that they are made of.
+        let mut tracks: Vec<_> = self.tracks.iter_mut().chain(&mut self.lost).collect();
+        tracks.sort_unstable_by_key(|track| track.id);
+        let objects = tracks
+            .into_iter()
             .map(|track| {
                 let Subject { kind, body } = track.subject;
                 if let Some(body) = body {
@@ -230,7 +234,6 @@ impl Fusion {
             })
             .collect();
         self.lost.clear();
-        objects.sort_by_key(|object| object.id);
         Snapshot { pose_time, capture_time: self.newest_used, objects }
     }
 

@@ -42,7 +42,7 @@ pub use body::{Body, BodyError, Mount};
 pub use clock::{ClockEstimate, ClockPrior};
 pub use count::FusionCounts;
 pub use floor::WrongHeight;
-pub use fusion::{CameraPlacement, Fusion};
+pub use fusion::{CameraPlacement, Compared, Fusion};
 pub use guard::{HeldBack, HeldStep};
 pub use landmark::{Landmark, TURN_SIGMA_RAD};
 pub use observation::seen_in_world;

@@ -28,6 +28,10 @@ use std::{
 
 use measure::{Readings, Usage};
 
+/// As of the `roundel` command.
+#[global_allocator]
+static ALLOCATOR: mimalloc::MiMalloc = mimalloc::MiMalloc;
+
 /// One server, its subscribers, and what they want.
 #[derive(Clone, Copy, Debug)]
 pub struct Case {

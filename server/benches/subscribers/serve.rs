@@ -11,7 +11,6 @@ use std::{
 use roundel_core::world::Snapshot;
 use roundel_server::{
     api::{self, Limits, Served},
-    calibration::{Calibrator, CalibratorParts, file::CalibrationFile},
     clock::Clock,
     hub::{CameraInfo, Hub, Installation},
 };
@@ -43,29 +42,7 @@ pub fn run() {
         let listener = TcpListener::bind("127.0.0.1:0").await.expect("a port");
         println!("{}", listener.local_addr().expect("an address"));
         io::stdout().flush().expect("a pipe");
-        let calibrator = Calibrator::new(CalibratorParts {
-            hub: hub.clone(),
-            clock,
-            cameras: BTreeMap::new(),
-            landmarks: Vec::new(),
-            path: None,
-            file: CalibrationFile::default(),
-        });
-        let served = Served {
-            hub,
-            clock,
-            calibrator: Arc::new(calibrator),
-            kinds: Vec::new(),
-            fleets: Arc::default(),
-            ports: Arc::default(),
-            late_window_ms: 300.0,
-            trier: None,
-            roster: None,
-            allow_origins: Vec::new(),
-            recorder: None,
-            replay: None,
-            history: None,
-        };
+        let served = Served::of_hub(hub, clock);
         let limits = Limits { max_clients: 4000, ..Limits::default() };
         api::serve(listener, served, limits, CancellationToken::new()).await;
     });

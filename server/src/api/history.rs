@@ -72,7 +72,7 @@ pub async fn show(
     ),
 )]
 pub async fn export(State(api): State<Arc<Api>>, uri: Uri) -> Result<Response, ApiError> {
-    let text = export::csv(&whole(&api, &uri).await?);
+    let text = written(whole(&api, &uri).await?, |answer| Ok(export::csv(answer))).await?;
     Ok(file("text/csv; charset=utf-8", "attachment; filename=\"history.csv\"", text))
 }
 
@@ -94,12 +94,20 @@ pub async fn export(State(api): State<Arc<Api>>, uri: Uri) -> Result<Response, A
     ),
 )]
 pub async fn parquet(State(api): State<Arc<Api>>, uri: Uri) -> Result<Response, ApiError> {
-    let answer = whole(&api, &uri).await?;
-    // Millions of rows take their time.
-    let written = tokio::task::spawn_blocking(move || export::parquet(&answer)).await;
-    let bytes = written.map_err(|error| ApiError::Internal(format!("no Parquet: {error}")))?;
+    let bytes = written(whole(&api, &uri).await?, export::parquet).await?;
     let kind = "application/vnd.apache.parquet";
-    Ok(file(kind, "attachment; filename=\"history.parquet\"", bytes?))
+    Ok(file(kind, "attachment; filename=\"history.parquet\"", bytes))
+}
+
+/// A table, on a thread that may take its time for millions of rows.
+async fn written<T: Send + 'static>(
+    answer: Answer,
+    write: fn(&Answer) -> Result<T, HistoryError>,
+) -> Result<T, ApiError> {
+    let written = tokio::task::spawn_blocking(move || write(&answer)).await;
+    let written =
+        written.map_err(|error| ApiError::Internal(format!("the table ended badly: {error}")))?;
+    Ok(written?)
 }
 
 fn file(kind: &'static str, disposition: &'static str, content: impl IntoResponse) -> Response {

@@ -60,6 +60,7 @@ pub mod trial;
 pub mod ws;
 
 use std::{
+    collections::BTreeMap,
     sync::{Arc, atomic::AtomicU64},
     time::Duration,
 };
@@ -71,7 +72,7 @@ use tokio_util::sync::CancellationToken;
 
 use self::{encoded::Encoder, error::ApiError};
 use crate::{
-    calibration::Calibrator,
+    calibration::{Calibrator, CalibratorParts, file::CalibrationFile},
     clock::Clock,
     history::History,
     hub::Hub,
@@ -148,6 +149,35 @@ pub struct Served {
     pub replay: Option<Replay>,
     /// Where objects were; `None`: that is not kept.
     pub history: Option<Arc<History>>,
+}
+
+impl Served {
+    /// What a hub alone can serve: nothing is calibrated, fed, changed, recorded or kept here.
+    pub fn of_hub(hub: Arc<Hub>, clock: Clock) -> Self {
+        let calibrator = Arc::new(Calibrator::new(CalibratorParts {
+            hub: hub.clone(),
+            clock,
+            cameras: BTreeMap::new(),
+            landmarks: Vec::new(),
+            path: None,
+            file: CalibrationFile::default(),
+        }));
+        Self {
+            hub,
+            clock,
+            calibrator,
+            kinds: Vec::new(),
+            fleets: Arc::default(),
+            ports: Arc::default(),
+            late_window_ms: 300.0,
+            trier: None,
+            roster: None,
+            allow_origins: Vec::new(),
+            recorder: None,
+            replay: None,
+            history: None,
+        }
+    }
 }
 
 /// What every handler of a request shares.

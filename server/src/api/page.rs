@@ -17,8 +17,8 @@ struct Files;
 /// Nothing but the page's own files and this very server, to which its WebSocket counts as well; `blob:` are pictures that
 /// the page has fetched itself. Nobody may frame it.
 const CONTENT_SECURITY_POLICY: &str = "default-src 'none'; script-src 'self'; style-src 'self'; \
-    img-src 'self' blob:; connect-src 'self'; form-action 'self'; frame-ancestors 'none'; \
-    base-uri 'none'";
+    img-src 'self' blob:; connect-src 'self'; worker-src 'self'; form-action 'self'; \
+    frame-ancestors 'none'; base-uri 'none'";
 
 /// A file of the dashboard; an error in JSON for all else.
 pub async fn file(method: Method, uri: Uri, headers: HeaderMap) -> Result<Response, ApiError> {

@@ -1,5 +1,7 @@
 //! What remote programs send, read: proto's types become core's here, and each number is looked at once.
 
+use std::fmt;
+
 use nalgebra::Vector3;
 use roundel_core::{
     camera, ellipse,
@@ -37,8 +39,8 @@ pub struct WireError {
     pub found: String,
 }
 
-fn wrong(field: impl Into<String>, expected: impl Into<String>, found: impl ToString) -> WireError {
-    WireError { field: field.into(), expected: expected.into(), found: found.to_string() }
+fn wrong(field: impl ToString, expected: impl Into<String>, found: impl ToString) -> WireError {
+    WireError { field: field.to_string(), expected: expected.into(), found: found.to_string() }
 }
 
 /// What a sender's times are.
@@ -114,8 +116,7 @@ pub(super) fn read_observations(
     field: &str,
 ) -> Result<world::FrameObservations, WireError> {
     let detections = frame.detections.iter().enumerate().map(|(index, detection)| {
-        let field = |name: &str| format!("{field}.detections[{index}]{name}");
-        read_detection(installation, detection, &field)
+        read_detection(installation, detection, Place { frame: field, index, name: "" })
     });
     Ok(world::FrameObservations {
         camera: CameraId(0),
@@ -144,20 +145,45 @@ fn sent_clock(field: &str, clock: v1::CaptureClock) -> Result<CaptureClock, Wire
     Ok(CaptureClock { base, deviation_s: clock.deviation_ms * 1e-3 })
 }
 
+/// Where in a message something stands; spelt out only where that is wrong, since there are thousands a second.
+#[derive(Clone, Copy)]
+struct Place<'a> {
+    /// Of the frame's observations.
+    frame: &'a str,
+    /// Of the detection.
+    index: usize,
+    /// Of what is in it, a dot first.
+    name: &'static str,
+}
+
+impl Place<'_> {
+    fn at(self, name: &'static str) -> Self {
+        Self { name, ..self }
+    }
+}
+
+impl fmt::Display for Place<'_> {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        let Self { frame, index, name } = self;
+        write!(f, "{frame}.detections[{index}]{name}")
+    }
+}
+
 fn read_detection(
     installation: &Installation,
     detection: &v1::Detection,
-    field: &dyn Fn(&str) -> String,
+    place: Place<'_>,
 ) -> Result<pose::Detection, WireError> {
     let kind = match detection.roundel.as_str() {
         "" => None,
-        name => Some(kind_named(installation, name, field)?),
+        name => Some(kind_named(installation, name, place)?),
     };
-    let outer = read_ellipse(detection.outer.as_ref(), &field(".outer"))?;
-    let inner = read_ellipse(detection.inner.as_ref(), &field(".inner"))?;
+    let outer = read_ellipse(detection.outer.as_ref(), place.at(".outer"))?;
+    let inner = read_ellipse(detection.inner.as_ref(), place.at(".inner"))?;
     let threshold = u8::try_from(detection.threshold)
-        .map_err(|_| wrong(field(".threshold"), "0 to 255", detection.threshold))?;
-    let code = detection.code.as_ref().map(|code| read_code(code, &field(".code"))).transpose()?;
+        .map_err(|_| wrong(place.at(".threshold"), "0 to 255", detection.threshold))?;
+    let code =
+        detection.code.as_ref().map(|code| read_code(code, place.at(".code"))).transpose()?;
     let ring = Ring {
         kind,
         threshold,
@@ -166,7 +192,7 @@ fn read_detection(
         code,
         ..Ring::of_rims(outer, inner)
     };
-    let pose = detection.pose.as_ref().map(|pose| read_pose(pose, &|name| field(name)));
+    let pose = detection.pose.as_ref().map(|pose| read_pose(pose, place));
     Ok(pose::Detection {
         track: TrackNumber(detection.track),
         ring,
@@ -178,27 +204,30 @@ fn read_detection(
 fn kind_named(
     installation: &Installation,
     name: &str,
-    field: &dyn Fn(&str) -> String,
+    place: Place<'_>,
 ) -> Result<KindId, WireError> {
-    let place = installation.kinds.iter().position(|kind| kind == name);
-    place.and_then(|place| u16::try_from(place).ok()).map(KindId).ok_or_else(|| {
+    let kind = installation.kinds.iter().position(|kind| kind == name);
+    kind.and_then(|kind| u16::try_from(kind).ok()).map(KindId).ok_or_else(|| {
         let known = installation.kinds.join("\", \"");
         wrong(
-            field(".roundel"),
+            place.at(".roundel"),
             format!("a [[roundel]] of the server's configuration (\"{known}\")"),
             format!("\"{name}\""),
         )
     })
 }
 
-fn read_ellipse(ellipse: Option<&v1::Ellipse>, field: &str) -> Result<ellipse::Ellipse, WireError> {
+fn read_ellipse(
+    ellipse: Option<&v1::Ellipse>,
+    place: Place<'_>,
+) -> Result<ellipse::Ellipse, WireError> {
     let whole = ellipse.and_then(|ellipse| Some((ellipse, ellipse.center.as_ref()?)));
     let Some((ellipse, center)) = whole else {
-        return Err(wrong(field, "an ellipse with its centre", "none"));
+        return Err(wrong(place, "an ellipse with its centre", "none"));
     };
     let numbers =
         [center.u, center.v, ellipse.semi_major_px, ellipse.semi_minor_px, ellipse.angle_rad];
-    finite(&numbers, field)?;
+    finite(&numbers, place)?;
     Ok(ellipse::Ellipse {
         center: camera::PixelPoint { u: center.u, v: center.v },
         semi_major_px: ellipse.semi_major_px,
@@ -207,13 +236,13 @@ fn read_ellipse(ellipse: Option<&v1::Ellipse>, field: &str) -> Result<ellipse::E
     })
 }
 
-fn read_code(code: &v1::CodeReading, field: &str) -> Result<CodeReading, WireError> {
+fn read_code(code: &v1::CodeReading, place: Place<'_>) -> Result<CodeReading, WireError> {
     let bits = u8::try_from(code.bits).ok().filter(|bits| (5..=16).contains(bits));
-    let bits = bits.ok_or_else(|| wrong(format!("{field}.bits"), "5 to 16", code.bits))?;
+    let bits = bits.ok_or_else(|| wrong(format!("{place}.bits"), "5 to 16", code.bits))?;
     let number = u16::try_from(code.number).ok().filter(|&number| number > 0);
     let number =
-        number.ok_or_else(|| wrong(format!("{field}.number"), "1 to 65535", code.number))?;
-    finite(&[code.confidence], &format!("{field}.confidence"))?;
+        number.ok_or_else(|| wrong(format!("{place}.number"), "1 to 65535", code.number))?;
+    finite(&[code.confidence], place.at(".code.confidence"))?;
     let zero = code.zero.as_ref().map_or((f64::NAN, f64::NAN), |zero| (zero.u, zero.v));
     let zero = camera::PixelPoint { u: zero.0, v: zero.1 };
     let corrected = u8::try_from(code.corrected_bits).unwrap_or(u8::MAX);
@@ -221,19 +250,16 @@ fn read_code(code: &v1::CodeReading, field: &str) -> Result<CodeReading, WireErr
     Ok(CodeReading { confidence, corrected, ..CodeReading::certain(Code { bits, number }, zero) })
 }
 
-fn read_pose(
-    pose: &v1::RoundelPose,
-    field: &dyn Fn(&str) -> String,
-) -> Result<pose::RoundelPose, WireError> {
-    let position_m = read_vector(pose.position.as_ref(), &field(".pose.position"))?;
-    let normal = read_direction(pose.normal.as_ref(), &field(".pose.normal"))?;
-    let other_normal = read_direction(pose.other_normal.as_ref(), &field(".pose.other_normal"))?;
+fn read_pose(pose: &v1::RoundelPose, place: Place<'_>) -> Result<pose::RoundelPose, WireError> {
+    let position_m = read_vector(pose.position.as_ref(), place.at(".pose.position"))?;
+    let normal = read_direction(pose.normal.as_ref(), place.at(".pose.normal"))?;
+    let other_normal = read_direction(pose.other_normal.as_ref(), place.at(".pose.other_normal"))?;
     let angles = [pose.normal_likelihood, pose.yaw_rad.unwrap_or(0.0)];
-    finite(&angles, &field(".pose"))?;
-    finite(&pose.covariance, &field(".pose.covariance"))?;
+    finite(&angles, place.at(".pose"))?;
+    finite(&pose.covariance, place.at(".pose.covariance"))?;
     let covariance = from_upper_triangle(&pose.covariance).ok_or_else(|| {
         let expected = "the 21 numbers of a covariance's upper triangle";
-        wrong(field(".pose.covariance"), expected, pose.covariance.len())
+        wrong(place.at(".pose.covariance"), expected, pose.covariance.len())
     })?;
     Ok(pose::RoundelPose {
         position_m,
@@ -246,25 +272,28 @@ fn read_pose(
     })
 }
 
-fn read_vector(vector: Option<&v1::Vector3>, field: &str) -> Result<Vector3<f64>, WireError> {
-    let vector = vector.ok_or_else(|| wrong(field, "three numbers", "none"))?;
-    finite(&[vector.x, vector.y, vector.z], field)?;
+fn read_vector(vector: Option<&v1::Vector3>, place: Place<'_>) -> Result<Vector3<f64>, WireError> {
+    let vector = vector.ok_or_else(|| wrong(place, "three numbers", "none"))?;
+    finite(&[vector.x, vector.y, vector.z], place)?;
     Ok(Vector3::new(vector.x, vector.y, vector.z))
 }
 
-fn read_direction(vector: Option<&v1::Vector3>, field: &str) -> Result<Vector3<f64>, WireError> {
-    let vector = read_vector(vector, field)?;
+fn read_direction(
+    vector: Option<&v1::Vector3>,
+    place: Place<'_>,
+) -> Result<Vector3<f64>, WireError> {
+    let vector = read_vector(vector, place)?;
     let length = vector.norm();
     if (length - 1.0).abs() > 1e-3 {
-        return Err(wrong(field, "a vector of length 1", format!("one of {length}")));
+        return Err(wrong(place, "a vector of length 1", format!("one of {length}")));
     }
     // One of length 1 but for rounding is taken bit for bit.
     Ok(if (length - 1.0).abs() < 1e-12 { vector } else { vector / length })
 }
 
-fn finite(numbers: &[f64], field: &str) -> Result<(), WireError> {
+fn finite(numbers: &[f64], place: Place<'_>) -> Result<(), WireError> {
     match numbers.iter().find(|number| !number.is_finite()) {
-        Some(number) => Err(wrong(field, "finite numbers", number)),
+        Some(number) => Err(wrong(place, "finite numbers", number)),
         None => Ok(()),
     }
 }

@@ -10,7 +10,7 @@ use roundel_proto::v1;
 
 use super::pose;
 use crate::{
-    fusion::{Known, Stand, Timekeeping},
+    fusion::{Known, Stand, Timekeeping, WrittenSettings},
     history::store::{Answer, Point},
     hub::{Installation, RideInfo},
     record::{
@@ -112,6 +112,36 @@ pub fn history(answer: &Answer) -> v1::QueryHistoryResponse {
         points: points as u32,
         oldest_time_ns: oldest.as_ns(),
         newest_time_ns: newest.as_ns(),
+    }
+}
+
+/// The configuration of a recording as it begins.
+pub fn recorded_configuration(
+    installation: &Installation,
+    text: &str,
+) -> v1::RecordedConfiguration {
+    v1::RecordedConfiguration {
+        text: text.to_owned(),
+        version: env!("CARGO_PKG_VERSION").to_owned(),
+        source_id: installation.source_id.clone(),
+        name: installation.name.clone(),
+        snapshot_rate_hz: installation.snapshot_rate_hz,
+        roundels: installation.kinds.clone(),
+        ..v1::RecordedConfiguration::default()
+    }
+}
+
+/// One that fusion goes by from here on.
+pub fn fused_configuration(
+    installation: &Installation,
+    written: &WrittenSettings,
+) -> v1::RecordedConfiguration {
+    let (renamed_from, renamed_to) = written.renamed.clone().unwrap_or_default();
+    v1::RecordedConfiguration {
+        fused: true,
+        renamed_from,
+        renamed_to,
+        ..recorded_configuration(installation, &written.text)
     }
 }
 

@@ -144,6 +144,7 @@ pub fn read_camera_state(state: &mut CameraState, camera: &v1::Camera) {
     state.detections = camera.detections as usize;
     (state.detect_ms, state.decode_ms) = (camera.detect_ms, camera.decode_ms);
     (state.blur_px, state.noise) = (camera.blur_px, camera.noise);
+    state.reprojection_px = camera.reprojection_px;
     state.latency_ms = camera.latency_ms;
 }
 

@@ -12,7 +12,7 @@ use roundel_core::{
 use super::FusionTask;
 use crate::{
     hub::RideInfo,
-    record::tap::{Change, Told},
+    record::tap::{Change, Item, Told},
 };
 
 /// What is to become of a camera, or of objects.
@@ -22,10 +22,28 @@ pub enum Order {
     Set(CameraId, Box<Known>),
     /// It is there no more.
     Remove(CameraId),
-    /// How long objects are predicted and remembered, and how many there may be.
-    Limits(FusionLimits),
-    /// Objects are known by something else than before.
-    Objects(ObjectOrder),
+    /// Objects are known by something else than before, or may do something else.
+    Settings(Box<Settings>),
+}
+
+/// What is another in the settings than before.
+#[derive(Clone, Debug)]
+pub struct Settings {
+    /// How long objects are predicted and remembered, and how many there may be; `None`: as before.
+    pub limits: Option<FusionLimits>,
+    /// What objects are known by.
+    pub order: ObjectOrder,
+    /// The configuration that says so.
+    pub written: WrittenSettings,
+}
+
+/// A configuration that fusion goes by from some moment on.
+#[derive(Clone, Debug, Default, PartialEq, Eq)]
+pub struct WrittenSettings {
+    /// Its text, without passwords.
+    pub text: String,
+    /// The object that has another name than in the one before, and that name.
+    pub renamed: Option<(String, String)>,
 }
 
 /// What fusion lets objects do.
@@ -93,17 +111,7 @@ impl FusionTask {
                     self.be_told(Told { camera, change: Change::Set(known) });
                 }
                 Order::Remove(camera) => self.be_told(Told { camera, change: Change::Removed }),
-                Order::Limits(limits) => {
-                    let ns = |seconds: f64| (seconds * 1e9).round() as i64;
-                    self.fusion.set_params(FusionParams {
-                        acceleration_m_s2: limits.acceleration_m_s2,
-                        predicted_after_ns: ns(limits.predicted_after_s),
-                        lost_after_ns: ns(limits.lost_after_s),
-                        max_objects: limits.max_objects,
-                        ..self.fusion.params()
-                    });
-                }
-                Order::Objects(order) => self.follow(&order),
+                Order::Settings(settings) => self.be_set(*settings),
             }
         }
     }
@@ -121,6 +129,23 @@ impl FusionTask {
             }
             Change::Spared(is_spared) => self.fusion.spare(camera, is_spared),
             Change::Quarantined => self.fusion.quarantine(camera),
+        }
+    }
+
+    /// Goes by other settings; a recording hears of it.
+    pub fn be_set(&mut self, settings: Settings) {
+        let Settings { limits, order, written } = settings;
+        self.hub.tap().offer(|| Item::Settings(written));
+        self.follow(&order);
+        if let Some(limits) = limits {
+            let ns = |seconds: f64| (seconds * 1e9).round() as i64;
+            self.fusion.set_params(FusionParams {
+                acceleration_m_s2: limits.acceleration_m_s2,
+                predicted_after_ns: ns(limits.predicted_after_s),
+                lost_after_ns: ns(limits.lost_after_s),
+                max_objects: limits.max_objects,
+                ..self.fusion.params()
+            });
         }
     }
 

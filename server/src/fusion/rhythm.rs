@@ -2,7 +2,7 @@
 
 use std::time::{Duration, Instant};
 
-/// From one snapshot to the next at least, however many frames come: 1000 a second, as at the highest steady rate.
+/// From one prompt snapshot to the next at least, however many frames come: 1000 a second, as at the highest steady rate.
 const LEAST_PERIOD: Duration = Duration::from_millis(1);
 
 /// When the next snapshot is due.
@@ -11,15 +11,15 @@ pub struct Rhythm {
     period: Duration,
     is_prompt: bool,
     tick: Instant,
-    /// When the newest snapshot was published.
-    published: Instant,
+    /// When the newest one between ticks was published.
+    prompted: Instant,
 }
 
 impl Rhythm {
     /// Steady ticks from now on; a prompt one has snapshots between them, each as soon as there is news.
     pub fn new(period: Duration, is_prompt: bool) -> Self {
         let now = Instant::now();
-        Self { period, is_prompt, tick: now + period, published: now }
+        Self { period, is_prompt, tick: now + period, prompted: now }
     }
 
     /// The next steady one.
@@ -30,7 +30,7 @@ impl Rhythm {
     /// When the next snapshot is due, by whether there has been news since the one before.
     pub fn due(&self, has_news: bool) -> Instant {
         if self.is_prompt && has_news {
-            self.tick.min(self.published + LEAST_PERIOD)
+            self.tick.min(self.prompted + LEAST_PERIOD)
         } else {
             self.tick
         }
@@ -44,12 +44,13 @@ impl Rhythm {
     /// Notes that a snapshot was begun and published. After a stall missed ticks are left out instead of being caught
     /// up in a burst.
     pub fn publish(&mut self, begun: Instant, published: Instant) {
-        self.published = begun;
-        if self.pose_time(begun) == self.tick {
+        if self.pose_time(begun) != self.tick {
+            self.prompted = begun;
+            return;
+        }
+        self.tick += self.period;
+        while self.tick <= published {
             self.tick += self.period;
-            while self.tick <= published {
-                self.tick += self.period;
-            }
         }
     }
 }
@@ -91,5 +92,9 @@ mod tests {
         assert_eq!(rhythm.due(true), first);
         rhythm.publish(first, first);
         assert_eq!(rhythm.tick(), first + PERIOD);
+        // A steady one makes no news wait.
+        let next = first + PERIOD;
+        rhythm.publish(next, next);
+        assert!(rhythm.due(true) < next);
     }
 }

@@ -135,6 +135,9 @@ pub struct CameraState {
     pub blur_px: f64,
     /// Deviation of the noise, likewise, grey levels.
     pub noise: f64,
+    /// How far from where the others have objects it sees them, root mean square over the last seconds, pixels; 0 where no other
+    /// camera saw the same.
+    pub reprojection_px: f64,
     /// What became of rings and candidates since the start.
     pub counts: DetectionCounts,
     /// Median from capture to fused, milliseconds.

@@ -1,4 +1,8 @@
+use roundel_core::world::LifeStage;
+use roundel_proto::v1;
+
 use super::*;
+use crate::convert::replayed::read_snapshot;
 
 fn hub() -> Hub {
     Hub::new(Installation {
@@ -47,4 +51,33 @@ fn a_picture_is_made_once_for_each_request() {
     assert!(hub.take_picture_request(CameraId(0)));
     assert!(!hub.take_picture_request(CameraId(0)));
     assert!(hub.request_picture(CameraId(9)).is_none());
+}
+
+#[test]
+fn who_is_lost_is_listed_for_a_minute_or_until_it_is_back() {
+    let hub = hub();
+    let listed = |second: i64, ids: &[u64]| {
+        let state = |&object_id: &u64| v1::ObjectState {
+            object_id,
+            stage: v1::LifeStage::Tracked.into(),
+            ..v1::ObjectState::default()
+        };
+        let objects = ids.iter().map(state).collect();
+        let pose_time_ns = second * 1_000_000_000;
+        let message = v1::Snapshot { pose_time_ns, objects, ..v1::Snapshot::default() };
+        hub.publish_snapshot(read_snapshot(&hub, &message), Timestamp::default());
+        let each = hub.objects().into_iter();
+        each.map(|it| (it.id.0, it.stage == LifeStage::Lost)).collect::<Vec<_>>()
+    };
+    assert_eq!(listed(0, &[1, 2]), [(1, false), (2, false)]);
+    assert_eq!(listed(1, &[2]), [(1, true), (2, false)]);
+    assert_eq!(listed(30, &[2, 3]), [(1, true), (2, false), (3, false)]);
+    assert_eq!(listed(59, &[2]), [(1, true), (2, false), (3, true)]);
+    assert_eq!(listed(60, &[2]), [(2, false), (3, true)]);
+    assert_eq!(listed(61, &[2, 3]), [(2, false), (3, false)]);
+    assert_eq!(listed(62, &[2]), [(2, false), (3, true)]);
+    assert_eq!(listed(119, &[2]), [(2, false), (3, true)]);
+    assert_eq!(listed(122, &[2]), [(2, false)]);
+    hub.forget_objects();
+    assert!(hub.objects().is_empty());
 }

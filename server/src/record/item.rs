@@ -45,6 +45,10 @@ pub fn write_item(
             let message = convert::fused_camera(installation, told);
             file.write(Topic::Calibration, Stamp::at(now, 0), &message)
         }
+        Item::Settings(written) => {
+            let message = convert::fused_configuration(installation, written);
+            file.write(Topic::Configuration, Stamp::at(now, 0), &message)
+        }
         Item::Picture(picture) => write_picture(file, installation, picture),
     }
 }

@@ -20,7 +20,7 @@ use roundel_core::{
 };
 
 use crate::{
-    fusion::{Known, Stand},
+    fusion::{Known, Stand, WrittenSettings},
     hub::{Event, FusedSnapshot},
 };
 
@@ -40,6 +40,8 @@ pub enum Item {
     Event(Arc<Event>),
     /// Fusion was told it.
     Told(Told),
+    /// Fusion goes by it from now on.
+    Settings(WrittenSettings),
     /// A camera's picture, compressed.
     Picture(Picture),
 }

@@ -208,8 +208,10 @@ impl Task {
     }
 
     fn write(&mut self, item: &Item) -> io::Result<()> {
-        if let Item::Told(told) = item {
-            self.remember(told);
+        match item {
+            Item::Told(told) => self.remember(told),
+            Item::Settings(written) => self.configuration = Some(written.text.clone()),
+            _ => {}
         }
         let (hub, now) = (&self.shared.hub, self.shared.clock.now());
         self.file.iter_mut().try_for_each(|file| write_item(file, &hub.installation(), item, now))
@@ -314,14 +316,7 @@ impl Task {
             return Ok(());
         }
         let installation = self.shared.hub.installation();
-        let message = v1::RecordedConfiguration {
-            text: text.clone(),
-            version: env!("CARGO_PKG_VERSION").to_owned(),
-            source_id: installation.source_id.clone(),
-            name: installation.name.clone(),
-            snapshot_rate_hz: installation.snapshot_rate_hz,
-            roundels: installation.kinds.clone(),
-        };
+        let message = convert::recorded_configuration(&installation, &text);
         self.configuration = Some(text);
         let stamp = Stamp::at(self.shared.clock.now(), 0);
         self.file.iter_mut().try_for_each(|file| file.write(Topic::Configuration, stamp, &message))

@@ -59,8 +59,10 @@ pub fn copy(
         }
         let installation = scene.hub.installation();
         for item in items.try_iter() {
-            // When it is taken now is nothing that repeats.
             let item = match item {
+                // It is copied as it is.
+                Item::Settings(_) => continue,
+                // When it is taken now is nothing that repeats.
                 Item::Observed(observations, _) => Item::Observed(observations, newest),
                 item => item,
             };

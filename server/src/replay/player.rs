@@ -6,9 +6,12 @@ use std::{
 };
 
 use roundel_core::time::Timestamp;
-use roundel_proto::v1;
 
-use super::{Replay, ReplayError, script::Script, stage::Stage};
+use super::{
+    Replay, ReplayError,
+    script::{Script, Told},
+    stage::Stage,
+};
 use crate::record::{
     reader::{Raw, Source},
     schema::Topic,
@@ -28,7 +31,7 @@ enum Turn {
 pub(super) struct Player {
     pub(super) script: Script,
     pub(super) stage: Stage,
-    pub(super) told: Vec<(Timestamp, v1::FusedCamera)>,
+    pub(super) told: Vec<(Timestamp, Told)>,
     pub(super) replay: Replay,
     /// When what was due.
     base: (Instant, Timestamp),
@@ -40,7 +43,7 @@ pub(super) struct Player {
 impl Player {
     pub(super) fn new(
         (script, stage): (Script, Stage),
-        told: Vec<(Timestamp, v1::FusedCamera)>,
+        told: Vec<(Timestamp, Told)>,
         replay: Replay,
     ) -> Self {
         let (begin, _) = script.span();

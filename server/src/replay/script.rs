@@ -125,12 +125,21 @@ impl Script {
     }
 }
 
-/// What a recording says of itself at its begin, and of cameras later on.
+/// What fusion was told.
+#[derive(Clone, Debug)]
+pub enum Told {
+    /// Of a camera.
+    Camera(v1::FusedCamera),
+    /// Of objects and what they may do.
+    Settings(v1::RecordedConfiguration),
+}
+
+/// What a recording says of itself at its begin, and of cameras and objects later on.
 pub struct Prologue {
     /// What it was recorded with.
     pub configuration: v1::RecordedConfiguration,
-    /// Everything that fusion was told of cameras.
-    pub told: Vec<(Timestamp, v1::FusedCamera)>,
+    /// Everything that fusion was told, in its order.
+    pub told: Vec<(Timestamp, Told)>,
     /// The cameras, each as it was last.
     pub cameras: BTreeMap<String, v1::Camera>,
 }
@@ -139,15 +148,17 @@ impl Prologue {
     /// Reads it.
     pub fn read(script: &mut Script) -> Result<Self, ReplayError> {
         let configurations = script.all::<v1::RecordedConfiguration>(Topic::Configuration)?;
-        let configuration = configurations.into_iter().next().map(|(_, it)| it);
+        let configuration = configurations.first().map(|(_, it)| it.clone());
+        let settings = configurations.into_iter().filter(|(_, it)| it.fused);
+        let settings = settings.map(|(time, it)| (time, Told::Settings(it)));
+        let of_cameras = script.all(Topic::Calibration)?.into_iter();
+        let mut told: Vec<_> =
+            of_cameras.map(|(time, it)| (time, Told::Camera(it))).chain(settings).collect();
+        told.sort_by_key(|(time, _)| *time);
         let mut cameras = BTreeMap::new();
         for (_, list) in script.all::<v1::ListCamerasResponse>(Topic::Health)? {
             cameras.extend(list.cameras.into_iter().map(|camera| (camera.name.clone(), camera)));
         }
-        Ok(Self {
-            configuration: configuration.unwrap_or_default(),
-            told: script.all(Topic::Calibration)?,
-            cameras,
-        })
+        Ok(Self { configuration: configuration.unwrap_or_default(), told, cameras })
     }
 }

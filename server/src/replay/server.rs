@@ -17,19 +17,17 @@ use tokio_util::sync::CancellationToken;
 use super::{
     From, Replay, ReplayError, Status,
     player::Player,
-    script::{Prologue, Script},
-    stage::Stage,
+    script::{Prologue, Script, Told},
+    stage::{Settings, Stage},
 };
 use crate::{
     api,
-    calibration::{Calibrator, CalibratorParts, file::CalibrationFile},
     clock::Clock,
     config::{Config, Lenses},
     convert::replayed,
     hub::{Hub, Installation},
     record::schema::Topic,
     serve::ServeError,
-    source::{fleet::Fleets, push::Ports},
 };
 
 /// What is to be played.
@@ -47,7 +45,7 @@ pub struct Wanted {
 pub struct Scene {
     pub(super) script: Script,
     pub(super) stage: Stage,
-    pub(super) told: Vec<(Timestamp, v1::FusedCamera)>,
+    pub(super) told: Vec<(Timestamp, Told)>,
     pub(super) hub: Arc<Hub>,
     pub(super) clock: Clock,
     pub(super) late_window_ms: f64,
@@ -69,23 +67,31 @@ impl Scene {
         if wanted.from == From::Frames && !script.reader().has_frames() {
             return lacks("frames", "record with --frames-every 1 to search them anew");
         }
+        let lens = |(name, camera): (&String, &v1::Camera)| {
+            replayed::read_lens(camera).map(|lens| (name.clone(), lens))
+        };
+        let lenses: Lenses = cameras.iter().filter_map(lens).collect();
         let config = match wanted.from {
             From::Snapshots => None,
             From::Observations | From::Frames => {
-                Some(read_config(wanted, &configuration, &cameras)?)
+                Some(read_config(wanted, &configuration, &lenses)?)
             }
         };
-        let ids: BTreeMap<String, CameraId> = told
-            .iter()
-            .map(|(_, told)| (told.camera.clone(), CameraId(told.number)))
-            .filter(|(name, _)| !name.is_empty())
-            .collect();
+        let number = |(_, told): &(Timestamp, Told)| match told {
+            Told::Camera(told) => Some((told.camera.clone(), CameraId(told.number))),
+            Told::Settings(_) => None,
+        };
+        let ids: BTreeMap<String, CameraId> =
+            told.iter().filter_map(number).filter(|(name, _)| !name.is_empty()).collect();
         let (begin, _) = script.span();
         let clock = Clock::anchored(Instant::now(), begin);
         let hub = Arc::new(Hub::new(installation(&configuration, config.as_ref(), begin)));
         let from = wanted.from;
         let late_window_ms = config.as_ref().map_or(0.0, |it| it.fusion.late_window_s * 1e3);
-        let mut stage = Stage::new(hub.clone(), clock, from, (config, ids));
+        // Who wants other settings than the recorded ones does not want these changed either.
+        let is_recorded = wanted.config.is_none();
+        let settings = config.map(|config| Settings { config, lenses, is_recorded });
+        let mut stage = Stage::new(hub.clone(), clock, from, (settings, ids));
         // Cameras are there before anything happens.
         if let Some(raw) = script.first(Topic::Health)? {
             stage.show(&raw, &mut script);
@@ -103,12 +109,8 @@ impl Scene {
 fn read_config(
     wanted: &Wanted,
     recorded: &v1::RecordedConfiguration,
-    cameras: &BTreeMap<String, v1::Camera>,
+    lenses: &Lenses,
 ) -> Result<Config, ReplayError> {
-    let lens = |(name, camera): (&String, &v1::Camera)| {
-        replayed::read_lens(camera).map(|lens| (name.clone(), lens))
-    };
-    let lenses: Lenses = cameras.iter().filter_map(lens).collect();
     let path = wanted.file.clone();
     let (text, origin) = match &wanted.config {
         Some(config) => {
@@ -117,7 +119,7 @@ fn read_config(
         }
         None => (recorded.text.clone(), format!("that Roundel {} recorded", recorded.version)),
     };
-    Config::parse_recorded(&text, &lenses).map_err(|problems| ReplayError::Config {
+    Config::parse_recorded(&text, lenses).map_err(|problems| ReplayError::Config {
         path,
         origin,
         problems,
@@ -181,28 +183,10 @@ impl ReplayServer {
         let thread = builder.spawn(move || player.run());
         let thread =
             thread.map_err(|source| ServeError::Thread { name: "replay".to_owned(), source })?;
-        let calibrator = Arc::new(Calibrator::new(CalibratorParts {
-            hub: hub.clone(),
-            clock,
-            cameras: BTreeMap::new(),
-            landmarks: Vec::new(),
-            path: None,
-            file: CalibrationFile::default(),
-        }));
         let served = api::Served {
-            hub: hub.clone(),
-            clock,
-            calibrator,
-            kinds: Vec::new(),
-            fleets: Arc::<Fleets>::default(),
-            ports: Arc::new(Ports::default()),
             late_window_ms,
-            trier: None,
-            roster: None,
-            recorder: None,
             replay: Some(replay.clone()),
-            history: None,
-            allow_origins: Vec::new(),
+            ..api::Served::of_hub(hub.clone(), clock)
         };
         let cancel = CancellationToken::new();
         let api = api::serve(listener, served, api::Limits::default(), cancel.clone());

@@ -17,19 +17,22 @@ use roundel_core::{
 };
 use roundel_proto::v1;
 
-use super::{From, ReplayError, script::Script};
+use super::{
+    From, ReplayError,
+    script::{Script, Told},
+};
 use crate::{
     clock::Clock,
-    config::Config,
+    config::{Config, Lenses, ObjectConfig},
     convert::{self, replayed},
-    fusion::FusionTask,
+    fusion::{self, FusionTask, WrittenSettings},
     hub::{Happening, Hub, Picture},
     image_file,
     record::{
         reader::{Raw, Source},
         schema::{CompressedImage, Topic},
     },
-    roster,
+    roster::{self, bodies::Bodies},
     serve::fusion_machine,
     worker::{
         Sighted,
@@ -40,15 +43,39 @@ use crate::{
 /// Frames of a camera whose observations are remembered until their picture comes.
 const REMEMBERED: usize = 64;
 
+/// What is needed for everything but snapshots as they are.
+pub struct Settings {
+    /// As it begins.
+    pub config: Config,
+    /// Of the cameras, by name.
+    pub lenses: Lenses,
+    /// Whether it is the recorded one, and changes as that did.
+    pub is_recorded: bool,
+}
+
+/// Objects as fusion knows them at a moment.
+struct Known {
+    objects: Vec<ObjectConfig>,
+    bodies: Bodies,
+}
+
+/// What of a recorded snapshot counts where all is fused anew; its objects are not even read.
+#[derive(Clone, PartialEq, Message)]
+struct PoseTime {
+    /// As in `roundel.v1.Snapshot`.
+    #[prost(int64, tag = "3")]
+    pose_time_ns: i64,
+}
+
 /// Where a recording happens.
 pub struct Stage {
     hub: Arc<Hub>,
     clock: Clock,
     from: From,
-    /// Needed for everything but snapshots as they are.
-    config: Option<Config>,
+    settings: Option<Settings>,
     ids: BTreeMap<String, CameraId>,
     task: Option<FusionTask>,
+    known: Known,
     pipelines: BTreeMap<CameraId, Pipeline>,
     seen: BTreeMap<CameraId, VecDeque<Arc<FrameObservations>>>,
     /// Messages that say what cannot be.
@@ -61,15 +88,16 @@ impl Stage {
         hub: Arc<Hub>,
         clock: Clock,
         from: From,
-        (config, ids): (Option<Config>, BTreeMap<String, CameraId>),
+        (settings, ids): (Option<Settings>, BTreeMap<String, CameraId>),
     ) -> Self {
         Self {
             hub,
             clock,
             from,
-            config,
+            settings,
             ids,
             task: None,
+            known: Known { objects: Vec::new(), bodies: Bodies::default() },
             pipelines: BTreeMap::new(),
             seen: BTreeMap::new(),
             faulty: 0,
@@ -89,7 +117,7 @@ impl Stage {
     /// Begins anew at an instant, until which fusion was told all this.
     pub fn restart(
         &mut self,
-        told: &[(Timestamp, v1::FusedCamera)],
+        told: &[(Timestamp, Told)],
         until: Timestamp,
     ) -> Result<(), ReplayError> {
         self.hub.forget_objects();
@@ -98,14 +126,20 @@ impl Stage {
         if self.from == From::Snapshots {
             return Ok(());
         }
-        let Some(config) = &self.config else { return Ok(()) };
+        let Some(Settings { config, .. }) = &self.settings else { return Ok(()) };
         // Nobody sends anything: it is called.
         let (_, nothing) = sync_channel(0);
         let machine = fusion_machine(config)?;
         let task = FusionTask::new(machine, self.hub.clone(), self.clock, nothing);
         self.task = Some(task);
-        for (_, message) in told.iter().take_while(|(time, _)| *time < until) {
-            self.tell(message);
+        let objects = config.objects.clone();
+        self.known = Known { bodies: Bodies::of(&objects), objects };
+        self.name_objects();
+        for (_, told) in told.iter().take_while(|(time, _)| *time < until) {
+            match told {
+                Told::Camera(message) => self.tell(message),
+                Told::Settings(message) => self.faulty += u64::from(self.set(message).is_none()),
+            }
         }
         Ok(())
     }
@@ -120,7 +154,10 @@ impl Stage {
                 read::<v1::FusedCamera>(raw).map(|message| self.tell(&message))
             }
             Source::Topic(Topic::Health) => self.show_cameras(raw),
-            Source::Topic(Topic::Configuration) | Source::Foreign(_) => Some(()),
+            Source::Topic(Topic::Configuration) => {
+                read::<v1::RecordedConfiguration>(raw).and_then(|message| self.set(&message))
+            }
+            Source::Foreign(_) => Some(()),
             Source::Frame(camera) => self.show_frame(camera, raw),
         };
         self.faulty += u64::from(is_sound.is_none());
@@ -139,18 +176,54 @@ impl Stage {
         if !message.camera.is_empty() {
             self.ids.insert(message.camera.clone(), CameraId(message.number));
         }
-        if let (Some(task), Some(told)) = (&mut self.task, convert::read_fused_camera(message)) {
+        let mut message = message.clone();
+        // Live, numbers may have been given otherwise: by changes of before the recording.
+        let names = &self.known.bodies.names;
+        if let Some(body) = names.iter().position(|name| *name == message.carrier)
+            && message.carrier_body > 0
+        {
+            message.carrier_body = body as u32 + 1;
+        }
+        if let (Some(task), Some(told)) = (&mut self.task, convert::read_fused_camera(&message)) {
             task.be_told(told);
         }
     }
 
+    /// Goes by another configuration from now on, where fusion did.
+    fn set(&mut self, message: &v1::RecordedConfiguration) -> Option<()> {
+        let (Some(task), Some(settings)) = (&mut self.task, &self.settings) else {
+            return Some(());
+        };
+        if !message.fused || !settings.is_recorded {
+            return Some(());
+        }
+        let config = Config::parse_recorded(&message.text, &settings.lenses).ok()?;
+        let renamed = (!message.renamed_to.is_empty())
+            .then_some((message.renamed_from.as_str(), message.renamed_to.as_str()));
+        let Known { objects, bodies } = &mut self.known;
+        let order = bodies.follow((objects, &config.objects), renamed, &config.motions);
+        let owned = |(before, after): (&str, &str)| (before.to_owned(), after.to_owned());
+        let limits = Some(roster::fusion_limits(&config));
+        *objects = config.objects;
+        let written = WrittenSettings { text: message.text.clone(), renamed: renamed.map(owned) };
+        task.be_set(fusion::Settings { limits, order, written });
+        self.name_objects();
+        Some(())
+    }
+
+    fn name_objects(&self) {
+        let Known { objects, bodies } = &self.known;
+        self.hub.set_object_names(roster::kind_names(objects), bodies.names.clone());
+    }
+
     fn show_snapshot(&mut self, raw: &Raw) -> Option<()> {
-        let message = read::<v1::Snapshot>(raw)?;
         match &mut self.task {
             Some(task) => {
-                task.publish(Timestamp::from_ns(message.pose_time_ns), Some(raw.log_time));
+                let PoseTime { pose_time_ns } = read(raw)?;
+                task.publish(Timestamp::from_ns(pose_time_ns), Some(raw.log_time));
             }
             None => {
+                let message = read::<v1::Snapshot>(raw)?;
                 let snapshot = replayed::read_snapshot(&self.hub, &message);
                 self.hub.publish_snapshot(snapshot, Timestamp::from_ns(message.fused_time_ns));
             }
@@ -195,7 +268,7 @@ impl Stage {
         let id = recorded.camera;
         let image = decoded(frame)?;
         if !self.pipelines.contains_key(&id) {
-            let config = self.config.as_ref()?;
+            let config = &self.settings.as_ref()?.config;
             let camera = config.cameras.iter().find(|camera| camera.name == name)?;
             let parts = roster::setup::pipeline(camera, config, Default::default()).ok()?;
             self.pipelines.insert(id, Pipeline::new(parts).ok()?);
@@ -208,7 +281,9 @@ impl Stage {
             capture_time: recorded.capture_time,
             received_time: recorded.received_time,
         };
-        let observations = pipeline.process(&image.frame().ok()?, &by);
+        let view = image.frame().ok()?;
+        let observations = pipeline.process(&view, &by);
+        pipeline.seek(&view);
         if self.hub.take_picture_request(id) {
             let observations = Arc::new(observations.clone());
             self.hub.publish_picture(id, picture(image, observations));

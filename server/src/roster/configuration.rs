@@ -9,7 +9,7 @@ use crate::{
         CameraConfig, CameraPose, Config, Problem,
         edit::{self, EditError, WrittenCamera},
     },
-    fusion::{FusionLimits, Order},
+    fusion::FusionLimits,
     hub::Happening,
     source::without_credentials,
     worker::{Totals, pipeline::Pipeline},
@@ -111,12 +111,8 @@ impl Roster {
         state.ids.retain(|_| each.next() == Some(&true));
         let mut each = remains.iter();
         state.config.cameras.retain(|_| each.next() == Some(&true));
-        if state.config.objects != config.objects {
-            self.follow_and_tell(state, config.objects);
-        }
-        if let Some(limits) = limits {
-            // Fusion is gone only when the server goes down.
-            let _ = state.orders.send(Order::Limits(limits));
+        if state.config.objects != config.objects || limits.is_some() {
+            self.follow_and_tell(state, config.objects, limits);
         }
         let before = std::mem::replace(&mut state.config.cameras, config.cameras);
         state.config.mode = config.mode;
@@ -271,7 +267,8 @@ fn needs_restart(before: &Config, after: &Config) -> Vec<String> {
     all.iter().filter(|(differs, _)| *differs).map(|(_, what)| (*what).to_owned()).collect()
 }
 
-fn fusion_limits(config: &Config) -> FusionLimits {
+/// What a configuration lets objects do.
+pub fn fusion_limits(config: &Config) -> FusionLimits {
     FusionLimits {
         acceleration_m_s2: config.fusion.acceleration_m_s2,
         predicted_after_s: config.fusion.predicted_after_s,

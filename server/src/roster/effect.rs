@@ -32,7 +32,7 @@ impl Roster {
         camera: &CameraConfig,
         config: &Config,
     ) {
-        let place = Some(setup::stand(camera, config, &state.bodies));
+        let place = Some(setup::stand(camera, config, &state.bodies.numbers));
         state.order(id, Known { place, clock: Some(setup::timekeeping(camera)) });
         if matches!(camera.address, SourceAddress::Push(_)) {
             self.ports.open(id);
@@ -87,7 +87,8 @@ impl Roster {
         } else if difference.name {
             self.calibrator.rename(id, &camera.name);
         }
-        let place = difference.moves().then(|| setup::stand(camera, &config, &state.bodies));
+        let place =
+            difference.moves().then(|| setup::stand(camera, &config, &state.bodies.numbers));
         let clock = difference.keeps_other_time().then(|| setup::timekeeping(camera));
         state.order(id, Known { place, clock });
         let is_fed = matches!(camera.address, SourceAddress::Push(_));

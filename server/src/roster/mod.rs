@@ -8,6 +8,7 @@
 //! | `configuration` | all of them, and what else can change, in one go |
 //! | `effect` | what follows from a change that is written |
 //! | `object` | the same of objects |
+//! | [`bodies`] | which body each object is, and what fusion hears of when they change |
 //! | [`setup`] | what the parts of a server are told of a camera |
 //! | `error` | why something is not done |
 //!
@@ -18,6 +19,7 @@
 //! One change at a time; whoever asks waits for the one before. Each takes as long as its worker's source needs to let
 //! go, which is milliseconds.
 
+pub mod bodies;
 mod configuration;
 mod crew;
 mod difference;
@@ -30,7 +32,7 @@ use std::sync::{Arc, Mutex, MutexGuard, PoisonError, mpsc};
 
 use roundel_core::id::{BodyId, CameraId};
 
-use self::{crew::Crew, difference::Difference, effect::Begin, error::wrong};
+use self::{bodies::Bodies, crew::Crew, difference::Difference, effect::Begin, error::wrong};
 use crate::{
     calibration::Calibrator,
     clock::Clock,
@@ -48,9 +50,9 @@ use crate::{
     stop::Stop,
     worker::{Sighted, Totals, pipeline::Pipeline},
 };
-pub use configuration::{InForce, Plan};
+pub use bodies::kind_names;
+pub use configuration::{InForce, Plan, fusion_limits};
 pub use error::RosterError;
-pub use object::kind_names;
 
 /// What a source has to fit into.
 pub struct CameraSetting<'a> {
@@ -110,10 +112,8 @@ struct State {
     /// Of each of its cameras.
     ids: Vec<CameraId>,
     next_id: u32,
-    /// Of each of its objects.
-    bodies: Vec<Option<BodyId>>,
-    /// Names of all bodies that there ever were, by number; empty of one that was removed.
-    body_names: Vec<String>,
+    /// Of its objects.
+    bodies: Bodies,
     crew: Crew,
     to_fusion: mpsc::SyncSender<Sighted>,
     orders: mpsc::Sender<Order>,
@@ -130,8 +130,7 @@ impl Roster {
         let ids: Vec<CameraId> = (0..).map(CameraId).take(config.cameras.len()).collect();
         let state = State {
             next_id: ids.len() as u32,
-            bodies,
-            body_names: hub.installation().body_names.clone(),
+            bodies: Bodies { numbers: bodies, names: hub.installation().body_names.clone() },
             config,
             ids: ids.clone(),
             crew: Crew::default(),
@@ -272,11 +271,9 @@ impl Roster {
 /// The text of a configuration without users and passwords of sources.
 pub fn text_without_passwords(config: &Config) -> String {
     let text = config.file.text().to_owned();
-    let names = config.cameras.iter().map(|camera| &camera.name);
-    let sources =
-        names.filter_map(|name| Some(edit::read::<WrittenCamera>(&text, name).ok()?.source));
-    let sources: Vec<String> = sources.collect();
-    sources.iter().fold(text, |text, source| text.replace(source, &without_credentials(source)))
+    let cameras = edit::read_all::<WrittenCamera>(&text).unwrap_or_default();
+    let sources = cameras.iter().map(|camera| &camera.source);
+    sources.fold(text, |text, source| text.replace(source, &without_credentials(source)))
 }
 
 impl State {

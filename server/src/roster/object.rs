@@ -1,22 +1,19 @@
 //! Objects that are added, changed and removed: in the configuration's text, as cameras are, and in fusion, which goes on
 //! with all others.
 
-use std::{collections::BTreeMap, sync::MutexGuard};
+use std::sync::MutexGuard;
 
-use nalgebra::Vector3;
-use roundel_core::{
-    id::{BodyId, KindId, ObjectId},
-    marker::Pattern,
-    world::{Body, MotionClass},
+use roundel_core::{id::ObjectId, marker::Pattern};
+
+use super::{
+    Roster, RosterError, State, bodies::kind_names, error::wrong, setup, text_without_passwords,
 };
-
-use super::{Roster, RosterError, State, error::wrong, setup};
 use crate::{
     config::{
-        CameraPose, Carried, Config, ObjectConfig,
+        CameraPose, Config, ObjectConfig,
         edit::{self, Written, WrittenObject, WrittenRoundels},
     },
-    fusion::{Known, ObjectOrder, Order},
+    fusion::{FusionLimits, Known, Order, Settings, WrittenSettings},
     hub::{Change, Happening},
 };
 
@@ -123,46 +120,32 @@ impl Roster {
             .map_err(|problems| wrong::<WrittenObject>(&text, index, &problems))?
             .objects;
         state.config.file.replace(text)?;
-        self.follow(state, objects, renamed);
+        self.follow(state, objects, renamed, None);
         Ok(state.config.file.kept())
     }
 
-    /// Has everybody know of other objects than before.
+    /// Has everybody know of other objects than before, and fusion of other limits.
     pub(super) fn follow(
         &self,
         state: &mut State,
         objects: Vec<ObjectConfig>,
         renamed: Option<(&str, &str)>,
+        limits: Option<FusionLimits>,
     ) {
         let now = |name: &str| match renamed {
             Some((before, after)) if before == name => after.to_owned(),
             _ => name.to_owned(),
         };
         let before = std::mem::replace(&mut state.config.objects, objects);
-        let numbers = std::mem::take(&mut state.bodies);
-        let known: BTreeMap<String, Option<BodyId>> =
-            before.iter().map(|object| now(&object.name)).zip(numbers.iter().copied()).collect();
-        let State { config, bodies, body_names, .. } = state;
-        for object in &config.objects {
-            bodies.push(match object.carries {
-                Carried::Kind { .. } => None,
-                Carried::Body(_) => {
-                    Some(known.get(&object.name).copied().flatten().unwrap_or_else(|| {
-                        body_names.push(String::new());
-                        BodyId(body_names.len() as u32 - 1)
-                    }))
-                }
-            });
-        }
-        let order = order((&before, &numbers), (&config.objects, bodies), &config.motions);
+        let State { config, bodies, .. } = &mut *state;
+        let order = bodies.follow((&before, &config.objects), renamed, &config.motions);
         // Names come first, so that nobody hears of one that is not known yet.
-        body_names.iter_mut().for_each(String::clear);
-        for (object, body) in config.objects.iter().zip(&*bodies) {
-            body.iter().for_each(|body| body_names[body.0 as usize].clone_from(&object.name));
-        }
-        self.hub.set_object_names(kind_names(&config.objects), body_names.clone());
+        self.hub.set_object_names(kind_names(&config.objects), bodies.names.clone());
+        let owned = |(before, after): (&str, &str)| (before.to_owned(), after.to_owned());
+        let text = text_without_passwords(config);
+        let written = WrittenSettings { text, renamed: renamed.map(owned) };
         // Fusion is gone only when the server goes down.
-        let _ = state.orders.send(Order::Objects(order));
+        let _ = state.orders.send(Order::Settings(Box::new(Settings { limits, order, written })));
         let place = |name: &str| state.config.objects.iter().position(|object| object.name == name);
         for (index, id) in state.ids.iter().enumerate() {
             let CameraPose::Rides(ride) = &mut state.config.cameras[index].pose else { continue };
@@ -171,7 +154,7 @@ impl Roster {
             if renamed.is_some_and(|(before, after)| before != after && before == carrier) {
                 let camera = &state.config.cameras[index];
                 self.hub.set_camera(*id, setup::info(camera, &state.config));
-                let stand = setup::stand(camera, &state.config, &state.bodies);
+                let stand = setup::stand(camera, &state.config, &state.bodies.numbers);
                 let known = Known { place: Some(stand), clock: None };
                 let _ = state.orders.send(Order::Set(*id, Box::new(known)));
             }
@@ -179,13 +162,18 @@ impl Roster {
     }
 
     /// The same, when several may have changed, each by its name; each change is told.
-    pub(super) fn follow_and_tell(&self, state: &mut State, objects: Vec<ObjectConfig>) {
+    pub(super) fn follow_and_tell(
+        &self,
+        state: &mut State,
+        objects: Vec<ObjectConfig>,
+        limits: Option<FusionLimits>,
+    ) {
         let before = state.config.objects.clone();
         let is_in = |all: &[ObjectConfig], name: &str| all.iter().any(|it| it.name == name);
         let gone: Vec<_> = before.iter().filter(|old| !is_in(&objects, &old.name)).collect();
         let gone: Vec<_> =
             gone.iter().map(|old| (&old.name, self.hub.object_named(&old.name))).collect();
-        self.follow(state, objects, None);
+        self.follow(state, objects, None, limits);
         let kept = state.config.file.kept();
         for (name, object) in gone {
             let message = format!("Object \"{name}\" was removed; {kept}.");
@@ -205,58 +193,6 @@ impl Roster {
     fn tell_configured(&self, change: Change, name: &str, message: String) {
         self.tell(Happening::Configured(change, self.hub.object_named(name)), message);
     }
-}
-
-/// Names of the objects that are known by a whole kind.
-pub fn kind_names(objects: &[ObjectConfig]) -> BTreeMap<KindId, String> {
-    let of = |object: &ObjectConfig| match object.carries {
-        Carried::Kind { kind, .. } => Some((kind, object.name.clone())),
-        Carried::Body(_) => None,
-    };
-    objects.iter().filter_map(of).collect()
-}
-
-/// Point that is followed, and motion, of those that are known by a whole kind; of the others there, none.
-fn kinds(
-    objects: &[ObjectConfig],
-    motions: &[MotionClass],
-) -> BTreeMap<KindId, (Vector3<f64>, MotionClass)> {
-    let of_kind = |kind: KindId| motions.get(usize::from(kind.0)).copied().unwrap_or_default();
-    let of = |object: &ObjectConfig| match object.carries {
-        Carried::Kind { kind, offset_m, motion } => {
-            Some((kind, (offset_m, motion.unwrap_or_else(|| of_kind(kind)))))
-        }
-        Carried::Body(_) => None,
-    };
-    let mut kinds: BTreeMap<_, _> = (0..motions.len() as u16)
-        .map(|index| (KindId(index), (Vector3::zeros(), of_kind(KindId(index)))))
-        .collect();
-    kinds.extend(objects.iter().filter_map(of));
-    kinds
-}
-
-/// What is another for fusion.
-fn order(
-    (before, numbers): (&[ObjectConfig], &[Option<BodyId>]),
-    (after, bodies): (&[ObjectConfig], &[Option<BodyId>]),
-    motions: &[MotionClass],
-) -> ObjectOrder {
-    let gather = |objects: &[ObjectConfig], numbers: &[Option<BodyId>]| -> BTreeMap<BodyId, Body> {
-        let of = |(object, number): (&ObjectConfig, &Option<BodyId>)| match &object.carries {
-            Carried::Body(body) => number.map(|number| (number, body.clone())),
-            Carried::Kind { .. } => None,
-        };
-        objects.iter().zip(numbers).filter_map(of).collect()
-    };
-    let (old, new) = (gather(before, numbers), gather(after, bodies));
-    let gone = old.keys().filter(|id| !new.contains_key(id));
-    let gone = gone.map(|id| (*id, Body { motion: MotionClass::default(), mounts: Vec::new() }));
-    let fresh = new.iter().filter(|(id, body)| old.get(id) != Some(body));
-    let bodies = gone.chain(fresh.map(|(id, body)| (*id, body.clone()))).collect();
-    let was = kinds(before, motions);
-    let is = kinds(after, motions).into_iter().filter(|(kind, is)| was.get(kind) != Some(is));
-    let kinds = is.map(|(kind, (offset_m, motion))| (kind, offset_m, motion)).collect();
-    ObjectOrder { bodies, kinds }
 }
 
 /// What is written otherwise, in words, commas between.

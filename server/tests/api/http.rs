@@ -295,6 +295,7 @@ async fn metrics_tell_of_cameras_objects_and_clients() {
         camera.detect_ms = 2.5;
         (camera.find_ms, camera.locate_ms) = (2.0, 0.5);
         (camera.blur_px, camera.noise) = (0.75, 2.25);
+        camera.reprojection_px = 0.125;
         camera.clock = Some(ClockEstimate {
             offset_s: -0.0125,
             skew: 2e-5,
@@ -336,6 +337,8 @@ async fn metrics_tell_of_cameras_objects_and_clients() {
         "roundel_camera_detect_seconds{camera=\"north\"} 0.0025",
         "roundel_camera_blur_pixels{camera=\"north\"} 0.75",
         "roundel_camera_noise_levels{camera=\"north\"} 2.25",
+        "roundel_camera_reprojection_pixels{camera=\"north\"} 0.125",
+        "roundel_camera_reprojection_pixels{camera=\"south side\"} 0",
         "roundel_camera_clock_offset_seconds{camera=\"north\"} -0.0125",
         "roundel_camera_clock_skew_ratio{camera=\"north\"} 0.00002",
         "roundel_camera_clock_deviation_seconds{camera=\"north\"} 0.00005",
@@ -393,7 +396,7 @@ async fn the_page_is_served_with_a_strict_policy_and_a_tag() {
     assert_eq!(page.header("content-type"), "text/html; charset=utf-8");
     assert_eq!(
         page.header("content-security-policy"),
-        "default-src 'none'; script-src 'self'; style-src 'self'; img-src 'self' blob:; connect-src 'self'; form-action 'self'; frame-ancestors 'none'; base-uri 'none'"
+        "default-src 'none'; script-src 'self'; style-src 'self'; img-src 'self' blob:; connect-src 'self'; worker-src 'self'; form-action 'self'; frame-ancestors 'none'; base-uri 'none'"
     );
     assert_eq!(page.header("x-content-type-options"), "nosniff");
     assert_eq!(page.header("cache-control"), "no-cache");

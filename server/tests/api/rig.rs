@@ -18,7 +18,6 @@ use roundel_core::{
 };
 use roundel_server::{
     api::{self, Limits, Served},
-    calibration::{Calibrator, CalibratorParts, file::CalibrationFile},
     clock::Clock,
     hub::{CameraInfo, CameraStatus, Hub, Installation},
 };
@@ -70,28 +69,10 @@ impl Rig {
         let listener = TcpListener::bind(listen).await.unwrap();
         let address = listener.local_addr().unwrap().to_string();
         let (clock, cancel) = (Clock::anchored_now(), CancellationToken::new());
-        let calibrator = Arc::new(Calibrator::new(CalibratorParts {
-            hub: hub.clone(),
-            clock,
-            cameras: BTreeMap::new(),
-            landmarks: Vec::new(),
-            path: None,
-            file: CalibrationFile::default(),
-        }));
         let served = Served {
-            hub: hub.clone(),
-            clock,
-            calibrator,
             kinds: vec![Kind::plain("robot", 0.16, 0.064), Kind::plain("cart", 0.16, 0.08)],
-            fleets: Arc::default(),
-            ports: Arc::default(),
-            late_window_ms: 300.0,
-            trier: None,
-            roster: None,
             allow_origins: vec![ORIGIN.into()],
-            recorder: None,
-            replay: None,
-            history: None,
+            ..Served::of_hub(hub.clone(), clock)
         };
         let server = tokio::spawn(api::serve(listener, served, limits, cancel.clone()));
         Self { hub, clock, address, cancel, server }

@@ -26,7 +26,6 @@ use roundel_core::{
 };
 use roundel_server::{
     api::{self, Limits, Served},
-    calibration::{Calibrator, CalibratorParts, file::CalibrationFile},
     clock::Clock,
     hub::{CameraInfo, CameraPlace, CameraStatus, Hub, Installation, Picture, PoseStatus},
 };
@@ -65,36 +64,10 @@ fn main() -> anyhow::Result<()> {
         let listener = TcpListener::bind("127.0.0.1:0").await?;
         println!("http://{}/", listener.local_addr()?);
         io::stdout().flush()?;
-        let served = served(hub, clock);
+        let served = Served::of_hub(hub, clock);
         api::serve(listener, served, Limits::default(), CancellationToken::new()).await;
         Ok(())
     })
-}
-
-fn served(hub: Arc<Hub>, clock: Clock) -> Served {
-    let calibrator = Calibrator::new(CalibratorParts {
-        hub: hub.clone(),
-        clock,
-        cameras: BTreeMap::new(),
-        landmarks: Vec::new(),
-        path: None,
-        file: CalibrationFile::default(),
-    });
-    Served {
-        hub,
-        clock,
-        calibrator: Arc::new(calibrator),
-        kinds: Vec::new(),
-        fleets: Arc::default(),
-        ports: Arc::default(),
-        late_window_ms: 300.0,
-        trier: None,
-        roster: None,
-        allow_origins: Vec::new(),
-        recorder: None,
-        replay: None,
-        history: None,
-    }
 }
 
 fn installation(cameras: usize, clock: Clock) -> Installation {

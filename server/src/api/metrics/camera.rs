@@ -13,7 +13,7 @@ use crate::{
 /// A number of each camera: name, type, help, and where it stands.
 type CameraFamily = (&'static str, &'static str, &'static str, fn(&CameraState) -> f64);
 
-const CAMERA_FAMILIES: [CameraFamily; 25] = [
+const CAMERA_FAMILIES: [CameraFamily; 26] = [
     ("roundel_camera_up", "gauge", "1 while frames arrive.", |camera| {
         f64::from(u8::from(camera.status == CameraStatus::Running))
     }),
@@ -95,6 +95,12 @@ const CAMERA_FAMILIES: [CameraFamily; 25] = [
         "gauge",
         "Standard deviation of the noise, grey levels of 255, likewise.",
         |camera| camera.noise,
+    ),
+    (
+        "roundel_camera_reprojection_pixels",
+        "gauge",
+        "How far from where other cameras have objects it sees them, rms of the last seconds; 0: no other sees them.",
+        |camera| camera.reprojection_px,
     ),
     (
         "roundel_camera_capture_clock_deviation_seconds",

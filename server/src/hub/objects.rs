@@ -1,0 +1,97 @@
+//! Objects of now and of the last minute, for whoever asks for a list.
+//!
+//! Snapshots come many times a second, and of those who were lost there may be many: a snapshot touches only what is
+//! in it, and what has just left it.
+
+use std::collections::{BTreeMap, VecDeque};
+
+use roundel_core::{
+    id::{BodyId, KindId, ObjectId},
+    marker::Code,
+    time::Timestamp,
+    world::{LifeStage, ObjectState, Snapshot},
+};
+
+/// How long a lost object stays in the list of objects.
+const LOST_KEPT_SECONDS: f64 = 60.0;
+
+/// An object as the list of objects shows it.
+#[derive(Clone, Debug)]
+pub struct ObjectRecord {
+    /// Whose.
+    pub id: ObjectId,
+    /// Its kind of roundel.
+    pub kind: Option<KindId>,
+    /// Which body, if it is one.
+    pub body: Option<BodyId>,
+    /// The code that it was seen with most of late.
+    pub code: Option<Code>,
+    /// In the newest snapshot, or Lost.
+    pub stage: LifeStage,
+    /// Capture time of the first detection.
+    pub first_seen: Timestamp,
+    /// Capture time of the newest detection.
+    pub last_seen: Timestamp,
+    /// Detections used.
+    pub observations: u64,
+}
+
+impl ObjectRecord {
+    fn of(state: &ObjectState) -> Self {
+        Self {
+            id: state.id,
+            kind: state.kind,
+            body: state.body,
+            code: state.code,
+            stage: state.stage,
+            first_seen: state.first_observation,
+            last_seen: state.newest_observation,
+            observations: state.observations,
+        }
+    }
+}
+
+/// Objects of the newest snapshot, and those that were lost within the last minute.
+#[derive(Debug, Default)]
+pub(super) struct Objects {
+    /// By id, as in the snapshot.
+    present: Vec<ObjectRecord>,
+    /// In the order in which they were lost.
+    lost: VecDeque<ObjectRecord>,
+}
+
+impl Objects {
+    /// Takes in a new snapshot.
+    pub fn take(&mut self, snapshot: &Snapshot) {
+        let now = snapshot.objects.iter().map(ObjectRecord::of).collect();
+        let before = std::mem::replace(&mut self.present, now);
+        for record in before {
+            let is_present = |records: &[ObjectRecord]| {
+                records.binary_search_by_key(&record.id, |other| other.id).is_ok()
+            };
+            if !is_present(&self.present) {
+                self.lost.push_back(ObjectRecord { stage: LifeStage::Lost, ..record });
+            }
+        }
+        let is_old = |record: &ObjectRecord| {
+            snapshot.pose_time.seconds_since(record.last_seen) >= LOST_KEPT_SECONDS
+        };
+        while self.lost.front().is_some_and(is_old) {
+            self.lost.pop_front();
+        }
+    }
+
+    /// All of them, by id.
+    pub fn all(&self) -> Vec<ObjectRecord> {
+        let lost = self.lost.iter().map(|record| (record.id, record));
+        // One that has come back is present.
+        let present = self.present.iter().map(|record| (record.id, record));
+        lost.chain(present).collect::<BTreeMap<_, _>>().into_values().cloned().collect()
+    }
+
+    /// The one of them that was seen last.
+    pub fn newest(&self, is_it: impl Fn(&ObjectRecord) -> bool) -> Option<ObjectId> {
+        let all = self.lost.iter().chain(&self.present).filter(|record| is_it(record));
+        all.max_by_key(|record| record.last_seen).map(|record| record.id)
+    }
+}
