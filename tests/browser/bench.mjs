@@ -4,16 +4,19 @@
  *     npm run bench                  # 10 s of each view, and two minutes in which views change
  *     MINUTES=10 ROBOTS=400 CAMERAS=16 npm run bench
  *     ROUNDEL_URL=http://127.0.0.1:7670 npm run bench   # whatever this server has
+ *     TRACE_FILE=/tmp/trace npm run bench               # keeps what was traced
  *
  * The server is the real one with an invented crowd (`cargo build --release -p roundel-tests --bin crowd`; ROUNDEL_CROWD
  * names another file of it), and where that has not been built, the mock.
  *
- * A frame is what lies between two animation frames; its time is that of all tasks of the page's main thread in it, by
- * the thread's own clock and by the wall's. Where the machine does other work, only the first is the page's.
+ * A frame is what lies between two animation frames of the page; its time is that of all tasks of the page's main thread
+ * in it, by the thread's own clock and by the wall's. Where the machine does other work, only the first is the page's.
+ * The page itself asks for few of them, since it draws in a worker; the bench asks for every one, so that each frame of
+ * the screen counts. How often the worker draws, and what that takes of its thread, is told beside it.
  */
 
 import { fork, spawn } from "node:child_process";
-import { existsSync } from "node:fs";
+import { existsSync, writeFileSync } from "node:fs";
 import { join } from "node:path";
 import { fileURLToPath } from "node:url";
 
@@ -87,8 +90,7 @@ async function startServer() {
 }
 
 async function measureFrames(browser, url, mode) {
-  const { page, context } = await openDashboard(browser, url);
-  await page.locator("#object-rows button").nth(6).click();
+  const { page, context } = await openBusy(browser, url);
   await page.locator(`input[name=mode][value=${mode}]`).check();
   const draws = await countDraws(page);
   await page.waitForTimeout(WARM_UP_MS);
@@ -96,13 +98,29 @@ async function measureFrames(browser, url, mode) {
   await context.close();
 }
 
+/** The page with an object selected, taking part in every frame of the screen. */
+async function openBusy(browser, url) {
+  const opened = await openDashboard(browser, url);
+  await opened.page.locator("#object-rows button").nth(6).click();
+  await opened.page.evaluate(() => {
+    const beat = () => requestAnimationFrame(beat);
+    beat();
+  });
+  return opened;
+}
+
 async function frameWords(browser, page, mode, draws, lengthMs) {
   const events = await traced(browser, () => page.waitForTimeout(lengthMs));
-  const frames = framesOf(events);
+  if (process.env.TRACE_FILE) writeFileSync(`${process.env.TRACE_FILE}-${mode}.json`, JSON.stringify(events));
+  const [frames, drawn] = ["CrRendererMain", "DedicatedWorker thread"].map((name) => framesOf(events, name));
   const rate = await page.locator("#rate").textContent();
   const most = mode === "space" ? `, at most ${await draws()} draws` : "";
-  const line = (key) => [0.5, 0.95, 0.99].map((part) => quantile(frames.map((frame) => frame[key]), part).toFixed(1)).join(" / ");
-  return `${frames.length} frames in ${lengthMs / 1000} s at ${rate} snapshots a second; main thread p50 / p95 / p99: ${line("threadMs")} ms of its own, ${line("wallMs")} ms by the wall${most}`;
+  const line = (all, key) => [0.5, 0.95, 0.99].map((part) => quantile(all.map((frame) => frame[key]), part).toFixed(1)).join(" / ");
+  const perSecond = (all) => (all.length / (lengthMs / 1000)).toFixed(0);
+  return (
+    `${perSecond(frames)} frames and ${rate} snapshots a second; main thread p50 / p95 / p99: ${line(frames, "threadMs")} ms of its own, ` +
+    `${line(frames, "wallMs")} ms by the wall; drawn ${perSecond(drawn)} times a second, ${line(drawn, "threadMs")} ms of the worker's own${most}`
+  );
 }
 
 async function traced(browser, body) {
@@ -121,23 +139,27 @@ async function traced(browser, body) {
   return events;
 }
 
-/** Time of the main thread between one animation frame and the next. */
-function framesOf(events) {
+/** What a thread of this name takes between one of its animation frames and the next; of several, the busiest. */
+function framesOf(events, wanted) {
   const thread = ({ pid, tid }) => `${pid} ${tid}`;
-  const starts = events.filter(({ name }) => name === "FireAnimationFrame");
+  const named = new Set(events.filter(({ name, args }) => name === "thread_name" && args.name === wanted).map(thread));
+  const starts = events.filter((event) => event.name === "FireAnimationFrame" && named.has(thread(event)));
   const counts = new Map();
   for (const event of starts) counts.set(thread(event), (counts.get(thread(event)) ?? 0) + 1);
   const [main] = [...counts].sort((a, b) => b[1] - a[1])[0] ?? [];
-  if (!main) throw new Error("the trace has no animation frames");
-  const bounds = starts.filter((event) => thread(event) === main).map(({ ts }) => ts).sort((a, b) => a - b);
+  if (!main) return [];
   const isTask = ({ name, ph }) => ph === "X" && (name === "RunTask" || name === "ThreadControllerImpl::RunTask");
   let tasks = events.filter((event) => isTask(event) && thread(event) === main);
   // Both names tell of the same tasks.
   if (tasks.some(({ name }) => name === "RunTask")) tasks = tasks.filter(({ name }) => name === "RunTask");
+  // Whoever asks for a frame is called by itself: calls of one task are of one frame.
+  tasks.sort((a, b) => a.ts - b.ts);
+  const taskAt = (ts) => tasks.findLast((task) => task.ts <= ts);
+  const bounds = [...new Set(starts.filter((event) => thread(event) === main).map(({ ts }) => taskAt(ts)?.ts ?? ts))].sort((a, b) => a - b);
   const frames = bounds.slice(1).map(() => ({ threadMs: 0, wallMs: 0 }));
   for (const { ts, dur, tdur } of tasks) {
-    // A task counts for the frame in which it ends: the one of an animation frame begins before that.
-    const at = bounds.findIndex((bound, i) => ts + dur > bound && ts + dur <= (bounds[i + 1] ?? Infinity));
+    // That of the animation frame is the first of its own.
+    const at = bounds.findLastIndex((bound) => bound <= ts);
     if (at < 0 || at >= frames.length) continue;
     frames[at].threadMs += (tdur ?? dur) / 1000;
     frames[at].wallMs += dur / 1000;
@@ -150,12 +172,12 @@ function quantile(values, part) {
   return sorted[Math.min(sorted.length - 1, Math.floor(part * sorted.length))] ?? 0;
 }
 
-/** Memory each minute, with what a frame takes then; the view is another each minute. */
+/** Memory each minute, of the page and of its worker, with what a frame takes then; the view is another each minute. */
 async function measureMinutes(browser, url) {
-  const { page, context } = await openDashboard(browser, url);
+  const { page, context } = await openBusy(browser, url);
   const session = await context.newCDPSession(page);
+  const inWorker = await workerSession(session);
   await session.send("Performance.enable");
-  await page.locator("#object-rows button").nth(6).click();
   const draws = await countDraws(page);
   await page.waitForTimeout(WARM_UP_MS);
   for (let minute = 0; minute <= MINUTES; minute += 1) {
@@ -163,11 +185,37 @@ async function measureMinutes(browser, url) {
     await page.locator(`input[name=mode][value=${mode}]`).check();
     if (minute > 0) await page.waitForTimeout(60_000 - SAMPLE_MS);
     const frames = await frameWords(browser, page, mode, draws, SAMPLE_MS);
-    await session.send("HeapProfiler.collectGarbage");
     const { metrics } = await session.send("Performance.getMetrics");
-    const held = (name) => metrics.find((metric) => metric.name === name).value;
-    const { backingStorageSize = 0 } = await session.send("Runtime.getHeapUsage");
-    console.log(`after ${minute} min, ${mode}: ${(held("JSHeapUsedSize") / 1e6).toFixed(1)} MB of objects, ${(backingStorageSize / 1e6).toFixed(1)} MB of arrays, ${held("Nodes")} nodes; ${frames}`);
+    const { value: nodes } = metrics.find(({ name }) => name === "Nodes");
+    const of = await heapWords((method) => session.send(method));
+    console.log(`after ${minute} min, ${mode}: page ${of}, worker ${await heapWords(inWorker)}, ${nodes} nodes; ${frames}`);
   }
   await context.close();
+}
+
+/** What is held after all that nobody holds has been let go of. */
+async function heapWords(send) {
+  await send("HeapProfiler.collectGarbage");
+  const { usedSize, backingStorageSize = 0 } = await send("Runtime.getHeapUsage");
+  return `${(usedSize / 1e6).toFixed(1)} MB of objects and ${(backingStorageSize / 1e6).toFixed(1)} MB of arrays`;
+}
+
+/** Asks the page's worker by Chromium's own protocol. */
+async function workerSession(session) {
+  const attached = new Promise((resolve) => session.once("Target.attachedToTarget", resolve));
+  await session.send("Target.setAutoAttach", { autoAttach: true, waitForDebuggerOnStart: false, flatten: false });
+  const { sessionId } = await attached;
+  const waiting = new Map();
+  session.on("Target.receivedMessageFromTarget", ({ message }) => {
+    const { id, result } = JSON.parse(message);
+    waiting.get(id)?.(result);
+    waiting.delete(id);
+  });
+  let last = 0;
+  return async (method) => {
+    last += 1;
+    const answer = new Promise((resolve) => waiting.set(last, resolve));
+    await session.send("Target.sendMessageToTarget", { sessionId, message: JSON.stringify({ id: last, method }) });
+    return answer;
+  };
 }

@@ -100,6 +100,19 @@ describe("a camera that rides", () => {
   });
 });
 
+describe("a page that came only in part", () => {
+  test("says so, and can be loaded anew", async () => {
+    await withWorld(new World(), async (page) => {
+      await page.context().route("**/js/worker.js", (route) => route.abort());
+      await page.reload();
+      await page.locator("#banner-title", { hasText: "could not be loaded" }).waitFor();
+      await page.context().unroute("**/js/worker.js");
+      await page.getByRole("button", { name: "Load the page anew" }).click();
+      await page.locator('body[data-phase="live"]').waitFor();
+    });
+  });
+});
+
 describe("nothing but a robot's own camera", () => {
   test("the view goes along with a robot that would leave it", async () => {
     class Leaving extends World {
@@ -121,7 +134,9 @@ describe("nothing but a robot's own camera", () => {
       await page.locator("#object-rows td", { hasText: "40.000" }).waitFor();
       await page.waitForFunction(() => {
         const canvas = document.querySelector("#arena-tracks");
-        const { data } = canvas.getContext("2d").getImageData(0, 0, canvas.width, canvas.height);
+        const copy = new OffscreenCanvas(canvas.width, canvas.height).getContext("2d");
+        copy.drawImage(canvas, 0, 0);
+        const { data } = copy.getImageData(0, 0, canvas.width, canvas.height);
         return data.some((value) => value > 0);
       }, null, { timeout: 10_000 });
     });

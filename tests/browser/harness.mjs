@@ -24,9 +24,9 @@ export async function target() {
   return { url: new URL("/", url).href, world: null, close: async () => {} };
 }
 
-/** Without a card nothing is drawn in 3D, unless the processor does it, which takes its time. */
+/** Without a card nothing is drawn in 3D, unless the processor does it, as in browsers of machines that have none. */
 const PLAIN = ["--disable-gpu"];
-const SPACE = ["--use-angle=swiftshader", "--enable-unsafe-swiftshader", "--disable-gpu-rasterization", "--disable-accelerated-2d-canvas"];
+const SPACE = ["--use-angle=swiftshader-webgl", "--enable-unsafe-swiftshader"];
 
 /** @param {{space?: boolean}} [options] whether there is WebGL */
 export function launch({ space = false } = {}) {
@@ -60,13 +60,19 @@ export async function openDashboard(browser, url, options = {}) {
   return { context, page, complaints, foreign };
 }
 
+/** Where the page draws. @param {import("playwright-core").Page} page */
+export async function drawingWorker(page) {
+  return page.workers()[0] ?? page.waitForEvent("worker");
+}
+
 /**
- * Counts draws of WebGL, whoever makes them.
+ * Counts draws of WebGL in the worker that makes them.
  * @param {import("playwright-core").Page} page
  * @returns {Promise<() => Promise<number>>} the most that any of the next frames takes
  */
 export async function countDraws(page) {
-  await page.evaluate(() => {
+  const worker = await drawingWorker(page);
+  await worker.evaluate(() => {
     globalThis.draws = 0;
     for (const name of ["drawArrays", "drawElements", "drawArraysInstanced", "drawElementsInstanced"]) {
       const plain = WebGL2RenderingContext.prototype[name];
@@ -77,7 +83,7 @@ export async function countDraws(page) {
     }
   });
   return () =>
-    page.evaluate(async () => {
+    worker.evaluate(async () => {
       let most = 0;
       for (let frame = 0; frame < 30; frame += 1) {
         globalThis.draws = 0;

@@ -318,6 +318,79 @@ describe("objects", { skip: lacking }, () => {
   });
 });
 
+describe("objects that carry several roundels", { skip: lacking }, () => {
+  /** A field of a row of the form. */
+  const field = (page, row, name) => page.locator("#object-mounts li").nth(row).getByLabel(name, { exact: true });
+
+  test("are made, edited and removed, each error at its field", async () => {
+    await withPage(lab.url, async (page) => {
+      await page.locator("#add-object").click();
+      await page.locator("#object-roundel option", { hasText: "coded" }).waitFor({ state: "attached" });
+      await page.locator("#object-name").fill("tall");
+      await page.locator("#object-carries").selectOption("several");
+      const rows = page.locator("#object-mounts li");
+      assert.equal(await rows.count(), 2, "one would not be several");
+      for (const [row, x] of [[0, "0.2"], [1, ""]]) {
+        await rows.nth(row).locator("select").selectOption("coded");
+        await field(page, row, "code").fill("3");
+        await field(page, row, "x").fill(x);
+        await field(page, row, "y").fill("0");
+        await field(page, row, "z").fill("0.1");
+      }
+      await page.locator("#object-save").click();
+      await rows.nth(1).locator(".trouble", { hasText: "Say where the print's centre is" }).waitFor();
+      assert.equal(await rows.nth(0).locator(".trouble").isVisible(), false);
+      assert.equal(await field(page, 1, "x").getAttribute("aria-invalid"), "true");
+      await field(page, 1, "x").fill("-0.2");
+      await page.locator("#object-save").click();
+      await holds(page, "#object-mounts-trouble", 'carries code 3 twice');
+      await field(page, 1, "code").fill("4");
+      await field(page, 1, "roll").fill("90");
+      await field(page, 1, "yaw").fill("90");
+      await field(page, 0, "yaw").fill("30");
+      await page.locator("#object-save").click();
+      await closed(page, "#object");
+      const added = await lab.config();
+      assert.match(added, /name = "tall"\nroundel = \[/);
+      assert.match(added, /code = 3, position_m = \[0\.2, 0\.0, 0\.1\], yaw_deg = 30\.0/);
+      assert.match(added, /code = 4, position_m = \[-0\.2, 0\.0, 0\.1\], right = \[0\.0, 1\.0, 0\.0\], top = \[0\.0, 0\.0, 1\.0\]/);
+
+      await page.locator("#add-object").click();
+      await page.locator("#object-choice").selectOption("tall");
+      assert.equal(await page.locator("#object-one").isVisible(), false);
+      const turn = await Promise.all(["roll", "pitch", "yaw"].map((name) => field(page, 1, name).inputValue()));
+      assert.deepEqual(turn, ["90", "0", "90"]);
+      await page.locator("#object-mount-add").click();
+      await field(page, 2, "code").fill("5");
+      for (const name of ["x", "y", "z"]) await field(page, 2, name).fill("0.3");
+      await page.locator("#object-save").click();
+      await holds(page, "#object-mounts-trouble", /./);
+      await page.getByRole("button", { name: "Remove roundel 3" }).click();
+      await field(page, 0, "x").fill("0.25");
+      await page.locator("#object-save").click();
+      await closed(page, "#object");
+      const changed = await lab.config();
+      assert.match(changed, /code = 3, position_m = \[0\.25, 0\.0, 0\.1\], yaw_deg = 30\.0/);
+      assert.match(changed, /code = 4, .*right = \[0\.0, 1\.0, 0\.0\], top = \[0\.0, 0\.0, 1\.0\]/);
+
+      await page.locator("#add-object").click();
+      await page.locator("#object-choice").selectOption("tall");
+      await page.locator("#object-carries").selectOption("one");
+      await page.locator("#object-roundel").selectOption("coded");
+      await page.locator("#object-code").fill("6");
+      await page.locator("#object-save").click();
+      await closed(page, "#object");
+      assert.match(await lab.config(), /name = "tall"\nroundel = "coded"\ncode = 6/);
+      await page.locator("#add-object").click();
+      await page.locator("#object-choice").selectOption("tall");
+      await page.locator("#object-remove").click();
+      await page.locator("#object-remove", { hasText: "Remove tall" }).click();
+      await closed(page, "#object");
+      assert.doesNotMatch(await lab.config(), /\[\[object\]\]/);
+    });
+  });
+});
+
 describe("all of these for everybody", { skip: lacking }, () => {
   const openers = { record: "#recording", "print-open": "#print", "add-object": "#object", "history-open": "#history" };
   for (const [words, options] of Object.entries({ light: { colorScheme: "light" }, dark: { colorScheme: "dark" }, "a phone": PHONE })) {

@@ -37,11 +37,13 @@ async function withPage(options, body, url = server.url) {
   }
 }
 
-/** A number that changes with the canvas' picture. */
+/** A number that changes with the canvas' picture, which a worker has drawn. */
 function canvasSum(page, id) {
   return page.evaluate((name) => {
     const canvas = document.getElementById(name);
-    const { data } = canvas.getContext("2d").getImageData(0, 0, canvas.width, canvas.height);
+    const copy = new OffscreenCanvas(canvas.width, canvas.height).getContext("2d", { willReadFrequently: true });
+    copy.drawImage(canvas, 0, 0);
+    const { data } = copy.getImageData(0, 0, canvas.width, canvas.height);
     let sum = 0;
     for (let i = 0; i < data.length; i += 4) {
       sum = (sum * 31 + data[i] + 7 * data[i + 1] + 13 * data[i + 2] + 17 * data[i + 3]) % 4294967291;
@@ -119,15 +121,28 @@ describe("the page", () => {
 
   test("draws the arena, and draws it anew as things move", async () => {
     await withPage({}, async (page) => {
-      const empty = await page.evaluate(() => {
-        const canvas = document.querySelector("#arena-tracks");
-        const { data } = canvas.getContext("2d").getImageData(0, 0, canvas.width, canvas.height);
-        return data.every((value) => value === 0);
-      });
-      assert.equal(empty, false);
+      await assertPicture(page, "arena-tracks", (sum) => sum !== 0, "stays empty");
       const before = await canvasSum(page, "arena-tracks");
       await assertChanges(page, "arena-tracks", before);
     });
+  });
+
+  test("draws it in the page where the browser cannot draw elsewhere", async () => {
+    const context = await browser.newContext();
+    const page = await context.newPage();
+    try {
+      await page.addInitScript(() => delete HTMLCanvasElement.prototype.transferControlToOffscreen);
+      await page.goto(server.url);
+      await page.locator("#object-rows tr").first().waitFor();
+      assert.equal(page.workers().length, 0);
+      await assertPicture(page, "arena-tracks", (sum) => sum !== 0, "stays empty");
+      const before = await canvasSum(page, "arena-tracks");
+      await assertChanges(page, "arena-tracks", before);
+      await page.locator("#object-rows button").first().click();
+      await page.locator("#selection").waitFor();
+    } finally {
+      await context.close();
+    }
   });
 
   test("has a card for each camera, with its figures and its picture", async () => {
@@ -343,6 +358,25 @@ describe("the view", () => {
       await page.locator("#arena-stage").focus();
       await page.keyboard.press("0");
       await assertReturns(page, "arena-backdrop", fitted);
+    });
+  });
+
+  test("measures between objects by keys, and between clicks", async () => {
+    await withPage({}, async (page) => {
+      await page.locator("#object-rows button").first().click();
+      await page.keyboard.press("m");
+      assert.equal(await page.locator("#tape").getAttribute("aria-pressed"), "true");
+      const caption = page.locator("#arena-caption");
+      await caption.filter({ hasText: /^Measure: from .+ to …/ }).waitFor();
+      await page.keyboard.press("n");
+      await caption.filter({ hasText: /^\S+ to \S+: [\d.]+ m/ }).waitFor();
+      const box = await page.locator("#arena-stage").boundingBox();
+      for (const [x, y] of [[box.x + 60, box.y + 20], [box.x + 60, box.y + 120]]) await page.mouse.click(x, y);
+      await caption.filter({ hasText: /^\(.+, .+\) to \(.+, .+\): [\d.]+ m/ }).waitFor();
+      await page.keyboard.press("Escape");
+      assert.equal(await page.locator("#tape").getAttribute("aria-pressed"), "false");
+      await caption.filter({ hasText: /^Grid/ }).waitFor();
+      assert.ok(await page.locator("#selection").isVisible(), "only the tape is put away");
     });
   });
 

@@ -5,7 +5,7 @@ import { readFile } from "node:fs/promises";
 import { createRequire } from "node:module";
 import { after, before, describe, test } from "node:test";
 
-import { countDraws, launch, openDashboard, startLine, target } from "./harness.mjs";
+import { countDraws, drawingWorker, launch, openDashboard, startLine, target } from "./harness.mjs";
 import { startMock } from "./mock.mjs";
 import { World } from "./world.mjs";
 
@@ -149,9 +149,10 @@ describe("the view in 3D", () => {
 
   test("is the view from above where there is no WebGL, and says so", async () => {
     await withPage({}, async (page, { complaints }) => {
-      await page.evaluate(() => {
-        const plain = HTMLCanvasElement.prototype.getContext;
-        HTMLCanvasElement.prototype.getContext = function (kind, ...rest) {
+      const worker = await drawingWorker(page);
+      await worker.evaluate(() => {
+        const plain = OffscreenCanvas.prototype.getContext;
+        OffscreenCanvas.prototype.getContext = function (kind, ...rest) {
           return kind === "webgl2" ? null : plain.call(this, kind, ...rest);
         };
       });
@@ -214,13 +215,17 @@ describe("health", () => {
     });
   });
 
-  test("shows the reprojection error of the newest calibration", async () => {
+  test("shows each camera's reprojection error, and that of the newest calibration", async () => {
     await withWorld(new World(), {}, async (page) => {
       await page.route("**/api/v1/calibration", (route) =>
         route.fulfill({ json: { stage: "done", recorded: [], report: { cameras: [{ camera: "north-east", reprojection_px: 0.37 }] } } }),
       );
       await page.keyboard.press("3");
-      await page.locator('#health-rows tr[data-name="north-east"] [data-figure=reprojection]', { hasText: "0.37" }).waitFor();
+      await page.locator('#health-rows tr[data-name="north-east"] [data-figure=reprojection]', { hasText: /^(0\.2\d|–) \(0\.37\)$/ }).waitFor();
+      // Of one that no other sees the same as, nothing can be told.
+      const figures = await page.locator("#health-rows [data-figure=reprojection]").allTextContents();
+      assert.equal(figures.filter((text) => text.startsWith("–")).length, 1, figures.join());
+      assert.equal(figures.filter((text) => /^0\.2\d/.test(text)).length, 3, figures.join());
     });
   });
 
@@ -228,7 +233,7 @@ describe("health", () => {
     await withWorld(new World(), {}, async (page) => {
       await page.route("**/api/v1/calibration", (route) => route.abort());
       await page.keyboard.press("3");
-      await page.locator('#health-rows tr[data-name="north-east"] [data-figure=reprojection]', { hasText: "–" }).waitFor();
+      await page.locator('#health-rows tr[data-name="north-east"] [data-figure=reprojection]', { hasText: /^(0\.2\d|–)$/ }).waitFor();
       await page.locator('#health-rows tr[data-name="north-east"] .why', { hasText: "Well" }).waitFor();
     });
   });
@@ -440,6 +445,7 @@ describe("what a server does not offer", () => {
       await page.locator("#add-camera").waitFor({ state: "hidden" });
       await page.locator("#calibrate").waitFor({ state: "hidden" });
       await page.locator("[data-camera-card]").first().waitFor();
+      await page.locator("body.no-edits").waitFor();
       assert.equal(await page.getByRole("button", { name: /^Edit camera/ }).count(), 0);
       await page.route("**/openapi.json", (route) => route.fulfill({ status: 500, body: "no" }));
       await page.reload();

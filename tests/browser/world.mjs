@@ -172,6 +172,7 @@ export class World {
       detect_ms: 1.3 + 0.2 * Math.sin(t + i),
       latency_ms: 24 + 3 * Math.sin(t / 2 + i),
       clock: i === 0 ? null : { offset_ms: 12.4 - 9 * i, skew_ppm: 8 * i, deviation_ms: 0.03 * i },
+      reprojection_px: i === 3 ? 0 : 0.2 + 0.01 * i,
       blur_px: i === 3 ? 0 : 0.7 + 0.02 * Math.sin(t + i),
       noise: 2.1,
     }));

@@ -15,7 +15,7 @@ export const RULER = { left: 38, bottom: 22 };
 /** @typedef {import("./message.js").Camera} Camera */
 
 /**
- * @param {CanvasRenderingContext2D} context in CSS pixels
+ * @param {import("./layer.js").Context2D} context in CSS pixels
  * @param {View} view
  * @param {Palette} palette
  * @param {Camera[]} cameras
@@ -35,7 +35,7 @@ export function drawBackdrop(context, view, palette, cameras, overlay) {
 
 /**
  * Cameras that move, with what they see of the floor.
- * @param {CanvasRenderingContext2D} context in CSS pixels
+ * @param {import("./layer.js").Context2D} context in CSS pixels
  * @param {View} view
  * @param {Palette} palette
  * @param {Camera[]} cameras
@@ -71,7 +71,7 @@ function eachStep(from, to, step, visit) {
 }
 
 /**
- * @param {CanvasRenderingContext2D} context
+ * @param {import("./layer.js").Context2D} context
  * @param {View} view
  * @param {Palette} palette
  * @param {number} stepM
@@ -102,7 +102,7 @@ function drawGrid(context, view, palette, stepM) {
 
 /**
  * World x and y at the origin, one grid step long.
- * @param {CanvasRenderingContext2D} context
+ * @param {import("./layer.js").Context2D} context
  * @param {View} view
  * @param {Palette} palette
  * @param {number} stepM
@@ -135,7 +135,7 @@ function drawAxes(context, view, palette, stepM) {
 }
 
 /**
- * @param {CanvasRenderingContext2D} context
+ * @param {import("./layer.js").Context2D} context
  * @param {View} view
  * @param {Palette} palette
  * @param {Camera} camera
@@ -165,7 +165,7 @@ function drawFootprint(context, view, palette, camera) {
 
 /**
  * The camera itself: a body with its lens turned the way it looks.
- * @param {CanvasRenderingContext2D} context
+ * @param {import("./layer.js").Context2D} context
  * @param {View} view
  * @param {Palette} palette
  * @param {Camera} camera
@@ -209,7 +209,7 @@ function drawCamera(context, view, palette, camera) {
 
 /**
  * Metres along the left and the lower edge, as on the sheet of a drawing.
- * @param {CanvasRenderingContext2D} context
+ * @param {import("./layer.js").Context2D} context
  * @param {View} view
  * @param {Palette} palette
  * @param {number} stepM

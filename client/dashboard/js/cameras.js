@@ -1,9 +1,12 @@
 /** A card for each camera: how it is doing, in words and numbers, and what it sees. */
 
-import { element, find, glyph, setAttribute, setText } from "./dom.js";
+import { element, find, glyph, inTurn, setAttribute, setText } from "./dom.js";
 import { fixed, whole } from "./format.js";
 import { illnesses } from "./health.js";
 import { Picture } from "./picture.js";
+
+/** So many cards are brought up to date in a frame of the screen. */
+const AT_ONCE = 4;
 
 const STATUS_WORDS = {
   starting: "Starting",
@@ -61,6 +64,13 @@ export function showCameras(store, edit) {
   /** @type {Map<string, Card>} */
   const cards = new Map();
 
+  const fill = (/** @type {string} */ name, /** @type {Card} */ card) => {
+    const camera = store.cameras.find((one) => one.name === name);
+    if (!camera) return;
+    card.fill(camera, store.connection.phase === "live", illnesses(camera, store.vitals.shares(name)));
+    setText(card.noPicture, store.info?.replays ? "No picture recorded here" : `No picture from ${name} yet`);
+  };
+
   const update = () => {
     const names = new Set(store.cameras.map((camera) => camera.name));
     for (const [name, card] of cards) {
@@ -68,17 +78,16 @@ export function showCameras(store, edit) {
       card.remove();
       cards.delete(name);
     }
-    const live = store.connection.phase === "live";
-    for (const camera of store.cameras) {
-      let card = cards.get(camera.name);
-      if (!card) {
-        card = new Card(camera.name, viewer, edit);
-        cards.set(camera.name, card);
-        list.append(card.root);
-      }
-      card.fill(camera, live, illnesses(camera, store.vitals.shares(camera.name)));
-      setText(card.noPicture, store.info?.replays ? "No picture recorded here" : `No picture from ${camera.name} yet`);
+    for (const { name } of store.cameras) {
+      if (cards.has(name)) continue;
+      const card = new Card(name, viewer, edit);
+      cards.set(name, card);
+      list.append(card.root);
+      fill(name, card);
     }
+    const all = [...cards];
+    // All at once would hold up the page where there are many.
+    for (let i = 0; i < all.length; i += AT_ONCE) inTurn(() => all.slice(i, i + AT_ONCE).forEach(([name, card]) => fill(name, card)));
     empty.hidden = store.cameras.length > 0 || !store.camerasKnown;
     const failed = store.cameras.filter((camera) => camera.status === "failed").length;
     summary.classList.toggle("bad", failed > 0);

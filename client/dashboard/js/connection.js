@@ -5,10 +5,7 @@
  * server sends the cameras twice a second, whatever the robots do.
  */
 
-import { readSnapshot } from "./message.js";
-import { decode } from "./protobuf.js";
-import { SHAPES } from "./schema.js";
-import { decodeSnapshot } from "./snapshot.js";
+import { parse } from "./parse.js";
 
 /** How messages may be written, what is best first. A server that knows neither speaks JSON. */
 const PROTOCOLS = ["roundel.v1.protobuf", "roundel.v1.json"];
@@ -27,7 +24,7 @@ const LONGEST_PAUSE_MS = 8000;
 
 /**
  * @param {string} url of the WebSocket
- * @param {{onMessage: (message: any) => void, onState: (state: ConnectionState) => void}} handlers
+ * @param {{onMessage: (message: any, data: string | ArrayBuffer) => void, onState: (state: ConnectionState) => void}} handlers
  * @returns {{retryNow: () => void}}
  */
 export function connect(url, { onMessage, onState }) {
@@ -66,7 +63,7 @@ export function connect(url, { onMessage, onState }) {
         attempts = 0;
         become({ phase: "live", sinceMs: performance.now(), retryAtMs: null });
       }
-      onMessage(message);
+      onMessage(message, event.data);
     };
     mine.onclose = () => {
       if (socket === mine) lose();
@@ -92,11 +89,8 @@ export function connect(url, { onMessage, onState }) {
     if (state.phase === "lost" && socket === null) open();
   };
 
-  // Both mean that an attempt may succeed where the last ones did not.
+  // An attempt may succeed now where the last ones did not.
   addEventListener("online", retryNow);
-  document.addEventListener("visibilitychange", () => {
-    if (document.visibilityState === "visible") retryNow();
-  });
 
   onState(state);
   open();
@@ -110,25 +104,4 @@ export function connect(url, { onMessage, onState }) {
 function pauseMs(attempts) {
   const pause = Math.min(FIRST_PAUSE_MS * 2 ** attempts, LONGEST_PAUSE_MS);
   return pause * (0.75 + 0.5 * Math.random());
-}
-
-/**
- * A message that cannot be read is left out: the next one stands for itself.
- * @param {unknown} data
- */
-function parse(data) {
-  try {
-    if (data instanceof ArrayBuffer) {
-      const bytes = new Uint8Array(data);
-      const snapshot = decodeSnapshot(bytes);
-      if (snapshot) return { snapshot };
-      const message = decode(SHAPES.StreamMessage, bytes);
-      // JSON has the list by itself.
-      return { ...message, cameras: message.cameras?.cameras };
-    }
-    const message = typeof data === "string" ? JSON.parse(data) : null;
-    return message?.snapshot ? { snapshot: readSnapshot(message.snapshot) } : message;
-  } catch {
-    return null;
-  }
 }

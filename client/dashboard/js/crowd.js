@@ -3,6 +3,7 @@
  * as plot.js draws few, they would hold the page up where no graphics card helps.
  */
 
+import { makeSheet } from "./layer.js";
 import { discRadius, drawMark, drawObject, LEAD_S } from "./plot.js";
 
 /** @typedef {import("./view.js").View} View */
@@ -10,20 +11,20 @@ import { discRadius, drawMark, drawObject, LEAD_S } from "./plot.js";
 /** @typedef {import("./store.js").Track} Track */
 /** @typedef {import("./plot.js").PlotOptions} PlotOptions */
 
-/** @type {Map<string, HTMLCanvasElement>} signs by stage, size and colours */
+/** @type {Map<string, OffscreenCanvas | HTMLCanvasElement>} signs by stage, size and colours */
 const stamps = new Map();
 /** Sizes change while one zooms. */
 const MOST_STAMPS = 100;
 
 /**
- * @param {CanvasRenderingContext2D} context in CSS pixels
+ * @param {import("./layer.js").Context2D} context in CSS pixels
  * @param {View} view
  * @param {Palette} palette
  * @param {Track[]} tracks those in view
  * @param {PlotOptions} options
  */
 export function drawCrowd(context, view, palette, tracks, options) {
-  const ratio = devicePixelRatio || 1;
+  const { ratio } = view;
   const radius = discRadius(view);
   drawLines(context, view, palette, tracks, radius);
   for (const { state } of tracks) {
@@ -42,7 +43,7 @@ export function drawCrowd(context, view, palette, tracks, options) {
 
 /**
  * Velocities by stage, and all headings.
- * @param {CanvasRenderingContext2D} context
+ * @param {import("./layer.js").Context2D} context
  * @param {View} view
  * @param {Palette} palette
  * @param {Track[]} tracks
@@ -91,11 +92,8 @@ function stampOf(stage, radius, palette, ratio) {
   const known = stamps.get(key);
   if (known) return known;
   if (stamps.size > MOST_STAMPS) stamps.clear();
-  const canvas = document.createElement("canvas");
   const side = 2 * Math.ceil((size + 2) * ratio) + 1;
-  canvas.width = side;
-  canvas.height = side;
-  const context = /** @type {CanvasRenderingContext2D} */ (canvas.getContext("2d"));
+  const { canvas, context } = makeSheet(side, side);
   context.scale(ratio, ratio);
   context.lineCap = "round";
   context.lineJoin = "round";

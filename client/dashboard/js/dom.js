@@ -63,24 +63,54 @@ export function glyph(name) {
 /**
  * Calls at most once per `intervalMs`, and always once more after the last request: tables need not
  * change with each of thirty snapshots a second, but have to end on the newest.
- * @param {number} intervalMs
+ * @param {number | (() => number)} intervalMs
  * @param {() => void} action
+ * @param {{alone?: boolean}} [how] alone: it takes its time, and has a frame of the screen for itself
  */
-export function paced(intervalMs, action) {
+export function paced(intervalMs, action, { alone = false } = {}) {
   let lastMs = -Infinity;
   let waiting = false;
+  const run = () => {
+    waiting = false;
+    lastMs = performance.now();
+    action();
+  };
   return () => {
     if (waiting) return;
-    const pauseMs = lastMs + intervalMs - performance.now();
-    const run = () => {
-      waiting = false;
-      lastMs = performance.now();
-      action();
-    };
-    if (pauseMs <= 0) run();
-    else {
-      waiting = true;
-      setTimeout(run, pauseMs);
-    }
+    waiting = true;
+    const pauseMs = lastMs + (typeof intervalMs === "number" ? intervalMs : intervalMs()) - performance.now();
+    const due = alone ? () => inTurn(run) : () => soon(run);
+    if (pauseMs <= 0) due();
+    else setTimeout(due, pauseMs);
   };
+}
+
+/** What is due: the quick ones together, each of the others in a frame of its own. @type {{quick: (() => void)[], slow: (() => void)[]}} */
+const turns = { quick: [], slow: [] };
+let isAsked = false;
+
+/** Calls in the next frame of the screen. @param {() => void} action */
+function soon(action) {
+  turns.quick.push(action);
+  askTurn();
+}
+
+/** Calls in one of the next frames of the screen, which it has for itself. @param {() => void} action */
+export function inTurn(action) {
+  turns.slow.push(action);
+  askTurn();
+}
+
+function askTurn() {
+  if (isAsked) return;
+  isAsked = true;
+  requestAnimationFrame(takeTurn);
+}
+
+function takeTurn() {
+  isAsked = false;
+  const { quick, slow } = turns;
+  const actions = quick.length > 0 ? quick.splice(0) : slow.splice(0, 1);
+  if (slow.length > 0) askTurn();
+  for (const action of actions) action();
 }

@@ -21,7 +21,6 @@ const COLUMNS = [
     value: ({ camera }) => fixed(camera.rateHz, 1) + (camera.promisedRateHz > 0 ? ` of ${fixed(camera.promisedRateHz, 0)}` : ""),
   },
   { key: "latency", name: "Late ms", title: "From capture to fused, median", value: ({ camera }) => fixed(camera.latencyMs, 0) },
-  { key: "detect", name: "Detect ms", title: "Time to find the roundels in a frame, median", value: ({ camera }) => fixed(camera.detectMs, 2) },
   {
     key: "dropped",
     name: "Left out",
@@ -41,6 +40,15 @@ const COLUMNS = [
     value: ({ camera: { clock } }) => (clock ? `${fixed(clock.offsetMs, 1)} ± ${fixed(clock.deviationMs, 2)}` : "trusted"),
   },
   {
+    key: "reprojection",
+    name: "Reproj. px",
+    title: "How far from where the other cameras have objects it sees them, in its picture, rms over the last eight seconds; in brackets how far off roundels were at the newest calibration of the arena",
+    value: ({ camera }, reprojectionPx) => {
+      const calibrated = reprojectionPx.get(camera.name);
+      return fixed(camera.reprojectionPx, 2) + (calibrated === undefined ? "" : ` (${fixed(calibrated, 2)})`);
+    },
+  },
+  {
     key: "off",
     name: "Off by",
     title: "By how much it would have to move to agree best with the others, over about a minute",
@@ -49,12 +57,7 @@ const COLUMNS = [
         ? `${fixed(agreement.positionErrorM * 1000, 1)} mm, ${fixed((agreement.rotationErrorRad * 180) / Math.PI, 3)}°`
         : "–",
   },
-  {
-    key: "reprojection",
-    name: "Reproj. px",
-    title: "How far off its picture roundels were at the newest calibration of the arena, rms",
-    value: ({ camera }, reprojectionPx) => fixed(reprojectionPx.get(camera.name), 2),
-  },
+  { key: "detect", name: "Detect ms", title: "Time to find the roundels in a frame, median", value: ({ camera }) => fixed(camera.detectMs, 2) },
   { key: "blur", name: "Blur px", title: "As fitted to the rims of its roundels", value: ({ camera }) => fixed(camera.blurPx, 2) },
 ];
 
@@ -116,9 +119,9 @@ export function showHealth(store, { open, isOpen }) {
     showUnwell(list, ill);
     if (!isOpen()) return;
     const [p50, p95, p99] = store.latencies.quantiles([0.5, 0.95, 0.99]);
-    setText(figures.rate, `${fixed(store.snapshotRateHz(), 1)} of ${fixed(store.info?.snapshotRateHz, 0)} Hz`);
+    setText(figures.rate, `${fixed(store.report.rateHz, 1)} of ${fixed(store.info?.snapshotRateHz, 0)} Hz`);
     setText(figures.late, `${fixed(p50, 0)} / ${fixed(p95, 0)} / ${fixed(p99, 0)} ms`);
-    setText(figures.missed, whole(store.missed));
+    setText(figures.missed, whole(store.report.missed));
     bars(store.latencies.histogram(STEPS));
     fillTable(rows, all, reprojectionPx);
   };
@@ -130,7 +133,7 @@ export function showHealth(store, { open, isOpen }) {
     card?.scrollIntoView({ block: "nearest", behavior: "smooth" });
     /** @type {HTMLElement | null | undefined} */ (card?.querySelector("button"))?.focus();
   });
-  const updateSoon = paced(INTERVAL_MS, update);
+  const updateSoon = paced(INTERVAL_MS, update, { alone: true });
   store.on("cameras", updateSoon);
   store.on("connection", updateSoon);
   store.on("events", paced(2000, () => store.events[0]?.kind.startsWith("calibration_") && void loadCalibration()));

@@ -23,8 +23,8 @@ const [VELOCITY, TURN, COVARIANCE, ROTATION, AGE, RESIDUAL] = [3, 6, 10, 16, 19,
 /** Places of what is kept of the 21 numbers of a covariance. */
 const POSITION_ENTRIES = [0, 1, 2, 6, 7, 11];
 const ROTATION_ENTRIES = [15, 18, 20];
-/** Cameras of an object are bits of a number; further ones are forgotten. */
-const MOST_CAMERAS = 31;
+/** Cameras of an object are bits of so many numbers; further ones are forgotten. */
+const CAMERA_WORDS = 4;
 
 /** @typedef {{timeMs: number, count: number, ids: Float64Array, values: Float32Array, cameras: Int32Array, flags: Uint8Array}} Frame */
 /** @typedef {{name: string, roundel: string, code: {bits: number, number: number} | null}} Identity */
@@ -77,9 +77,14 @@ export class History {
       ? objects
       : [...objects].sort((a, b) => a.id - b.id);
     for (const [i, state] of sorted.entries()) this.write(frame, i, state);
+    this.advance();
+    this.forgetGone();
+  }
+
+  /** What lies at the next place is the newest. */
+  advance() {
     this.next = (this.next + 1) % this.frames.length;
     this.count = Math.min(this.count + 1, this.frames.length);
-    if (this.identities.size > 2 * objects.length + 100) this.forgetGone();
   }
 
   /** The frame to be written next, with room for so many objects. @param {number} objects @returns {Frame} */
@@ -99,7 +104,7 @@ export class History {
     const { positionM: p, velocityMS: v, orientation: q, covariance } = state;
     frame.ids[i] = state.id;
     frame.flags[i] = STAGES.indexOf(state.stage) | (state.yawObserved ? 8 : 0) | (state.eitherWay ? 16 : 0);
-    frame.cameras[i] = this.bits(state.cameras);
+    this.writeCameras(frame.cameras, i * CAMERA_WORDS, state.cameras);
     values[at] = p ? p.x : NaN;
     values[at + 1] = p ? p.y : NaN;
     values[at + 2] = p ? p.z : NaN;
@@ -121,18 +126,35 @@ export class History {
     identity.code = state.code;
   }
 
-  /** @param {string[]} names */
-  bits(names) {
-    let bits = 0;
+  /** @param {Int32Array} words @param {number} from @param {string[]} names */
+  writeCameras(words, from, names) {
+    words.fill(0, from, from + CAMERA_WORDS);
     for (const name of names) {
       let at = this.cameraNames.indexOf(name);
-      if (at < 0 && this.cameraNames.length < MOST_CAMERAS) at = this.cameraNames.push(name) - 1;
-      if (at >= 0) bits |= 1 << at;
+      if (at < 0 && this.cameraNames.length < CAMERA_WORDS * 32) at = this.cameraNames.push(name) - 1;
+      if (at >= 0) words[from + (at >> 5)] |= 1 << (at & 31);
     }
-    return bits;
   }
 
+  /** A frame of these alone, in as much room as they need; it is not remembered. @param {number} timeMs @param {ObjectState[]} objects by id @returns {Frame} */
+  pack(timeMs, objects) {
+    const frame = makeFrame(objects.length);
+    frame.timeMs = timeMs;
+    frame.count = objects.length;
+    for (const [i, state] of objects.entries()) this.write(frame, i, state);
+    return frame;
+  }
+
+  /** Takes a frame that another history has packed. @param {Frame} frame */
+  adopt(frame) {
+    this.slot(0);
+    this.frames[this.next] = frame;
+    this.advance();
+  }
+
+  /** Who is who, of objects that are in no frame any more; not each time, since that takes its time. */
   forgetGone() {
+    if (this.identities.size <= 2 * this.frame(0).count + 100) return;
     const kept = new Set();
     for (let back = 0; back < this.count; back += 1) {
       const { ids, count } = this.frame(back);
@@ -173,14 +195,14 @@ export class History {
   one(id, timeMs) {
     const back = this.backTo(timeMs);
     if (back >= this.count || timeMs - this.frame(back).timeMs > HELD_MS) return null;
-    const i = place(this.frame(back), id, 0);
+    const i = placeIn(this.frame(back), id, 0);
     return i < 0 ? null : this.between(this.frame(back), i, back > 0 ? this.frame(back - 1) : null, timeMs);
   }
 
   /** @param {Frame} from @param {number} i @param {Frame | null} to @param {number} timeMs */
   between(from, i, to, timeMs) {
     const state = this.read(from, i);
-    const other = to && to.timeMs - from.timeMs <= GAP_MS ? place(to, state.id, i) : -1;
+    const other = to && to.timeMs - from.timeMs <= GAP_MS ? placeIn(to, state.id, i) : -1;
     if (!to || other < 0) return state;
     const spanMs = to.timeMs - from.timeMs;
     const part = (timeMs - from.timeMs) / spanMs;
@@ -212,7 +234,7 @@ export class History {
       velocityMS: three(VELOCITY),
       orientation: turn && { ...turn, w: values[at + TURN + 3] },
       covariance: covarianceOf(values, at),
-      cameras: this.cameraNames.filter((_, bit) => (frame.cameras[i] & (1 << bit)) !== 0),
+      cameras: this.cameraNames.filter((_, bit) => (frame.cameras[i * CAMERA_WORDS + (bit >> 5)] & (1 << (bit & 31))) !== 0),
       ageMs: orNull(values[at + AGE]),
       residual: orNull(values[at + RESIDUAL]),
     });
@@ -234,7 +256,7 @@ export class History {
       if (stride > 1 && (this.next - 1 - back + this.frames.length) % stride !== 0) continue;
       const frame = this.frame(back);
       if (frame.timeMs < fromMs) continue;
-      const i = place(frame, id, hint);
+      const i = placeIn(frame, id, hint);
       if (i < 0) continue;
       hint = i;
       const at = i * WIDTH;
@@ -245,14 +267,15 @@ export class History {
   /**
    * An object's states, from older to newer, as they were received.
    * @param {number} id
+   * @param {number} [sinceMs] only those after this
    * @returns {{timeMs: number, state: ObjectState}[]}
    */
-  of(id) {
+  of(id, sinceMs = -Infinity) {
     const states = [];
     let hint = 0;
-    for (let back = this.count - 1; back >= 0; back -= 1) {
+    for (let back = this.backTo(sinceMs) - 1; back >= 0; back -= 1) {
       const frame = this.frame(back);
-      const i = place(frame, id, hint);
+      const i = placeIn(frame, id, hint);
       if (i < 0) continue;
       hint = i;
       states.push({ timeMs: frame.timeMs, state: this.read(frame, i) });
@@ -268,13 +291,13 @@ function makeFrame(room) {
     count: 0,
     ids: new Float64Array(room),
     values: new Float32Array(room * WIDTH),
-    cameras: new Int32Array(room),
+    cameras: new Int32Array(room * CAMERA_WORDS),
     flags: new Uint8Array(room),
   };
 }
 
 /** Where an object lies in a frame; -1 where it does not. @param {Frame} frame @param {number} id @param {number} hint */
-function place(frame, id, hint) {
+export function placeIn(frame, id, hint) {
   if (hint < frame.count && frame.ids[hint] === id) return hint;
   let [low, high] = [0, frame.count];
   while (low < high) {

@@ -11,6 +11,7 @@ import { find } from "./dom.js";
  * @property {() => void} fit
  * @property {(step: 1 | -1) => void} selectNext
  * @property {() => void} follow
+ * @property {() => void} measure
  * @property {() => void} deselect
  * @property {() => void} theme
  */
@@ -42,6 +43,7 @@ export function listenForKeys(handlers) {
     n: () => handlers.selectNext(1),
     p: () => handlers.selectNext(-1),
     f: handlers.follow,
+    m: handlers.measure,
     t: handlers.theme,
     Escape: handlers.deselect,
   };

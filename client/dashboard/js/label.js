@@ -4,6 +4,7 @@
  */
 
 import { fixed } from "./format.js";
+import { makeSheet } from "./layer.js";
 
 /** Objects higher than this carry their height, metres; a robot's roundel is mostly below. */
 const FLYING_M = 0.5;
@@ -22,7 +23,7 @@ const MOST_KEPT = 4000;
 
 /** @typedef {import("./palette.js").Palette} Palette */
 /** @typedef {{state: import("./state.js").ObjectState, px: number, py: number}} Label where its text begins, middle of its line */
-/** @typedef {{canvas: HTMLCanvasElement, width: number, height: number}} Painted */
+/** @typedef {{canvas: OffscreenCanvas | HTMLCanvasElement, width: number, height: number}} Painted */
 
 /** @type {Map<string, Painted>} */
 const painted = new Map();
@@ -31,13 +32,13 @@ const taken = new Uint8Array(COLUMNS * ROWS);
 let paintedFor = "";
 
 /**
- * @param {CanvasRenderingContext2D} context in CSS pixels
+ * @param {import("./layer.js").Context2D} context in CSS pixels
  * @param {Palette} palette
  * @param {Label[]} labels
  * @param {{selected: number | null, hovered: number | null}} options
+ * @param {number} ratio of the screen's pixels to CSS pixels
  */
-export function drawLabels(context, palette, labels, options) {
-  const ratio = devicePixelRatio || 1;
+export function drawLabels(context, palette, labels, options, ratio) {
   const look = `${palette.ink} ${palette.sheet} ${ratio}`;
   if (look !== paintedFor || painted.size > MOST_KEPT) {
     painted.clear();
@@ -87,17 +88,11 @@ function paint(name, height, isSelected, palette, ratio) {
   const key = `${isSelected ? "*" : ""}${name}\n${height}`;
   const known = painted.get(key);
   if (known) return known;
-  const canvas = document.createElement("canvas");
-  const context = /** @type {CanvasRenderingContext2D} */ (canvas.getContext("2d"));
   const fonts = [`600 11.5px ${palette.font}`, `10.5px ${palette.font}`];
-  const widths = [name, height].map((text, i) => {
-    context.font = fonts[i];
-    return text ? context.measureText(text).width : 0;
-  });
+  const widths = [name, height].map((text, i) => (text ? widthOf(text, fonts[i]) : 0));
   const width = Math.ceil(Math.max(...widths)) + 2 * PADDING_PX;
   const tall = (height ? 29 : 16) + 2 * PADDING_PX;
-  canvas.width = Math.ceil(width * ratio);
-  canvas.height = Math.ceil(tall * ratio);
+  const { canvas, context } = makeSheet(Math.ceil(width * ratio), Math.ceil(tall * ratio));
   context.scale(ratio, ratio);
   context.lineJoin = "round";
   context.lineWidth = 3.5;
@@ -113,4 +108,14 @@ function paint(name, height, isSelected, palette, ratio) {
   const made = { canvas, width: canvas.width / ratio, height: canvas.height / ratio };
   painted.set(key, made);
   return made;
+}
+
+/** @type {import("./layer.js").Context2D | null} */
+let ruler = null;
+
+/** @param {string} text @param {string} font */
+function widthOf(text, font) {
+  ruler ??= makeSheet(1, 1).context;
+  ruler.font = font;
+  return ruler.measureText(text).width;
 }

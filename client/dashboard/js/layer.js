@@ -1,11 +1,12 @@
 /** Canvases of the arena. */
 
+/** @typedef {OffscreenCanvasRenderingContext2D | CanvasRenderingContext2D} Context2D */
+
 /** A canvas as sharp as the screen, with a context that counts in CSS pixels. */
 export class Layer {
-  /** @param {HTMLElement} canvas */
+  /** @param {OffscreenCanvas | HTMLCanvasElement} canvas */
   constructor(canvas) {
-    if (!(canvas instanceof HTMLCanvasElement)) throw new Error(`#${canvas.id} is no canvas`);
-    const context = canvas.getContext("2d");
+    const context = /** @type {Context2D | null} */ (canvas.getContext("2d"));
     if (!context) throw new Error("this browser has no 2D canvas");
     this.canvas = canvas;
     this.context = context;
@@ -14,11 +15,25 @@ export class Layer {
   /**
    * @param {number} width CSS pixels
    * @param {number} height
+   * @param {number} ratio the screen's pixels in one
    */
-  resize(width, height) {
-    const ratio = devicePixelRatio || 1;
+  resize(width, height, ratio) {
     this.canvas.width = Math.round(width * ratio);
     this.canvas.height = Math.round(height * ratio);
     this.context.setTransform(ratio, 0, 0, ratio, 0, 0);
   }
+}
+
+/**
+ * A canvas that is nowhere to be seen, to paint what is copied often.
+ * @param {number} width pixels
+ * @param {number} height
+ * @returns {{canvas: OffscreenCanvas | HTMLCanvasElement, context: Context2D}}
+ */
+export function makeSheet(width, height) {
+  // Browsers that know no canvas outside the page draw in the page.
+  const canvas = typeof OffscreenCanvas === "undefined" ? document.createElement("canvas") : new OffscreenCanvas(width, height);
+  canvas.width = width;
+  canvas.height = height;
+  return { canvas, context: /** @type {Context2D} */ (canvas.getContext("2d")) };
 }

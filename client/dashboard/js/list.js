@@ -7,11 +7,15 @@ import { element, find, glyph, paced, setAttribute, setText } from "./dom.js";
 import { fixed } from "./format.js";
 
 /** Faster than this, figures flicker instead of being read, ms. */
-const INTERVAL_MS = 200;
+const INTERVAL_MS = 250;
+/** Of hundreds, less often: it is the dearest that the page does. */
+const MANY_INTERVAL_MS = 400;
 /** From so many objects on only rows about those in sight are there: a table of hundreds is dear to lay out. */
 const MANY = 150;
 /** Rows beyond the edges that are there nevertheless. */
-const MARGIN_ROWS = 8;
+const MARGIN_ROWS = 3;
+/** Names of so many letters fit in any case. */
+const SHORT = 8;
 /** Of fewer, rows that are scrolled out of sight are brought up to date in turns, so many each time. */
 const UNSEEN_AT_ONCE = 12;
 
@@ -40,7 +44,7 @@ export function showList(store) {
   let turn = 0;
   /** @type {((state: ObjectState) => boolean) | null} */
   let filter = null;
-  /** @type {ObjectState[]} all that fit, also those without a row */
+  /** @type {import("./track.js").Track[]} all that fit, also those without a row */
   let listed = [];
 
   const rowHeight = () => rows.values().next().value?.row.offsetHeight || 27;
@@ -53,25 +57,25 @@ export function showList(store) {
   };
 
   const update = () => {
-    const all = store.sortedTracks().filter(({ state }) => !filter || filter(state)).map(({ state }) => state);
+    const all = store.sortedTracks().filter((track) => !filter || filter(track.state));
     const [first, last] = inSight(all.length);
     const [from, to] = all.length > MANY ? [first, last] : [0, all.length];
     listed = all;
     const there = all.slice(from, to);
-    keepRows(new Set(there.map((state) => state.id)));
+    keepRows(new Set(there.map(({ id }) => id)));
     turn %= Math.max(1, all.length);
-    for (const [k, state] of there.entries()) {
+    for (const [k, track] of there.entries()) {
       const i = from + k;
-      let row = rows.get(state.id);
+      let row = rows.get(track.id);
       const isNew = !row;
       if (!row) {
-        row = makeRow(state);
-        rows.set(state.id, row);
+        row = makeRow(track.id);
+        rows.set(track.id, row);
       }
       if (body.children[k] !== row.row) body.insertBefore(row.row, body.children[k] ?? null);
       // Four hundred at once would hold the page up.
       const isDue = (i >= first && i < last) || (i >= turn && i < turn + UNSEEN_AT_ONCE);
-      if (isNew || isDue || row.stage !== state.stage) fillRow(row, state, store.selected);
+      if (isNew || isDue || row.stage !== track.stage) fillRow(row, track.state, store.selected);
     }
     turn += UNSEEN_AT_ONCE;
     fillGaps(from, all.length - to);
@@ -101,7 +105,7 @@ export function showList(store) {
   scroller.addEventListener("scroll", paced(50, update), { passive: true });
 
   const markSelected = () => {
-    const at = listed.findIndex((state) => state.id === store.selected);
+    const at = listed.findIndex(({ id }) => id === store.selected);
     if (at >= 0 && store.selected !== null && !rows.has(store.selected)) {
       scroller.scrollTop = at * rowHeight() - scroller.clientHeight / 2;
       update();
@@ -114,7 +118,7 @@ export function showList(store) {
     }
   };
 
-  store.on("snapshot", paced(INTERVAL_MS, update));
+  store.on("snapshot", paced(() => (store.tracks.size > MANY ? MANY_INTERVAL_MS : INTERVAL_MS), update, { alone: true }));
   store.on("time", update);
   store.on("selection", () => {
     update();
@@ -135,16 +139,16 @@ function makeGap() {
 }
 
 /**
- * @param {ObjectState} state
+ * @param {number} id
  * @returns {Row}
  */
-function makeRow(state) {
+function makeRow(id) {
   const sign = element("span", { class: "sign" });
   const label = element("span", { class: "label" });
   const code = element("small", { class: "code", hidden: "" });
   const button = element("button", { type: "button", "aria-pressed": "false" }, [sign, label, " ", code]);
   const cells = Array.from({ length: 5 }, () => element("td"));
-  const row = element("tr", { "data-object-id": String(state.id) }, [
+  const row = element("tr", { "data-object-id": String(id) }, [
     element("th", { scope: "row" }, [button]),
     ...cells,
   ]);
@@ -171,6 +175,7 @@ function fillRow(row, state, selected) {
   setText(row.code, code);
   row.row.classList.toggle("selected", state.id === selected);
   setText(row.label, state.label);
+  row.label.classList.toggle("long", state.label.length > SHORT);
   const { positionM, sigmaM } = state;
   const values = [
     fixed(positionM?.x, 3),

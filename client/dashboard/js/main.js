@@ -1,20 +1,21 @@
-/** Starts the page: one store, the views that read it, the connection that fills it. */
+/** Starts the page: one store, the views that read it, the line to the worker that fills it and draws the arena. */
 
 import { Arena } from "./arena.js";
 import { showCalibration } from "./calibration.js";
 import { showCameras } from "./cameras.js";
-import { connect } from "./connection.js";
 import { showCourses } from "./courses-view.js";
-import { find } from "./dom.js";
+import { find, setText } from "./dom.js";
 import { showEvents } from "./events.js";
 import { showHealth } from "./health-view.js";
 import { listenForKeys } from "./keys.js";
+import { Link } from "./link.js";
 import { showList } from "./list.js";
 import { showMasthead } from "./masthead.js";
 import { readInfo } from "./message.js";
 import { showObjects } from "./object-form.js";
 import { showOffer } from "./offer.js";
 import { showPanel } from "./panel.js";
+import { parse } from "./parse.js";
 import { showPlan } from "./plan.js";
 import { showPrint } from "./print.js";
 import { showRecording } from "./recording.js";
@@ -29,9 +30,10 @@ import { showViews } from "./views.js";
 const MAX_RATE_HZ = matchMedia("(pointer: coarse)").matches ? 30 : 60;
 
 const store = new Store();
-const arena = new Arena(store);
+const link = new Link(showBroken);
+const arena = new Arena(store, link, streamAddress());
 const list = showList(store);
-showSearch(store, list.narrow);
+const clearSearch = showSearch(store, list.narrow);
 showPanel(store);
 const setup = showSetup();
 showCameras(store, setup.edit);
@@ -55,7 +57,12 @@ listenForKeys({
   fit: () => arena.fit(),
   selectNext: (step) => store.selectNext(step),
   follow: () => store.follow(!store.following),
-  deselect: () => store.select(null),
+  measure: () => arena.mode === "top" && arena.measure(!arena.measures),
+  // One thing after the other: the tape, what is searched for, the object.
+  deselect: () => {
+    if (arena.measures) arena.measure(false);
+    else if (!clearSearch()) store.select(null);
+  },
   theme: () => find("#theme").click(),
 });
 
@@ -72,17 +79,27 @@ find("#fit").addEventListener("click", () => arena.fit());
 find("#zoom-in").addEventListener("click", () => arena.zoomMiddle(1.4));
 find("#zoom-out").addEventListener("click", () => arena.zoomMiddle(1 / 1.4));
 
-const connection = connect(streamAddress(), {
-  onMessage: (message) => store.take(message),
-  onState: (state) => {
-    const before = store.connection.phase;
-    store.setConnection(state);
-    // With each connection: it may be another server, or another version of it.
-    if (state.phase !== "live" || before === "live") return;
-    void loadInfo();
-  },
+link.on("snapshot", (packed) => store.takePacked(packed));
+link.on("data", (data) => store.take(parse(data)));
+link.on("report", (report) => store.takeReport(report));
+link.on("connection", ({ phase, sinceMs, retryAtMs }) => {
+  const here = (/** @type {number} */ ms) => ms - performance.timeOrigin;
+  const before = store.connection.phase;
+  store.setConnection({ phase, sinceMs: here(sinceMs), retryAtMs: retryAtMs && here(retryAtMs) });
+  // With each connection: it may be another server, or another version of it.
+  if (phase === "live" && before !== "live") void loadInfo();
 });
-showMasthead(store, () => connection.retryNow());
+showMasthead(store, () => link.send("retry"));
+
+/** Without its worker the page can do nothing but say so. */
+function showBroken() {
+  find("#banner").hidden = false;
+  setText(find("#banner-title"), "A part of this page could not be loaded, or broke.");
+  setText(find("#banner-text"), "What you see does not change any more.");
+  const button = find("#retry");
+  setText(button, "Load the page anew");
+  button.addEventListener("click", () => location.reload());
+}
 
 /** Relative to the page, so that it also works behind a proxy that adds a path. */
 function streamAddress() {

@@ -29,10 +29,10 @@ export function showMasthead(store, retryNow) {
     const { phase } = store.connection;
     // What is played is of any age.
     const age = store.info?.replays ? null : store.dataAgeMs();
-    setText(figures.rate, phase === "live" ? fixed(store.snapshotRateHz(), 1) : "–");
+    setText(figures.rate, phase === "live" ? fixed(store.report.rateHz, 1) : "–");
     setText(figures.age, duration(age));
     figures.age.classList.toggle("stale", age !== null && age > STALE_MS);
-    setText(figures.missed, whole(store.missed));
+    setText(figures.missed, whole(store.report.missed));
     setText(figures.link, linkWords(store));
     if (phase === "lost") setText(figures.bannerText, lossWords(store));
     const words = noteWords(store);
@@ -49,10 +49,11 @@ export function showMasthead(store, retryNow) {
   };
 
   store.on("connection", showPhase);
-  store.on("snapshot", paced(200, stages));
+  store.on("snapshot", paced(250, stages));
   store.on("info", () => showInfo(store));
-  // Ages grow without any message, and above all while there is none.
-  setInterval(showFigures, 250);
+  store.on("report", paced(250, showFigures));
+  // Ages grow without any report, too.
+  setInterval(showFigures, 1000);
   showPhase();
   stages();
 }
@@ -73,7 +74,7 @@ function showStages(store) {
     return { stage, item, count };
   });
   return () => {
-    const states = [...store.tracks.values()].map((track) => track.state.stage);
+    const states = [...store.tracks.values()].map((track) => track.stage);
     for (const { stage, item, count } of counts) {
       const number = states.filter((each) => each === stage).length;
       setText(count, String(number));
@@ -109,9 +110,10 @@ function linkWords(store) {
 function lossWords(store) {
   const now = performance.now();
   const { sinceMs, retryAtMs } = store.connection;
+  const { receivedAtMs } = store.report;
   const shown =
-    store.snapshot && store.receivedAtMs !== null
-      ? `What you see is how things stood at ${timeOfDay(Date.now() - (now - store.receivedAtMs))}, ${duration(now - store.receivedAtMs)} ago.`
+    store.snapshot && receivedAtMs !== null
+      ? `What you see is how things stood at ${timeOfDay(receivedAtMs)}, ${duration(Date.now() - receivedAtMs)} ago.`
       : `The server has not answered for ${duration(now - sinceMs)}. Is it running at ${location.host}?`;
   const next =
     retryAtMs === null ? "Connecting…" : `Next attempt in ${Math.max(1, Math.ceil((retryAtMs - now) / 1000))} s.`;

@@ -55,6 +55,7 @@ import { count, list, milliseconds, nanoseconds, number, quaternion, text, vecto
  * @property {number} latencyMs
  * @property {Clock | null} clock null while its stamps are trusted
  * @property {number | null} blurPx null before it is known
+ * @property {number | null} reprojectionPx how far from where the others have objects it sees them; null where no other camera sees them
  * @property {number} promisedRateHz 0: none
  * @property {Agreement | null} agreement null while its place is not known, and of one that rides
  */
@@ -138,6 +139,8 @@ function readCamera(raw) {
     clock: readClock(raw?.clock),
     // 0 is "not fitted".
     blurPx: number(raw?.blur_px) || null,
+    // 0 is "nothing to compare with".
+    reprojectionPx: number(raw?.reprojection_px) || null,
     promisedRateHz: count(raw?.promised_rate_hz),
     agreement: readAgreement(raw?.agreement),
   };

@@ -3,15 +3,15 @@
 import { ask } from "./ask.js";
 import { findDialog } from "./dialog.js";
 import { element, find, setText } from "./dom.js";
+import { Mounts } from "./mounts.js";
 import { difference, given } from "./setup.js";
 import { Troubles } from "./troubles.js";
 
 /** Fields that a server's error can be about. */
-const FIELDS = ["name", "roundel", "code", "offset_m", "motion", "height_m"];
+const FIELDS = ["name", "roundel", "mounts", "code", "offset_m", "motion", "height_m"];
 const AXES = /** @type {const} */ (["x", "y", "z"]);
 
-/** @typedef {{kind: string, code: number | null}} Mounted */
-/** @typedef {{name: string, roundel: string, roundels: Mounted[], code: number | null, offset_m: {x: number, y: number, z: number} | null, motion: string, height_m: number | null}} Setup */
+/** @typedef {{name: string, roundel: string, roundels: import("./mounts.js").Mount[], code: number | null, offset_m: {x: number, y: number, z: number} | null, motion: string, height_m: number | null}} Setup */
 
 /** @param {import("./store.js").Store} store */
 export function showObjects(store) {
@@ -34,7 +34,9 @@ class ObjectForm {
     this.remove = /** @type {HTMLButtonElement} */ (find("#object-remove"));
     this.save = /** @type {HTMLButtonElement} */ (find("#object-save"));
     this.words = find("#object-words");
-    this.troubles = new Troubles("object", FIELDS, { offset_m: "object-offset" });
+    this.troubles = new Troubles("object", FIELDS, { offset_m: "object-offset", mounts: "object-several" });
+    this.carries = /** @type {HTMLSelectElement} */ (find("#object-carries"));
+    this.mounts = new Mounts();
     /** @type {Setup[]} */
     this.known = [];
     /** @type {Setup | null} as the server has it; null: a new one */
@@ -44,6 +46,7 @@ class ObjectForm {
     this.asksBack = false;
 
     this.choice.addEventListener("change", () => this.fill(this.known.find(({ name }) => name === this.choice.value) ?? null));
+    this.carries.addEventListener("change", () => this.showCarried());
     this.form.addEventListener("submit", (event) => {
       event.preventDefault();
       void this.store();
@@ -59,10 +62,13 @@ class ObjectForm {
   /** @param {string} name of a configured one; empty: a new one */
   async open(name) {
     this.show("Objects", null);
+    // Those of before may be others by now, and whoever chose one would see it change.
+    this.choice.replaceChildren();
     const answer = await this.ask("GET", "configuration");
     if (!answer || !this.dialog.open) return;
     this.known = answer.objects;
-    const kinds = answer.roundels.map((/** @type {{name: string}} */ kind) => element("option", { value: kind.name }, [kind.name]));
+    this.mounts.kinds = answer.roundels.map((/** @type {{name: string}} */ kind) => kind.name);
+    const kinds = this.mounts.kinds.map((kind) => element("option", { value: kind }, [kind]));
     this.field("roundel").replaceChildren(element("option", { value: "" }, ["none: its own camera finds it"]), ...kinds);
     const others = this.known.map((one) => element("option", { value: one.name }, [one.name]));
     this.choice.replaceChildren(element("option", { value: "" }, ["A new one"]), ...others);
@@ -100,10 +106,9 @@ class ObjectForm {
     setText(this.save, setup ? "Save" : "Add");
     setText(this.remove, "Remove…");
     this.remove.hidden = setup === null;
-    const several = setup?.roundels ?? [];
-    find("#object-one").hidden = several.length > 0;
-    const list = several.map(({ kind, code }) => (code === null ? kind : `${kind} ${code}`)).join(", ");
-    setText(find("#object-several"), several.length > 0 ? `It carries ${several.length} roundels at measured places: ${list}. These are changed in the configuration.` : "");
+    this.mounts.fill(setup?.roundels ?? []);
+    this.carries.value = setup && setup.roundels.length > 0 ? "several" : "one";
+    this.showCarried();
     if (!setup) {
       // What most want: the first kind there is.
       const kind = /** @type {HTMLSelectElement} */ (find("#object-roundel"));
@@ -115,22 +120,35 @@ class ObjectForm {
     for (const axis of AXES) this.field(`offset-${axis}`).value = setup.offset_m ? String(setup.offset_m[axis]) : "";
   }
 
+  /** The fields of what it carries; of several there are two at least. */
+  showCarried() {
+    const several = this.carries.value === "several";
+    find("#object-one").hidden = several;
+    find("#object-several").hidden = !several;
+    if (several && this.mounts.rows.length === 0) for (let row = 0; row < 2; row += 1) this.mounts.add(null);
+  }
+
   /** What is filled in; null if it is nothing that can be sent. @returns {Setup | null} */
   read() {
-    const offset = this.readOffset();
-    if (offset === undefined) return null;
+    const several = this.carries.value === "several";
+    const offset = several ? null : this.readOffset();
+    const roundels = several ? this.mounts.read() : [];
+    if (offset === undefined || roundels === null) return null;
+    if (several && roundels.length === 0) {
+      this.troubles.blame("mounts", "Add its roundels, or choose that it carries one.");
+      return null;
+    }
     for (const key of ["code", "height_m"]) {
       if (!this.field(key).validity.badInput) continue;
       this.troubles.blame(key, "Fill in a number, or leave it empty.");
       return null;
     }
     const number = (/** @type {string} */ key) => (this.field(key).value === "" ? null : Number(this.field(key).value));
-    const several = this.before?.roundels ?? [];
     return {
       name: this.field("name").value.trim(),
-      roundel: several.length > 0 ? "" : this.field("roundel").value,
-      roundels: several,
-      code: several.length > 0 ? null : number("code"),
+      roundel: several ? "" : this.field("roundel").value,
+      roundels,
+      code: several ? null : number("code"),
       offset_m: offset,
       motion: this.field("motion").value,
       height_m: number("height_m"),
@@ -158,7 +176,7 @@ class ObjectForm {
     if (!wanted) return;
     const { before } = this;
     if (before) this.finish(await this.ask("PATCH", `configuration/objects/${encodeURIComponent(before.name)}`, difference(before, wanted)));
-    else this.finish(await this.ask("POST", "configuration/objects", given({ ...wanted, roundels: null })));
+    else this.finish(await this.ask("POST", "configuration/objects", given({ ...wanted, roundels: wanted.roundels.length > 0 ? wanted.roundels : null })));
   }
 
   async removeIt() {
@@ -183,8 +201,14 @@ class ObjectForm {
     for (const button of [this.save, this.remove]) button.disabled = true;
     const { answer, refusal } = await ask(method, path, body);
     for (const button of [this.save, this.remove]) button.disabled = false;
-    if (refusal) this.troubles.refuse(this.unnamed !== null && refusal.field === "roundel" ? { ...refusal, field: "" } : refusal);
+    if (refusal) this.troubles.refuse({ ...refusal, field: this.fieldOf(refusal.field) });
     return answer;
+  }
+
+  /** Where on the form is what the server calls so. @param {string} field */
+  fieldOf(field) {
+    if (field !== "roundel") return field;
+    return this.unnamed !== null ? "" : this.carries.value === "several" ? "mounts" : field;
   }
 
   /** @param {string} words */

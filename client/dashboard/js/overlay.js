@@ -20,7 +20,7 @@ export function colorOf(course, palette) {
 
 /**
  * From above.
- * @param {CanvasRenderingContext2D} context in CSS pixels
+ * @param {import("./layer.js").Context2D} context in CSS pixels
  * @param {View} view
  * @param {Palette} palette
  * @param {Overlay} overlay
@@ -30,7 +30,7 @@ export function drawOverlay(context, view, palette, overlay) {
   else for (const course of overlay.courses.courses) drawCourse(context, view, palette, course, overlay.courses.stepS);
 }
 
-/** @param {CanvasRenderingContext2D} context @param {View} view @param {Palette} palette @param {import("./courses.js").Heat} heat */
+/** @param {import("./layer.js").Context2D} context @param {View} view @param {Palette} palette @param {import("./courses.js").Heat} heat */
 function drawHeat(context, view, palette, heat) {
   const side = heat.cellM * view.scale;
   context.fillStyle = palette.heat;
@@ -51,7 +51,7 @@ function drawHeat(context, view, palette, heat) {
   context.globalAlpha = 1;
 }
 
-/** @param {CanvasRenderingContext2D} context @param {View} view @param {Palette} palette @param {Course} course @param {number} stepS */
+/** @param {import("./layer.js").Context2D} context @param {View} view @param {Palette} palette @param {Course} course @param {number} stepS */
 function drawCourse(context, view, palette, course, stepS) {
   if (course.count === 0) return;
   const { places, count } = course;

@@ -4,7 +4,7 @@ import { element, find, glyph, paced, setAttribute, setText } from "./dom.js";
 import { degrees, duration, fixed, significant } from "./format.js";
 import { showPlots } from "./plots.js";
 
-const INTERVAL_MS = 150;
+const INTERVAL_MS = 250;
 const PLOT_INTERVAL_MS = 500;
 /** Where it was so long before is told beside where it is, ms. */
 const AGO_MS = 10_000;

@@ -20,7 +20,7 @@ const TRAIL_BANDS = 4;
 /** Points of all trails together, about: with many objects each has fewer. */
 const TRAIL_POINTS = 3000;
 /** From so many objects in view on they are drawn as a crowd: less fine, and in a fraction of the time. */
-const CROWD = 120;
+export const CROWD = 120;
 const CROWD_TRAIL_MS = 2000;
 
 /** @typedef {import("./view.js").View} View */
@@ -45,7 +45,7 @@ export function discRadius(/** @type {View} */ view) {
 }
 
 /**
- * @param {CanvasRenderingContext2D} context in CSS pixels
+ * @param {import("./layer.js").Context2D} context in CSS pixels
  * @param {View} view
  * @param {Palette} palette
  * @param {Track[]} tracks
@@ -78,21 +78,22 @@ export function drawTracks(context, view, palette, tracks, options) {
     px: view.screenX(state.positionM?.x ?? 0) + radius + 4,
     py: view.screenY(state.positionM?.y ?? 0) - radius * 0.55,
   }));
-  drawLabels(context, palette, labels, options);
+  drawLabels(context, palette, labels, options, view.ratio);
   context.restore();
 }
 
 /**
  * How long trails are, and of how many frames of the history one is drawn: many must take no longer than few.
  * @param {number} objects
+ * @param {number} points of all together, about
  */
-export function trailPlan(objects) {
+export function trailPlan(objects, points) {
   const spanMs = objects < CROWD ? TRAIL_MS : CROWD_TRAIL_MS;
-  return { spanMs, stride: Math.max(1, Math.ceil((objects * spanMs) / FRAME_MS / TRAIL_POINTS)) };
+  return { spanMs, stride: Math.max(1, Math.ceil((objects * spanMs) / FRAME_MS / points)) };
 }
 
 /**
- * @param {CanvasRenderingContext2D} context
+ * @param {import("./layer.js").Context2D} context
  * @param {View} view
  * @param {Palette} palette
  * @param {Track[]} tracks
@@ -104,7 +105,7 @@ function drawTrails(context, view, palette, tracks, options) {
   context.lineWidth = isCrowd ? 1 : 1.75;
   context.lineJoin = isCrowd ? "bevel" : "round";
   context.lineCap = isCrowd ? "butt" : "round";
-  const plan = trailPlan(tracks.length);
+  const plan = trailPlan(tracks.length, TRAIL_POINTS);
   for (const stage of /** @type {const} */ (["tracked", "predicted", "tentative", "lost"])) {
     const members = tracks.filter((track) => track.state.stage === stage);
     if (members.length === 0) continue;
@@ -150,7 +151,7 @@ function traceTrail(bands, view, state, { spanMs, stride }, { history, timeMs })
 }
 
 /**
- * @param {CanvasRenderingContext2D} context
+ * @param {import("./layer.js").Context2D} context
  * @param {View} view
  * @param {Palette} palette
  * @param {Track} track
@@ -188,7 +189,7 @@ function drawEllipse(context, view, palette, { state }, options) {
 }
 
 /**
- * @param {CanvasRenderingContext2D} context
+ * @param {import("./layer.js").Context2D} context
  * @param {View} view
  * @param {Palette} palette
  * @param {Track} track
@@ -234,7 +235,7 @@ export function drawObject(context, view, palette, { state }, options) {
 
 /**
  * The sign of a life stage; index.html draws the same ones for the lists.
- * @param {CanvasRenderingContext2D} context
+ * @param {import("./layer.js").Context2D} context
  * @param {number} px
  * @param {number} py
  * @param {number} radius

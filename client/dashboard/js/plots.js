@@ -1,7 +1,7 @@
 /** The selected object's last minute in small plots; a click looks back at the instant. */
 
 import uPlot from "../vendor/uplot.js";
-import { element, setText } from "./dom.js";
+import { element, inTurn, setAttribute, setText } from "./dom.js";
 import { significant } from "./format.js";
 import { HISTORY_MS } from "./history.js";
 
@@ -21,7 +21,8 @@ const PLOTS = [
  * @returns {() => void} brings them up to date
  */
 export function showPlots(store, target) {
-  const plots = PLOTS.map((plot) => {
+  const courses = new Courses(store);
+  const plots = PLOTS.map((plot, i) => {
     const range = element("small");
     const box = element("div", { class: "plot", "data-plot": plot.key });
     const picture = element("div", { role: "img" });
@@ -33,28 +34,65 @@ export function showPlots(store, target) {
       if (at !== null && store.snapshot) store.lookBack(at * 1000);
     });
     new ResizeObserver(() => picture.clientWidth > 0 && chart.setSize({ width: picture.clientWidth, height: HEIGHT_PX })).observe(picture);
-    return { ...plot, chart, range, picture };
+    const { name, unit } = plot;
+    const draw = () => {
+      const [values, end] = [courses.values[i], (store.history.newestMs ?? 0) / 1000];
+      chart.batch(() => {
+        chart.setData([courses.times, values], false);
+        chart.setScale("x", { min: end - HISTORY_MS / 1000, max: end });
+      });
+      const known = values.filter((one) => one !== null);
+      const words = known.length > 0 ? `${significant(Math.min(...known))} to ${significant(Math.max(...known))} ${unit}` : "–";
+      setText(range, words);
+      setAttribute(picture, "aria-label", `${name}, the last minute: ${words}`);
+    };
+    return { chart, draw };
   });
   const recolor = () => plots.forEach(({ chart }) => chart.redraw());
   document.addEventListener("themechange", recolor);
 
   return () => {
     if (store.selected === null || !store.snapshot) return;
-    const states = store.history.of(store.selected);
-    const times = states.map(({ timeMs }) => timeMs / 1000);
-    const end = (store.history.newestMs ?? 0) / 1000;
-    for (const { chart, value, range, picture, name, unit } of plots) {
-      const values = states.map(({ state }) => value(state));
-      chart.batch(() => {
-        chart.setData([times, values], false);
-        chart.setScale("x", { min: end - HISTORY_MS / 1000, max: end });
-      });
-      const known = values.filter((one) => one !== null);
-      const words = known.length > 0 ? `${significant(Math.min(...known))} to ${significant(Math.max(...known))} ${unit}` : "–";
-      setText(range, words);
-      picture.setAttribute("aria-label", `${name}, the last minute: ${words}`);
-    }
+    courses.renew(store.selected);
+    for (const { draw } of plots) inTurn(draw);
   };
+}
+
+/** What the plots show of an object: only what is new is worked out. */
+class Courses {
+  /** @param {import("./store.js").Store} store */
+  constructor(store) {
+    this.store = store;
+    /** @type {number | null} */
+    this.id = null;
+    /** Pose time of the newest state taken. */
+    this.lastMs = -Infinity;
+    /** Pose times, seconds. @type {number[]} */
+    this.times = [];
+    /** By plot. @type {(number | null)[][]} */
+    this.values = PLOTS.map(() => []);
+  }
+
+  /** @param {number} id */
+  renew(id) {
+    const { history } = this.store;
+    // Of another object, or of another time: somebody went back in a recording.
+    if (id !== this.id || (history.newestMs ?? -Infinity) < this.lastMs) {
+      this.id = id;
+      this.lastMs = -Infinity;
+      this.times = [];
+      this.values = PLOTS.map(() => []);
+    }
+    for (const { timeMs, state } of history.of(id, this.lastMs)) {
+      this.lastMs = timeMs;
+      this.times.push(timeMs / 1000);
+      for (const [i, { value }] of PLOTS.entries()) this.values[i].push(value(state));
+    }
+    const gone = this.times.findIndex((time) => time * 1000 >= (history.oldestMs ?? 0));
+    if (gone <= 0) return;
+    this.times.splice(0, gone);
+    for (const values of this.values) values.splice(0, gone);
+  }
 }
 
 /** @param {number} least */

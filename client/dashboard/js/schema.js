@@ -66,6 +66,7 @@ export const TABLES = {
     31: "link CameraLink",
     32: "promised_rate_hz double",
     33: "rate_reason string",
+    34: "reprojection_px double",
   },
   CameraLink: {
     1: "sender string",

@@ -26,6 +26,7 @@ export function fits(state, typed) {
 /**
  * @param {import("./store.js").Store} store
  * @param {(filter: ((state: ObjectState) => boolean) | null) => void} narrow what the list shows
+ * @returns {() => boolean} empties the field; whether there was anything in it
  */
 export function showSearch(store, narrow) {
   const input = /** @type {HTMLInputElement} */ (find("#search"));
@@ -37,6 +38,13 @@ export function showSearch(store, narrow) {
       .filter(({ fit }) => fit > 0)
       .sort((a, b) => b.fit - a.fit);
 
+  const clear = () => {
+    const wasEmpty = input.value === "";
+    input.value = "";
+    input.dispatchEvent(new Event("input"));
+    return !wasEmpty;
+  };
+
   input.addEventListener("input", () => {
     const typed = input.value;
     narrow(typed.trim() === "" ? null : (state) => fits(state, typed) > 0);
@@ -45,12 +53,15 @@ export function showSearch(store, narrow) {
   });
   input.addEventListener("keydown", (event) => {
     if (event.key === "Escape") {
-      input.value = "";
-      input.dispatchEvent(new Event("input"));
+      clear();
       input.blur();
     }
     if (event.key !== "Enter") return;
     const [best] = found();
-    if (best) store.select(best.state.id);
+    if (!best) return;
+    store.select(best.state.id);
+    // Keys are for the object from now on, not for the search.
+    find("#arena-stage").focus({ preventScroll: true });
   });
+  return clear;
 }

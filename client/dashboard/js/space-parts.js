@@ -96,9 +96,16 @@ export class Lines {
 
 /** One shape drawn many times, with a place and a colour for each. */
 export class Swarm {
-  /** @param {BufferGeometry} geometry @param {number} opacity @param {number} order after which others it is drawn */
-  constructor(geometry, opacity, order) {
+  /**
+   * @param {BufferGeometry} geometry
+   * @param {number} opacity
+   * @param {number} order after which others it is drawn
+   * @param {BufferGeometry} [coarse] takes the place of the shape where there are many
+   */
+  constructor(geometry, opacity, order, coarse = geometry) {
     const isClear = opacity < 1;
+    this.fine = geometry;
+    this.coarse = coarse;
     this.geometry = geometry;
     this.order = order;
     this.material = new MeshBasicMaterial({ opacity, transparent: isClear, depthWrite: !isClear, side: DoubleSide });
@@ -128,8 +135,11 @@ export class Swarm {
     old.dispose();
   }
 
-  clear() {
+  /** @param {boolean} isCrowd whether there are many */
+  clear(isCrowd) {
     this.count = 0;
+    this.geometry = isCrowd ? this.coarse : this.fine;
+    this.object.geometry = this.geometry;
   }
 
   /** @param {import("../vendor/three.js").Matrix4} matrix @param {Rgb} color */
@@ -184,20 +194,20 @@ export class Tiles {
   }
 }
 
-/** The signs of the life stages, as index.html draws them, of radius 1 and lying on the floor. */
-export function stageShapes() {
+/** The signs of the life stages, as index.html draws them, of radius 1 and lying on the floor. @param {number} fineness 1: of few corners */
+export function stageShapes(fineness) {
   return {
-    tracked: new RingGeometry(0.55, 1, 32),
-    predicted: arcs(6),
+    tracked: new RingGeometry(0.55, 1, 10 * fineness),
+    predicted: arcs(6, 2 * fineness),
     tentative: new RingGeometry(0.68, 1.05, 4),
     lost: cross(),
     unspecified: new CircleGeometry(0.5, 16),
   };
 }
 
-/** A ring with gaps. @param {number} count */
-function arcs(count) {
-  const parts = Array.from({ length: count }, (_, i) => new RingGeometry(0.6, 1, 6, 1, (i * 2 * Math.PI) / count, (1.25 * Math.PI) / count));
+/** A ring with gaps. @param {number} count @param {number} corners of each */
+function arcs(count, corners) {
+  const parts = Array.from({ length: count }, (_, i) => new RingGeometry(0.6, 1, corners, 1, (i * 2 * Math.PI) / count, (1.25 * Math.PI) / count));
   return joined(parts);
 }
 

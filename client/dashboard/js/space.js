@@ -11,7 +11,7 @@ import { FRAME_MS, GAP_MS } from "./history.js";
 import { drawLabels } from "./label.js";
 import { Orbit, VIEW_RAD } from "./orbit.js";
 import { layOverlay } from "./overlay.js";
-import { LEAD_S, trailPlan } from "./plot.js";
+import { CROWD, LEAD_S, trailPlan } from "./plot.js";
 import { Coverage, drawFrustum, layFloor, Lines, rgb, stageShapes, Swarm, Tiles } from "./space-parts.js";
 import { CHI2_95_3D } from "./state.js";
 
@@ -21,6 +21,8 @@ const DISC_PX = 5.5;
 const CAMERA_M = 0.16;
 /** Ellipsoids are filled up to this part of the picture's height, in its middle. */
 const LARGEST_FILL = 0.1;
+/** Points of all trails together, about: each is a line that is drawn by itself. */
+const TRAIL_POINTS = 1600;
 /** Sides of the polygon that stands for an ellipse. */
 const OUTLINE = 48;
 /** Height of what is fitted if no camera stands higher, metres. */
@@ -35,7 +37,7 @@ const LEAST_HEIGHT_M = 1;
 
 export class SpaceView {
   /**
-   * @param {HTMLCanvasElement} canvas
+   * @param {OffscreenCanvas | HTMLCanvasElement} canvas
    * @param {WebGL2RenderingContext} context of that canvas
    */
   constructor(canvas, context) {
@@ -54,13 +56,14 @@ export class SpaceView {
     this.trails = new Lines();
     this.bodies = new Swarm(new BoxGeometry(1, 0.8, 1.2), 1, 0);
     this.sheets = new Swarm(new CircleGeometry(0.98, 24), 1, 0);
-    this.ellipsoids = new Swarm(new SphereGeometry(1, 20, 14), 0.2, 3);
+    this.ellipsoids = new Swarm(new SphereGeometry(1, 20, 14), 0.2, 3, new SphereGeometry(1, 10, 7));
     this.marks = new Swarm(new RingGeometry(1.35, 1.6, 40), 1, 0);
-    const shapes = stageShapes();
+    // Without a card each corner costs a microsecond, and of hundreds nobody sees how round they are.
+    const [shapes, coarse] = [stageShapes(3), stageShapes(1)];
     /** @type {Record<import("./state.js").Stage, Swarm>} */
     this.stages = {
-      tracked: new Swarm(shapes.tracked, 1, 0),
-      predicted: new Swarm(shapes.predicted, 1, 0),
+      tracked: new Swarm(shapes.tracked, 1, 0, coarse.tracked),
+      predicted: new Swarm(shapes.predicted, 1, 0, coarse.predicted),
       tentative: new Swarm(shapes.tentative, 1, 0),
       lost: new Swarm(shapes.lost, 1, 0),
       unspecified: new Swarm(shapes.unspecified, 1, 0),
@@ -70,14 +73,18 @@ export class SpaceView {
     /** @type {Seen[]} what was drawn, for whoever points at it */
     this.seen = [];
     this.stepM = 1;
+    /** Whether there are so many that they are drawn less finely. */
+    this.isCrowd = false;
+    this.ratio = 1;
     this.scratch = { matrix: new Matrix4(), turn: new Quaternion(), place: new Vector3(), size: new Vector3() };
   }
 
-  /** @param {number} width CSS pixels @param {number} height */
-  resize(width, height) {
+  /** @param {number} width CSS pixels @param {number} height @param {number} ratio the screen's pixels in one */
+  resize(width, height, ratio) {
     this.orbit.width = width;
     this.orbit.height = height;
-    this.renderer.setPixelRatio(Math.min(this.mostPixels, devicePixelRatio || 1));
+    this.ratio = ratio;
+    this.renderer.setPixelRatio(Math.min(this.mostPixels, ratio));
     this.renderer.setSize(width, height, false);
     this.camera.aspect = width / height;
     this.camera.updateProjectionMatrix();
@@ -107,7 +114,7 @@ export class SpaceView {
   }
 
   /**
-   * @param {CanvasRenderingContext2D} labels in CSS pixels
+   * @param {import("./layer.js").Context2D} labels in CSS pixels
    * @param {Palette} palette
    * @param {Track[]} tracks
    * @param {Camera[]} cameras all of them
@@ -121,9 +128,10 @@ export class SpaceView {
     this.moving.clear();
     this.trails.clear();
     const swarms = [this.bodies, this.sheets, this.marks, this.ellipsoids, ...Object.values(this.stages)];
-    for (const swarm of swarms) swarm.clear();
+    this.isCrowd = tracks.length >= CROWD;
+    for (const swarm of swarms) swarm.clear(this.isCrowd);
     this.seen = [];
-    const plan = trailPlan(tracks.length);
+    const plan = trailPlan(tracks.length, TRAIL_POINTS);
     for (const { state } of tracks) {
       if (state.positionM) this.addObject(state, state.positionM, palette, options);
       if (options.trails) this.addTrail(state, palette, options, plan);
@@ -149,7 +157,7 @@ export class SpaceView {
     this.stages[state.stage].add(matrix, color);
     if (state.id === options.selected || state.id === options.hovered) this.marks.add(matrix, rgb(palette.accent));
     // A hair below its sign, so that the floor's lines do not shine through.
-    if (state.stage === "tracked" || state.stage === "predicted") {
+    if (!this.isCrowd && (state.stage === "tracked" || state.stage === "predicted")) {
       this.sheets.add(matrix.setPosition(p.x, p.y, p.z - 0.004), rgb(palette.sheet));
     }
     this.seen.push({ state, px: seen.px, py: seen.py, radiusPx: radiusM / pixelM });
@@ -225,11 +233,11 @@ export class SpaceView {
     this.bodies.add(matrix, rgb(camera.status === "failed" ? palette.failed : palette.inkSoft));
   }
 
-  /** @param {CanvasRenderingContext2D} context @param {Palette} palette @param {Camera[]} cameras @param {PlotOptions} options */
+  /** @param {import("./layer.js").Context2D} context @param {Palette} palette @param {Camera[]} cameras @param {PlotOptions} options */
   label(context, palette, cameras, options) {
     context.clearRect(0, 0, this.orbit.width, this.orbit.height);
     const labels = this.seen.map(({ state, px, py, radiusPx }) => ({ state, px: px + radiusPx + 4, py: py - radiusPx * 0.5 }));
-    drawLabels(context, palette, labels, options);
+    drawLabels(context, palette, labels, options, this.ratio);
     context.font = `11px ${palette.font}`;
     context.textAlign = "center";
     context.textBaseline = "bottom";

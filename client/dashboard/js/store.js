@@ -5,9 +5,10 @@
  */
 
 import { Latencies, Vitals } from "./health.js";
-import { History } from "./history.js";
+import { History, placeIn } from "./history.js";
 import { readCameras, readEvent } from "./message.js";
 import { carried } from "./riding.js";
+import { Track } from "./track.js";
 
 /** Length of a trail, ms. */
 export const TRAIL_MS = 5000;
@@ -15,19 +16,28 @@ export const TRAIL_MS = 5000;
 const LOST_SHOWN_MS = 4000;
 /** Events remembered. */
 const MAX_EVENTS = 200;
+/** Without a report for so long, time passes by itself, ms. */
+const SILENT_MS = 500;
 /** A pose time that is so much older than the one before is that of a recording in which somebody went back, ms. */
 const BACK_MS = 500;
-/** Window over which the snapshots are counted, ms. */
-const RATE_WINDOW_MS = 2000;
 
 /** @typedef {import("./state.js").ObjectState} ObjectState */
-/** @typedef {{state: ObjectState, lostAtMs: number | null}} Track */
-/** @typedef {"snapshot" | "time" | "cameras" | "events" | "selection" | "connection" | "info"} Topic */
+/** @typedef {import("./history.js").Frame} Frame */
+/**
+ * What the page needs to know of a snapshot, as engine.js packs it.
+ * @typedef {object} Packed
+ * @property {string} sourceId
+ * @property {Frame} frame
+ * @property {Frame} lost those that were given up of late and are shown for a while
+ * @property {[number, import("./history.js").Identity][]} identities that are new or have changed, by id
+ * @property {string[]} cameraNames
+ */
+/** @typedef {"snapshot" | "report" | "time" | "cameras" | "events" | "selection" | "connection" | "info"} Topic */
 /** @typedef {{paused: boolean, ended: boolean}} ReplayState */
 
 export class Store {
   constructor() {
-    /** @type {import("./message.js").Snapshot | null} */
+    /** @type {{sourceId: string, poseTimeMs: number} | null} the newest */
     this.snapshot = null;
     /** @type {Map<number, Track>} by object id: as of the newest snapshot */
     this.live = new Map();
@@ -54,18 +64,16 @@ export class Store {
     this.replay = null;
     /** @type {import("./connection.js").ConnectionState} */
     this.connection = { phase: "connecting", sinceMs: performance.now(), retryAtMs: null };
-    /** Snapshots that this page was too slow for, since it was opened. */
-    this.missed = 0;
+    /** @type {import("./gauge.js").Report} how the stream fares */
+    this.report = { rateHz: null, ageMs: null, receivedAtMs: null, missed: 0, latenciesMs: [] };
+    /** `performance.now()` of that. */
+    this.reportedAtMs = 0;
     /** @type {number | null} id of the selected object */
     this.selected = null;
     /** @type {ObjectState | null} last values of the selected object, also after it has gone */
     this.selectedState = null;
     /** True while the arena keeps the selected object in its middle. */
     this.following = false;
-    /** @type {number | null} `performance.now()` when the newest snapshot came */
-    this.receivedAtMs = null;
-    /** @type {number[]} */
-    this.arrivals = [];
     /** @type {Map<Topic, Set<() => void>>} */
     this.listeners = new Map();
   }
@@ -113,16 +121,7 @@ export class Store {
 
   /** @param {import("./message.js").Snapshot} snapshot */
   takeSnapshot(snapshot) {
-    const now = performance.now();
-    // A server that has started again counts its objects anew; old trails would be of others.
-    if (this.snapshot && this.snapshot.sourceId !== snapshot.sourceId) this.forget();
-    else if (this.snapshot && snapshot.poseTimeMs < this.snapshot.poseTimeMs - BACK_MS) this.forgetWay();
-    this.snapshot = snapshot;
-    this.missed += snapshot.missed;
-    this.receivedAtMs = now;
-    this.arrivals.push(now);
-    // What is played was late then, not now.
-    if (snapshot.latencyMs !== null && !this.info?.replays) this.latencies.take(snapshot.latencyMs);
+    this.begin(snapshot);
     const live = new Set();
     for (const state of snapshot.objects) {
       live.add(state.id);
@@ -136,6 +135,39 @@ export class Store {
       if (snapshot.poseTimeMs > shownUntilMs) this.live.delete(id);
     }
     this.history.take(snapshot.poseTimeMs, snapshot.objects);
+    this.finish();
+  }
+
+  /** The same of a snapshot that was read elsewhere. @param {Packed} packed */
+  takePacked({ sourceId, frame, lost, identities, cameraNames }) {
+    this.begin({ sourceId, poseTimeMs: frame.timeMs });
+    const { history, live } = this;
+    history.cameraNames = cameraNames;
+    for (const [id, identity] of identities) history.identities.set(id, identity);
+    history.adopt(frame);
+    history.forgetGone();
+    for (const [id, { place }] of live) if (!isIn(frame, id, place?.at ?? 0) && !isIn(lost, id, 0)) live.delete(id);
+    for (const part of [frame, lost]) {
+      for (let i = 0; i < part.count; i += 1) {
+        const track = live.get(part.ids[i]) ?? new Track(part.ids[i]);
+        track.lie(history, part, i);
+        live.set(track.id, track);
+      }
+    }
+    const selected = this.selected === null || this.pastMs !== null ? null : live.get(this.selected);
+    if (selected) this.selectedState = selected.state;
+    this.finish();
+  }
+
+  /** @param {{sourceId: string, poseTimeMs: number}} snapshot */
+  begin({ sourceId, poseTimeMs }) {
+    // A server that has started again counts its objects anew; old trails would be of others.
+    if (this.snapshot && this.snapshot.sourceId !== sourceId) this.forget();
+    else if (this.snapshot && poseTimeMs < this.snapshot.poseTimeMs - BACK_MS) this.forgetWay();
+    this.snapshot = { sourceId, poseTimeMs };
+  }
+
+  finish() {
     // What is looked at must not fall out of memory under one's eyes without a word.
     if (this.pastMs !== null && this.pastMs < (this.history.oldestMs ?? 0)) this.lookBack(this.history.oldestMs);
     this.carryCameras();
@@ -144,8 +176,18 @@ export class Store {
 
   /** Moves the cameras that ride to where their objects are in the newest snapshot. */
   carryCameras() {
-    const objects = this.snapshot?.objects ?? [];
+    if (!this.cameras.some((camera) => camera.mount)) return;
+    const objects = [...this.live.values()].map(({ state }) => state);
     this.cameras = this.cameras.map((camera) => carried(camera, objects));
+  }
+
+  /** @param {import("./gauge.js").Report} report */
+  takeReport(report) {
+    this.report = report;
+    this.reportedAtMs = performance.now();
+    // What is played was late then, not now.
+    if (!this.info?.replays) for (const latencyMs of report.latenciesMs) this.latencies.take(latencyMs);
+    this.emit("report");
   }
 
   /**
@@ -155,10 +197,10 @@ export class Store {
   takeState(state, timeMs) {
     let track = this.live.get(state.id);
     if (!track) {
-      track = { state, lostAtMs: null };
+      track = new Track(state.id);
       this.live.set(state.id, track);
     }
-    track.state = state;
+    track.held = state;
     if (state.stage === "lost") track.lostAtMs ??= timeMs;
     else track.lostAtMs = null;
     if (state.id === this.selected && this.pastMs === null) this.selectedState = state;
@@ -174,7 +216,7 @@ export class Store {
     this.pastMs = there ? Math.max(timeMs, oldestMs) : null;
     this.past = new Map();
     if (this.pastMs !== null) {
-      for (const state of this.history.at(this.pastMs)) this.past.set(state.id, { state, lostAtMs: null });
+      for (const state of this.history.at(this.pastMs)) this.past.set(state.id, Track.of(state));
     }
     if (this.selected !== null) this.selectedState = this.tracks.get(this.selected)?.state ?? this.selectedState;
     this.emit("time");
@@ -203,7 +245,6 @@ export class Store {
     this.forgetWay();
     // The new run's first events come before its first snapshot, which is what gave it away.
     this.events = this.events.filter((event) => event.connectionNumber === this.connectionNumber);
-    this.missed = 0;
     this.select(null);
     this.emit("events");
   }
@@ -221,10 +262,7 @@ export class Store {
 
   /** @param {import("./connection.js").ConnectionState} connection */
   setConnection(connection) {
-    if (connection.phase !== this.connection.phase) {
-      this.arrivals = [];
-      if (connection.phase === "live") this.connectionNumber += 1;
-    }
+    if (connection.phase !== this.connection.phase && connection.phase === "live") this.connectionNumber += 1;
     this.connection = connection;
     this.emit("connection");
   }
@@ -248,7 +286,7 @@ export class Store {
 
   /** Selects the object after (or before) the selected one in the order of the list. @param {1 | -1} step */
   selectNext(step) {
-    const ids = this.sortedTracks().map((track) => track.state.id);
+    const ids = this.sortedTracks().map((track) => track.id);
     if (ids.length === 0) return;
     const at = this.selected === null ? -1 : ids.indexOf(this.selected);
     const next = at < 0 ? (step > 0 ? 0 : ids.length - 1) : (at + step + ids.length) % ids.length;
@@ -257,24 +295,18 @@ export class Store {
 
   /** @returns {Track[]} by object id */
   sortedTracks() {
-    return [...this.tracks.values()].sort((a, b) => a.state.id - b.state.id);
+    return [...this.tracks.values()].sort((a, b) => a.id - b.id);
   }
 
-  /** Snapshots a second over the last two; null before there is enough to say. */
-  snapshotRateHz() {
-    const now = performance.now();
-    while (this.arrivals.length > 0 && this.arrivals[0] < now - RATE_WINDOW_MS) this.arrivals.shift();
-    const spanMs = now - Math.max(this.connection.sinceMs, now - RATE_WINDOW_MS);
-    return spanMs < 500 ? null : (this.arrivals.length / spanMs) * 1000;
-  }
-
-  /**
-   * Age of the newest capture that the page shows, ms: what passed on the server until it was sent,
-   * by the server's clock, and what has passed here since it came, by this machine's. The way
-   * between is not in it, but no difference of two machines' clocks is either.
-   */
+  /** Age of the newest capture that the page shows, ms: as reported, unless no report has come since. */
   dataAgeMs() {
-    if (this.receivedAtMs === null || this.snapshot === null) return null;
-    return (this.snapshot.latencyMs ?? 0) + performance.now() - this.receivedAtMs;
+    const { ageMs } = this.report;
+    const silentMs = performance.now() - this.reportedAtMs;
+    return ageMs === null ? null : ageMs + (silentMs > SILENT_MS ? silentMs : 0);
   }
+}
+
+/** Whether a frame has an object, which may lie where it lay before. @param {Frame} frame @param {number} id @param {number} hint */
+function isIn(frame, id, hint) {
+  return placeIn(frame, id, hint) >= 0;
 }

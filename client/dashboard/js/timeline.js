@@ -39,7 +39,7 @@ export function showTimeline(store) {
   });
   live.addEventListener("click", () => store.lookBack(null));
   store.on("time", show);
-  store.on("snapshot", paced(200, show));
+  store.on("snapshot", paced(250, show));
   show();
   return { step: (ms) => store.lookBack((store.pastMs ?? now()) + ms) };
 }

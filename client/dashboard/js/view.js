@@ -20,6 +20,8 @@ export class View {
     /** Size of the canvas, CSS pixels. */
     this.width = 1;
     this.height = 1;
+    /** The screen's pixels in a CSS pixel. */
+    this.ratio = 1;
   }
 
   /** @param {number} x metres */

@@ -102,3 +102,12 @@ test("a trail has the same places from frame to frame, from old to new", () => {
   assert.deepEqual(trail(3), third);
   assert.ok(third.every((timeMs) => all.includes(timeMs)));
 });
+
+test("tells of an object what is newer than a time", () => {
+  const history = new History();
+  for (let i = 0; i < 20; i += 1) history.take(START_MS + i * FRAME_MS, [circling(7, i / 10)]);
+  const newer = history.of(7, START_MS + 16 * FRAME_MS);
+  assert.deepEqual(newer.map(({ timeMs }) => timeMs - START_MS), [1700, 1800, 1900]);
+  assert.equal(history.of(7).length, 20);
+  assert.equal(history.of(7, START_MS + 19 * FRAME_MS).length, 0);
+});

@@ -142,6 +142,11 @@ test("a blur that was not fitted is not known", () => {
   assert.deepEqual(blurs, [0.72, null, null]);
 });
 
+test("a reprojection error that nobody could tell is not known", () => {
+  const errors = readCameras([{ reprojection_px: 0.21 }, { reprojection_px: 0 }, {}]).map((camera) => camera.reprojectionPx);
+  assert.deepEqual(errors, [0.21, null, null]);
+});
+
 test("events and the server's own words are read", () => {
   const event = readEvent({ sequence: 4, time_ns: "1700000000000000000", kind: "object_lost", object_id: 9, message: "gone" });
   assert.deepEqual(event, { sequence: 4, timeMs: 1.7e12, kind: "object_lost", objectId: 9, camera: "", message: "gone" });
