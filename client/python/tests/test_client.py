@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import asyncio
+import contextlib
 import itertools
+import socket
 import threading
 import time
 from pathlib import Path
@@ -244,6 +246,36 @@ def test_nobody_and_an_older_server_are_told_apart(server: Server, monkeypatch: 
     monkeypatch.setitem(_calls.ANSWERS, "Unheard", v1.ServerInfo)
     with Client(server.url) as client, pytest.raises(NotRoundel, match="does not know this call"):
         client._call("Unheard", v1.GetServerInfoRequest())
+
+
+def test_a_server_that_takes_its_time_to_answer_is_waited_for(server: Server) -> None:
+    """As over a radio link, or on a busy machine."""
+    host, port = server.address.split(":")
+
+    def pump(source: socket.socket, sink: socket.socket) -> None:
+        with contextlib.suppress(OSError):
+            while data := source.recv(65536):
+                sink.sendall(data)
+
+    def relay() -> None:
+        with contextlib.suppress(OSError):
+            while True:
+                near, _ = listener.accept()
+                time.sleep(0.6)
+                far = socket.create_connection((host, int(port)))
+                sockets.extend((near, far))
+                for ends in ((near, far), (far, near)):
+                    threading.Thread(target=pump, args=ends, daemon=True).start()
+
+    sockets: list[socket.socket] = []
+    with socket.create_server(("127.0.0.1", 0)) as listener:
+        sockets.append(listener)
+        threading.Thread(target=relay, daemon=True).start()
+        with Client.connect(f"http://127.0.0.1:{listener.getsockname()[1]}") as client:
+            assert client.info().name == "demo"
+        for one in sockets:
+            with contextlib.suppress(OSError):
+                one.shutdown(socket.SHUT_RDWR)
 
 
 def test_only_what_is_simulated_and_sound_is_driven(server: Server) -> None:

@@ -22,7 +22,8 @@ OPTIONS: list[tuple[str, Any]] = [
     # Each client has a connection of its own, and its own pauses before the next try; see _backoff.
     ("grpc.use_local_subchannel_pool", 1),
     ("grpc.initial_reconnect_backoff_ms", 100),
-    ("grpc.min_reconnect_backoff_ms", 100),
+    # Despite its name: how long one try to connect may take. A busy server, or a radio link, takes its time.
+    ("grpc.min_reconnect_backoff_ms", int(1000 * CONNECT_TIMEOUT_S)),
     ("grpc.max_reconnect_backoff_ms", 1000),
     ("grpc.enable_http_proxy", 0),
 ]
