@@ -43,16 +43,10 @@ impl Own {
         v1::Snapshot { sent_time_ns, missed, ..Default::default() }.encode_to_vec()
     }
 
-    /// The whole message in JSON, between two texts; `shared` are the fields of all, as the encoder wrote them. Built
-    /// in one piece, since it may be large.
-    pub fn json(self, before: &str, shared: &str, after: &str) -> String {
+    /// Its fields in JSON behind a text, to be followed by those of all, as the encoder wrote them.
+    pub fn json(self, before: &str) -> String {
         let Self { sent_time_ns, missed } = self;
-        let own = format!(r#"{before}{{"sent_time_ns":"{sent_time_ns}","missed":{missed},"#);
-        let mut whole = String::with_capacity(own.len() + shared.len() + after.len());
-        for part in [own.as_str(), shared, after] {
-            whole.push_str(part);
-        }
-        whole
+        format!(r#"{before}{{"sent_time_ns":"{sent_time_ns}","missed":{missed},"#)
     }
 }
 
@@ -152,7 +146,7 @@ mod tests {
         for objects in [message().objects, vec![]] {
             let shared =
                 encode(&v1::Snapshot { objects: objects.clone(), ..message() }, Form::Json);
-            let text = own.json("[", std::str::from_utf8(&shared).unwrap(), "]");
+            let text = format!("{}{}]", own.json("["), std::str::from_utf8(&shared).unwrap());
             let [read]: [v1::Snapshot; 1] = serde_json::from_str(&text).unwrap();
             assert_eq!(read, v1::Snapshot { objects, ..whole.clone() }, "{text}");
         }

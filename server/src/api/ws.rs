@@ -5,6 +5,7 @@
 //! (`stream.proto`). The client changes what it wants by a message on the open socket; one that says nothing to the
 //! point is answered with `{"error":…}`, and everything goes on as before.
 
+mod socket;
 mod wanted;
 
 use std::{
@@ -13,12 +14,9 @@ use std::{
 };
 
 use axum::{
-    extract::{
-        State,
-        ws::{CloseFrame, Message, WebSocket, WebSocketUpgrade, close_code, rejection},
-    },
-    http::Uri,
-    response::Response,
+    body::Body,
+    extract::State,
+    http::{Request, Response},
 };
 use prost::{
     Message as _,
@@ -30,6 +28,13 @@ use tokio::{
     sync::broadcast,
     time::{Instant, Interval, MissedTickBehavior, interval, interval_at, timeout},
 };
+use tokio_tungstenite::tungstenite::{
+    self, Message,
+    protocol::{
+        CloseFrame, WebSocketConfig,
+        frame::coding::{CloseCode, Data},
+    },
+};
 
 use super::{
     Api,
@@ -39,6 +44,7 @@ use super::{
     grpc,
 };
 use crate::{convert, hub};
+use socket::{Handshake, Pieces, Socket, offered};
 use wanted::Wanted;
 
 /// Clients say little. What is sent to them needs no buffer, since each message is flushed: without this, a thousand
@@ -85,17 +91,19 @@ const PROTOCOLS: [&str; 2] = ["roundel.v1.json", "roundel.v1.protobuf"];
 )]
 pub async fn stream(
     State(api): State<Arc<Api>>,
-    uri: Uri,
-    upgrade: Result<WebSocketUpgrade, rejection::WebSocketUpgradeRejection>,
-) -> Result<Response, ApiError> {
-    let wanted = Wanted::of(&api, &uri)?;
-    let upgrade = upgrade.map_err(|error| ApiError::UpgradeRequired(error.to_string()))?;
-    let upgrade = upgrade.max_message_size(MAX_INCOMING_BYTES).max_frame_size(MAX_INCOMING_BYTES);
-    let upgrade = upgrade.read_buffer_size(READ_BUFFER_BYTES).write_buffer_size(0);
-    let upgrade = upgrade.protocols(PROTOCOLS);
-    let chosen = upgrade.selected_protocol().and_then(|protocol| protocol.to_str().ok());
+    request: Request<Body>,
+) -> Result<Response<Body>, ApiError> {
+    let wanted = Wanted::of(&api, request.uri())?;
+    let protocols = offered(&request);
+    let mut handshake = Handshake::of(request).map_err(ApiError::UpgradeRequired)?;
+    let chosen = handshake.choose(&protocols, &PROTOCOLS);
     let form = if chosen == Some(PROTOCOLS[1]) { Form::Protobuf } else { Form::Json };
-    Ok(upgrade.on_upgrade(move |socket| Session::new(api, wanted, form).run(socket)))
+    let config = WebSocketConfig::default()
+        .max_message_size(Some(MAX_INCOMING_BYTES))
+        .max_frame_size(Some(MAX_INCOMING_BYTES))
+        .read_buffer_size(READ_BUFFER_BYTES)
+        .write_buffer_size(0);
+    Ok(handshake.answer(config, move |socket| Session::new(api, wanted, form).run(socket)))
 }
 
 /// What is sent: one key each.
@@ -110,18 +118,28 @@ enum Outgoing {
     Error(v1::StreamError),
 }
 
+/// A message as it is sent.
+enum Written {
+    Whole(Message),
+    InPieces(Pieces),
+}
+
 impl Outgoing {
-    fn written(self, form: Form) -> Result<Message, serde_json::Error> {
+    fn written(self, form: Form) -> Result<Written, serde_json::Error> {
         use v1::stream_message::Message as Alternative;
         let alternative = match (form, self) {
             (Form::Json, Self::Snapshot(Due { own, shared })) => {
-                // The encoder has written it as text, so it is some.
-                let shared = std::str::from_utf8(&shared).unwrap_or_default();
-                return Ok(Message::text(own.json(r#"{"snapshot":"#, shared, "}")));
+                let before = own.json(r#"{"snapshot":"#).into();
+                let (kind, after) = (Data::Text, b"}".as_slice());
+                return Ok(Written::InPieces(Pieces { kind, before, shared, after }));
             }
-            (Form::Json, other) => return serde_json::to_string(&other).map(Message::text),
+            (Form::Json, other) => {
+                return serde_json::to_string(&other).map(|text| Written::Whole(text.into()));
+            }
             (Form::Protobuf, Self::Snapshot(Due { own, shared })) => {
-                return Ok(Message::binary(protobuf_snapshot(&own.protobuf(), &shared)));
+                let before = before_snapshot(&own.protobuf(), shared.len()).into();
+                let (kind, after) = (Data::Binary, b"".as_slice());
+                return Ok(Written::InPieces(Pieces { kind, before, shared, after }));
             }
             (Form::Protobuf, Self::Cameras(cameras)) => {
                 Alternative::Cameras(v1::ListCamerasResponse { cameras })
@@ -131,19 +149,17 @@ impl Outgoing {
             (Form::Protobuf, Self::Error(error)) => Alternative::Error(error),
         };
         let message = v1::StreamMessage { message: Some(alternative) };
-        Ok(Message::binary(message.encode_to_vec()))
+        Ok(Written::Whole(message.encode_to_vec().into()))
     }
 }
 
-/// A StreamMessage of a snapshot whose fields are these two.
-fn protobuf_snapshot(own: &[u8], shared: &[u8]) -> Vec<u8> {
+/// A StreamMessage of a snapshot, up to where the fields begin that all get: so many bytes.
+fn before_snapshot(own: &[u8], shared_bytes: usize) -> Vec<u8> {
     const SNAPSHOT_FIELD: u32 = 1;
-    let length = own.len() + shared.len();
-    let mut bytes = Vec::with_capacity(length + 8);
+    let mut bytes = Vec::with_capacity(own.len() + 8);
     encode_key(SNAPSHOT_FIELD, WireType::LengthDelimited, &mut bytes);
-    encode_varint(length as u64, &mut bytes);
+    encode_varint((own.len() + shared_bytes) as u64, &mut bytes);
     bytes.extend_from_slice(own);
-    bytes.extend_from_slice(shared);
     bytes
 }
 
@@ -193,23 +209,23 @@ impl Session {
         (self.feed, self.cameras, self.observer) = (feed, cameras, wanted.observations);
     }
 
-    async fn run(mut self, mut socket: WebSocket) {
+    async fn run(mut self, mut socket: Socket) {
         let Err(End::Shutdown) = self.converse(&mut socket).await else {
             return;
         };
-        let frame = CloseFrame { code: close_code::AWAY, reason: SHUTTING_DOWN.into() };
+        let frame = CloseFrame { code: CloseCode::Away, reason: SHUTTING_DOWN.into() };
         // Reading on until the client has answered keeps the frame from being lost in a reset.
         let farewell = async {
             socket.send(Message::Close(Some(frame))).await?;
             while let Some(message) = socket.recv().await {
                 message?;
             }
-            Ok::<_, axum::Error>(())
+            Ok::<_, tungstenite::Error>(())
         };
         let _ = timeout(CLOSE_TIMEOUT, farewell).await;
     }
 
-    async fn converse(&mut self, socket: &mut WebSocket) -> Result<(), End> {
+    async fn converse(&mut self, socket: &mut Socket) -> Result<(), End> {
         let mut pings = interval_at(Instant::now() + PING_INTERVAL, PING_INTERVAL);
         pings.set_missed_tick_behavior(MissedTickBehavior::Delay);
         let mut last_heard = Instant::now();
@@ -233,7 +249,7 @@ impl Session {
                     if last_heard.elapsed() > SILENCE_TIMEOUT {
                         return Err(End::Gone);
                     }
-                    self.transmit(socket, Message::Ping(Default::default())).await?;
+                    self.transmit(socket, Written::Whole(Message::Ping(Default::default()))).await?;
                     continue;
                 }
                 snapshot = next_snapshot(&mut self.feed, self.form) => {
@@ -264,7 +280,7 @@ impl Session {
         Ok(())
     }
 
-    async fn send(&self, socket: &mut WebSocket, message: Outgoing) -> Result<(), End> {
+    async fn send(&self, socket: &mut Socket, message: Outgoing) -> Result<(), End> {
         match message.written(self.form) {
             Ok(message) => self.transmit(socket, message).await,
             Err(error) => {
@@ -275,9 +291,15 @@ impl Session {
     }
 
     /// Sends, unless the client does not read or the server goes down meanwhile.
-    async fn transmit(&self, socket: &mut WebSocket, message: Message) -> Result<(), End> {
+    async fn transmit(&self, socket: &mut Socket, message: Written) -> Result<(), End> {
+        let send = async {
+            match message {
+                Written::Whole(message) => socket.send(message).await,
+                Written::InPieces(pieces) => socket.send_pieces(&pieces).await,
+            }
+        };
         tokio::select! {
-            sent = timeout(self.api.limits.send_timeout, socket.send(message)) => match sent {
+            sent = timeout(self.api.limits.send_timeout, send) => match sent {
                 Ok(Ok(())) => Ok(()),
                 Ok(Err(_)) => Err(End::Gone),
                 Err(_) => {

@@ -1,8 +1,9 @@
 //! What the client of a WebSocket wants.
 
-use axum::{extract::ws::Message, http::Uri};
+use axum::http::Uri;
 use prost::Message as _;
 use roundel_proto::v1;
+use tokio_tungstenite::tungstenite::Message;
 
 use crate::api::{
     Api,
