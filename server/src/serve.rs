@@ -40,8 +40,8 @@ use crate::{
     trial::Trier,
     worker::{Sighted, Totals},
 };
-use setup::{fusion, installation, landmarks};
 pub(crate) use setup::{fusion_machine, installation as installation_of};
+use setup::{installation, landmarks};
 
 /// Time that shutdown may take in all.
 pub const GRACE: Duration = Duration::from_secs(5);
@@ -261,7 +261,7 @@ impl Server {
     ) -> Result<(), ServeError> {
         // Full: observations are dropped and counted, see `worker`.
         let (to_fusion, from_workers) = sync_channel::<Sighted>(QUEUE_FRAMES);
-        let (machine, bodies) = fusion(config)?;
+        let machine = fusion_machine(config)?;
         let mut task = FusionTask::new(machine, self.hub.clone(), self.clock, from_workers);
         if config.server.watches {
             let (landmarks, calibrator) = (landmarks(config), self.calibrator.clone());
@@ -278,7 +278,6 @@ impl Server {
         self.fusion = Some(spawn("fusion".to_owned(), move || task.run(rhythm, &stop))?);
         let parts = RosterParts {
             config: config.clone(),
-            bodies,
             hub: self.hub.clone(),
             clock: self.clock,
             playback: self.playback,

@@ -30,7 +30,7 @@ pub mod setup;
 
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError, mpsc};
 
-use roundel_core::id::{BodyId, CameraId};
+use roundel_core::id::CameraId;
 
 use self::{bodies::Bodies, crew::Crew, difference::Difference, effect::Begin, error::wrong};
 use crate::{
@@ -77,8 +77,6 @@ pub type Sources = Box<dyn FnMut(CameraSetting<'_>) -> Box<dyn OpenSource> + Sen
 pub struct RosterParts {
     /// As it is written.
     pub config: Config,
-    /// Bodies of the configured objects.
-    pub bodies: Vec<Option<BodyId>>,
     /// The newest of everything.
     pub hub: Arc<Hub>,
     /// The server's clock.
@@ -125,12 +123,12 @@ impl Roster {
     /// Starts every camera, of which the calibrator, fusion's task and the hub know already, in the order of the
     /// configuration; where a calibration has found them, `calibrated` says so.
     pub fn start(parts: RosterParts, calibrated: &Config) -> Result<Self, RosterError> {
-        let RosterParts { config, bodies, hub, clock, playback, calibrator, ports, .. } = parts;
+        let RosterParts { config, hub, clock, playback, calibrator, ports, .. } = parts;
         let RosterParts { to_fusion, orders, sources, .. } = parts;
         let ids: Vec<CameraId> = (0..).map(CameraId).take(config.cameras.len()).collect();
         let state = State {
             next_id: ids.len() as u32,
-            bodies: Bodies { numbers: bodies, names: hub.installation().body_names.clone() },
+            bodies: Bodies::of(&config.objects),
             config,
             ids: ids.clone(),
             crew: Crew::default(),

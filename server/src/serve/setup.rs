@@ -1,7 +1,7 @@
 //! From the configuration to what the parts of a server are told of all but cameras: fusion, the hub.
 
 use roundel_core::{
-    id::{BodyId, KindId},
+    id::KindId,
     time::Timestamp,
     world::{Fusion, FusionParams, Landmark},
 };
@@ -10,7 +10,7 @@ use super::ServeError;
 use crate::{
     config::{Carried, Config, ObjectConfig, ReferenceConfig},
     hub::Installation,
-    roster::{kind_names, setup::info},
+    roster::{bodies::Bodies, kind_names, setup::info},
 };
 
 /// What the hub says of the installation.
@@ -24,18 +24,13 @@ pub(crate) fn installation(config: &Config, started: Timestamp) -> Installation 
         cameras: Installation::numbered(config.cameras.iter().map(|camera| info(camera, config))),
         kinds: config.kinds.iter().map(|kind| kind.name.clone()).collect(),
         object_names: kind_names(&config.objects),
-        // In the order in which fusion is told of them, which numbers them.
-        body_names: config
-            .objects
-            .iter()
-            .filter(|object| matches!(object.carries, Carried::Body(_)))
-            .map(|object| object.name.clone())
-            .collect(),
+        body_names: Bodies::of(&config.objects).names,
     }
 }
 
-/// A fusion machine that knows objects, motions and landmarks, and the bodies of the configured objects.
-pub(super) fn fusion(config: &Config) -> Result<(Fusion, Vec<Option<BodyId>>), ServeError> {
+/// A fusion machine as it is at a start: it knows objects, whose bodies it numbers as [`Bodies`] does, motions and
+/// landmarks.
+pub(crate) fn fusion_machine(config: &Config) -> Result<Fusion, ServeError> {
     let ns = |seconds: f64| (seconds * 1e9).round() as i64;
     let defaults = FusionParams::default();
     let mut fusion = Fusion::new(FusionParams {
@@ -51,27 +46,20 @@ pub(super) fn fusion(config: &Config) -> Result<(Fusion, Vec<Option<BodyId>>), S
     for (index, class) in config.motions.iter().enumerate() {
         fusion.set_motion(KindId(u16::try_from(index).unwrap_or(u16::MAX)), *class);
     }
-    let mut bodies = Vec::new();
     for ObjectConfig { name, carries } in &config.objects {
-        bodies.push(match carries {
+        match carries {
             Carried::Kind { kind, offset_m, motion } => {
                 fusion.set_offset(*kind, *offset_m);
                 motion.iter().for_each(|class| fusion.set_motion(*kind, *class));
-                None
             }
             Carried::Body(body) => {
                 let named = |source| ServeError::Object { name: name.clone(), source };
-                Some(fusion.add_body(body.clone()).map_err(named)?)
+                fusion.add_body(body.clone()).map_err(named)?;
             }
-        });
+        }
     }
     fusion.set_landmarks(landmarks(config));
-    Ok((fusion, bodies))
-}
-
-/// A fusion machine as it is at a start.
-pub(crate) fn fusion_machine(config: &Config) -> Result<Fusion, ServeError> {
-    fusion(config).map(|(machine, _)| machine)
+    Ok(fusion)
 }
 
 /// The reference roundels, in the order of the configuration.
