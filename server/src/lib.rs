@@ -8,6 +8,7 @@
 //! | [`worker`] | newest frame → detections → observations; supervised restarts | one OS thread a camera |
 //! | [`fusion`] | drives `core::world`'s state machine; snapshots at a fixed rate | one OS thread |
 //! | [`calibration`] | finds where cameras stand while they are served, and keeps it | one OS thread meanwhile |
+//! | [`lens`] | finds the lens of a camera while a board is moved before it | one OS thread meanwhile |
 //! | [`hub`] | the newest of everything, for whoever asks | shared |
 //! | [`record`] | writes what is published and fused into files | one OS thread meanwhile |
 //! | [`replay`] | plays such a file through the same hub and APIs | one OS thread meanwhile |
@@ -35,6 +36,7 @@ pub mod fusion;
 pub mod history;
 pub mod hub;
 pub mod image_file;
+pub mod lens;
 pub mod plan;
 pub mod print;
 mod reason;

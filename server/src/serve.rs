@@ -33,6 +33,7 @@ use crate::{
     fusion::{FusionTask, QUEUE_FRAMES, Rhythm, WatchingParts},
     history::{History, HistoryError},
     hub::{Happening, Hub},
+    lens::LensCalibrator,
     record::{Recorder, Wanted},
     roster::{self, Roster, RosterError, RosterParts, Sources},
     source::{OpenSource, Playback, SourceOpener, TimesError, fleet::Fleets, push::Ports},
@@ -126,6 +127,7 @@ pub struct Server {
     clock: Clock,
     playback: Playback,
     calibrator: Arc<Calibrator>,
+    lenses: Arc<LensCalibrator>,
     fleets: Arc<Fleets>,
     roster: Option<Arc<Roster>>,
     recorder: Option<Arc<Recorder>>,
@@ -186,12 +188,14 @@ impl Server {
             path: config.server.calibration.clone(),
             file,
         }));
+        let lenses = Arc::new(LensCalibrator::new(hub.clone(), &config.folder));
         let mut server = Self {
             address,
             hub,
             clock,
             playback,
             calibrator,
+            lenses,
             fleets,
             roster: None,
             recorder: None,
@@ -323,6 +327,7 @@ impl Server {
             hub: self.hub.clone(),
             clock: self.clock,
             calibrator: self.calibrator.clone(),
+            lenses: self.lenses.clone(),
             kinds: config.kinds.clone(),
             fleets: self.fleets.clone(),
             ports,
@@ -347,7 +352,9 @@ impl Server {
     pub async fn shutdown(mut self) {
         let deadline = Instant::now() + (GRACE - CLIENT_GRACE);
         let cameras = self.end_cameras();
-        if let Some(calibration) = self.calibrator.shut_down() {
+        for calibration in
+            [self.calibrator.shut_down(), self.lenses.shut_down()].into_iter().flatten()
+        {
             join(calibration, deadline).await;
         }
         for camera in cameras {
@@ -377,6 +384,7 @@ impl Drop for Server {
     fn drop(&mut self) {
         self.end_cameras();
         self.calibrator.shut_down();
+        self.lenses.shut_down();
         self.stop_fusion.stop();
         self.cancel_clients.cancel();
     }

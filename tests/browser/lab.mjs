@@ -11,7 +11,7 @@ import { join } from "node:path";
 import { fileURLToPath } from "node:url";
 
 const TARGET = process.env.CARGO_TARGET_DIR ?? fileURLToPath(new URL("../../target", import.meta.url));
-const BINARY = process.env.ROUNDEL_BINARY ?? join(TARGET, "debug/roundel");
+export const BINARY = process.env.ROUNDEL_BINARY ?? join(TARGET, "debug/roundel");
 /** Why cases that need the server are left out; false where there is one, or where there has to be. */
 export const lacking = !process.env.ROUNDEL_BINARY && !existsSync(BINARY) && `${BINARY} has not been built (cargo build -p roundel-server)`;
 
@@ -74,14 +74,20 @@ function picture(frame) {
   return Buffer.concat([Buffer.from(`P5 ${WIDTH} ${HEIGHT} 255\n`), pixels]);
 }
 
-/** @param {string} [config] */
-export async function startLab(config = CONFIG) {
+/**
+ * @param {string} [config]
+ * @param {{prepare?: (folder: string) => Promise<void>} & Record<string, any>} [more] files beside it by name, and what else
+ * is to be there before the server starts
+ */
+export async function startLab(config = CONFIG, { prepare, ...files } = {}) {
   const folder = await mkdtemp(join(tmpdir(), "roundel-lab-"));
   await mkdir(join(folder, "door"));
   await mkdir(join(folder, "recordings"));
   for (let frame = 0; frame < FRAMES; frame += 1) await writeFile(join(folder, "door", `${frame}.pgm`), picture(frame));
   await writeFile(join(folder, "camera.yaml"), LENS);
   await writeFile(join(folder, "lab.toml"), config);
+  for (const [name, text] of Object.entries(files)) await writeFile(join(folder, name), text);
+  await prepare?.(folder);
   const server = await start(["serve", "--config", join(folder, "lab.toml")], folder);
   return {
     ...server,

@@ -17,6 +17,7 @@ const STATUS_WORDS = {
 };
 
 /** @typedef {import("./message.js").Camera} Camera */
+/** @typedef {{edit: (name: string) => void, findLens: (name: string) => void}} Actions open a camera's setup, and the search for its lens */
 
 /** @type {{key: string, name: string, unit: string, title: string, value: (camera: Camera) => string}[]} */
 const FIGURES = [
@@ -54,9 +55,9 @@ function clockText(clock) {
 
 /**
  * @param {import("./store.js").Store} store
- * @param {(name: string) => void} edit opens a camera's setup
+ * @param {Actions} actions
  */
-export function showCameras(store, edit) {
+export function showCameras(store, actions) {
   const list = find("#camera-cards");
   const empty = find("#cameras-empty");
   const summary = find("#cameras-summary");
@@ -80,7 +81,7 @@ export function showCameras(store, edit) {
     }
     for (const { name } of store.cameras) {
       if (cards.has(name)) continue;
-      const card = new Card(name, viewer, edit);
+      const card = new Card(name, viewer, actions);
       cards.set(name, card);
       list.append(card.root);
       fill(name, card);
@@ -130,9 +131,9 @@ class Card {
   /**
    * @param {string} name
    * @param {Viewer} viewer
-   * @param {(name: string) => void} edit
+   * @param {Actions} actions
    */
-  constructor(name, viewer, edit) {
+  constructor(name, viewer, actions) {
     const image = new Image();
     image.alt = `What camera ${name} sees, with its detections drawn in`;
     this.picture = new Picture(image, name);
@@ -152,12 +153,14 @@ class Card {
       ]),
     );
     this.head = element("h3", {}, [name]);
-    const change = element("button", { type: "button", class: "quiet", "aria-haspopup": "dialog", "aria-label": `Edit camera ${name}` }, ["Edit"]);
-    change.addEventListener("click", () => edit(name));
+    const change = element("button", { type: "button", class: "quiet edit", "aria-haspopup": "dialog", "aria-label": `Edit camera ${name}` }, ["Edit"]);
+    change.addEventListener("click", () => actions.edit(name));
+    const lens = element("button", { type: "button", class: "quiet find-lens", "aria-haspopup": "dialog", "aria-label": `Find the lens of camera ${name}` }, ["Lens…"]);
+    lens.addEventListener("click", () => actions.findLens(name));
     this.root = element("li", { class: "card", "data-camera-card": name }, [
       this.frame,
       element("div", { class: "card-head" }, [this.head, this.status, change]),
-      this.place,
+      element("div", { class: "card-line" }, [this.place, lens]),
       this.sender,
       this.note,
       element("dl", { class: "figures" }, figures),

@@ -9,6 +9,7 @@ const NEEDS = [
   { control: "#add-camera", method: "post", path: "/api/v1/cameras", ability: "allowsSetup" },
   { control: "#calibrate", method: "post", path: "/api/v1/calibration" },
   { control: "#setup-try", method: "post", path: "/api/v1/sources/test", ability: "allowsSetup" },
+  { control: "#setup-lens", method: "post", path: "/api/v1/lens", ability: "allowsSetup" },
   { control: "#add-object", method: "post", path: "/api/v1/configuration/objects", ability: "allowsSetup" },
   { control: "#name-object", method: "put", path: "/api/v1/objects/{id}/name", ability: "allowsSetup" },
   { control: "#plan-open", method: "get", path: "/api/v1/plan" },
@@ -19,6 +20,8 @@ const NEEDS = [
 ];
 /** Edits of cameras: one button on each card. */
 const EDIT = { method: "patch", path: "/api/v1/cameras/{name}", ability: /** @type {const} */ ("allowsSetup") };
+/** Searches for their lenses, likewise. */
+const LENS = { method: "post", path: "/api/v1/lens" };
 /** What a server that plays a recording has nothing to do it with. */
 const LIVE_ONLY = ["#calibrate", "#plan-open"];
 
@@ -34,6 +37,7 @@ export async function showOffer(info) {
   for (const need of NEEDS) find(need.control).hidden = !offers(need);
   if (info.replays) for (const control of LIVE_ONLY) find(control).hidden = true;
   document.body.classList.toggle("no-edits", !offers(EDIT));
+  document.body.classList.toggle("no-lens", info.replays || !offers(LENS));
 }
 
 async function describedPaths() {

@@ -15,17 +15,22 @@ const DECIMALS = 1000;
 /** @typedef {{unknown?: boolean, pose?: Pose | null, object?: string, localizes?: boolean}} PoseSetup */
 /** @typedef {{name: string, source: string, calibration: string, pose: PoseSetup | null, rate_hz: number | null, mode: string}} Setup */
 
+/** @typedef {ReturnType<typeof import("./lens.js").showLens>["open"]} FindLens */
+
 /**
+ * @param {FindLens} findLens
  * @returns {{edit: (name: string) => void}} for whoever shows a camera
  */
-export function showSetup() {
-  const form = new SetupForm();
+export function showSetup(findLens) {
+  const form = new SetupForm(findLens);
   find("#add-camera").addEventListener("click", () => form.open(null));
   return { edit: (name) => void form.edit(name) };
 }
 
 class SetupForm {
-  constructor() {
+  /** @param {FindLens} findLens */
+  constructor(findLens) {
+    this.findLens = findLens;
     const dialog = find("#setup");
     if (!(dialog instanceof HTMLDialogElement)) throw new Error("index.html's setup is no dialog");
     this.dialog = dialog;
@@ -46,6 +51,7 @@ class SetupForm {
       void this.save();
     });
     find("#setup-try").addEventListener("click", () => void this.tryIt());
+    find("#setup-lens").addEventListener("click", () => this.lens());
     this.remove.addEventListener("click", () => void this.removeIt());
     find("#setup-place").addEventListener("input", () => {
       this.poseTouched = true;
@@ -179,6 +185,22 @@ class SetupForm {
     const answer = await this.ask("POST", "sources/test", { source });
     this.say(answer ? trialWords(answer) : "");
     if (answer?.error) this.troubles.blame("source", answer.error);
+  }
+
+  /** Of a camera that there is, by its name; of a new one, by its source. */
+  lens() {
+    this.troubles.clear();
+    const [source, name] = [this.field("source").value.trim(), this.field("name").value.trim()];
+    if (this.before) return this.findLens({ camera: this.before.name, source: "", name: "" }, (file) => this.keep(file));
+    if (source === "") return this.troubles.blame("source", "Fill in the source first.");
+    this.findLens({ camera: "", source, name }, (file) => this.keep(file));
+  }
+
+  /** Takes a lens file over that was found meanwhile. @param {string} file */
+  keep(file) {
+    if (!this.dialog.open) return;
+    this.field("calibration").value = file;
+    if (this.before) this.before = { ...this.before, calibration: file };
   }
 
   /**

@@ -12,6 +12,7 @@
 //! | [`rest`], [`calibration`], [`recording`], [`replay`], [`history`], [`openapi`] | `/api/v1/…` and its description |
 //! | [`setup`], [`objects`], [`configuration`] | cameras and objects that are added, changed and removed, and all of it |
 //! | [`print`] | roundels as files to print |
+//! | [`lens`] | the lens of a camera, while the board is moved before it |
 //! | [`plan`] | what the cameras would make of roundels all over the arena |
 //! | [`simulation`] | simulated robots that clients drive |
 //! | [`trial`] | one try of a source |
@@ -39,6 +40,7 @@ pub mod error;
 pub mod feed;
 pub mod grpc;
 pub mod history;
+pub mod lens;
 pub mod metrics;
 pub mod objects;
 pub mod openapi;
@@ -61,6 +63,7 @@ pub mod ws;
 
 use std::{
     collections::BTreeMap,
+    path::Path,
     sync::{Arc, atomic::AtomicU64},
     time::Duration,
 };
@@ -76,6 +79,7 @@ use crate::{
     clock::Clock,
     history::History,
     hub::Hub,
+    lens::LensCalibrator,
     record::Recorder,
     replay::Replay,
     roster::Roster,
@@ -129,6 +133,8 @@ pub struct Served {
     pub clock: Clock,
     /// Finds where cameras stand.
     pub calibrator: Arc<Calibrator>,
+    /// Finds lenses.
+    pub lenses: Arc<LensCalibrator>,
     /// Kinds of roundel, by [`roundel_core::id::KindId`]; none where their sizes are not known.
     pub kinds: Vec<Kind>,
     /// Simulated robots, which clients may drive.
@@ -162,10 +168,12 @@ impl Served {
             path: None,
             file: CalibrationFile::default(),
         }));
+        let lenses = Arc::new(LensCalibrator::new(hub.clone(), Path::new("")));
         Self {
             hub,
             clock,
             calibrator,
+            lenses,
             kinds: Vec::new(),
             fleets: Arc::default(),
             ports: Arc::default(),
@@ -188,6 +196,8 @@ pub struct Api {
     pub clock: Clock,
     /// Finds where cameras stand.
     pub calibrator: Arc<Calibrator>,
+    /// Finds lenses.
+    pub lenses: Arc<LensCalibrator>,
     /// As in [`Served`].
     pub kinds: Vec<Kind>,
     /// Simulated robots, which clients may drive.
@@ -228,13 +238,14 @@ pub async fn serve(
     cancel: CancellationToken,
 ) {
     let cors = cors::layer(&served.allow_origins);
-    let Served { hub, clock, calibrator, kinds, fleets, ports, late_window_ms, .. } = served;
-    let Served { trier, roster, recorder, replay, history, .. } = served;
+    let Served { hub, clock, calibrator, lenses, kinds, fleets, ports, .. } = served;
+    let Served { late_window_ms, trier, roster, recorder, replay, history, .. } = served;
     let counters = Counters::default();
     let api = Arc::new(Api {
         hub,
         clock,
         calibrator,
+        lenses,
         kinds,
         fleets,
         ports,

@@ -7,8 +7,8 @@ use utoipa::{OpenApi, openapi};
 use utoipa_axum::{router::OpenApiRouter, routes};
 
 use super::{
-    Api, calibration, configuration, history, metrics, objects, plan, print, recording, replay,
-    rest, setup, simulation, trial, ws,
+    Api, calibration, configuration, history, lens, metrics, objects, plan, print, recording,
+    replay, rest, setup, simulation, trial, ws,
 };
 
 #[derive(OpenApi)]
@@ -46,6 +46,11 @@ pub fn described_routes() -> OpenApiRouter<Arc<Api>> {
         .routes(routes!(rest::info))
         .routes(routes!(calibration::show, calibration::start, calibration::cancel))
         .routes(routes!(calibration::apply))
+        .routes(routes!(lens::show, lens::start, lens::cancel))
+        .routes(routes!(lens::finish))
+        .routes(routes!(lens::picture))
+        .routes(routes!(lens::file))
+        .routes(routes!(lens::apply))
         .routes(routes!(plan::show))
         .routes(routes!(print::file))
         .routes(routes!(print::codes))

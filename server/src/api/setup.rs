@@ -211,6 +211,8 @@ impl From<RosterError> for ApiError {
             | RosterError::Unread(_)
             | RosterError::Last
             | RosterError::Calibrating
+            | RosterError::NoFolder
+            | RosterError::Lens { .. }
             | RosterError::File(_) => Self::FailedPrecondition(message),
             RosterError::Mask(_) => Self::Invalid { field: "mask", message },
             RosterError::Ending => Self::Unavailable(SHUTTING_DOWN.into()),

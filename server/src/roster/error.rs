@@ -1,6 +1,6 @@
 //! Why a camera or an object is not added, changed or removed, and which of its keys is to blame.
 
-use std::io;
+use std::{io, path::PathBuf};
 
 use roundel_core::marker::{DetectorError, MaskError};
 use thiserror::Error;
@@ -70,6 +70,20 @@ pub enum RosterError {
     /// The configuration cannot be written.
     #[error(transparent)]
     File(#[from] ConfigFileError),
+    /// There is no place beside it.
+    #[error(
+        "this server was started without a configuration file, so there is no place beside it for a lens file: download \
+         the file, and name it as the camera's `calibration`"
+    )]
+    NoFolder,
+    /// A lens file cannot be written.
+    #[error("cannot write the lens file {}: {source}; make its folder writable for the server, or download the file", .path.display())]
+    Lens {
+        /// Which file.
+        path: PathBuf,
+        /// What the system says.
+        source: io::Error,
+    },
     /// The system gives no thread.
     #[error("cannot start the thread `{name}`: {source}")]
     Thread {

@@ -25,6 +25,7 @@ mod crew;
 mod difference;
 mod effect;
 mod error;
+mod lens;
 mod object;
 pub mod setup;
 

@@ -5,6 +5,7 @@ mod deadline;
 mod fuzz;
 mod grpc;
 mod http;
+mod lens;
 mod observation;
 mod origin;
 mod picture;

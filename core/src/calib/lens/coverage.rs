@@ -5,13 +5,13 @@ use std::fmt;
 use super::{flat::Flat, view::View};
 
 /// Zones of the picture across and down.
-const ZONES: (usize, usize) = (3, 3);
+pub const ZONES: (usize, usize) = (3, 3);
 /// A board is tilted when the picture's scale changes across it as it does at this angle, radians (15°).
 const TILT_RAD: f64 = 0.26;
 /// Tilted views wanted to each side.
 const TILTED: usize = 1;
 /// A zone has been visited when it held so many roundels in all.
-const VISITED: usize = 4;
+pub const VISITED: usize = 4;
 
 /// Where the board has been.
 #[derive(Clone, Debug, PartialEq)]

@@ -30,7 +30,7 @@ use thiserror::Error;
 pub use self::{
     choice::Evidence,
     chooser::{Chooser, Verdict},
-    coverage::{Coverage, Want},
+    coverage::{Coverage, VISITED, Want, ZONES},
     model::Model,
     view::{Sighting, View},
 };

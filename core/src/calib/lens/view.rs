@@ -50,6 +50,33 @@ impl View {
         Self { sightings }
     }
 
+    /// Corners of the convex outline round the roundels' centres, raw pixels; empty of fewer than three.
+    pub fn outline(&self) -> Vec<PixelPoint> {
+        let mut places: Vec<PixelPoint> = self.sightings.iter().map(|it| it.center).collect();
+        places.sort_by(|one, other| one.u.total_cmp(&other.u).then(one.v.total_cmp(&other.v)));
+        if places.len() < 3 {
+            return Vec::new();
+        }
+        // One half of the way round, without the place where the other begins (Andrew 1979).
+        let half = |places: &mut dyn Iterator<Item = PixelPoint>| {
+            let mut corners: Vec<PixelPoint> = Vec::new();
+            for place in places {
+                while let [.., before, last] = corners[..]
+                    && (last.u - before.u) * (place.v - before.v)
+                        <= (last.v - before.v) * (place.u - before.u)
+                {
+                    corners.pop();
+                }
+                corners.push(place);
+            }
+            corners.pop();
+            corners
+        };
+        let mut corners = half(&mut places.iter().copied());
+        corners.extend(half(&mut places.iter().rev().copied()));
+        corners
+    }
+
     /// Rms distance of the roundels that both have, pixels; `None` if they have too few.
     pub(super) fn distance_px(&self, other: &View) -> Option<f64> {
         let mut squares = 0.0;
@@ -70,5 +97,30 @@ impl View {
     pub(super) fn mean_radius_px(&self) -> f64 {
         let sum: f64 = self.sightings.iter().map(|sighting| sighting.radius_px).sum();
         sum / self.sightings.len().max(1) as f64
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn an_outline_has_the_outermost_roundels_as_corners() {
+        let sighting = |(number, (u, v)): (usize, (f64, f64))| Sighting {
+            number: number as u16 + 1,
+            center: PixelPoint { u, v },
+            radius_px: 5.0,
+        };
+        let view = |places: &[(f64, f64)]| View {
+            sightings: places.iter().copied().enumerate().map(sighting).collect(),
+        };
+        // A lattice of three by three, leaning; those on its sides are no corners.
+        let places: Vec<(f64, f64)> = (0..9)
+            .map(|index| (f64::from(index % 3), f64::from(index / 3)))
+            .map(|(column, row)| (10.0 * column + 2.0 * row, 10.0 * row + column))
+            .collect();
+        let corners: Vec<_> = view(&places).outline().iter().map(|it| (it.u, it.v)).collect();
+        assert_eq!(corners, [(0.0, 0.0), (20.0, 2.0), (24.0, 22.0), (4.0, 20.0)]);
+        assert!(view(&places[..2]).outline().is_empty());
     }
 }

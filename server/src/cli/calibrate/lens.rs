@@ -22,10 +22,11 @@ use serde_json::json;
 
 use super::{
     Format,
-    views::{Gathered, Views, gather},
+    views::{Views, gather},
 };
 use crate::{
     camera_file,
+    lens::{report::parameters, search::Gathered},
     print::{
         BOARD_LAYOUT, Order,
         spec::{self, Diameters},
@@ -123,22 +124,6 @@ fn stem(file: &Path) -> String {
 fn board(arguments: &LensArgs) -> anyhow::Result<Board> {
     let layout = arguments.code.unwrap_or(BOARD_LAYOUT);
     Ok(Order::board(arguments.board, arguments.marker, arguments.pitch, layout)?)
-}
-
-/// Names, values and deviations of what was estimated.
-fn parameters(found: &LensCalibration) -> Vec<(&'static str, f64, f64)> {
-    let intrinsics = found.camera.intrinsics();
-    let pinhole = [
-        ("fx", intrinsics.fx_px),
-        ("fy", intrinsics.fy_px),
-        ("cx", intrinsics.cx_px),
-        ("cy", intrinsics.cy_px),
-    ];
-    let coefficients = intrinsics.lens.coefficients();
-    let names = found.model.names();
-    let free = names.into_iter().zip(found.model.free().iter().map(|&index| coefficients[index]));
-    let values = pinhole.into_iter().chain(free);
-    values.zip(found.deviations()).map(|((name, value), sd)| (name, value, sd)).collect()
 }
 
 fn report(found: &LensCalibration, gathered: &Gathered) -> serde_json::Value {

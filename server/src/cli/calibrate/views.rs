@@ -10,63 +10,23 @@ use std::{
 
 use anyhow::{Context, bail};
 use indicatif::{ProgressBar, ProgressStyle};
-use roundel_core::{
-    calib::{
-        board::Board,
-        lens::{Chooser, Verdict, View},
-    },
-    frame::Frame,
-    marker::{Detector, Mode, Params, Scratch},
-};
+use roundel_core::{calib::board::Board, frame::Frame};
 
 use crate::{
     image_file,
+    lens::search::{Gathered, Search, SizeChanged},
     source::{OpenSource, Playback, SourceAddress, SourceError, SourceOpener, image_files},
     stop::Stop,
 };
 
 /// Asked of a camera that lets one choose.
 const USUAL_SIZE: (usize, usize) = (1280, 720);
-/// Enough views, once nothing is missing.
-const GOOD_VIEWS: usize = 20;
 
 /// What is looked for.
 pub(super) struct Views<'a> {
     pub(super) board: &'a Board,
     /// No more than so many.
     pub(super) most: usize,
-}
-
-/// What was found.
-pub(super) struct Gathered {
-    pub(super) size: (usize, usize),
-    pub(super) chooser: Chooser,
-    /// Pictures that were looked at, and what became of them.
-    pub(super) frames: usize,
-    without_board: usize,
-    too_little: usize,
-    moving: usize,
-    alike: usize,
-}
-
-impl Gathered {
-    /// How many pictures were left out, and why.
-    pub(super) fn told(&self) -> String {
-        let Self { frames, without_board, too_little, moving, alike, .. } = self;
-        let taken = self.chooser.taken().len();
-        let mut text = format!("{frames} pictures, {taken} views taken");
-        for (count, why) in [
-            (without_board, "without the board"),
-            (too_little, "with too little of it"),
-            (moving, "in motion"),
-            (alike, "like another one"),
-        ] {
-            if *count > 0 {
-                text.push_str(&format!(", {count} {why}"));
-            }
-        }
-        text
-    }
 }
 
 /// Looks at every picture, or at a stream until it ends, there is enough, or Ctrl-C.
@@ -83,77 +43,29 @@ fn is_stream(source: &str) -> bool {
         && source.split_once(':').is_some_and(|(scheme, _)| scheme.len() > 1)
 }
 
-struct Search<'a> {
-    views: &'a Views<'a>,
-    detector: Detector,
-    scratch: Scratch,
-    gathered: Option<Gathered>,
-    still: bool,
+fn searched(views: &Views<'_>, still: bool) -> anyhow::Result<Search> {
+    Ok(Search::new(views.board.clone(), still)?)
 }
 
-impl<'a> Search<'a> {
-    fn new(views: &'a Views<'a>, still: bool) -> anyhow::Result<Self> {
-        let params = Params { mode: Mode::Precise, ..Params::default() };
-        let detector = Detector::new(vec![views.board.kind()], params)?;
-        Ok(Self { views, detector, scratch: Scratch::default(), gathered: None, still })
-    }
+/// Looks at a picture; whether there is enough. Of files, all that there are.
+fn look(
+    search: &mut Search,
+    frame: &Frame<'_>,
+    views: &Views<'_>,
+    still: bool,
+) -> Result<bool, SizeChanged> {
+    search.look(frame)?;
+    let enough =
+        |it: &Gathered| it.chooser.taken().len() >= views.most || (still && it.is_complete());
+    Ok(search.gathered().is_some_and(enough))
+}
 
-    /// Looks at a picture; whether there is enough.
-    fn look(&mut self, frame: &Frame<'_>, what: &str) -> anyhow::Result<bool> {
-        let size = (frame.width(), frame.height());
-        let (board, still) = (self.views.board, self.still);
-        let gathered = self.gathered.get_or_insert_with(|| Gathered {
-            size,
-            chooser: Chooser::new(board.clone(), size, still),
-            frames: 0,
-            without_board: 0,
-            too_little: 0,
-            moving: 0,
-            alike: 0,
-        });
-        if gathered.size != size {
-            let (width, height) = gathered.size;
-            bail!(
-                "{what}: expected {width} x {height} pixels as the pictures before, found {} x {}: pictures of \
-                 one camera have one size",
-                size.0,
-                size.1
-            );
-        }
-        gathered.frames += 1;
-        let rings = self.detector.detect(frame, &mut self.scratch);
-        match gathered.chooser.offer(View::of_rings(board, rings)) {
-            Verdict::Taken => {}
-            Verdict::NoBoard => gathered.without_board += 1,
-            Verdict::TooLittle => gathered.too_little += 1,
-            Verdict::Moving => gathered.moving += 1,
-            Verdict::Alike => gathered.alike += 1,
-        }
-        let taken = gathered.chooser.taken().len();
-        let is_complete = taken >= GOOD_VIEWS && gathered.chooser.coverage().wants().is_empty();
-        Ok(taken >= self.views.most || (still && is_complete))
-    }
-
-    fn done(self, what: &str) -> anyhow::Result<Gathered> {
-        self.gathered.with_context(|| format!("{what}: no picture came"))
-    }
-
-    /// What is still missing, for who moves the board.
-    fn message(&self) -> String {
-        let Some(gathered) = &self.gathered else { return "waiting for a picture".to_owned() };
-        let coverage = gathered.chooser.coverage();
-        let taken = gathered.chooser.taken().len();
-        let covered = (coverage.share() * 100.0).round();
-        let next = coverage.wants().first().map_or_else(
-            || "hold it still at new places".to_owned(),
-            |want| format!("wanted: {want}"),
-        );
-        format!("{taken} views, {covered} % of the picture; {next}")
-    }
+fn done(search: Search, what: &str) -> anyhow::Result<Gathered> {
+    search.into_gathered().with_context(|| format!("{what}: no picture came"))
 }
 
 fn of_files(sources: &[String], views: &Views<'_>) -> anyhow::Result<Gathered> {
-    let mut search = Search::new(views, false)?;
+    let mut search = searched(views, false)?;
     let mut files = Vec::new();
     for source in sources {
         files.extend(image_files(source).map_err(anyhow::Error::msg)?);
@@ -164,12 +76,12 @@ fn of_files(sources: &[String], views: &Views<'_>) -> anyhow::Result<Gathered> {
         let name = file.display().to_string();
         let frame = image.frame().with_context(|| name.clone())?;
         bar.inc(1);
-        if search.look(&frame, &name)? {
+        if look(&mut search, &frame, views, false).context(name)? {
             break;
         }
     }
     bar.finish_and_clear();
-    search.done("no file")
+    done(search, "no file")
 }
 
 fn of_stream(source: &str, views: &Views<'_>) -> anyhow::Result<Gathered> {
@@ -202,13 +114,13 @@ fn of_stream(source: &str, views: &Views<'_>) -> anyhow::Result<Gathered> {
     let bar = ProgressBar::new_spinner();
     bar.set_style(ProgressStyle::with_template("{spinner} {msg}")?);
     bar.enable_steady_tick(Duration::from_millis(200));
-    let mut search = Search::new(views, true)?;
+    let mut search = searched(views, true)?;
     loop {
         let mut opener = SourceOpener::new(address.clone(), size, clock, playback, stop.clone());
         let outcome = opener.open().and_then(|mut stream| {
             loop {
                 let lent = stream.next_frame()?;
-                match search.look(&lent.frame, source) {
+                match look(&mut search, &lent.frame, views, true) {
                     Ok(false) => bar.set_message(search.message()),
                     Ok(true) => return Ok(()),
                     Err(error) => return Err(SourceError::Failed(error.to_string())),
@@ -216,7 +128,9 @@ fn of_stream(source: &str, views: &Views<'_>) -> anyhow::Result<Gathered> {
             }
         });
         match outcome {
-            Err(SourceError::Size { found, .. }) if search.gathered.is_none() && found != size => {
+            Err(SourceError::Size { found, .. })
+                if search.gathered().is_none() && found != size =>
+            {
                 size = found;
             }
             Ok(()) | Err(SourceError::Finished) => break,
@@ -225,5 +139,5 @@ fn of_stream(source: &str, views: &Views<'_>) -> anyhow::Result<Gathered> {
         }
     }
     bar.finish_and_clear();
-    search.done(source)
+    done(search, source)
 }

@@ -1,0 +1,162 @@
+/** A lens found by click, on the real server, whose camera sees the printed board move. */
+
+import assert from "node:assert/strict";
+import { readFile } from "node:fs/promises";
+import { createRequire } from "node:module";
+import { join } from "node:path";
+import { after, before, describe, test } from "node:test";
+
+import { FOCAL_PX, HEIGHT, WIDTH, writeViews } from "./board.mjs";
+import { launch, openDashboard } from "./harness.mjs";
+import { BINARY, CONFIG, call, lacking, startLab } from "./lab.mjs";
+
+const PATIENCE_MS = 60_000;
+/** Of another focal length, so that it is seen which lens is in use. */
+const ROUGH = `image_width: ${WIDTH}
+image_height: ${HEIGHT}
+camera_name: bench
+camera_matrix: {rows: 3, cols: 3, data: [500.0, 0.0, 319.5, 0.0, 500.0, 239.5, 0.0, 0.0, 1.0]}
+distortion_model: plumb_bob
+distortion_coefficients: {rows: 1, cols: 5, data: [0.0, 0.0, 0.0, 0.0, 0.0]}
+`;
+const BENCH = `
+[[camera]]
+name = "bench"
+source = "images:board/*.pgm?fps=12&loop=true"
+calibration = "bench.yaml"
+pose = { position_m = [1.0, 0.0, 3.0], orientation_xyzw = [1.0, 0.0, 0.0, 0.0] }
+`;
+
+describe("the lens of a camera", { skip: lacking }, () => {
+  let browser;
+  let lab;
+  before(async () => {
+    browser = await launch();
+    lab = await startLab(CONFIG + BENCH, { "bench.yaml": ROUGH, prepare: (folder) => writeViews(BINARY, folder) });
+  });
+  after(async () => {
+    await browser?.close();
+    await lab?.close();
+  });
+
+  /** @param {(page: import("playwright-core").Page) => Promise<void>} body */
+  async function withPage(body, options = {}) {
+    const opened = await openDashboard(browser, lab.url, options);
+    opened.page.setDefaultTimeout(PATIENCE_MS);
+    try {
+      await body(opened.page);
+      // What the server refuses on purpose, the browser tells as well.
+      const complaints = opened.complaints.filter((it) => !it.startsWith("Failed to load resource"));
+      assert.deepEqual([complaints, opened.foreign], [[], []]);
+    } finally {
+      await opened.context.close();
+    }
+  }
+
+  const words = (page, text) => page.locator("#lens-words", { hasText: text }).waitFor();
+
+  test("is found while the board moves, told with deviations, and taken into use", async () => {
+    await withPage(async (page) => {
+      await page.getByRole("button", { name: "Find the lens of camera bench" }).click();
+      await words(page, "Print the board");
+      assert.equal(await page.locator("#lens-figure").isVisible(), false);
+      await page.locator("#lens-start").click();
+      // What is seen, what is missing, and where the board has been, over the picture.
+      await words(page, /[2-6] views of 20/);
+      const early = await page.locator("#lens-missing li").allTextContents();
+      assert.ok(early.length > 0 && early.every((it) => it.endsWith(".")), early.join());
+      await page.waitForFunction(([width]) => /** @type {HTMLImageElement} */ (document.querySelector("#lens-picture")).naturalWidth === width, [WIDTH]);
+      const drawn = await page.locator("#lens-coverage").evaluate((canvas) => {
+        const { data } = canvas.getContext("2d").getImageData(0, 0, canvas.width, canvas.height);
+        return data.filter((_, i) => i % 4 === 3 && data[i] > 0).length;
+      });
+      assert.ok(drawn > 500, `${drawn} pixels drawn`);
+      assert.equal(await page.locator("#lens-form").isVisible(), false);
+      // Another camera has to wait, and its dialog says for whom.
+      const busy = await call(lab, "POST", "lens", { camera: "door" });
+      assert.deepEqual([busy.status, /the lens of bench/.test(busy.answer.error.message)], [409, true]);
+      await words(page, /1[2-9] views of 20/);
+      const later = await page.locator("#lens-missing li").allTextContents();
+      assert.ok(later.length < early.length, `${early.join()} and then ${later.join()}`);
+      await page.locator("#lens-finish").click();
+      await words(page, "Done. Nothing uses it yet.");
+
+      const cells = await page.locator("#lens-results tr", { hasText: "fx" }).locator("td").allTextContents();
+      assert.ok(Math.abs(parseFloat(cells[0]) / FOCAL_PX - 1) < 3e-3, cells.join());
+      assert.match(cells[1], /^± \d+\.\d+ px$/);
+      const [download] = await Promise.all([page.waitForEvent("download"), page.locator("#lens-file").click()]);
+      assert.equal(download.suggestedFilename(), "bench.yaml");
+      const yaml = await readFile(await download.path(), "utf8");
+      assert.match(yaml, /camera_name: "bench"/);
+
+      await page.locator("#lens-apply", { hasText: "Use it for bench" }).click();
+      await words(page, "kept as bench.lens-1.yaml, and camera bench uses it");
+      assert.equal(await page.locator("#lens-apply").isVisible(), false);
+      assert.match(await lab.config(), /calibration = "bench\.lens-1\.yaml"/);
+      assert.equal(await readFile(join(lab.folder, "bench.lens-1.yaml"), "utf8"), yaml);
+      const { answer } = await call(lab, "GET", "cameras/bench");
+      assert.ok(Math.abs(answer.intrinsics.fx_px / FOCAL_PX - 1) < 3e-3, JSON.stringify(answer.intrinsics));
+      // Of another camera nothing is said.
+      await page.keyboard.press("Escape");
+      await page.getByRole("button", { name: "Find the lens of camera door" }).click();
+      await words(page, "Print the board");
+      assert.equal(await page.locator("#lens-results").isVisible(), false);
+    });
+  });
+
+  test("is found for a source that is no camera yet, and what is wrong stands at its field", async () => {
+    await withPage(async (page) => {
+      await page.locator("#add-camera").click();
+      await page.locator("#setup-lens").click();
+      await page.locator("#setup-source-trouble", { hasText: "Fill in the source first." }).waitFor();
+      await page.locator("#setup-name").fill("window");
+      await page.locator("#setup-source").fill("images:board/*.pgm?fps=25&loop=true");
+      await page.locator("#setup-lens").click();
+      await page.locator("#lens-title", { hasText: "Lens of window" }).waitFor();
+      await page.locator("#lens-board").fill("2x2");
+      await page.locator("#lens-start").click();
+      await page.locator("#lens-board-trouble", { hasText: "expected a board of 3 to 40" }).waitFor();
+      await page.locator("#lens-board").fill("7x5");
+      await page.locator("#lens-form summary").click();
+      await page.locator("#lens-views").fill("14");
+      await page.locator("#lens-start").click();
+      // As many views as were wanted end it.
+      await words(page, "Done. Nothing uses it yet.");
+      await page.locator("#lens-apply", { hasText: "Keep it" }).click();
+      await words(page, "kept as window.lens-1.yaml");
+      await page.locator("#lens .icon-button").click();
+      assert.equal(await page.locator("#setup-calibration").inputValue(), "window.lens-1.yaml");
+    });
+  });
+
+  test("is given up by a click", async () => {
+    await withPage(async (page) => {
+      await page.getByRole("button", { name: "Find the lens of camera door" }).click();
+      await page.locator("#lens-start").click();
+      await words(page, "No roundel of the board is seen");
+      assert.equal(await page.locator("#lens-finish").isVisible(), false);
+      await page.locator("#lens-cancel").click();
+      await words(page, "Print the board");
+      await page.locator("#lens-start").waitFor();
+    });
+  });
+
+  for (const context of [{}, { colorScheme: "dark", viewport: { width: 390, height: 844 } }]) {
+    test(`axe finds nothing serious with ${JSON.stringify(context)}`, async () => {
+      const axe = await readFile(createRequire(import.meta.url).resolve("axe-core/axe.min.js"), "utf8");
+      await withPage(async (page) => {
+        await page.getByRole("button", { name: "Find the lens of camera bench" }).click();
+        await page.locator("#lens-form summary").click();
+        await page.locator("#lens-views").fill("1");
+        await page.locator("#lens-start").click();
+        await page.locator("#lens-views-trouble", { hasText: "5 to 100" }).waitFor();
+        await page.evaluate(axe);
+        const { violations } = await page.evaluate(() => globalThis.axe.run("#lens"));
+        const serious = violations.filter((it) => ["serious", "critical"].includes(it.impact));
+        assert.deepEqual(serious.map((it) => [it.id, it.nodes.map((node) => node.html)]), []);
+        const { width } = await page.locator("#lens").boundingBox();
+        assert.ok(width <= page.viewportSize().width, `${width} px wide`);
+      }, context);
+    });
+  }
+});
