@@ -1,10 +1,11 @@
 //! What several cameras would make of roundels all over an arena.
 //!
 //! At each spot of a level grid a roundel lies face up. Each camera that would find it gives a detection with its
-//! expected covariance ([`super::precision`]), carried into the world as fusion does it
-//! ([`crate::world::seen_in_world`]: the camera's own place and the floor of what is believed included). Of
+//! expected covariance ([`super::precision`], what its lens leaves open included), carried into the world as fusion
+//! does it ([`crate::world::seen_in_world`]: the camera's own place and the floor of what is believed included). Of
 //! detections at one instant fusion's update leaves (Σ Cᵢ⁻¹)⁻¹; so much is known of one set of frames, before time
-//! averages anything.
+//! averages anything. Lenses of several cameras are off each by itself, so that more cameras help; all roundels that
+//! one camera sees its lens moves alike, so that distances between neighbours are known better than each place.
 
 use nalgebra::{Matrix3, Translation3, UnitQuaternion, Vector3};
 use rayon::prelude::*;

@@ -145,10 +145,11 @@ pub(super) fn within(
 
 #[cfg(test)]
 mod tests {
-    use nalgebra::{Translation3, UnitQuaternion, Vector3};
+    use nalgebra::{DMatrix, Translation3, UnitQuaternion, Vector3};
 
     use super::{
         map::{Field, Station, map},
+        precision::LensDoubt,
         reach::reach,
         search::{Wish, fewest, scaled, smallest_m},
         *,
@@ -283,6 +284,26 @@ mod tests {
         assert!(unseen.summary().seen_share == 0.0 && unseen.summary().median_m.is_nan());
         let seen = Field::seen_by(&row(&[0.0]), 0.2, 100).unwrap();
         assert!((seen.high_m[0] - 2.8 * 320.0 / 700.0).abs() < 0.01, "{seen:?}");
+    }
+
+    #[test]
+    fn doubtful_lenses_make_a_map_worse_each_by_itself() {
+        let field = Field { low_m: [-0.5, -0.4], high_m: [0.5, 0.4], height_m: 0.2, step_m: 0.1 };
+        // Both focal lengths off together by half a percent.
+        let mut covariance = DMatrix::zeros(4, 4);
+        covariance.view_mut((0, 0), (2, 2)).fill(3.5f64.powi(2));
+        let doubt = LensDoubt { free: Vec::new(), covariance };
+        let upright_m = |places_m: &[f64], doubt: Option<&LensDoubt>| {
+            let mut stations = row(places_m);
+            stations.iter_mut().for_each(|station| station.doubt = doubt.cloned());
+            map(&stations, &kind(), field).unwrap().spots[49].deviation.unwrap().upright_m
+        };
+        let (exact_m, doubtful_m) = (upright_m(&[0.0], None), upright_m(&[0.0], Some(&doubt)));
+        let by_lens_m = (doubtful_m.powi(2) - exact_m.powi(2)).sqrt();
+        assert!((by_lens_m / (0.005 * 2.8) - 1.0).abs() < 0.1, "{exact_m} {doubtful_m}");
+        // What one lens is off by says nothing of the other.
+        let both_m = upright_m(&[0.0, 0.0], Some(&doubt));
+        assert!((both_m / doubtful_m - 0.5f64.sqrt()).abs() < 1e-6, "{both_m} {doubtful_m}");
     }
 
     #[test]

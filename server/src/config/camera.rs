@@ -2,7 +2,7 @@
 
 use std::{collections::HashMap, path::Path};
 
-use roundel_core::{camera::Camera, marker::Mode, rigid::Rigid};
+use roundel_core::{camera::Camera, marker::Mode, plan::precision::LensDoubt, rigid::Rigid};
 
 use super::{
     CameraConfig, CameraPose, Lenses,
@@ -111,10 +111,10 @@ fn camera(
     // What a simulated camera does not know better must be written.
     let required = simulated.is_none() && address.is_some();
     let recorded = known.lenses.zip(name).map(|(lenses, name)| lenses.get(name).cloned());
-    let calibration = match (table.value("calibration"), &simulated) {
-        _ if recorded.is_some() => recorded_lens(table, recorded.flatten()),
-        (None, Some(simulated)) => Some(simulated.camera.clone()),
-        _ => calibration(table, folder, required),
+    let (calibration, lens_doubt) = match (table.value("calibration"), &simulated) {
+        _ if recorded.is_some() => (recorded_lens(table, recorded.flatten()), None),
+        (None, Some(simulated)) => (Some(simulated.camera.clone()), None),
+        _ => calibration(table, folder, required).unzip(),
     };
     let pose = match (table.value("pose"), &simulated) {
         (None, Some(simulated)) => Some(CameraPose::Known(simulated.world_from_camera)),
@@ -144,6 +144,7 @@ fn camera(
         source: without_credentials(source?),
         address: address?,
         calibration: calibration?,
+        lens_doubt: lens_doubt.flatten(),
         pose: pose?,
         line_time_s,
         clock_uncertainty_s,
@@ -161,14 +162,19 @@ fn recorded_lens(table: &Table<'_, '_>, lens: Option<Camera>) -> Option<Camera> 
     lens
 }
 
-fn calibration(table: &Table<'_, '_>, folder: &Path, required: bool) -> Option<Camera> {
+/// The lens, and how well it is known.
+fn calibration(
+    table: &Table<'_, '_>,
+    folder: &Path,
+    required: bool,
+) -> Option<(Camera, Option<LensDoubt>)> {
     let file = if required {
         table.required_text("calibration", "\"north.yaml\"")
     } else {
         table.text("calibration")
     }?;
-    match camera_file::load(&folder.join(file)) {
-        Ok(camera) => Some(camera),
+    match camera_file::load_with_doubt(&folder.join(file)) {
+        Ok(lens) => Some(lens),
         Err(error) => {
             table.fail(&table.span_of("calibration"), error.to_string());
             None

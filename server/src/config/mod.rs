@@ -33,6 +33,7 @@ use roundel_core::{
     camera::{Camera, PixelPoint},
     id::KindId,
     marker::{Code, Kind, Mode},
+    plan::precision::LensDoubt,
     rigid::Rigid,
     world::{Body, CameraPlacement, MotionClass},
 };
@@ -115,6 +116,8 @@ pub struct CameraConfig {
     pub address: SourceAddress,
     /// From the camera file, or a simulated camera's own.
     pub calibration: Camera,
+    /// How well the camera file says that its lens is known; `None`: it says nothing of it.
+    pub lens_doubt: Option<LensDoubt>,
     /// Where it stands.
     pub pose: CameraPose,
     /// Time from one image row's exposure to the next, seconds.

@@ -121,6 +121,7 @@ pub fn read_camera_info(camera: &v1::Camera) -> CameraInfo {
             object_from_camera,
             localizes: camera.localizes,
         }),
+        lens_doubt: None,
     }
 }
 

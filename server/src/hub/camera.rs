@@ -4,6 +4,7 @@ use roundel_core::{
     calib::watch::CameraHealth,
     camera::{Camera, PixelPoint},
     marker::Reject,
+    plan::precision::LensDoubt,
     rigid::Rigid,
     time::Timestamp,
     world::{CameraPlacement, ClockEstimate, Unplaced},
@@ -22,6 +23,8 @@ pub struct CameraInfo {
     pub mask: Vec<Vec<PixelPoint>>,
     /// What it rides on; `None`: it stands.
     pub ride: Option<RideInfo>,
+    /// How well its lens is known, as far as its camera file says.
+    pub lens_doubt: Option<LensDoubt>,
 }
 
 /// What is fixed about a camera that rides on an object.

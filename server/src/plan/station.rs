@@ -36,9 +36,10 @@ pub fn configured(camera: &CameraConfig, imaging: Imaging) -> Named {
         CameraPose::Rides(_) => Err("it rides on an object".to_owned()),
     };
     let sensor = Sensor { camera: camera.calibration.clone(), imaging, mode: camera.mode };
+    let doubt = camera.lens_doubt.clone();
     let mask = Mask::of_polygons(&camera.mask).map_err(|error| error.to_string());
     let station =
-        place.and_then(|place| Ok(Box::new(Station { sensor, doubt: None, place, mask: mask? })));
+        place.and_then(|place| Ok(Box::new(Station { sensor, doubt, place, mask: mask? })));
     Named { name: camera.name.clone(), station }
 }
 
@@ -63,8 +64,9 @@ pub fn live(info: &CameraInfo, state: &CameraState, usual: Imaging) -> Named {
         let is_fast = state.counts.precise == 0 && state.counts.fast > 0;
         let mode = if is_fast { Mode::Fast } else { Mode::Precise };
         let mask = Mask::of_polygons(&info.mask).map_err(|error| error.to_string())?;
+        let doubt = info.lens_doubt.clone();
         let sensor = Sensor { camera, imaging, mode };
-        Ok(Box::new(Station { sensor, doubt: None, place, mask }))
+        Ok(Box::new(Station { sensor, doubt, place, mask }))
     };
     Named { name: info.name.clone(), station: station() }
 }

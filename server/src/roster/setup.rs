@@ -29,6 +29,7 @@ pub fn info(camera: &CameraConfig, config: &Config) -> CameraInfo {
             CameraPose::Rides(ride) => Some(ride_info(ride, config)),
             _ => None,
         },
+        lens_doubt: camera.lens_doubt.clone(),
     }
 }
 

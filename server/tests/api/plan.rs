@@ -1,13 +1,15 @@
 //! The map of what the cameras would see, over REST.
 
 use axum::http::StatusCode;
+use nalgebra::DMatrix;
 use roundel_core::{
     camera::{Camera, Intrinsics, Lens},
     id::CameraId,
+    plan::precision::LensDoubt,
     rigid::{Covariance6, Rigid},
     world::CameraPlacement,
 };
-use roundel_server::hub::{CameraPlace, PoseStatus};
+use roundel_server::hub::{CameraInfo, CameraPlace, PoseStatus};
 
 use crate::rig::Rig;
 
@@ -65,6 +67,17 @@ async fn a_map_comes_as_numbers_and_as_pictures() {
     let png = rig.get(&format!("{query}&format=png&marker=80:32")).await;
     assert_eq!(png.header("content-type"), "image/png");
     assert!(png.body.starts_with(b"\x89PNG"));
+
+    // Where neither lens is known well, the map says so.
+    let installation = rig.hub.installation();
+    for (id, info) in &installation.cameras {
+        let covariance = DMatrix::from_diagonal_element(4, 4, 5.0 * 5.0);
+        let lens_doubt = Some(LensDoubt { free: Vec::new(), covariance });
+        rig.hub.set_camera(*id, CameraInfo { lens_doubt, ..info.as_ref().clone() });
+    }
+    let doubtful = rig.get(query).await.json();
+    let exact_m = both["summary"]["median_m"].as_f64().unwrap();
+    assert!(doubtful["summary"]["median_m"].as_f64().unwrap() > 2.0 * exact_m, "{doubtful}");
     rig.stop().await;
 }
 

@@ -47,6 +47,7 @@ pub fn hub(source_id: &str) -> Arc<Hub> {
         source: format!("sim:?of={name}"),
         mask: vec![corners.to_vec()],
         ride: None,
+        lens_doubt: None,
     };
     Arc::new(Hub::new(Installation {
         name: "lab".into(),
