@@ -3,7 +3,9 @@
 //! A [`SetUp`] is a camera, a print, a tilt, an imaging and a mode. Of each is told, by the plan and by simulation,
 //! the farthest distance at which roundels are found near the optical axis ([`SetUp::reach`]), and the rms errors of
 //! roundels of one size anywhere in the picture ([`SetUp::errors`]), along the line of sight and across it. The
-//! plan knows the lens and the imaging, and nothing of the pixels. [`times`] does the same with time.
+//! plan knows the lens and the imaging, and nothing of the pixels. [`loads`] does the same with time.
+
+pub mod loads;
 
 use nalgebra::{Isometry3, Translation3, UnitQuaternion, Vector2, Vector3};
 use rayon::prelude::*;
@@ -13,19 +15,16 @@ use roundel_core::{
         Imaging as PlannedImaging, PlanError, Sensor,
         precision::expect,
         reach::{self, Reach},
-        time::Load,
     },
 };
-use roundel_server::plan::machine;
 
 use crate::{
     arena,
     normal::Random,
     optics::{Distortion, Pinhole},
     pipeline::{Observer, core_camera},
-    precision::{FLOOR, MODES, window},
+    precision::{FLOOR, window},
     render::{Canvas, Imaging, Print, Renderer, Seen},
-    timing,
 };
 
 /// Distances that are tried, shares of the one foretold.
@@ -262,50 +261,6 @@ impl SetUp {
         }
         position
     }
-}
-
-/// Pictures and roundels that are timed: width, height, roundels, diameters in pixels.
-const TIMED: [(usize, usize, usize, f64); 16] = [
-    (640, 480, 1, 30.0),
-    (640, 480, 12, 20.0),
-    (640, 480, 12, 60.0),
-    (1280, 720, 1, 60.0),
-    (1280, 720, 10, 15.0),
-    (1280, 720, 10, 40.0),
-    (1280, 720, 30, 30.0),
-    (1280, 720, 30, 70.0),
-    (1280, 720, 100, 20.0),
-    (1920, 1080, 4, 25.0),
-    (1920, 1080, 24, 18.0),
-    (1920, 1080, 24, 35.0),
-    (1920, 1080, 24, 80.0),
-    (1920, 1080, 100, 30.0),
-    (1920, 1080, 100, 60.0),
-    (2592, 1944, 50, 40.0),
-];
-/// Of which the least counts.
-const ROUNDS: usize = 10;
-
-/// What is timed, the mode, and seconds a frame by the model with constants of this machine and as they are.
-pub type Timed = (Load, Mode, Pair);
-
-/// Measures the constants of this machine, and holds them against other frames than they are from: rendered by other
-/// code, of other sizes and numbers. In turn followed and searched.
-pub fn times() -> anyhow::Result<Vec<Timed>> {
-    let (machine, _) = machine::measure(|_, _| {})?;
-    let mut all = Vec::new();
-    for (width, height, count, diameter_px) in TIMED {
-        let case = timing::Case { width, height, count, diameter_px };
-        for (mode, times) in MODES.into_iter().zip(timing::times(&case, ROUNDS)) {
-            for (searched_share, simulated) in [(0.0, times.follow_s), (1.0, times.search_s)] {
-                let image_px = (width * height) as f64;
-                let load = Load { image_px, roundels: count as f64, diameter_px, searched_share };
-                let planned = machine.of(mode).frame_s(&load);
-                all.push((load, mode, Pair { planned, simulated }));
-            }
-        }
-    }
-    Ok(all)
 }
 
 /// The first `count` set-ups with their reach and errors, from `reaches` and `shots` roundels each.

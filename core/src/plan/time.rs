@@ -1,18 +1,60 @@
 //! How long a frame takes: the paper's equation (20) with the terms that our detector has.
 //!
-//! While all roundels are followed, a frame costs a little for itself and for the share of it that is searched for
-//! new ones, and for each roundel a constant, a term with its diameter d (the pixels near its rims) and one with d²
-//! (the pixels of its area, the paper's s_p). A frame in which roundels are lost, the paper's α, is searched as a
-//! whole:
+//! A frame costs something for itself, for the pixels s_i of it that are searched, and for each of its n roundels:
 //!
-//! t = c₀ + c₁ s_i + n (k₀ + k₁ d + k₂ d²) + α (c₂ s_i + n k₃)
+//! t = c₀ + c₁ s_i + n p(d, v)
 //!
-//! The constants belong to a machine and a mode; [`fit`] finds them from measured times, none below zero.
+//! p depends on the diameter d (the paper's s_p is d²) and on the motion v, pixels from frame to frame. For plain
+//! roundels
+//!
+//! p = k₀ + k₁ (12/d)³ + k₂ d² + k₃ w(d) + v²/(v + 2) (k₄ + k₅ (12/d)³ + k₆ d²):
+//!
+//! small ones, whose rims are blurred into each other, need a second look; what is wider than a vector (from about 41 px
+//! on) is summed up by itself and not beside others (w, from 0 to 1); and of what moves the fit looks for the smear, once
+//! there is one to see, with more pixels the longer it is. Coded ones are never small nor beside others:
+//! p = k₀ + k₁ d² + v²/(v + 2) (k₂ + k₃ d²), and the search for them looks longer at what is none, so that a pixel costs
+//! more. All this holds with constants of their own for frames in which roundels are followed (a part of the picture is
+//! searched for new ones, and all are located) and for those that are searched as a whole, of which there is the paper's
+//! share α.
+//!
+//! The constants belong to a machine and a mode; [`fit`] finds them from measured times, none below zero. v is taken as
+//! 12 px at most, since what goes faster has hardly been measured. What stands about in the picture, and how long it is
+//! exposed (a quarter of the time between frames, in what was measured), are not in the model: before an even floor a
+//! search takes about half.
 
 use nalgebra::{DMatrix, DVector};
 
-/// Numbers of the model.
-const TERMS: usize = 7;
+use super::{PlanError, within};
+
+/// Numbers of the model for frames of one sort.
+pub const TERMS: usize = 14;
+/// What they are multiplied with, in their order.
+pub const TERM_NAMES: [&str; TERMS] = [
+    "frame",
+    "image_px",
+    "plain",
+    "plain_small",
+    "plain_area_px",
+    "plain_wide",
+    "plain_motion_px",
+    "plain_small_motion_px",
+    "plain_area_motion_px",
+    "coded_image_px",
+    "coded",
+    "coded_area_px",
+    "coded_motion_px",
+    "coded_area_motion_px",
+];
+/// Where rings are small, pixels.
+const SMALL_PX: f64 = 12.0;
+/// From here to there rings no longer fit, with the margin in which they are looked for, into the 64 columns that are
+/// summed up at once.
+const WIDE_PX: [f64; 2] = [38.0, 44.0];
+/// Motion that counts at most, and from about which on the fit sees it, pixels a frame.
+const MOST_MOTION_PX: f64 = 12.0;
+const SEEN_MOTION_PX: f64 = 2.0;
+/// A constant is not freed for less.
+const LEAST_GAIN: f64 = 1e-12;
 
 /// What is done in a frame.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -23,70 +65,169 @@ pub struct Load {
     pub roundels: f64,
     /// Their mean diameter, pixels.
     pub diameter_px: f64,
+    /// How far each of them moves from frame to frame, pixels.
+    pub motion_px: f64,
+    /// Whether they are coded.
+    pub is_coded: bool,
     /// Share of frames that are searched as a whole, 0 to 1.
     pub searched_share: f64,
 }
 
-/// What a machine takes for it, in seconds: c₀, c₁, c₂, k₀, k₁, k₂, k₃.
+/// What a machine takes for it, seconds, by [`TERM_NAMES`].
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Constants(pub [f64; TERMS]);
+pub struct Constants {
+    /// In frames in which roundels are followed.
+    pub followed: [f64; TERMS],
+    /// In frames that are searched as a whole.
+    pub searched: [f64; TERMS],
+}
+
+impl Load {
+    /// Checks each number on its own.
+    pub fn check(&self) -> Result<(), PlanError> {
+        within("pixels of the picture", self.image_px, [1.0, 1e9], "1 to 1000000000")?;
+        within("roundels", self.roundels, [0.0, 1e6], "0 to 1000000")?;
+        within("diameter", self.diameter_px, [1.0, 1e5], "1 to 100000 px")?;
+        within("motion", self.motion_px, [0.0, 1e5], "0 to 100000 px a frame")?;
+        within("share of frames that are searched", self.searched_share, [0.0, 1.0], "0 to 1")
+    }
+
+    fn terms(&self) -> [f64; TERMS] {
+        let Self { image_px, roundels, diameter_px, motion_px, is_coded, .. } = *self;
+        let small = (SMALL_PX / diameter_px).powi(3);
+        let area_px = diameter_px * diameter_px;
+        let wide = ((diameter_px - WIDE_PX[0]) / (WIDE_PX[1] - WIDE_PX[0])).clamp(0.0, 1.0);
+        let motion_px = motion_px.min(MOST_MOTION_PX);
+        let smear_px = motion_px * motion_px / (motion_px + SEEN_MOTION_PX);
+        let (plain, coded) = if is_coded { (0.0, roundels) } else { (roundels, 0.0) };
+        [
+            1.0,
+            image_px,
+            plain,
+            plain * small,
+            plain * area_px,
+            plain * wide,
+            plain * smear_px,
+            plain * smear_px * small,
+            plain * smear_px * area_px,
+            if is_coded { image_px } else { 0.0 },
+            coded,
+            coded * area_px,
+            coded * smear_px,
+            coded * smear_px * area_px,
+        ]
+    }
+}
 
 impl Constants {
-    /// Of precise mode on one core of a virtual machine (Intel Xeon), as `roundel plan --measure` found them; for
-    /// whoever has not measured.
-    pub const PRECISE: Self = Self([5.0e-6, 1.2e-11, 1.45e-10, 1.22e-5, 0.0, 9.5e-9, 9.7e-6]);
+    /// Of precise mode on one core of a virtual machine (AMD EPYC), as `roundel plan --measure` found them; for whoever
+    /// has not measured.
+    pub const PRECISE: Self = Self {
+        followed: [
+            1.0e-6, 4.4e-12, 7.6e-6, 1.3e-5, 5.0e-9, 1.8e-6, 2.8e-6, 2.9e-6, 8.5e-10, 4.0e-12,
+            3.6e-5, 1.37e-8, 2.1e-6, 6.3e-9,
+        ],
+        searched: [
+            2.3e-6, 9.0e-11, 1.5e-5, 1.4e-5, 9.6e-9, 6.1e-6, 5.0e-6, 1.5e-6, 1.0e-10, 8.0e-11,
+            6.4e-5, 2.0e-8, 9.8e-6, 4.9e-9,
+        ],
+    };
     /// The same of fast mode.
-    pub const FAST: Self = Self([1.5e-6, 8.3e-12, 1.35e-10, 4.0e-6, 0.0, 8.0e-10, 7.4e-6]);
+    pub const FAST: Self = Self {
+        followed: [
+            3.7e-7, 4.7e-12, 9.2e-7, 6.6e-6, 6.0e-10, 2.9e-6, 3.0e-8, 5.2e-8, 1.0e-11, 4.0e-12,
+            8.9e-6, 2.0e-10, 3.0e-7, 2.5e-11,
+        ],
+        searched: [
+            5.7e-6, 8.0e-11, 5.2e-6, 6.8e-6, 2.8e-9, 5.5e-6, 6.7e-8, 1.8e-6, 0.0, 8.0e-11, 3.6e-5,
+            3.4e-9, 1.6e-6, 0.0,
+        ],
+    };
 
     /// Seconds a frame, on one core.
     pub fn frame_s(&self, load: &Load) -> f64 {
-        self.0.iter().zip(terms(load)).map(|(constant, term)| constant * term).sum()
+        let terms = load.terms();
+        let of = |constants: &[f64; TERMS]| -> f64 {
+            constants.iter().zip(terms).map(|(constant, term)| constant * term).sum()
+        };
+        let share = load.searched_share;
+        (1.0 - share) * of(&self.followed) + share * of(&self.searched)
     }
 }
 
-fn terms(load: &Load) -> [f64; TERMS] {
-    let Load { image_px, roundels, diameter_px, searched_share } = *load;
-    [
-        1.0,
-        image_px,
-        searched_share * image_px,
-        roundels,
-        roundels * diameter_px,
-        roundels * diameter_px * diameter_px,
-        searched_share * roundels,
-    ]
+/// The constants that explain measured times best, of frames that were followed (a share of 0) and of such that were
+/// searched (of 1): least squares of relative errors, none of them negative. `None` without as many measurements of
+/// either as constants.
+pub fn fit(measured: &[(Load, f64)]) -> Option<Constants> {
+    let of = |searched_share: f64| {
+        let own: Vec<_> = measured
+            .iter()
+            .filter(|(load, _)| load.searched_share == searched_share)
+            .map(|(load, time_s)| (load.terms(), *time_s))
+            .collect();
+        explaining(&own)
+    };
+    Some(Constants { followed: of(0.0)?, searched: of(1.0)? })
 }
 
-/// The constants that explain measured times best: least squares of relative errors, none of them negative. `None`
-/// without as many measurements as constants.
-pub fn fit(measured: &[(Load, f64)]) -> Option<Constants> {
+/// Lawson and Hanson's algorithm (*Solving Least Squares Problems*, 1974, chapter 23).
+fn explaining(measured: &[([f64; TERMS], f64)]) -> Option<[f64; TERMS]> {
     if measured.len() < TERMS
-        || measured.iter().any(|(_, time_s)| time_s.is_nan() || *time_s <= 0.0)
+        || measured.iter().any(|(_, time_s)| !time_s.is_finite() || *time_s <= 0.0)
     {
         return None;
     }
-    let all: Vec<_> = measured.iter().map(|(load, time_s)| (terms(load), *time_s)).collect();
+    let mut rows = DMatrix::from_fn(measured.len(), TERMS, |row, term| {
+        measured[row].0[term] / measured[row].1
+    });
     // Columns of one size, so that seconds a pixel do not vanish beside seconds a frame.
-    let rows = DMatrix::from_fn(all.len(), TERMS, |row, term| all[row].0[term] / all[row].1);
     let scale: Vec<f64> = rows.column_iter().map(|column| column.norm()).collect();
-    let mut free: Vec<usize> = (0..TERMS).filter(|&term| scale[term] > 0.0).collect();
-    // The constant that would be most negative is left out until none is.
-    loop {
-        let part = DMatrix::from_fn(all.len(), free.len(), |row, column| {
-            rows[(row, free[column])] / scale[free[column]]
-        });
-        let solved = part.svd(true, true).solve(&DVector::repeat(all.len(), 1.0), 1e-9).ok()?;
-        let worst = (0..free.len()).min_by(|&a, &b| solved[a].total_cmp(&solved[b]))?;
-        if solved[worst] < 0.0 {
-            free.remove(worst);
-            continue;
-        }
-        let mut constants = [0.0; TERMS];
-        for (column, &term) in free.iter().enumerate() {
-            constants[term] = solved[column] / scale[term];
-        }
-        return Some(Constants(constants));
+    for (mut column, scale) in rows.column_iter_mut().zip(&scale) {
+        column /= if *scale > 0.0 { *scale } else { 1.0 };
     }
+    let wanted = DVector::repeat(measured.len(), 1.0);
+    let mut found = DVector::zeros(TERMS);
+    let mut free: Vec<usize> = Vec::new();
+    // Each round frees the constant that would help most; there are few more rounds than constants.
+    for _ in 0..10 * TERMS {
+        let gain = rows.tr_mul(&(&wanted - &rows * &found));
+        let held = (0..TERMS).filter(|term| !free.contains(term));
+        let Some(next) = held.max_by(|&a, &b| gain[a].total_cmp(&gain[b])) else { break };
+        if gain[next] <= LEAST_GAIN {
+            break;
+        }
+        free.push(next);
+        while let Some(best) = solved(&rows, &free, &wanted) {
+            // As far towards the best as none is negative; the one that would be is held at 0 again.
+            let negative = free.iter().filter(|&&term| best[term] <= 0.0);
+            let step = |term: usize| {
+                if found[term] > 0.0 { found[term] / (found[term] - best[term]) } else { 0.0 }
+            };
+            let least = negative.map(|&term| (step(term), term));
+            let least = least.min_by(|a, b| a.0.total_cmp(&b.0));
+            let Some((share, term)) = least else {
+                found = best;
+                break;
+            };
+            found = &found + (best - &found) * share;
+            found[term] = 0.0;
+            free.retain(|free| *free != term);
+        }
+    }
+    let constant = |term: usize| if scale[term] > 0.0 { found[term] / scale[term] } else { 0.0 };
+    Some(std::array::from_fn(constant))
+}
+
+/// Least squares over these columns alone, the others at 0.
+fn solved(rows: &DMatrix<f64>, free: &[usize], wanted: &DVector<f64>) -> Option<DVector<f64>> {
+    if free.is_empty() {
+        return Some(DVector::zeros(TERMS));
+    }
+    let part = rows.select_columns(free);
+    let part = part.svd(true, true).solve(wanted, 1e-12).ok()?;
+    let mut all = DVector::zeros(TERMS);
+    free.iter().zip(&part).for_each(|(&term, value)| all[term] = *value);
+    Some(all)
 }
 
 #[cfg(test)]
@@ -95,11 +236,22 @@ mod tests {
 
     fn loads() -> Vec<Load> {
         let mut loads = Vec::new();
-        for image_px in [3e5, 9e5, 2e6] {
+        for image_px in [3e5, 2e6] {
             for roundels in [1.0, 20.0, 100.0] {
-                for diameter_px in [12.0, 30.0, 80.0] {
-                    for searched_share in [0.0, 1.0] {
-                        loads.push(Load { image_px, roundels, diameter_px, searched_share });
+                for diameter_px in [12.0, 25.0, 41.0, 80.0] {
+                    for motion_px in [0.0, 2.0, 8.0] {
+                        for is_coded in [false, true] {
+                            for searched_share in [0.0, 1.0] {
+                                loads.push(Load {
+                                    image_px,
+                                    roundels,
+                                    diameter_px,
+                                    motion_px,
+                                    is_coded,
+                                    searched_share,
+                                });
+                            }
+                        }
                     }
                 }
             }
@@ -109,12 +261,17 @@ mod tests {
 
     #[test]
     fn measured_constants_are_found_again() {
-        let truth = Constants([1e-5, 1e-11, 5e-10, 2e-6, 1e-7, 1e-9, 3e-6]);
+        let searched =
+            [1e-5, 5e-10, 2e-6, 1e-6, 1e-9, 3e-6, 1e-7, 2e-7, 3e-10, 2e-10, 2e-5, 1e-8, 1e-6, 1e-9];
+        let truth = Constants { searched, followed: searched.map(|constant| 0.3 * constant) };
         let measured: Vec<_> =
             loads().into_iter().map(|load| (load, truth.frame_s(&load))).collect();
         let found = fit(&measured).unwrap();
-        for (found, truth) in found.0.iter().zip(truth.0) {
-            assert!((found / truth - 1.0).abs() < 1e-6, "{found:?}");
+        let pairs = [(found.followed, truth.followed), (found.searched, truth.searched)];
+        for (found, truth) in pairs {
+            for (found, truth) in found.iter().zip(truth) {
+                assert!((found / truth - 1.0).abs() < 1e-6, "{found:?} {truth}");
+            }
         }
     }
 
@@ -123,28 +280,68 @@ mod tests {
         let measured: Vec<_> = loads()
             .into_iter()
             .map(|load| {
-                (load, 1e-5 + 1e-6 * load.roundels - 1e-9 * load.roundels * load.diameter_px)
+                let area_px = load.diameter_px * load.diameter_px;
+                (load, 1e-5 + 1e-6 * load.roundels - 1e-10 * load.roundels * area_px)
             })
             .collect();
         let found = fit(&measured).unwrap();
-        assert!(found.0.iter().all(|&constant| constant >= 0.0), "{found:?}");
-        assert_eq!(fit(&measured[..TERMS - 1]), None);
-        assert_eq!(fit(&[(loads()[0], f64::NAN); 9]), None);
+        assert!(found.followed.iter().all(|&constant| constant >= 0.0), "{found:?}");
+        assert_eq!(found.followed[4], 0.0, "{found:?}");
+        assert_eq!(fit(&measured[..TERMS]), None);
+        assert_eq!(fit(&[(loads()[0], f64::NAN); 30]), None);
     }
 
     #[test]
     fn more_of_anything_takes_longer() {
-        let usual = Load { image_px: 9e5, roundels: 20.0, diameter_px: 30.0, searched_share: 0.0 };
+        let usual = Load {
+            image_px: 9e5,
+            roundels: 20.0,
+            diameter_px: 46.0,
+            motion_px: 1.0,
+            is_coded: false,
+            searched_share: 0.0,
+        };
         for constants in [Constants::PRECISE, Constants::FAST] {
-            let time_s = constants.frame_s(&usual);
-            for more in [
-                Load { image_px: 2e6, ..usual },
-                Load { roundels: 30.0, ..usual },
-                Load { diameter_px: 40.0, ..usual },
-                Load { searched_share: 0.1, ..usual },
-            ] {
-                assert!(constants.frame_s(&more) > time_s, "{more:?}");
+            for is_coded in [false, true] {
+                let usual = Load { is_coded, ..usual };
+                let time_s = constants.frame_s(&usual);
+                for more in [
+                    Load { image_px: 2e6, ..usual },
+                    Load { roundels: 30.0, ..usual },
+                    Load { diameter_px: 60.0, ..usual },
+                    Load { motion_px: 4.0, ..usual },
+                    Load { searched_share: 0.1, ..usual },
+                ] {
+                    assert!(constants.frame_s(&more) > time_s, "{more:?}");
+                }
             }
         }
+        let small = Load { diameter_px: 10.0, ..usual };
+        let middling = Load { diameter_px: 25.0, ..usual };
+        assert!(Constants::PRECISE.frame_s(&small) > Constants::PRECISE.frame_s(&middling));
+    }
+
+    #[test]
+    fn loads_that_cannot_be_say_why() {
+        let usual = loads()[0];
+        for (load, expected) in [
+            (
+                Load { motion_px: -1.0, ..usual },
+                "motion: expected 0 to 100000 px a frame, found -1",
+            ),
+            (
+                Load { diameter_px: f64::NAN, ..usual },
+                "diameter: expected 1 to 100000 px, found NaN",
+            ),
+            (
+                Load { searched_share: 1.1, ..usual },
+                "share of frames that are searched: expected 0",
+            ),
+            (Load { roundels: f64::INFINITY, ..usual }, "roundels: expected 0 to 1000000"),
+        ] {
+            let error = load.check().unwrap_err().to_string();
+            assert!(error.starts_with(expected), "{error}");
+        }
+        assert!(usual.check().is_ok());
     }
 }

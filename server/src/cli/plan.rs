@@ -84,7 +84,13 @@ pub struct PlanArgs {
     /// Roundels in the picture
     #[arg(long, default_value_t = 10)]
     count: u32,
-    /// Share of frames in which some are lost and the whole picture is searched, 0 to 1
+    /// How fast they move across the line of sight, metres a second
+    #[arg(long, value_name = "M_S", default_value_t = 0.5)]
+    speed: f64,
+    /// Frames a second that the camera takes
+    #[arg(long, value_name = "HZ", default_value_t = 30.0)]
+    rate: f64,
+    /// Share of frames in which they are lost and the whole picture is searched, 0 to 1
     #[arg(long, value_name = "SHARE", default_value_t = 0.0)]
     lost: f64,
     /// Wanted: rms of the distance from the truth, millimetres
@@ -201,7 +207,7 @@ impl PlanArgs {
             (None, Some(path)) if path.exists() => Ok((Machine::load(&path)?, measured_in(&path))),
             (None, _) => Ok((
                 Machine::default(),
-                "not measured: those of a virtual machine (Intel Xeon) stand in; `roundel plan --measure` measures this \
+                "not measured: those of a virtual machine (AMD EPYC) stand in; `roundel plan --measure` measures this \
                  machine"
                     .to_owned(),
             )),

@@ -6,12 +6,14 @@
 //! | [`report`] | a map as numbers (JSON) |
 //! | [`picture`] | a map as SVG and PNG |
 //! | [`machine`] | what a machine takes for a frame: measured, kept in a file, read again |
+//! | [`trial`] | the frames that it is measured with, and the clock |
 
 pub mod machine;
 pub mod picture;
 pub mod report;
 mod scale;
 pub mod station;
+pub mod trial;
 
 /// About so many spots a map has, if nobody says how far apart they are.
 pub const SPOTS: usize = 2400;

@@ -60,6 +60,13 @@ fn what_is_wrong_about_a_pinhole_and_its_roundel_is_named() {
         (vec!["--distance", "500"], 1, "is found from"),
         (vec!["--distance", "0"], 1, "--distance: expected metres above 0"),
         (vec!["--lost", "2"], 1, "--lost: expected a share of 0 to 1"),
+        (vec!["--lost", "NaN"], 1, "--lost: expected a share of 0 to 1"),
+        (vec!["--speed=-1"], 1, "--speed: expected 0 to 1000 m/s, found -1"),
+        (vec!["--speed", "NaN"], 1, "--speed: expected 0 to 1000 m/s, found NaN"),
+        (vec!["--speed", "fast"], 2, "--speed"),
+        (vec!["--rate", "0"], 1, "--rate: expected 0.01 to 100000 frames a second, found 0"),
+        (vec!["--rate", "inf"], 1, "--rate: expected 0.01 to 100000 frames a second, found inf"),
+        (vec!["--speed", "900", "--rate", "0.1"], 1, "farther than the picture is wide"),
         (vec!["--precision", "1"], 1, "say --distance M"),
         (vec!["--precision", "0.00001", "--distance", "5"], 1, "precision: expected 0.0000001"),
         (vec!["--precision", "0.001", "--distance", "5"], 1, "the best of this camera is"),
@@ -113,4 +120,36 @@ fn a_camera_is_planned_and_the_cameras_for_an_arena_are_found() {
     assert!(fs::read(map).unwrap().starts_with(b"\x89PNG"));
     let unknown = plan(&["--config", lab, "--kind", "plate"]);
     assert!(stderr(&unknown).contains("no roundel \"plate\""), "{}", stderr(&unknown));
+
+    // What the camera file says of how well the lens is known is in the map.
+    let median_m = || {
+        let told = plan(&["--config", lab, "--step", "0.5", "--format", "json"]);
+        let told: serde_json::Value = serde_json::from_slice(&told.stdout).unwrap();
+        told["summary"]["median_m"].as_f64().unwrap()
+    };
+    let exact_m = median_m();
+    let variances: Vec<f64> = (0..16).map(|at| if at % 5 == 0 { 25.0 } else { 0.0 }).collect();
+    let doubt = format!(
+        "parameter_names: [fx, fy, cx, cy]\nparameter_covariance:\n  rows: 4\n  cols: 4\n  data: {variances:?}\n"
+    );
+    fs::write(camera, fs::read_to_string(camera).unwrap() + &doubt).unwrap();
+    let doubtful_m = median_m();
+    assert!(doubtful_m > 2.0 * exact_m, "{exact_m} {doubtful_m}");
+}
+
+#[test]
+fn faster_and_coded_roundels_take_longer() {
+    let frame_s = |arguments: &[&str]| {
+        let all = [&PINHOLE[..], &["--distance", "1", "--format", "json"], arguments].concat();
+        let told = plan(&all);
+        assert!(told.status.success(), "{}", stderr(&told));
+        let told: serde_json::Value = serde_json::from_slice(&told.stdout).unwrap();
+        (told["motion_px"].as_f64().unwrap(), told["frame_s"].as_f64().unwrap())
+    };
+    // 640 pixels at 60°: 554 pixels a metre at 1 m.
+    let (motion_px, slow_s) = frame_s(&["--speed", "0.1", "--rate", "50"]);
+    assert!((motion_px - 1.1).abs() < 0.05, "{motion_px}");
+    let (_, fast_s) = frame_s(&["--speed", "0.6", "--rate", "50"]);
+    let (_, coded_s) = frame_s(&["--speed", "0.1", "--rate", "50", "--code", "8:2"]);
+    assert!(slow_s < fast_s && slow_s < coded_s, "{slow_s} {fast_s} {coded_s}");
 }

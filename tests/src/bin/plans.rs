@@ -3,7 +3,13 @@
 
 use std::process::ExitCode;
 
-use roundel_tests::plans::{Pair, compare, times};
+use roundel_tests::{
+    plans::{
+        Pair, compare,
+        loads::{Timed, times},
+    },
+    precision::MODES,
+};
 
 /// Roundels at each distance, and for the errors of each set-up.
 const REACHES: usize = 20;
@@ -28,30 +34,53 @@ fn main() -> ExitCode {
 }
 
 fn timed() -> ExitCode {
-    let all = match times() {
-        Ok(all) => all,
+    let [own, others] = match times() {
+        Ok(both) => both,
         Err(error) => {
             eprintln!("error: {error:#}");
             return ExitCode::FAILURE;
         }
     };
-    println!("  mode    | megapixels  roundels  px   searched | measured ms  plan/measured");
-    for (load, mode, pair) in &all {
+    println!("As measured for the constants:");
+    timed_ones(&own);
+    println!("Others:");
+    timed_ones(&others);
+    ExitCode::SUCCESS
+}
+
+fn timed_ones(all: &[Timed]) {
+    println!(
+        "  mode    | megapixels  roundels         px  px a frame  searched | measured ms  plan/measured"
+    );
+    for (load, mode, pair) in all {
         println!(
-            "{:9} | {:10.2}  {:8}  {:3}  {:8} | {:11.3}  {:12.2}{}",
+            "{:9} | {:10.2}  {:8.1}  {:6} {:3.0}  {:10.1}  {:8} | {:11.3}  {:12.2}{}",
             format!("{mode:?}"),
             load.image_px * 1e-6,
             load.roundels,
+            if load.is_coded { "coded" } else { "" },
             load.diameter_px,
+            load.motion_px,
             if load.searched_share > 0.0 { "yes" } else { "" },
             pair.simulated * 1e3,
             pair.ratio(),
             mark(pair, TIME_SHARE)
         );
     }
+    for mode in MODES {
+        for (name, is_coded) in [("plain", false), ("coded", true)] {
+            for (what, searched_share) in [("followed", 0.0), ("searched", 1.0)] {
+                let is_one = |(load, its_mode, _): &&Timed| {
+                    let sort = (load.is_coded, load.searched_share, *its_mode);
+                    sort == (is_coded, searched_share, mode)
+                };
+                let pairs: Vec<Pair> = all.iter().filter(is_one).map(|(.., pair)| *pair).collect();
+                told(&format!("time, {mode:?}, {name}, {what}"), &pairs, TIME_SHARE);
+            }
+        }
+    }
     let pairs: Vec<Pair> = all.iter().map(|(.., pair)| *pair).collect();
-    told("time", &pairs, TIME_SHARE);
-    ExitCode::SUCCESS
+    told("time in all", &pairs, TIME_SHARE);
 }
 
 fn planned(count: u64) -> ExitCode {

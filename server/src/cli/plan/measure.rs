@@ -4,10 +4,14 @@ use std::io::Write as _;
 
 use anyhow::Context;
 use indicatif::{ProgressBar, ProgressStyle};
-use serde_json::json;
+use roundel_core::plan::time::{Constants, TERM_NAMES, TERMS};
+use serde_json::{Map, Value, json};
 
 use super::{Format, PlanArgs};
-use crate::plan::machine::{Machine, Measured, measure, usual_path};
+use crate::plan::{
+    machine::{Machine, measure, usual_path},
+    trial::Measured,
+};
 
 pub(super) fn run(arguments: &PlanArgs) -> anyhow::Result<()> {
     let usual = || usual_path(arguments.config.as_deref());
@@ -41,29 +45,42 @@ fn report(machine: &Machine, measured: &[Measured]) -> serde_json::Value {
                 "image_px": one.load.image_px,
                 "roundels": one.load.roundels,
                 "diameter_px": one.load.diameter_px,
+                "motion_px": one.load.motion_px,
+                "coded": one.load.is_coded,
                 "searched_share": one.load.searched_share,
                 "measured_s": one.time_s,
                 "model_s": machine.of(one.mode).frame_s(&one.load),
             })
         })
         .collect();
-    json!({"precise_s": machine.precise.0, "fast_s": machine.fast.0, "measured": each})
+    let [precise, fast] = [&machine.precise, &machine.fast].map(constants);
+    json!({"precise_s": precise, "fast_s": fast, "measured": each})
+}
+
+fn constants(of: &Constants) -> Value {
+    let named = |terms: &[f64; TERMS]| -> Map<String, Value> {
+        let each = TERM_NAMES.into_iter().zip(terms);
+        each.map(|(name, seconds)| (name.to_owned(), json!(seconds))).collect()
+    };
+    json!({"followed": named(&of.followed), "searched": named(&of.searched)})
 }
 
 fn table(machine: &Machine, measured: &[Measured]) -> String {
-    let mut text =
-        "mode     megapixels  roundels  px    searched  measured ms  model ms\n".to_owned();
+    let mut text = "mode     megapixels  roundels         px  px a frame  searched  measured ms  model/measured\n"
+        .to_owned();
     for one in measured {
         let load = &one.load;
         text.push_str(&format!(
-            "{:8} {:10.2}  {:8.1}  {:4.0}  {:8}  {:11.3}  {:8.3}\n",
+            "{:8} {:10.2}  {:8.1}  {:6} {:3.0}  {:10.1}  {:8}  {:11.3}  {:14.2}\n",
             format!("{:?}", one.mode).to_lowercase(),
             load.image_px * 1e-6,
             load.roundels,
+            if load.is_coded { "coded" } else { "" },
             load.diameter_px,
+            load.motion_px,
             if load.searched_share > 0.0 { "yes" } else { "" },
             one.time_s * 1e3,
-            machine.of(one.mode).frame_s(load) * 1e3,
+            machine.of(one.mode).frame_s(load) / one.time_s,
         ));
     }
     text

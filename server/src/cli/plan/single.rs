@@ -6,7 +6,7 @@ use std::io::Write as _;
 use anyhow::{Context, bail};
 use roundel_core::{
     camera::{Intrinsics, Lens, NormalizedPoint},
-    marker::Kind,
+    marker::{Kind, Pattern},
     plan::{
         Sensor, paper,
         precision::{Expected, LensDoubt, expect},
@@ -30,6 +30,7 @@ struct Told {
     distance_m: f64,
     expected: Expected,
     has_doubt: bool,
+    motion_px: f64,
     frame_s: f64,
     machine: String,
     paper: paper::Pinhole,
@@ -60,16 +61,8 @@ fn told(arguments: &PlanArgs) -> anyhow::Result<Told> {
     let reach = reach(&sensor, &kind, tilt_rad)?;
     let distance_m = arguments.distance.unwrap_or(0.5 * (reach.least_m + reach.most_m));
     let expected = expected(&sensor, doubt.as_ref(), &kind, (distance_m, tilt_rad), &reach)?;
-    if !(0.0..=1.0).contains(&arguments.lost) {
-        bail!("--lost: expected a share of 0 to 1, found {}", arguments.lost);
-    }
+    let load = load(arguments, &sensor, &kind, &expected)?;
     let (machine, from) = arguments.machine()?;
-    let load = Load {
-        image_px: (sensor.camera.width() * sensor.camera.height()) as f64,
-        roundels: f64::from(arguments.count),
-        diameter_px: 2.0 * expected.sighting.ring.outer.mean_radius_px(),
-        searched_share: arguments.lost,
-    };
     let frame_s = machine.of(sensor.mode).frame_s(&load);
     let paper = papers(&sensor, &kind, tilt_rad);
     let has_doubt = doubt.is_some();
@@ -82,6 +75,7 @@ fn told(arguments: &PlanArgs) -> anyhow::Result<Told> {
         distance_m,
         expected,
         has_doubt,
+        motion_px: load.motion_px,
         frame_s,
         machine: from,
         paper,
@@ -108,6 +102,46 @@ fn expected(
             reach.most_m
         )
     })
+}
+
+/// What is done in a frame.
+fn load(
+    arguments: &PlanArgs,
+    sensor: &Sensor,
+    kind: &Kind,
+    expected: &Expected,
+) -> anyhow::Result<Load> {
+    let PlanArgs { count, speed, rate, lost, .. } = *arguments;
+    if !(0.0..=1.0).contains(&lost) {
+        bail!("--lost: expected a share of 0 to 1, found {lost}");
+    }
+    if !(0.0..=1e3).contains(&speed) {
+        bail!("--speed: expected 0 to 1000 m/s, found {speed}");
+    }
+    if !(0.01..=1e5).contains(&rate) {
+        bail!("--rate: expected 0.01 to 100000 frames a second, found {rate}");
+    }
+    let diameter_px = 2.0 * expected.sighting.ring.outer.mean_radius_px();
+    // The longer diameter is the one that tilt leaves.
+    let per_m = 2.0 * expected.sighting.ring.outer.semi_major_px / kind.outer_diameter_m;
+    let motion_px = speed / rate * per_m;
+    let (width, height) = (sensor.camera.width(), sensor.camera.height());
+    if motion_px > width as f64 {
+        bail!(
+            "--speed: at {speed} m/s and {rate} frames a second a roundel moves by {motion_px:.0} px a frame, \
+             farther than the picture is wide: say less, or a higher --rate"
+        );
+    }
+    let load = Load {
+        image_px: (width * height) as f64,
+        roundels: f64::from(count),
+        diameter_px,
+        motion_px,
+        is_coded: matches!(kind.pattern, Pattern::Coded(_)),
+        searched_share: lost,
+    };
+    load.check()?;
+    Ok(load)
 }
 
 /// What the paper's model is told of the same camera.
@@ -202,6 +236,7 @@ impl Told {
         row("  its normal to", format!("{normal_deg:.2}°"), String::new());
         let time = format!("{:.3} ms", self.frame_s * 1e3);
         row(&format!("a frame with {} of them", arguments.count), time, String::new());
+        row("  each moving by", format!("{:.1} px", self.motion_px), String::new());
         row("  frames a second, one core", format!("{:.0}", 1.0 / self.frame_s), String::new());
         lines.push(String::new());
         lines.push(format!("Times are {}.", self.machine));
@@ -233,6 +268,7 @@ impl Told {
             "across_deviation_m": expected.across_m(),
             "position_deviation_m": expected.position_m(),
             "normal_deviation_deg": expected.normal_rad().to_degrees(),
+            "motion_px": self.motion_px,
             "frame_s": self.frame_s,
             "frames_per_s": 1.0 / self.frame_s,
             "times": self.machine,

@@ -1,0 +1,281 @@
+//! What frames take on this machine: the real tracker and locator, timed on rendered ones.
+//!
+//! In a [`Case`] robots drive below one camera. Its first frame is searched as a whole; in the others the roundels are
+//! followed, sought (a part of each frame goes for new ones) and located, and those count in which all that is kept of
+//! tracks has settled. A frame's least time of several rounds counts, since others use the machine. How fast robots go
+//! through the picture is a matter of the camera's rate; frames are exposed for a quarter of the time between two.
+
+use std::{collections::HashMap, time::Instant};
+
+use anyhow::ensure;
+use roundel_core::{
+    frame::Frame,
+    id::TrackNumber,
+    marker::{CodeLayout, Detector, Kind, Mode, Params, Pattern, TrackedRing, Tracker},
+    plan::time::Load,
+    pose::Locator,
+    sim::{CameraMount, Renderer, Scenario, ScenarioParams},
+};
+
+/// Frames before those that count, and these: as many as precise mode follows until it looks for motion again.
+const SETTLING: usize = 7;
+const COUNTED: usize = 9;
+/// Rounds of which the quickest counts.
+const ROUNDS: usize = 10;
+/// Share of the time between frames in which one is exposed.
+const EXPOSED_SHARE: f64 = 0.25;
+/// Focal length over the picture's width, that of the reference installations.
+const FOCAL: f64 = 1100.0 / 1920.0;
+/// What robots drive on average, metres a second, and the highest rate, at which they as good as stand.
+const SPEED_M_S: f64 = 0.45;
+const MOST_HZ: f64 = 1000.0;
+/// Height of the roundels, metres.
+const HEIGHT_M: f64 = 0.3;
+
+/// Robots below a camera.
+#[derive(Clone, Copy, Debug)]
+pub struct Case {
+    /// Columns and rows.
+    size: (usize, usize),
+    robots: usize,
+    /// Outer diameter of their roundels, metres, and in the picture, pixels.
+    outer_m: f64,
+    diameter_px: f64,
+    /// How far they move from frame to frame, pixels, about.
+    motion_px: f64,
+    /// Of coded ones: the bits of their codes.
+    bits: Option<u8>,
+}
+
+const SMALL: (usize, usize) = (640, 480);
+const MIDDLE: (usize, usize) = (1280, 720);
+const LARGE: (usize, usize) = (1920, 1080);
+const HUGE: (usize, usize) = (2592, 1944);
+
+/// What is measured: size of the picture, robots, millimetres and pixels of their roundels, pixels a frame.
+type Listed = ((usize, usize), usize, f64, f64, f64);
+
+const PLAIN: [Listed; 26] = [
+    (SMALL, 1, 0.25, 30.0, 0.0),
+    (SMALL, 4, 0.10, 14.0, 1.0),
+    (SMALL, 6, 0.16, 22.0, 4.0),
+    (SMALL, 1, 0.25, 40.0, 1.5),
+    (MIDDLE, 1, 0.16, 25.0, 2.0),
+    (MIDDLE, 18, 0.10, 12.0, 0.0),
+    (MIDDLE, 12, 0.10, 13.0, 2.0),
+    (MIDDLE, 18, 0.16, 20.0, 1.0),
+    (MIDDLE, 8, 0.16, 24.0, 4.0),
+    (MIDDLE, 12, 0.25, 36.0, 0.0),
+    (MIDDLE, 8, 0.25, 40.0, 2.0),
+    (MIDDLE, 5, 0.25, 60.0, 4.0),
+    (LARGE, 1, 0.25, 80.0, 3.0),
+    (LARGE, 36, 0.10, 13.0, 0.5),
+    (LARGE, 30, 0.10, 16.0, 3.0),
+    (LARGE, 44, 0.16, 20.0, 0.0),
+    (LARGE, 24, 0.16, 26.0, 1.5),
+    (LARGE, 36, 0.25, 32.0, 3.0),
+    (LARGE, 22, 0.25, 36.0, 4.5),
+    (LARGE, 14, 0.25, 48.0, 0.0),
+    (LARGE, 12, 0.25, 52.0, 1.0),
+    (LARGE, 6, 0.25, 80.0, 0.0),
+    (LARGE, 5, 0.25, 84.0, 4.5),
+    (LARGE, 1, 0.16, 20.0, 0.0),
+    (HUGE, 30, 0.25, 36.0, 1.5),
+    (HUGE, 1, 0.25, 45.0, 0.0),
+];
+
+const CODED: [Listed; 15] = [
+    (MIDDLE, 1, 0.25, 50.0, 0.0),
+    (MIDDLE, 6, 0.25, 42.0, 1.5),
+    (MIDDLE, 6, 0.25, 50.0, 4.0),
+    (LARGE, 1, 0.25, 70.0, 2.0),
+    (LARGE, 20, 0.25, 42.0, 0.0),
+    (LARGE, 20, 0.25, 42.0, 1.0),
+    (LARGE, 20, 0.25, 44.0, 4.0),
+    (LARGE, 12, 0.25, 56.0, 0.0),
+    (LARGE, 12, 0.25, 58.0, 2.0),
+    (LARGE, 10, 0.25, 60.0, 4.0),
+    (LARGE, 5, 0.25, 84.0, 0.0),
+    (LARGE, 6, 0.25, 80.0, 1.5),
+    (LARGE, 4, 0.25, 90.0, 3.5),
+    (HUGE, 24, 0.25, 50.0, 3.0),
+    (HUGE, 1, 0.25, 60.0, 0.0),
+];
+
+/// Bits of the codes of coded ones.
+const BITS: u8 = 8;
+
+/// All of them.
+pub fn cases() -> Vec<Case> {
+    let of = |bits: Option<u8>| {
+        move |&(size, robots, outer_m, diameter_px, motion_px): &Listed| Case {
+            size,
+            robots,
+            outer_m,
+            diameter_px,
+            motion_px,
+            bits,
+        }
+    };
+    PLAIN.iter().map(of(None)).chain(CODED.iter().map(of(Some(BITS)))).collect()
+}
+
+/// One measured time.
+#[derive(Clone, Copy, Debug)]
+pub struct Measured {
+    /// In which mode.
+    pub mode: Mode,
+    /// Of what.
+    pub load: Load,
+    /// Seconds a frame.
+    pub time_s: f64,
+}
+
+/// What is seen of a case in a frame of those that count, in the mean.
+#[derive(Clone, Copy, Debug, Default)]
+struct Seen {
+    roundels: f64,
+    diameter_px: f64,
+    motion_px: f64,
+}
+
+/// A case in all modes: followed, and searched as a whole.
+pub fn measure_case(case: &Case) -> anyhow::Result<Vec<Measured>> {
+    let scenario = case.scenario()?;
+    let (width, height) = case.size;
+    let mut renderer = Renderer::new(&scenario, 0)?;
+    let mut pictures = Vec::new();
+    for number in 0..SETTLING + COUNTED {
+        let mut pixels = vec![0; width * height];
+        renderer.render(number as u64, &mut pixels)?;
+        pictures.push(pixels);
+    }
+    let frames = pictures
+        .iter()
+        .map(|pixels| Frame::new(pixels, width, height, width))
+        .collect::<Result<Vec<_>, _>>()?;
+    let mut measured = Vec::new();
+    for mode in [Mode::Precise, Mode::Fast] {
+        let kinds = &scenario.params().kinds;
+        let detector = Detector::new(kinds.clone(), Params { mode, ..Params::default() })?;
+        let mut tracker = Tracker::new(detector);
+        let seen = look(&mut tracker, &frames)?;
+        let camera = renderer.camera().camera.clone();
+        let mut locator = Locator::new(camera, kinds.clone(), mode);
+        let [search_s, follow_s] = times(&mut tracker, &mut locator, &frames);
+        let load = |searched_share: f64| Load {
+            image_px: (width * height) as f64,
+            roundels: seen.roundels,
+            diameter_px: seen.diameter_px,
+            motion_px: seen.motion_px,
+            is_coded: case.bits.is_some(),
+            searched_share,
+        };
+        measured.push(Measured { mode, load: load(0.0), time_s: follow_s });
+        measured.push(Measured { mode, load: load(1.0), time_s: search_s });
+    }
+    Ok(measured)
+}
+
+impl Case {
+    fn scenario(&self) -> anyhow::Result<Scenario> {
+        let Self { size, robots, outer_m, diameter_px, motion_px, bits } = *self;
+        let mut params = ScenarioParams::r4_lite(1);
+        params.arena_m = [24.0, 18.0];
+        params.robots = robots;
+        params.still = 0;
+        params.flying_share = 0.0;
+        params.flying_top_m = 1.5;
+        params.booms = 0;
+        params.roundel_height_m = HEIGHT_M;
+        params.kinds = vec![match bits {
+            Some(bits) => Kind {
+                pattern: Pattern::Coded(CodeLayout { bits, min_distance: 1 }),
+                ..Kind::plain("robot", outer_m, CodeLayout::RATIO * outer_m)
+            },
+            None => Kind::plain("robot", outer_m, 0.4 * outer_m),
+        }];
+        let optics = &mut params.optics;
+        (optics.width, optics.height) = size;
+        optics.focal_px = FOCAL * size.0 as f64;
+        let per_m = diameter_px / outer_m;
+        optics.rate_hz = (SPEED_M_S * per_m / motion_px).min(MOST_HZ);
+        optics.exposure_s = EXPOSED_SHARE / optics.rate_hz;
+        optics.line_time_s = 0.0;
+        let above_m = HEIGHT_M + optics.focal_px / per_m;
+        params.mounts =
+            vec![CameraMount { position_m: [0.2, 0.0, above_m], target_m: [0.0, 0.0, 0.0] }];
+        Ok(Scenario::new(params)?)
+    }
+}
+
+/// Goes through all frames without a clock.
+fn look(tracker: &mut Tracker, frames: &[Frame<'_>]) -> anyhow::Result<Seen> {
+    let mut before: HashMap<TrackNumber, TrackedRing> = HashMap::new();
+    let (mut count, mut diameters_px, mut moved, mut motions_px) = (0.0, 0.0, 0.0, 0.0);
+    for (number, frame) in frames.iter().enumerate() {
+        let tracked = tracker.process(frame);
+        if number >= SETTLING {
+            for one in tracked {
+                count += 1.0;
+                diameters_px += 2.0 * one.ring.outer.mean_radius_px();
+                let Some(before) = before.get(&one.track) else { continue };
+                let (from, to) = (before.ring.outer.center, one.ring.outer.center);
+                moved += 1.0;
+                motions_px += (to.u - from.u).hypot(to.v - from.v);
+            }
+        }
+        before = tracked.iter().map(|one| (one.track, *one)).collect();
+    }
+    ensure!(
+        moved > 0.0,
+        "no roundel was followed in the frames that were rendered to measure with"
+    );
+    Ok(Seen {
+        roundels: count / COUNTED as f64,
+        diameter_px: diameters_px / count,
+        motion_px: motions_px / moved,
+    })
+}
+
+/// Seconds of the first frame, and of one of those that count in the mean.
+fn times(tracker: &mut Tracker, locator: &mut Locator, frames: &[Frame<'_>]) -> [f64; 2] {
+    let mut located = Vec::new();
+    let mut least_s = vec![f64::INFINITY; frames.len()];
+    for _ in 0..ROUNDS {
+        tracker.reset();
+        locator.reset();
+        for (frame, least_s) in frames.iter().zip(&mut least_s) {
+            let begun = Instant::now();
+            let tracked = tracker.follow(frame);
+            locator.locate_all(frame, tracked, &mut located);
+            tracker.seek(frame);
+            *least_s = least_s.min(begun.elapsed().as_secs_f64());
+        }
+    }
+    let sum_s: f64 = least_s[SETTLING..].iter().sum();
+    [least_s[0], sum_s / COUNTED as f64]
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn every_case_can_be_shown_and_the_first_are_followed() {
+        for case in cases() {
+            case.scenario().unwrap();
+        }
+        for case in [cases()[1], cases()[PLAIN.len()]] {
+            let measured = measure_case(&case).unwrap();
+            assert_eq!(measured.len(), 4, "{measured:?}");
+            for one in measured {
+                let Load { roundels, diameter_px, motion_px, is_coded, .. } = one.load;
+                assert!(one.time_s > 0.0 && roundels >= 0.9 * case.robots as f64, "{one:?}");
+                assert!((diameter_px / case.diameter_px - 1.0).abs() < 0.2, "{one:?}");
+                assert!((motion_px - case.motion_px).abs() < 0.2 + 0.5 * case.motion_px, "{one:?}");
+                assert_eq!(is_coded, case.bits.is_some());
+            }
+        }
+    }
+}
