@@ -18,7 +18,7 @@
 //! share α.
 //!
 //! The constants belong to a machine and a mode; [`fit`] finds them from measured times, none below zero. v is taken as
-//! 12 px at most, since what goes faster has hardly been measured. What stands about in the picture, and how long it is
+//! 12 px at most; measured was to 6. What stands about in the picture, and how long it is
 //! exposed (a quarter of the time between frames, in what was measured), are not in the model: before an even floor a
 //! search takes about half.
 

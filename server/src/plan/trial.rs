@@ -52,7 +52,7 @@ const MIDDLE: (usize, usize) = (1280, 720);
 const LARGE: (usize, usize) = (1920, 1080);
 const HUGE: (usize, usize) = (2592, 1944);
 
-/// What is measured: size of the picture, robots, millimetres and pixels of their roundels, pixels a frame.
+/// What is measured: size of the picture, robots, metres and pixels of their roundels, pixels a frame.
 type Listed = ((usize, usize), usize, f64, f64, f64);
 
 const PLAIN: [Listed; 26] = [
