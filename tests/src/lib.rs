@@ -24,6 +24,7 @@
 //! | [`rival`] | prints that other detectors look for |
 //! | [`python`] | Python with packages from PyPI, for tests that need them |
 //! | [`scenario`] | what fusion has to hold: seeded worlds, their bars, one table |
+//! | [`recorded`] | what such cameras see, recorded by a server that runs |
 //! | [`score`] | snapshots against the truth: normalized errors, swaps, rms |
 //! | [`survey`] | recordings that an arena is calibrated from, and how far off the result is |
 //! | [`healing`] | cameras that are bumped and drift, and what the watch makes of it |
@@ -53,6 +54,7 @@ pub mod precision;
 pub mod process;
 pub mod python;
 pub mod recall;
+pub mod recorded;
 pub mod render;
 pub mod rival;
 pub mod scenario;

@@ -1,6 +1,7 @@
 //! `roundel calibrate`: lenses, from views of a board; and where all cameras stand, from robots that drive about.
 
 mod lens;
+mod moving;
 mod print;
 mod views;
 

@@ -7,6 +7,7 @@
 //! | `player` | the thread that keeps time, and obeys: pause, speed, seek |
 //! | [`server`] | hub, player and APIs together |
 //! | [`copy`] | as fast as it goes, into a file |
+//! | [`witness`] | fused anew without one camera: where the others had what that one saw |
 //!
 //! Times are those of the recording. The server's clock begins at the recording's begin and runs on by itself; after a
 //! pause, a seek or at another speed than 1 it is not where the recording is, which the status says.
@@ -16,6 +17,7 @@ mod player;
 pub mod script;
 pub mod server;
 pub mod stage;
+pub mod witness;
 
 use std::{
     path::PathBuf,

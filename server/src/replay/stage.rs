@@ -11,7 +11,7 @@ use std::{
 
 use prost::Message;
 use roundel_core::{
-    id::CameraId,
+    id::{BodyId, CameraId},
     time::Timestamp,
     world::{self, FrameObservations},
 };
@@ -107,6 +107,24 @@ impl Stage {
     /// Whether anything is fused anew.
     pub fn fuses(&self) -> bool {
         self.task.is_some()
+    }
+
+    /// As it begins; `None` where snapshots are played.
+    pub(super) fn config(&self) -> Option<&Config> {
+        self.settings.as_ref().map(|settings| &settings.config)
+    }
+
+    /// Has fusion, if anything is fused, publish where everything was then.
+    pub(super) fn ask(&mut self, pose_time: Timestamp, now: Timestamp) {
+        if let Some(task) = &mut self.task {
+            task.publish(pose_time, Some(now));
+        }
+    }
+
+    /// The objects of now, and the number of each as a body.
+    pub(super) fn objects(&self) -> impl Iterator<Item = (&ObjectConfig, Option<BodyId>)> {
+        let Known { objects, bodies } = &self.known;
+        objects.iter().zip(bodies.numbers.iter().copied())
     }
 
     /// Messages so far that said what cannot be, and were left out.

@@ -18,6 +18,7 @@
 //! Times: the frame's capture time is what the camera's clock shows ([`super::arena::SiteClock`]), the
 //! receiving time is the server's.
 
+mod rims;
 mod stream;
 
 use nalgebra::{Isometry3, Matrix3, Point3, Rotation3, UnitQuaternion, Vector2, Vector3};
@@ -70,6 +71,8 @@ pub struct Sensing {
     pub misread: f64,
     /// Least and greatest time from exposure to arrival, seconds.
     pub latency_s: (f64, f64),
+    /// Whether rings have the rims that a roundel would have where it is said to be; else only a place in the image.
+    pub shows_rims: bool,
 }
 
 impl Sensing {
@@ -86,6 +89,7 @@ impl Sensing {
         unread: 0.02,
         misread: 1e-4,
         latency_s: (0.015, 0.025),
+        shows_rims: false,
     };
 }
 
@@ -186,7 +190,24 @@ impl<'a> Sensor<'a> {
         let reading = self.read(kinds[kind].code_bits.zip(code));
         let number = self.number(robot, t);
         let pose = self.err(&kinds[kind], &exposed, &bias, reading.is_some());
-        Some(detection(number, kind, &exposed, stated, (pose, reading)))
+        let rims = if self.sensing.shows_rims {
+            let turn = exposed.camera_from_roundel.rotation;
+            let seen = Isometry3::from_parts(pose.position_m.into(), turn);
+            let kind = &kinds[kind];
+            [kind.outer_diameter_m, kind.inner_diameter_m]
+                .map(|diameter_m| rims::imaged(&site.optics, &seen, diameter_m))
+        } else {
+            [None; 2]
+        };
+        let mut detection = detection(number, kind, &exposed, stated, (pose, reading));
+        if let [Some(outer), Some(inner)] = rims {
+            detection.ring = Ring {
+                kind: detection.ring.kind,
+                code: detection.ring.code,
+                ..Ring::of_rims(outer, inner)
+            };
+        }
+        Some(detection)
     }
 
     /// A roundel that is not there: upright, somewhere in the image and at most 2 m above the floor.

@@ -71,6 +71,7 @@ const READ: Sensing = Sensing {
     unread: 0.0,
     misread: 0.0,
     latency_s: (0.01, 0.03),
+    shows_rims: false,
 };
 
 /// Moving robots, a rolling shutter and a lens that bends: errors are what is stated all the same.

@@ -20,6 +20,7 @@ mod chooser;
 mod coverage;
 mod flat;
 mod model;
+pub mod moving;
 mod rim;
 mod start;
 pub mod view;

@@ -1,4 +1,4 @@
-//! `roundel calibrate lens`: a camera file from views of the printed board.
+//! `roundel calibrate lens`: a camera file from views of the printed board, or from a recording ([`super::moving`]).
 
 use std::{
     fmt::Write as _,
@@ -21,7 +21,7 @@ use roundel_core::{
 use serde_json::json;
 
 use super::{
-    Format,
+    Format, moving,
     views::{Views, gather},
 };
 use crate::{
@@ -33,20 +33,36 @@ use crate::{
     },
 };
 
-/// Find a lens: focal length, principal point and distortion, from views of the printed board.
+/// Find a lens: focal length, principal point and distortion, from views of the printed board, or from a recording of
+/// robots that other cameras saw as well.
 #[derive(Debug, Args)]
 #[command(after_help = "Examples:\n  \
     roundel print --board 7x5 board.pdf\n  \
     roundel calibrate lens --output north.yaml v4l2:/dev/video0       move the board before the camera\n  \
     roundel calibrate lens --output north.yaml http://10.0.0.2:81/stream\n  \
-    roundel calibrate lens --output north.yaml views/                 a folder, or files\n\n\
+    roundel calibrate lens --output north.yaml views/                 a folder, or files\n  \
+    roundel calibrate lens --output north.yaml --from-recording run.mcap --camera north\n\n\
     Good views are chosen by themselves: the board held still for a moment, near and far, in the middle and in\n\
     every corner, tilted to each side by 20° to 45°. Fix the print to something flat. It ends when nothing is\n\
-    missing, after --views views, or with Ctrl-C, which takes what there is.")]
+    missing, after --views views, or with Ctrl-C, which takes what there is.\n\n\
+    From a recording that a server has made (`roundel record`), without a board: where the other cameras had the\n\
+    coded roundels of moving robots is held against where this one saw them. The arena must be calibrated, and\n\
+    the camera must stand still; its own file and pose are not asked.")]
 pub(super) struct LensArgs {
     /// A source as in a configuration (images:, http:, v4l2:, rtsp:, file:, …), a folder, or image files
-    #[arg(required = true, value_name = "SOURCE")]
+    #[arg(required_unless_present = "from_recording", value_name = "SOURCE")]
     sources: Vec<String>,
+    /// A recording in which other cameras saw coded roundels that this one saw
+    #[arg(
+        long,
+        value_name = "FILE.mcap",
+        requires = "camera",
+        conflicts_with_all = ["sources", "board", "marker", "pitch", "code", "views"]
+    )]
+    from_recording: Option<PathBuf>,
+    /// The camera of the recording whose lens is wanted
+    #[arg(long, value_name = "NAME", requires = "from_recording")]
+    camera: Option<String>,
     /// The printed board: columns and rows
     #[arg(long, value_name = "COLUMNSxROWS", value_parser = spec::sides, default_value = "7x5")]
     board: (usize, usize),
@@ -65,7 +81,7 @@ pub(super) struct LensArgs {
     /// Most views that are used
     #[arg(long, default_value_t = 40, value_parser = clap::value_parser!(u16).range(5..=500))]
     views: u16,
-    /// The camera's name in the file [default: the file's]
+    /// The camera's name in the file [default: the file's, or the recorded camera's]
     #[arg(long)]
     name: Option<String>,
     /// Where the camera_info YAML is written; without it, it is only shown
@@ -88,33 +104,59 @@ enum ModelWord {
     Equidistant,
 }
 
+impl LensArgs {
+    pub(super) fn model(&self) -> Option<Model> {
+        self.model.map(|word| match word {
+            ModelWord::PlumbBob => Model::PlumbBob,
+            ModelWord::RationalPolynomial => Model::Rational,
+            ModelWord::Equidistant => Model::Equidistant,
+        })
+    }
+
+    pub(super) fn format(&self) -> Format {
+        self.format
+    }
+}
+
 /// Chooses views, solves, writes the file, and prints the report.
 pub(super) fn run(arguments: &LensArgs) -> anyhow::Result<ExitCode> {
+    if let (Some(file), Some(camera)) = (&arguments.from_recording, &arguments.camera) {
+        return moving::run(arguments, file, camera);
+    }
     let board = board(arguments)?;
     let views = Views { board: &board, most: usize::from(arguments.views) };
     let gathered = gather(&arguments.sources, &views)?;
-    let model = arguments.model.map(|word| match word {
-        ModelWord::PlumbBob => Model::PlumbBob,
-        ModelWord::RationalPolynomial => Model::Rational,
-        ModelWord::Equidistant => Model::Equidistant,
-    });
     let taken = gathered.chooser.taken();
-    let found = calibrate(&board, gathered.size, taken, model)
+    let found = calibrate(&board, gathered.size, taken, arguments.model())
         .with_context(|| format!("no lens was found: {}", gathered.told()))?;
     let text = match arguments.format {
-        Format::Json => format!("{}\n", report(&found, &gathered)),
+        Format::Json => format!("{}\n", report_of_views(&found, &gathered)),
         Format::Table => table(&found, &gathered)?,
     };
-    std::io::stdout().write_all(text.as_bytes()).context("cannot write to the standard output")?;
+    let file = arguments.output.as_deref().map(stem).unwrap_or_default();
+    hand_out(arguments, &found, &file, &text)?;
+    Ok(ExitCode::SUCCESS)
+}
+
+/// Prints the report, and writes the file if one is wanted.
+pub(super) fn hand_out(
+    arguments: &LensArgs,
+    found: &LensCalibration,
+    name: &str,
+    report: &str,
+) -> anyhow::Result<()> {
+    std::io::stdout()
+        .write_all(report.as_bytes())
+        .context("cannot write to the standard output")?;
     if let Some(file) = &arguments.output {
-        let name = arguments.name.clone().unwrap_or_else(|| stem(file));
+        let name = arguments.name.as_deref().unwrap_or(name);
         let doubt =
             LensDoubt { free: found.model.free().to_vec(), covariance: found.covariance.clone() };
-        fs::write(file, camera_file::write_with_doubt(&name, &found.camera, Some(&doubt)))
+        fs::write(file, camera_file::write_with_doubt(name, &found.camera, Some(&doubt)))
             .with_context(|| format!("cannot write {}", file.display()))?;
         eprintln!("wrote {}", file.display());
     }
-    Ok(ExitCode::SUCCESS)
+    Ok(())
 }
 
 fn stem(file: &Path) -> String {
@@ -126,16 +168,25 @@ fn board(arguments: &LensArgs) -> anyhow::Result<Board> {
     Ok(Order::board(arguments.board, arguments.marker, arguments.pitch, layout)?)
 }
 
-fn report(found: &LensCalibration, gathered: &Gathered) -> serde_json::Value {
-    let intrinsics = found.camera.intrinsics();
-    let parameters: serde_json::Map<String, serde_json::Value> = parameters(found)
-        .into_iter()
-        .map(|(name, value, sd)| (name.to_owned(), json!({"value": value, "deviation": sd})))
-        .collect();
+fn report_of_views(found: &LensCalibration, gathered: &Gathered) -> serde_json::Value {
     let views: Vec<_> = found
         .views
         .iter()
         .map(|view| view.map(|view| json!({"rms_px": view.rms_px, "roundels": view.roundels})))
+        .collect();
+    let mut report = report(found);
+    report["views"] = json!(views);
+    report["frames"] = json!(gathered.frames);
+    report["coverage"] = json!(gathered.chooser.coverage().share());
+    report
+}
+
+/// The lens, and what speaks for it.
+pub(super) fn report(found: &LensCalibration) -> serde_json::Value {
+    let intrinsics = found.camera.intrinsics();
+    let parameters: serde_json::Map<String, serde_json::Value> = parameters(found)
+        .into_iter()
+        .map(|(name, value, sd)| (name.to_owned(), json!({"value": value, "deviation": sd})))
         .collect();
     json!({
         "width": intrinsics.width,
@@ -148,10 +199,7 @@ fn report(found: &LensCalibration, gathered: &Gathered) -> serde_json::Value {
             .map(|place| found.covariance[place])
             .collect::<Vec<_>>(),
         "rms_px": found.rms_px,
-        "views": views,
         "outliers": found.outliers,
-        "frames": gathered.frames,
-        "coverage": gathered.chooser.coverage().share(),
         "evidence": found.evidence.iter().map(|evidence| json!({
             "model": evidence.model.ros_name(),
             "coefficients": evidence.model.names(),
@@ -173,13 +221,7 @@ fn table(found: &LensCalibration, gathered: &Gathered) -> anyhow::Result<String>
         found.rms_px,
         (gathered.chooser.coverage().share() * 100.0).round()
     )?;
-    writeln!(text, "{} ({})", found.model.ros_name(), found.model.names().join(" "))?;
-    for (name, value, sd) in parameters(found) {
-        match name {
-            "fx" | "fy" | "cx" | "cy" => writeln!(text, "  {name:>3} {value:>12.3} ± {sd:.3} px")?,
-            _ => writeln!(text, "  {name:>3} {value:>12.6} ± {sd:.6}")?,
-        }
-    }
+    write_parameters(&mut text, found)?;
     let wants = gathered.chooser.coverage().wants();
     if !wants.is_empty() {
         writeln!(text, "It would be known better with:")?;
@@ -188,4 +230,16 @@ fn table(found: &LensCalibration, gathered: &Gathered) -> anyhow::Result<String>
         }
     }
     Ok(text)
+}
+
+/// The lens, a line a parameter.
+pub(super) fn write_parameters(text: &mut String, found: &LensCalibration) -> std::fmt::Result {
+    writeln!(text, "{} ({})", found.model.ros_name(), found.model.names().join(" "))?;
+    for (name, value, sd) in parameters(found) {
+        match name {
+            "fx" | "fy" | "cx" | "cy" => writeln!(text, "  {name:>3} {value:>12.3} ± {sd:.3} px")?,
+            _ => writeln!(text, "  {name:>3} {value:>12.6} ± {sd:.6}")?,
+        }
+    }
+    Ok(())
 }

@@ -1,0 +1,123 @@
+//! A lens is found from nothing but coded roundels on robots that drive before a camera of a calibrated arena: recorded
+//! by a server, and read by the real binary.
+
+use std::{
+    fs,
+    path::Path,
+    process::{Command, Output},
+};
+
+use roundel_core::world::FrameObservations;
+use roundel_server::camera_file;
+use roundel_tests::{
+    arena::Arena,
+    optics::Pinhole,
+    process::roundel,
+    recorded::record,
+    scenario::swarm::PRECISE,
+    sensor::{Sensing, Stream},
+};
+use serde_json::Value;
+
+const SENSING: Sensing = Sensing { shows_rims: true, ..PRECISE };
+/// By how much the focal length is off that the configuration has.
+const MISTAKE: f64 = 0.01;
+
+fn calibrate(file: &Path, camera: &str, more: &[&str]) -> Output {
+    let file = file.to_string_lossy();
+    let mut command = Command::new(roundel().unwrap());
+    command.args(["calibrate", "lens", "--from-recording", &file, "--camera", camera]);
+    command.args(more).output().unwrap()
+}
+
+fn error(file: &Path, camera: &str) -> String {
+    let output = calibrate(file, camera, &[]);
+    assert!(!output.status.success());
+    String::from_utf8_lossy(&output.stderr).into_owned()
+}
+
+/// As a worker locates roundels that believes in a lens that is too long.
+fn with_longer_lens(mut frame: FrameObservations) -> FrameObservations {
+    for pose in frame.detections.iter_mut().filter_map(|it| it.pose.as_mut()) {
+        pose.position_m.z *= 1.0 + MISTAKE;
+    }
+    frame
+}
+
+#[test]
+fn a_wrong_lens_is_found_from_robots_that_others_saw() {
+    let arena = Arena::r4(3);
+    let folder = tempfile::tempdir().unwrap();
+    let (index, truth) = (1, arena.sites[1].optics);
+    let mistaken = Pinhole { focal_px: truth.focal_px.map(|it| it * (1.0 + MISTAKE)), ..truth };
+    let frames = Stream::new(&arena, SENSING, 15.0)
+        .map(|frame| if frame.camera.0 == index { with_longer_lens(frame) } else { frame });
+    let recorded = record(&arena, frames, folder.path(), &[(index as usize, mistaken)]).unwrap();
+    let yaml = folder.path().join("found.yaml");
+    let more = ["--format", "json", "--output", &yaml.to_string_lossy()];
+    let output = calibrate(&recorded.file, &arena.sites[1].name, &more);
+    assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
+    let report: Value = serde_json::from_slice(&output.stdout).unwrap();
+    println!("{report:#}");
+    let number = |key: &str, part: &str| report["parameters"][key][part].as_f64().unwrap();
+    let expected = [
+        ("fx", truth.focal_px[0], 1e-3 * truth.focal_px[0]),
+        ("fy", truth.focal_px[1], 1e-3 * truth.focal_px[1]),
+        ("cx", truth.center_px[0], 1.0),
+        ("cy", truth.center_px[1], 1.0),
+    ];
+    for (key, truth, most) in expected {
+        let (value, deviation) = (number(key, "value"), number(key, "deviation"));
+        assert!((value - truth).abs() < most, "{key}: {value} ± {deviation} for {truth}");
+        assert!((value - truth).abs() < 4.0 * deviation, "{key}: {value} ± {deviation}, {truth}");
+    }
+    assert_eq!(report["distortion_model"], truth.distortion.name());
+    let place = arena.sites[1].world_from_camera.translation.vector;
+    for (axis, expected) in place.iter().enumerate() {
+        let found = report["position_m"][axis].as_f64().unwrap();
+        assert!((found - expected).abs() < 0.005, "{axis}: {found} for {expected}");
+    }
+    let text = fs::read_to_string(&yaml).unwrap();
+    assert!(text.contains("parameter_covariance"), "{text}");
+    let written = camera_file::load(&yaml).unwrap();
+    assert_eq!(written.intrinsics().fx_px, number("fx", "value"));
+
+    let error = error(&recorded.file, "corner 9");
+    assert!(
+        error.contains(&arena.sites[3].name) && error.contains("found \"corner 9\""),
+        "{error}"
+    );
+}
+
+#[test]
+fn what_a_recording_does_not_tell_is_said() {
+    let arena = Arena::r4(3);
+    let folder = tempfile::tempdir().unwrap();
+    // The first camera sees nothing, the second one robot that nobody else sees, and the third little.
+    let frames = Stream::new(&arena, SENSING, 1.5).map(|mut frame| {
+        let (camera, number) = (frame.camera.0, frame.frame);
+        frame.detections.retain(|detection| {
+            let is_first = detection.ring.code.is_some_and(|it| it.code.number == 1);
+            match camera {
+                0 => false,
+                1 => is_first,
+                2 => !is_first && number <= 5,
+                _ => !is_first,
+            }
+        });
+        frame
+    });
+    let file = record(&arena, frames, folder.path(), &[]).unwrap().file;
+    let name = |index: usize| arena.sites[index].name.as_str();
+    let nothing = error(&file, name(0));
+    assert!(nothing.contains("saw no coded roundel in"), "{nothing}");
+    let alone = error(&file, name(1));
+    assert!(alone.contains("no other camera saw one of them"), "{alone}");
+    let little = error(&file, name(2));
+    assert!(little.contains("expected at least 100 sightings in 20 places"), "{little}");
+    assert!(little.contains("record for longer"), "{little}");
+
+    let other = folder.path().join("other.mcap");
+    fs::write(&other, b"\x89PNG").unwrap();
+    assert!(error(&other, name(0)).contains("found a PNG image"));
+}
