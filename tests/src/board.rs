@@ -173,13 +173,22 @@ pub fn pictures(
 
 /// Roundel's board as core describes it.
 pub fn board() -> Board {
+    board_of(SIDES)
+}
+
+/// The same with other columns and rows.
+pub fn board_of(sides: (usize, usize)) -> Board {
     let layout = CodeLayout { bits: BITS, min_distance: 1 };
-    Board::new(SIDES, PITCH_M, OUTER_M, layout).expect("the board that is printed by default")
+    Board::new(sides, PITCH_M, OUTER_M, layout).expect("a board like the one that is printed")
 }
 
 /// What is found in pictures of the board, by detection, choice of views and all.
 pub fn lens(pictures: &[Image]) -> Result<LensCalibration, LensCalibrationError> {
-    let board = board();
+    lens_by(board(), pictures)
+}
+
+/// The same where the board is described like this.
+pub fn lens_by(board: Board, pictures: &[Image]) -> Result<LensCalibration, LensCalibrationError> {
     let params = Params { mode: Mode::Precise, ..Params::default() };
     let detector = Detector::new(vec![board.kind()], params).expect("the board's kind");
     let views: Vec<View> = pictures
@@ -194,6 +203,9 @@ pub fn lens(pictures: &[Image]) -> Result<LensCalibration, LensCalibrationError>
     let mut chooser = Chooser::new(board.clone(), size, false);
     for view in views {
         chooser.offer(view);
+    }
+    if let Some(other) = chooser.other_board() {
+        return Err(other);
     }
     calibrate(&board, size, chooser.taken(), None)
 }

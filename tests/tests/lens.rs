@@ -2,7 +2,7 @@
 //! there twice are left out.
 
 use roundel_tests::{
-    board::{board_print, camera, imaging, lens, pictures, poses},
+    board::{board_of, board_print, camera, imaging, lens, lens_by, pictures, poses},
     normal::Random,
     render::Imaging,
 };
@@ -49,4 +49,16 @@ fn views_from_one_side_end_in_what_is_missing() {
     let views = pictures(&truth, imaging(), &board_print(), &flat, 3);
     let error = lens(&views).unwrap_err().to_string();
     assert!(error.contains("still missing: a view tilted"), "{error}");
+}
+
+#[test]
+fn a_board_that_is_not_as_described_is_told() {
+    let truth = camera();
+    let poses = poses(&truth, 8, &mut Random::new(5, 0));
+    let views = pictures(&truth, imaging(), &board_print(), &poses, 5);
+    for described in [(6, 5), (8, 5), (7, 4), (7, 6), (5, 7)] {
+        let error = lens_by(board_of(described), &views).unwrap_err().to_string();
+        let expected = format!("looks like 7 x 5 roundels, not {} x {}", described.0, described.1);
+        assert!(error.contains(&expected), "{described:?}: {error}");
+    }
 }

@@ -107,6 +107,16 @@ impl Board {
         Ok(Self { columns, rows, pitch_m, outer_diameter_m, layout })
     }
 
+    /// The same with other columns and rows; `None`: there is no such board.
+    pub(super) fn with_sides(&self, sides: (usize, usize)) -> Option<Self> {
+        Self::new(sides, self.pitch_m, self.outer_diameter_m, self.layout).ok()
+    }
+
+    /// Whether one of its roundels may have that code, were there enough of them.
+    pub(super) fn may_have(&self, code: Code) -> bool {
+        code.bits == self.layout.bits
+    }
+
     /// The kind of its roundels.
     pub fn kind(&self) -> Kind {
         let inner_m = self.outer_diameter_m * CodeLayout::RATIO;

@@ -41,8 +41,10 @@ pub struct Gathered {
     pub too_little: usize,
     /// … in motion …
     pub moving: usize,
-    /// … and like one that was kept.
+    /// … like one that was kept …
     pub alike: usize,
+    /// … and of a board with other columns or rows.
+    pub others: usize,
 }
 
 impl Gathered {
@@ -55,12 +57,13 @@ impl Gathered {
             too_little: 0,
             moving: 0,
             alike: 0,
+            others: 0,
         }
     }
 
     /// How many pictures were left out, and why.
     pub fn told(&self) -> String {
-        let Self { frames, without_board, too_little, moving, alike, .. } = self;
+        let Self { frames, without_board, too_little, moving, alike, others, .. } = self;
         let taken = self.chooser.taken().len();
         let mut text = format!("{frames} pictures, {taken} views taken");
         for (count, why) in [
@@ -68,6 +71,7 @@ impl Gathered {
             (too_little, "with too little of it"),
             (moving, "in motion"),
             (alike, "like another one"),
+            (others, "of a board with other columns or rows"),
         ] {
             if *count > 0 {
                 text.push_str(&format!(", {count} {why}"));
@@ -118,6 +122,7 @@ impl Search {
             Verdict::TooLittle => gathered.too_little += 1,
             Verdict::Moving => gathered.moving += 1,
             Verdict::Alike => gathered.alike += 1,
+            Verdict::OtherBoard(..) => gathered.others += 1,
         }
         Ok((verdict, rings))
     }

@@ -75,6 +75,9 @@ fn gather(
         if is_left() {
             return Err(left());
         }
+        if let Some(error) = gathered.chooser.other_board() {
+            return Err(error.to_string());
+        }
         Ok(gathered.is_complete() || gathered.chooser.taken().len() >= wanted.most)
     };
     let end = match &wanted.subject {

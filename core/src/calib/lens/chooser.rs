@@ -2,8 +2,10 @@
 
 use super::{
     super::board::Board,
+    LensCalibrationError,
     coverage::Coverage,
     flat::Flat,
+    shape,
     view::{LEAST_ROUNDELS, View},
 };
 
@@ -11,6 +13,8 @@ use super::{
 const SAME_SHARE: f64 = 0.02;
 /// Roundels that moved by more than this share of their diameter since the frame before are smeared.
 const MOVING_SHARE: f64 = 0.15;
+/// So many views of another board are no accident.
+const LEAST_OTHERS: usize = 3;
 
 /// What became of a picture.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -25,6 +29,8 @@ pub enum Verdict {
     Moving,
     /// One like it is kept already.
     Alike,
+    /// The print has other columns or rows than is said: these, or more rows.
+    OtherBoard(usize, usize),
 }
 
 /// Chooses views of a stream: the board held still for a moment, at a new place or turned anew.
@@ -36,6 +42,8 @@ pub struct Chooser {
     last: Option<View>,
     taken: Vec<View>,
     coverage: Coverage,
+    /// Views of another board, and its sides as the last of them had it.
+    others: (usize, Option<(usize, usize)>),
 }
 
 impl Chooser {
@@ -43,7 +51,7 @@ impl Chooser {
     /// seen to move; else each picture stands for itself.
     pub fn new(board: Board, size: (usize, usize), still: bool) -> Self {
         let coverage = Coverage::new(size);
-        Self { board, size, still, last: None, taken: Vec::new(), coverage }
+        Self { board, size, still, last: None, taken: Vec::new(), coverage, others: (0, None) }
     }
 
     /// Looks at the next view.
@@ -55,6 +63,10 @@ impl Chooser {
             }
             self.taken.push(view.clone());
         }
+        if let Verdict::OtherBoard(columns, rows) = verdict {
+            let before = self.others.1.map_or(0, |(_, rows)| rows);
+            self.others = (self.others.0 + 1, Some((columns, rows.max(before))));
+        }
         self.last = Some(view);
         verdict
     }
@@ -62,6 +74,9 @@ impl Chooser {
     fn judge(&self, view: &View) -> Verdict {
         if view.sightings.is_empty() {
             return Verdict::NoBoard;
+        }
+        if let Some((columns, rows)) = shape::other_sides(&self.board, view) {
+            return Verdict::OtherBoard(columns, rows);
         }
         if view.sightings.len() < LEAST_ROUNDELS || Flat::of(&self.board, view).is_none() {
             return Verdict::TooLittle;
@@ -76,6 +91,16 @@ impl Chooser {
         let same_px = SAME_SHARE * (width as f64).hypot(height as f64);
         let is_like = |taken: &View| taken.distance_px(view).is_some_and(|px| px < same_px);
         if self.taken.iter().any(is_like) { Verdict::Alike } else { Verdict::Taken }
+    }
+
+    /// Why there will be no lens, once it is clear that the print is another one than is described.
+    pub fn other_board(&self) -> Option<LensCalibrationError> {
+        let (count, sides) = self.others;
+        let (found_columns, found_rows) = sides?;
+        let (columns, rows) = (self.board.columns(), self.board.rows());
+        (count >= LEAST_OTHERS && count > self.taken.len()).then_some(
+            LensCalibrationError::OtherBoard { columns, rows, found_columns, found_rows },
+        )
     }
 
     /// The views that were kept.

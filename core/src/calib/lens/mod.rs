@@ -22,6 +22,7 @@ mod flat;
 mod model;
 pub mod moving;
 mod rim;
+mod shape;
 mod start;
 pub mod view;
 
@@ -97,6 +98,21 @@ pub enum LensCalibrationError {
         /// What would help most.
         missing: Vec<Want>,
     },
+    /// The print has other columns or rows than is said.
+    #[error(
+        "the print looks like {found_columns} x {found_rows} roundels, not {columns} x {rows}: describe it as it was \
+         printed (`--board {found_columns}x{found_rows}`)"
+    )]
+    OtherBoard {
+        /// As described.
+        columns: usize,
+        /// As described.
+        rows: usize,
+        /// As it looks.
+        found_columns: usize,
+        /// As it looks; there may be more beyond the pictures.
+        found_rows: usize,
+    },
     /// The picture has no such size.
     #[error("expected pictures of 16 to 16384 pixels a side, found {width} x {height}")]
     Size {
@@ -128,6 +144,20 @@ fn wants(missing: &[Want]) -> String {
     format!("still missing: {}", wants.join("; "))
 }
 
+/// [`LensCalibrationError::OtherBoard`], if the views are those of another board than is described.
+fn other_board(board: &Board, views: &[View]) -> Option<LensCalibrationError> {
+    let others: Vec<_> = views.iter().filter_map(|view| shape::other_sides(board, view)).collect();
+    let fewer = || Some((board.columns(), shape::fewer_rows(board, views.iter())?));
+    let (found_columns, found_rows) = if others.len() > views.len() / 2 {
+        // The view that shows most of it.
+        others.into_iter().max_by_key(|&(_, rows)| rows)?
+    } else {
+        fewer()?
+    };
+    let (columns, rows) = (board.columns(), board.rows());
+    Some(LensCalibrationError::OtherBoard { columns, rows, found_columns, found_rows })
+}
+
 /// Finds the lens of a camera of `size` = (columns, rows) from views of a board; with `model` of that one, else of
 /// the one for which most speaks.
 pub fn calibrate(
@@ -140,6 +170,9 @@ pub fn calibrate(
     let is_side = |side: usize| (16..=crate::camera::MAX_SIDE_PX).contains(&side);
     if !(is_side(width) && is_side(height)) {
         return Err(LensCalibrationError::Size { width, height });
+    }
+    if let Some(other) = other_board(board, views) {
+        return Err(other);
     }
     let started = start::start(board, size, views)?;
     let models = model.map_or_else(|| Model::ALL.to_vec(), |model| vec![model]);

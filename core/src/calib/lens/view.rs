@@ -23,19 +23,21 @@ pub struct Sighting {
 /// The board in one picture.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct View {
-    /// Roundels with numbers of the board, each once.
+    /// Roundels with codes as the board's are, each once. Numbers that the board does not have tell that it is another one.
     pub sightings: Vec<Sighting>,
 }
 
 impl View {
-    /// The board's roundels among rings that were found; a number that was read twice is left out, since one of them
+    /// What may be the board's roundels among rings that were found; a number that was read twice is left out, since one of them
     /// is wrong.
     pub fn of_rings(board: &Board, rings: &[Ring]) -> Self {
         let mut sightings: Vec<Sighting> = rings
             .iter()
             .filter_map(|ring| {
                 let code: Code = ring.code?.code;
-                board.center(code)?;
+                if !board.may_have(code) {
+                    return None;
+                }
                 let (center, radius_px) = (ring.outer.center, ring.outer.mean_radius_px());
                 Some(Sighting { number: code.number, center, radius_px })
             })

@@ -10,11 +10,14 @@ use std::{
 
 use anyhow::{Context, bail};
 use indicatif::{ProgressBar, ProgressStyle};
-use roundel_core::{calib::board::Board, frame::Frame};
+use roundel_core::{
+    calib::{board::Board, lens::Chooser},
+    frame::Frame,
+};
 
 use crate::{
     image_file,
-    lens::search::{Gathered, Search, SizeChanged},
+    lens::search::{Gathered, Search},
     source::{OpenSource, Playback, SourceAddress, SourceError, SourceOpener, image_files},
     stop::Stop,
 };
@@ -53,8 +56,12 @@ fn look(
     frame: &Frame<'_>,
     views: &Views<'_>,
     still: bool,
-) -> Result<bool, SizeChanged> {
+) -> anyhow::Result<bool> {
     search.look(frame)?;
+    let chooser = search.gathered().map(|it| &it.chooser);
+    if let Some(error) = chooser.and_then(Chooser::other_board) {
+        return Err(error.into());
+    }
     let enough =
         |it: &Gathered| it.chooser.taken().len() >= views.most || (still && it.is_complete());
     Ok(search.gathered().is_some_and(enough))
