@@ -3,7 +3,7 @@
 //! `cargo run --release -p roundel-tests --bin lenses -- [SEEDS] [--export DIR]`. With `--export` pictures of a
 //! chessboard of the same size from the same places are written, for `tests/compare/lens`.
 
-use std::{fs, path::PathBuf, process::ExitCode};
+use std::{collections::BTreeMap, fmt, fs, path::PathBuf, process::ExitCode};
 
 use roundel_tests::{
     board::{
@@ -32,8 +32,7 @@ fn main() -> ExitCode {
     }
     let truth = camera();
     let print = board_print();
-    let mut squares: Vec<f64> = Vec::new();
-    let mut inside: Vec<u64> = Vec::new();
+    let mut ratios: BTreeMap<&'static str, Vec<f64>> = BTreeMap::new();
     let (mut worst_focal, mut worst_center_px, mut rms_px, mut models) =
         (0.0_f64, 0.0_f64, 0.0, Vec::new());
     for seed in 0..seeds {
@@ -58,11 +57,15 @@ fn main() -> ExitCode {
         worst_center_px = worst_center_px.max(errors[2].hypot(errors[3]));
         rms_px += found.rms_px / seeds as f64;
         models.push(format!("{:?}", found.model));
-        squares.resize(errors.len(), 0.0);
-        inside.resize(errors.len(), 0);
-        for (index, (error, deviation)) in errors.iter().zip(found.deviations()).enumerate() {
-            squares[index] += (error / deviation).powi(2) / seeds as f64;
-            inside[index] += u64::from((error / deviation).abs() < 1.96);
+        let coefficients = is.lens.coefficients().iter().zip(truth.distortion.coefficients());
+        let coefficients: Vec<f64> = coefficients.map(|(is, was)| is - was).collect();
+        let is_alike = is.lens.name() == truth.distortion.name();
+        let free = if is_alike { found.model.free() } else { &[] };
+        let free = free.iter().map(|&index| coefficients[index]);
+        let names = ["fx", "fy", "cx", "cy"].into_iter().chain(found.model.names());
+        let errors = errors.into_iter().chain(free).zip(found.deviations());
+        for (name, (error, deviation)) in names.zip(errors) {
+            ratios.entry(name).or_default().push(error / deviation);
         }
         if let (0, Some(folder)) = (seed, &export)
             && let Err(error) = write(folder, &poses, found.rms_px)
@@ -83,15 +86,33 @@ fn main() -> ExitCode {
         worst_center_px,
         models.join(", ")
     );
-    for (name, (square, inside)) in ["fx", "fy", "cx", "cy"].iter().zip(squares.iter().zip(&inside))
-    {
-        println!(
-            "{name}: error over its stated deviation {:.2} rms, {:.0} % inside the stated 95 %",
-            square.sqrt(),
-            100.0 * *inside as f64 / seeds as f64
-        );
+    for (name, ratios) in &ratios {
+        println!("{name}: error over its stated deviation {}", Told(ratios));
     }
+    let all: Vec<f64> = ratios.into_values().flatten().collect();
+    println!("all of them: {}", Told(&all));
     ExitCode::SUCCESS
+}
+
+/// Errors over their deviations.
+struct Told<'a>(&'a [f64]);
+
+impl fmt::Display for Told<'_> {
+    fn fmt(&self, out: &mut fmt::Formatter<'_>) -> fmt::Result {
+        let count = self.0.len() as f64;
+        let rms = (self.0.iter().map(|it| it * it).sum::<f64>() / count).sqrt();
+        let mean = self.0.iter().sum::<f64>() / count;
+        let inside = self.0.iter().filter(|it| it.abs() < 1.96).count() as f64 / count;
+        // As many right ones would vary by so much, were they independent.
+        let (of_rms, of_share) = ((0.5 / count).sqrt(), (0.95 * 0.05 / count).sqrt());
+        write!(
+            out,
+            "{rms:.2} rms (1 ± {of_rms:.2}), {mean:+.2} on average (0 ± {:.2}), {:.1} % inside the stated 95 % (± {:.1})",
+            count.sqrt().recip(),
+            100.0 * inside,
+            100.0 * of_share
+        )
+    }
 }
 
 /// The chessboard from the same places, and what Roundel's board gave there.

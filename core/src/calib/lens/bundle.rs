@@ -3,8 +3,9 @@
 //! Unknown are the camera's parameters and the board's place in each view. A view's place is eliminated exactly (Schur
 //! complement), so a step costs as much as there are views. What is compared is the seen centre and
 //! the image of the roundel's centre plus [`offset_px`], which hardly depends on the unknowns and is
-//! brought up to date between rounds. A rim's centre is as good as its length, so sightings weigh
-//! by their radius. First rounds count large errors linearly (Huber 1964); then what is off by more than
+//! brought up to date between rounds. How a centre's variance depends on its rim's radius r is taken
+//! from the errors ([`super::weighing`]): a weight that is not the inverse of the variance costs precision, and makes the stated
+//! covariance, σ² H⁻¹, another one than that of the errors. First rounds count large errors linearly (Huber 1964); then what is off by more than
 //! five deviations is left out, and so are views that are worse than the others by far.
 
 use nalgebra::{
@@ -17,6 +18,7 @@ use super::{
     rim::offset_px,
     start::Started,
     view::{LEAST_ROUNDELS, Sighting},
+    weighing::Weighing,
 };
 use crate::camera::{Camera, Intrinsics};
 
@@ -53,6 +55,7 @@ pub(super) struct Point {
     at: Point2<f64>,
     seen: Vector2<f64>,
     offset: Vector2<f64>,
+    radius_px: f64,
     weight: f64,
 }
 
@@ -100,15 +103,12 @@ impl Bundle {
             (size.1 as f64 - 1.0) / 2.0,
         ];
         parameters.resize(PINHOLE + model.coefficients(), 0.0);
-        let sightings = started.views.iter().flat_map(|view| &view.sightings);
-        let (sum_px, count) =
-            sightings.fold((0.0, 0.0), |(sum, count), (_, it)| (sum + it.radius_px, count + 1.0));
-        let mean_px: f64 = sum_px / f64::max(count, 1.0);
         let point = |(at, seen): &(Point2<f64>, Sighting)| Point {
             at: *at,
             seen: Vector2::new(seen.center.u, seen.center.v),
             offset: Vector2::zeros(),
-            weight: seen.radius_px / mean_px,
+            radius_px: seen.radius_px,
+            weight: 1.0,
         };
         let stations = started.views.iter().map(|view| Station {
             index: view.index,
@@ -129,6 +129,9 @@ impl Bundle {
             self.descend(limit_px)?;
             if round > ROBUST_ROUNDS && moved_px < SETTLED_PX {
                 break;
+            }
+            if round >= ROBUST_ROUNDS {
+                self.weigh()?;
             }
         }
         self.told()
@@ -166,6 +169,23 @@ impl Bundle {
             }
         }
         Some(moved_px)
+    }
+
+    /// Weighs the points by what their errors say of rims of their size.
+    fn weigh(&mut self) -> Option<()> {
+        let camera = self.camera()?;
+        let mut errors = Vec::new();
+        for station in &self.stations {
+            for point in &station.points {
+                let square = point.error(&camera, &station.pose)?.norm_squared();
+                errors.push((point.radius_px, square));
+            }
+        }
+        let weighing = Weighing::of(&errors);
+        for point in self.stations.iter_mut().flat_map(|station| &mut station.points) {
+            point.weight = weighing.weight(point.radius_px);
+        }
+        Some(())
     }
 
     /// Weighted distances of all points.

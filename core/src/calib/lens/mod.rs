@@ -25,6 +25,7 @@ mod rim;
 mod shape;
 mod start;
 pub mod view;
+mod weighing;
 
 use nalgebra::{DMatrix, Isometry3};
 use thiserror::Error;
