@@ -509,6 +509,8 @@ describe("a phone", () => {
           assert.ok(box && box.width > 0 && box.height > 0, `${section} is there`);
           assert.ok(box.x >= 0 && box.x + box.width <= width, `${section} keeps within the width`);
         }
+        const [name, link] = await Promise.all(["#installation", "#link"].map((it) => page.locator(it).boundingBox()));
+        assert.ok(name && link && name.width >= 24 && name.x + name.width <= link.x, "the installation's name is beside the lamp");
         const wide = await page.evaluate(() => document.documentElement.scrollWidth);
         assert.ok(wide <= width, `the page is ${wide} px wide`);
         const table = await page.locator("#objects .scroll").evaluate((box) => box.scrollWidth - box.clientWidth);
