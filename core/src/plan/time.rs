@@ -120,8 +120,8 @@ impl Load {
 }
 
 impl Constants {
-    /// Of precise mode on one core of a virtual machine (AMD EPYC), as `roundel plan --measure` found them; for whoever
-    /// has not measured.
+    /// Of precise mode on one core of a virtual machine (AMD EPYC) beside other work, fitted to more frames than
+    /// `roundel plan --measure` times; for whoever has not measured.
     pub const PRECISE: Self = Self {
         followed: [
             1.0e-6, 4.4e-12, 7.6e-6, 1.3e-5, 5.0e-9, 1.8e-6, 2.8e-6, 2.9e-6, 8.5e-10, 4.0e-12,
