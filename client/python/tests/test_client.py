@@ -258,24 +258,22 @@ def test_a_server_that_takes_its_time_to_answer_is_waited_for(server: Server) ->
                 sink.sendall(data)
 
     def relay() -> None:
-        with contextlib.suppress(OSError):
-            while True:
-                near, _ = listener.accept()
-                time.sleep(0.6)
-                far = socket.create_connection((host, int(port)))
-                sockets.extend((near, far))
-                for ends in ((near, far), (far, near)):
-                    threading.Thread(target=pump, args=ends, daemon=True).start()
+        near, _ = listener.accept()
+        time.sleep(0.6)
+        with near, socket.create_connection((host, int(port))) as far:
+            back = threading.Thread(target=pump, args=(far, near))
+            back.start()
+            pump(near, far)
+            with contextlib.suppress(OSError):
+                far.shutdown(socket.SHUT_RDWR)
+            back.join()
 
-    sockets: list[socket.socket] = []
     with socket.create_server(("127.0.0.1", 0)) as listener:
-        sockets.append(listener)
-        threading.Thread(target=relay, daemon=True).start()
+        relaying = threading.Thread(target=relay)
+        relaying.start()
         with Client.connect(f"http://127.0.0.1:{listener.getsockname()[1]}") as client:
             assert client.info().name == "demo"
-        for one in sockets:
-            with contextlib.suppress(OSError):
-                one.shutdown(socket.SHUT_RDWR)
+        relaying.join()
 
 
 def test_only_what_is_simulated_and_sound_is_driven(server: Server) -> None:
