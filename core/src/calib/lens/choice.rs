@@ -6,6 +6,7 @@
 use super::{
     LensCalibration, ViewFit,
     bundle::{Bundle, Fit},
+    candidate::PINHOLE,
     model::Model,
     start::Started,
 };
@@ -41,7 +42,7 @@ pub(super) fn best(
         .iter()
         .filter_map(|&model| {
             let fit = Bundle::new(size, radius_m, started, model).fit()?;
-            let (count, parameters) = (fit.count as f64, (4 + model.free().len()) as f64);
+            let (count, parameters) = (fit.count as f64, (PINHOLE + model.free().len()) as f64);
             // Models that leave out other views are told by what a sighting costs them.
             let criterion =
                 (fit.squares / count).max(1e-300).ln() * count + parameters * count.ln();

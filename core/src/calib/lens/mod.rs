@@ -15,13 +15,16 @@
 //! held still under a rolling shutter.
 
 mod bundle;
+mod candidate;
 mod choice;
 mod chooser;
 mod coverage;
+mod descent;
 mod flat;
 mod model;
 pub mod moving;
 mod rim;
+mod robust;
 mod shape;
 mod start;
 pub mod view;

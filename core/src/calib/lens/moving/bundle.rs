@@ -14,28 +14,25 @@ use nalgebra::{
 };
 
 use super::{
-    super::{bundle::PINHOLE, model::Model, rim::offset_px},
-    jackknife::{Jackknife, jackknife},
+    super::{
+        candidate::{Candidate, Slopes},
+        descent::{Descent, descend},
+        rim::offset_px,
+        robust::{HUBER, OUTLIER, deviation, huber},
+    },
+    jackknife::{Jackknife, Part, jackknife},
     spread::{Apart, Spread},
     way::{Way, Waypoint},
 };
-use crate::{
-    camera::{Camera, Intrinsics},
-    rigid::Rigid,
-};
+use crate::{camera::Camera, rigid::Rigid};
 
 /// Rounds in which large errors count linearly, and rounds in all.
 const ROBUST_ROUNDS: usize = 4;
 const ROUNDS: usize = 8;
-const MOST_STEPS: usize = 30;
-/// Errors beyond this many deviations count linearly, and are left out at last.
-const HUBER: f64 = 2.5;
-const OUTLIER: f64 = 5.0;
 /// What cannot be seen at all is as far off as this while a camera is looked for, deviations.
 const UNSEEN: f64 = 1e4;
-/// Rayleigh's median, in deviations.
-const MEDIAN: f64 = 1.1774;
-const COEFFICIENT_STEP: f64 = 1e-6;
+/// Whitened errors below this are rounding.
+const LEAST: f64 = 1e-9;
 /// Pose and clock.
 const PLACE: usize = 6;
 const CLOCK: usize = 2;
@@ -64,12 +61,9 @@ impl Pair {
 /// A camera with all that it saw.
 #[derive(Clone)]
 pub(super) struct Bundle<'a> {
-    pub(super) size: (usize, usize),
-    pub(super) model: Model,
+    pub(super) candidate: Candidate,
     pub(super) ways: &'a [Way],
     pub(super) pairs: Vec<Pair>,
-    /// fx, fy, cx, cy, then all coefficients of the lens in ROS' order.
-    pub(super) parameters: Vec<f64>,
     pub(super) camera_from_world: Rigid,
     /// By how much its stamps are late, and by how much more each second.
     pub(super) clock: [f64; CLOCK],
@@ -105,10 +99,7 @@ struct Look {
     turned_m: Vector3<f64>,
 }
 
-/// A pair's whitened derivatives by all unknowns, and its error; `None` of what cannot be seen.
-pub(super) type Part = Option<(Matrix2xX<f64>, Vector2<f64>)>;
-
-struct Normal {
+pub(super) struct Normal {
     information: DMatrix<f64>,
     gradient: DVector<f64>,
 }
@@ -119,7 +110,7 @@ impl<'a> Bundle<'a> {
         for _ in 0..2 {
             self.renew()?;
             let limit = HUBER * self.scale()?;
-            self.descend(limit)?;
+            descend(self, limit)?;
         }
         self.scale()
     }
@@ -132,9 +123,9 @@ impl<'a> Bundle<'a> {
                 self.leave_out()?;
             }
             let limit = if round < ROBUST_ROUNDS { HUBER * self.scale()? } else { f64::MAX };
-            self.descend(limit)?;
+            descend(&mut self, limit)?;
             if !self.keeps_spread {
-                let camera = self.camera()?;
+                let camera = self.candidate.camera()?;
                 let apart: Vec<Apart> =
                     self.pairs.iter().filter_map(|pair| self.apart(&camera, pair)).collect();
                 self.spread = Spread::of(&apart);
@@ -142,25 +133,6 @@ impl<'a> Bundle<'a> {
         }
         self.renew()?;
         self.told()
-    }
-
-    pub(super) fn camera(&self) -> Option<Camera> {
-        self.camera_of(&self.parameters)
-    }
-
-    fn camera_of(&self, parameters: &[f64]) -> Option<Camera> {
-        let lens = self.model.lens(&parameters[PINHOLE..])?;
-        let (width, height) = self.size;
-        Camera::new(Intrinsics {
-            width,
-            height,
-            fx_px: parameters[0],
-            fy_px: parameters[1],
-            cx_px: parameters[2],
-            cy_px: parameters[3],
-            lens,
-        })
-        .ok()
     }
 
     /// When a stamp was, by the clock of the others.
@@ -180,7 +152,7 @@ impl<'a> Bundle<'a> {
 
     /// Centroids' offsets and weights as they are by now.
     fn renew(&mut self) -> Option<()> {
-        let camera = self.camera()?;
+        let camera = self.candidate.camera()?;
         let mut pairs = std::mem::take(&mut self.pairs);
         let mean_px =
             pairs.iter().map(|pair| pair.radius_px).sum::<f64>() / pairs.len().max(1) as f64;
@@ -241,83 +213,21 @@ impl<'a> Bundle<'a> {
         self.pairs.iter().map(|pair| distance(pair).unwrap_or(f64::INFINITY)).collect()
     }
 
-    /// Deviation of a whitened coordinate, by the median.
+    /// Deviation of a whitened coordinate.
     fn scale(&self) -> Option<f64> {
-        let mut distances = self.distances(&self.camera()?);
-        if distances.is_empty() {
-            return None;
-        }
-        let middle = distances.len() / 2;
-        let (_, median, _) = distances.select_nth_unstable_by(middle, f64::total_cmp);
-        median.is_finite().then(|| (*median / MEDIAN).max(1e-9))
+        let deviation = deviation(&mut self.distances(&self.candidate.camera()?))?;
+        deviation.is_finite().then(|| deviation.max(LEAST))
     }
 
     fn leave_out(&mut self) -> Option<()> {
         let limit = OUTLIER * self.scale()?;
-        let mut distances = self.distances(&self.camera()?).into_iter();
+        let mut distances = self.distances(&self.candidate.camera()?).into_iter();
         self.pairs.retain(|_| distances.next().is_some_and(|it| it <= limit));
         Some(())
     }
 
-    fn cost(&self, limit: f64) -> Option<f64> {
-        // At last, a roundel whose way ends just there is no reason to take no step.
-        let unseen = if limit < f64::MAX { UNSEEN } else { OUTLIER };
-        let seen = self.distances(&self.camera()?).into_iter();
-        let seen = seen.map(|it| huber(if it.is_finite() { it } else { unseen }, limit));
-        let clock = (0..CLOCK).map(|i| (self.clock[i] / self.clock_prior[i]).powi(2));
-        Some(seen.sum::<f64>() + clock.sum::<f64>())
-    }
-
-    fn descend(&mut self, limit: f64) -> Option<()> {
-        let mut damping = 1e-3;
-        let mut cost = self.cost(limit)?;
-        for _ in 0..MOST_STEPS {
-            let normal = self.normal(limit)?;
-            let mut is_done = true;
-            while damping < 1e8 {
-                let stepped = self.stepped(&normal, damping);
-                let stepped_cost = stepped.as_ref().and_then(|it| it.cost(limit));
-                if let (Some(stepped), Some(stepped_cost)) = (stepped, stepped_cost)
-                    && stepped_cost <= cost
-                {
-                    is_done = cost - stepped_cost <= 1e-9 * cost;
-                    *self = stepped;
-                    cost = stepped_cost;
-                    damping = (damping * 0.1).max(1e-12);
-                    break;
-                }
-                damping *= 10.0;
-            }
-            if is_done {
-                break;
-            }
-        }
-        Some(())
-    }
-
-    /// Indices of the lens' estimated parameters.
-    fn free(&self) -> Vec<usize> {
-        let coefficients = self.model.free().iter().map(|index| PINHOLE + index);
-        (0..PINHOLE).chain(coefficients).collect()
-    }
-
     fn unknowns(&self) -> usize {
-        PINHOLE + self.model.free().len() + PLACE + CLOCK
-    }
-
-    fn normal(&self, limit: f64) -> Option<Normal> {
-        let (parts, _) = self.parts(limit)?;
-        let size = self.unknowns();
-        let mut normal = Normal { information: self.known(), gradient: DVector::zeros(size) };
-        for i in 0..CLOCK {
-            let at = size - CLOCK + i;
-            normal.gradient[at] -= self.clock[i] / self.clock_prior[i].powi(2);
-        }
-        for part in parts.into_iter().flatten() {
-            normal.information += part.0.transpose() * &part.0;
-            normal.gradient -= part.0.transpose() * part.1;
-        }
-        Some(normal)
+        self.candidate.unknowns() + PLACE + CLOCK
     }
 
     /// What is known of the clock beforehand.
@@ -331,63 +241,36 @@ impl<'a> Bundle<'a> {
         information
     }
 
-    /// Whitened derivatives and error of each pair, weighted as large errors are; and the errors' squares.
+    /// Of each pair that can be seen, weighted as large errors are; and the errors' squares.
     fn parts(&self, limit: f64) -> Option<(Vec<Part>, f64)> {
-        let camera = self.camera()?;
-        let free = self.free();
-        let nearby: Vec<[Camera; 2]> = free[PINHOLE..]
-            .iter()
-            .map(|&index| {
-                let moved = |by: f64| {
-                    let mut parameters = self.parameters.clone();
-                    parameters[index] += by;
-                    self.camera_of(&parameters)
-                };
-                Some([moved(-COEFFICIENT_STEP)?, moved(COEFFICIENT_STEP)?])
-            })
-            .collect::<Option<_>>()?;
+        let by_lens = self.candidate.slopes()?;
         let mut squares = 0.0;
-        let parts = self.pairs.iter().map(|pair| {
-            let look = self.look(&camera, pair)?;
+        let part = |pair: &Pair| {
+            let look = self.look(&by_lens.camera, pair)?;
             let mut error = pair.whitener * look.error;
             let norm = error.norm();
             if !norm.is_finite() {
                 return None;
             }
             squares += norm * norm;
-            let mut slopes = self.slopes(&camera, &nearby, pair, &look)?;
+            let mut slopes = self.slopes(&by_lens, pair, &look)?;
             if norm > limit {
                 let root = (limit / norm).sqrt();
                 error *= root;
                 slopes *= root;
             }
-            Some((slopes, error))
-        });
-        let parts: Vec<_> = parts.collect();
+            Some(Part { way: pair.way, stamp_s: pair.stamp_s, slopes, error })
+        };
+        let parts = self.pairs.iter().filter_map(part).collect();
         Some((parts, squares))
     }
 
     /// Whitened derivatives by all unknowns.
-    fn slopes(
-        &self,
-        camera: &Camera,
-        nearby: &[[Camera; 2]],
-        pair: &Pair,
-        look: &Look,
-    ) -> Option<Matrix2xX<f64>> {
-        let mut slopes = Matrix2xX::zeros(self.unknowns());
+    fn slopes(&self, by_lens: &Slopes, pair: &Pair, look: &Look) -> Option<Matrix2xX<f64>> {
         let place_m = look.turned_m + self.camera_from_world.translation.vector;
-        let intrinsics = camera.intrinsics();
-        let pixel = camera.project(&place_m).ok()?;
-        slopes[(0, 0)] = (pixel.u - intrinsics.cx_px) / intrinsics.fx_px;
-        slopes[(1, 1)] = (pixel.v - intrinsics.cy_px) / intrinsics.fy_px;
-        (slopes[(0, 2)], slopes[(1, 3)]) = (1.0, 1.0);
-        for (index, [below, above]) in nearby.iter().enumerate() {
-            let (below, above) = (below.project(&place_m).ok()?, above.project(&place_m).ok()?);
-            slopes[(0, PINHOLE + index)] = (above.u - below.u) / (2.0 * COEFFICIENT_STEP);
-            slopes[(1, PINHOLE + index)] = (above.v - below.v) / (2.0 * COEFFICIENT_STEP);
-        }
-        let first = PINHOLE + nearby.len();
+        let mut slopes = by_lens.at(&place_m)?;
+        let first = slopes.ncols();
+        slopes = slopes.resize_horizontally(self.unknowns(), 0.0);
         let by_turn = -look.jacobian * look.turned_m.cross_matrix();
         slopes.fixed_view_mut::<2, 3>(0, first).copy_from(&by_turn);
         slopes.fixed_view_mut::<2, 3>(0, first + 3).copy_from(&look.jacobian);
@@ -397,37 +280,11 @@ impl<'a> Bundle<'a> {
         Some(pair.whitener * slopes)
     }
 
-    /// One step away; `None` if it cannot be computed.
-    fn stepped(&self, normal: &Normal, damping: f64) -> Option<Self> {
-        let mut damped = normal.information.clone();
-        for index in 0..damped.nrows() {
-            damped[(index, index)] *= 1.0 + damping;
-        }
-        let step = damped.cholesky()?.solve(&normal.gradient);
-        if !step.iter().all(|it| it.is_finite()) {
-            return None;
-        }
-        let mut stepped = self.clone();
-        let free = self.free();
-        for (index, by) in free.iter().zip(step.iter()) {
-            stepped.parameters[*index] += by;
-        }
-        let part = |first: usize| Vector3::new(step[first], step[first + 1], step[first + 2]);
-        let turn = UnitQuaternion::from_scaled_axis(part(free.len()));
-        let place_m = self.camera_from_world.translation.vector + part(free.len() + 3);
-        stepped.camera_from_world =
-            Rigid::from_parts(place_m.into(), turn * self.camera_from_world.rotation);
-        for i in 0..CLOCK {
-            stepped.clock[i] += step[free.len() + PLACE + i];
-        }
-        Some(stepped)
-    }
-
     fn told(self) -> Option<Fit<'a>> {
-        let camera = self.camera()?;
+        let camera = self.candidate.camera()?;
         let (parts, squares) = self.parts(f64::MAX)?;
-        let Jackknife { covariance, plain } = jackknife(&self.pairs, &parts, &self.known())?;
-        let lens = PINHOLE + self.model.free().len();
+        let Jackknife { covariance, plain } = jackknife(&parts, &self.known())?;
+        let lens = self.candidate.unknowns();
         let ratio = (0..lens).map(|i| covariance[(i, i)] / plain[(i, i)]).sum::<f64>();
         let distances = self.pairs.iter().filter_map(|pair| Some(self.look(&camera, pair)?.error));
         let rms_px = (distances.map(|error| error.norm_squared()).sum::<f64>()
@@ -438,6 +295,59 @@ impl<'a> Bundle<'a> {
     }
 }
 
+impl Descent for Bundle<'_> {
+    type Normal = Normal;
+    const MOST_STEPS: usize = 30;
+    const SETTLED: f64 = 1e-9;
+
+    fn cost(&self, limit: f64) -> Option<f64> {
+        // At last, a roundel whose way ends just there is no reason to take no step.
+        let unseen = if limit < f64::MAX { UNSEEN } else { OUTLIER };
+        let seen = self.distances(&self.candidate.camera()?).into_iter();
+        let seen = seen.map(|it| huber(if it.is_finite() { it } else { unseen }, limit));
+        let clock = (0..CLOCK).map(|i| (self.clock[i] / self.clock_prior[i]).powi(2));
+        Some(seen.sum::<f64>() + clock.sum::<f64>())
+    }
+
+    fn normal(&self, limit: f64) -> Option<Normal> {
+        let (parts, _) = self.parts(limit)?;
+        let size = self.unknowns();
+        let mut normal = Normal { information: self.known(), gradient: DVector::zeros(size) };
+        for i in 0..CLOCK {
+            let at = size - CLOCK + i;
+            normal.gradient[at] -= self.clock[i] / self.clock_prior[i].powi(2);
+        }
+        for Part { slopes, error, .. } in &parts {
+            normal.information += slopes.transpose() * slopes;
+            normal.gradient -= slopes.transpose() * error;
+        }
+        Some(normal)
+    }
+
+    fn stepped(&self, normal: &Normal, damping: f64) -> Option<Self> {
+        let mut damped = normal.information.clone();
+        for index in 0..damped.nrows() {
+            damped[(index, index)] *= 1.0 + damping;
+        }
+        let step = damped.cholesky()?.solve(&normal.gradient);
+        if !step.iter().all(|it| it.is_finite()) {
+            return None;
+        }
+        let mut stepped = self.clone();
+        stepped.candidate.step(step.as_slice());
+        let place = self.candidate.unknowns();
+        let part = |first: usize| Vector3::new(step[first], step[first + 1], step[first + 2]);
+        let turn = UnitQuaternion::from_scaled_axis(part(place));
+        let place_m = self.camera_from_world.translation.vector + part(place + 3);
+        stepped.camera_from_world =
+            Rigid::from_parts(place_m.into(), turn * self.camera_from_world.rotation);
+        for i in 0..CLOCK {
+            stepped.clock[i] += step[place + PLACE + i];
+        }
+        Some(stepped)
+    }
+}
+
 impl Fit<'_> {
     /// Where the roundels were before the camera, metres: of each pair its depth.
     pub(super) fn depths_m(&self) -> Vec<f64> {
@@ -445,9 +355,4 @@ impl Fit<'_> {
             self.bundle.pairs.iter().filter_map(|pair| self.bundle.look(&self.camera, pair));
         looks.map(|look| look.turned_m.z + self.bundle.camera_from_world.translation.z).collect()
     }
-}
-
-/// Half of a square grows linearly beyond the limit.
-fn huber(error: f64, limit: f64) -> f64 {
-    if error <= limit { error * error } else { limit * (2.0 * error - limit) }
 }

@@ -32,7 +32,7 @@ pub use self::{
     error::{Missing, MovingLensError},
     way::{Way, Waypoint},
 };
-use super::{LensCalibration, bundle::PINHOLE, choice::Evidence, model::Model};
+use super::{LensCalibration, candidate::Candidate, choice::Evidence, model::Model};
 use crate::{
     camera::PixelPoint,
     rigid::{Covariance6, Rigid},
@@ -214,14 +214,10 @@ fn begin<'a>(seen: &Seen<'a>, pairs: &[Pair]) -> Option<Bundle<'a>> {
     let mut best: Option<(f64, Bundle<'a>)> = None;
     for start in start::starts(&placed, side_px) {
         for model in [Model::Radial1, Model::Equidistant2] {
-            let mut parameters = vec![start.focal_px, start.focal_px, middle.x, middle.y];
-            parameters.resize(PINHOLE + model.coefficients(), 0.0);
             let mut bundle = Bundle {
-                size: seen.size,
-                model,
+                candidate: Candidate::new(seen.size, start.focal_px, model),
                 ways: seen.ways,
                 pairs: few.clone(),
-                parameters,
                 camera_from_world: start.camera_from_world,
                 clock: [0.0; 2],
                 clock_prior,
@@ -244,14 +240,8 @@ fn best<'a>(
     models: &[Model],
 ) -> Option<(Fit<'a>, Vec<Evidence>)> {
     let of = |model: Model, spread: Option<Spread>| {
-        let mut parameters = begun.parameters[..PINHOLE].to_vec();
-        parameters.resize(PINHOLE + model.coefficients(), 0.0);
-        if model.ros_name() == begun.model.ros_name() {
-            parameters[PINHOLE] = begun.parameters[PINHOLE];
-        }
         let bundle = Bundle {
-            model,
-            parameters,
+            candidate: begun.candidate.with_model(model),
             pairs: pairs.to_vec(),
             spread: spread.unwrap_or(Spread::BEGIN),
             keeps_spread: spread.is_some(),
@@ -267,12 +257,13 @@ fn best<'a>(
     let least = fits.iter().min_by(by_spread)?;
     let (spread, inflation) = (least.bundle.spread, least.inflation);
     let judged = |fit: Fit<'a>| {
-        let fit = of(fit.bundle.model, Some(spread))?;
+        let candidate = &fit.bundle.candidate;
+        let (model, parameters) = (candidate.model(), candidate.unknowns() as f64);
+        let fit = of(model, Some(spread))?;
         let count = 2.0 * fit.bundle.pairs.len() as f64;
-        let parameters = (PINHOLE + fit.bundle.model.free().len()) as f64;
         let criterion = (fit.squares / count).max(1e-300).ln() * count / inflation
             + parameters * (count / inflation).max(1.0).ln();
-        let evidence = Evidence { model: fit.bundle.model, rms_px: fit.rms_px, criterion };
+        let evidence = Evidence { model, rms_px: fit.rms_px, criterion };
         Some((evidence, fit))
     };
     let mut fits: Vec<(Evidence, Fit<'_>)> = fits.into_iter().filter_map(judged).collect();
@@ -292,14 +283,14 @@ fn told(
     given: usize,
 ) -> Result<MovingLens, MovingLensError> {
     let bundle = &fit.bundle;
-    let lens = PINHOLE + bundle.model.free().len();
+    let lens = bundle.candidate.unknowns();
     let mut depths_m = fit.depths_m();
     depths_m.sort_by(f64::total_cmp);
     let depths_m = DEPTH_SHARES.map(|share| {
         let at = (share * depths_m.len() as f64) as usize;
         depths_m.get(at.min(depths_m.len().saturating_sub(1))).copied().unwrap_or_default()
     });
-    let zones = zones(&bundle.pairs, bundle.size);
+    let zones = zones(&bundle.pairs, bundle.candidate.size());
     let mut missing = Vec::new();
     let [nearest_m, farthest_m] = depths_m;
     let focal_px = fit.camera.intrinsics().fx_px;
@@ -317,7 +308,7 @@ fn told(
     Ok(MovingLens {
         lens: LensCalibration {
             camera: fit.camera.clone(),
-            model: bundle.model,
+            model: bundle.candidate.model(),
             covariance: fit.covariance.view((0, 0), (lens, lens)).into_owned(),
             rms_px: fit.rms_px,
             views: Vec::new(),

@@ -5,6 +5,8 @@
 //! known of the place in these directions, v the speed in the image. Both s² and τ² follow by least squares,
 //! weighted by the squared expectation, twice, since that is not known before; negative ones are none.
 
+use super::super::robust::median;
+
 /// A rim's centre is not found more exactly than this, pixels.
 const LEAST_PX: f64 = 0.01;
 /// Errors so many times what is expected are other roundels'.
@@ -39,13 +41,9 @@ impl Spread {
             errors.iter().map(|it| it.radius_px).sum::<f64>() / errors.len().max(1) as f64;
         let mut squares: Vec<f64> =
             errors.iter().map(|it| 0.5 * (it.along.0 + it.across.0)).collect();
-        if squares.is_empty() {
-            return Self::BEGIN;
-        }
-        let middle = squares.len() / 2;
-        let (_, median, _) = squares.select_nth_unstable_by(middle, f64::total_cmp);
+        let Some(median) = median(&mut squares) else { return Self::BEGIN };
         // Half of a χ² of two degrees of freedom has its median at ln 2.
-        let (mut pixel, mut stamp) = (*median / std::f64::consts::LN_2, 0.0);
+        let (mut pixel, mut stamp) = (median / std::f64::consts::LN_2, 0.0);
         for _ in 0..ROUNDS {
             let (mut pp, mut pt, mut tt, mut p, mut t) = (0.0, 0.0, 0.0, 0.0, 0.0);
             for it in errors {
