@@ -5,6 +5,7 @@
  */
 
 import { footprint, roundStep, rotate } from "./geometry.js";
+import { writeWithHalo } from "./halo.js";
 import { drawOverlay } from "./overlay.js";
 
 /** Width of the left ruler and height of the lower one, CSS pixels. */
@@ -199,12 +200,7 @@ function drawCamera(context, view, palette, camera) {
   context.font = `11px ${palette.font}`;
   context.textAlign = "center";
   context.textBaseline = "top";
-  context.lineWidth = 3;
-  context.lineJoin = "round";
-  context.strokeStyle = palette.sheet;
-  context.strokeText(note, px, py + 12);
-  context.fillStyle = color;
-  context.fillText(note, px, py + 12);
+  writeWithHalo(context, palette, note, px, py + 12, color);
 }
 
 /**

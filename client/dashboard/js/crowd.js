@@ -4,12 +4,11 @@
  */
 
 import { makeSheet } from "./layer.js";
-import { discRadius, drawMark, drawObject, LEAD_S } from "./plot.js";
+import { discRadius, drawMark, drawObject, LEAD_S } from "./mark.js";
 
 /** @typedef {import("./view.js").View} View */
 /** @typedef {import("./palette.js").Palette} Palette */
 /** @typedef {import("./store.js").Track} Track */
-/** @typedef {import("./plot.js").PlotOptions} PlotOptions */
 
 /** @type {Map<string, OffscreenCanvas | HTMLCanvasElement>} signs by stage, size and colours */
 const stamps = new Map();
@@ -21,7 +20,7 @@ const MOST_STAMPS = 100;
  * @param {View} view
  * @param {Palette} palette
  * @param {Track[]} tracks those in view
- * @param {PlotOptions} options
+ * @param {{selected: number | null, hovered: number | null}} options
  */
 export function drawCrowd(context, view, palette, tracks, options) {
   const { ratio } = view;

@@ -1,6 +1,7 @@
 /** What the history tells, laid over the arena: drawn once, and anew only when the view moves. */
 
 import { darkness, eachPlace } from "./courses.js";
+import { writeWithHalo } from "./halo.js";
 
 /** Courses are paler the older they are, from this on. */
 const OLDEST_ALPHA = 0.3;
@@ -88,11 +89,7 @@ function drawCourse(context, view, palette, course, stepS) {
   context.font = `600 11px ${palette.font}`;
   context.textAlign = "left";
   context.textBaseline = "middle";
-  context.lineWidth = 3;
-  context.lineJoin = "round";
-  context.strokeStyle = palette.sheet;
-  context.strokeText(course.label, px + 8, py + 9);
-  context.fillText(course.label, px + 8, py + 9);
+  writeWithHalo(context, palette, course.label, px + 8, py + 9, color);
 }
 
 /**

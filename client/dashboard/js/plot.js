@@ -1,18 +1,14 @@
 /**
  * What moves in the arena: objects with their trails, velocities, headings, heights and uncertainty.
- *
- * Life stages differ by shape as well as by colour: tracked is a closed ring, predicted a broken
- * one, tentative a diamond, lost a cross.
  */
 
 import { drawCameras, RULER } from "./backdrop.js";
 import { FRAME_MS, GAP_MS } from "./history.js";
 import { drawCrowd } from "./crowd.js";
 import { drawLabels } from "./label.js";
+import { discRadius, drawObject } from "./mark.js";
 import { TRAIL_MS } from "./store.js";
 
-/** The line of the velocity ends where the object will be after this time, s. */
-export const LEAD_S = 0.5;
 /** Ellipses are filled up to this part of the arena's smaller side. */
 const LARGEST_FILL = 0.25;
 /** Trails fade in so many steps; each step is one stroke for all objects of a stage. */
@@ -38,11 +34,6 @@ const CROWD_TRAIL_MS = 2000;
  * @property {History} history
  * @property {import("./message.js").Camera[]} cameras those that move
  */
-
-/** Radius of an object's disc, CSS pixels: about 0.3 m wide in the world, but always legible. */
-export function discRadius(/** @type {View} */ view) {
-  return Math.min(15, Math.max(6.5, 0.13 * view.scale));
-}
 
 /**
  * @param {import("./layer.js").Context2D} context in CSS pixels
@@ -186,96 +177,4 @@ function drawEllipse(context, view, palette, { state }, options) {
   context.lineWidth = 1;
   context.stroke();
   context.globalAlpha = 1;
-}
-
-/**
- * @param {import("./layer.js").Context2D} context
- * @param {View} view
- * @param {Palette} palette
- * @param {Track} track
- * @param {PlotOptions} options
- */
-export function drawObject(context, view, palette, { state }, options) {
-  const { positionM, velocityMS } = state;
-  if (!positionM) return;
-  const [px, py] = [view.screenX(positionM.x), view.screenY(positionM.y)];
-  const radius = discRadius(view);
-  const color = palette.stage[state.stage];
-  if (velocityMS && state.stage !== "lost") {
-    context.beginPath();
-    context.moveTo(px, py);
-    context.lineTo(
-      px + velocityMS.x * LEAD_S * view.scale,
-      py - velocityMS.y * LEAD_S * view.scale,
-    );
-    context.strokeStyle = color;
-    context.lineWidth = 1.25;
-    context.stroke();
-  }
-  if (state.id === options.selected || state.id === options.hovered) {
-    context.beginPath();
-    context.arc(px, py, radius + 5, 0, 2 * Math.PI);
-    context.strokeStyle = palette.accent;
-    context.lineWidth = state.id === options.selected ? 2.5 : 1.25;
-    context.stroke();
-  }
-  drawMark(context, px, py, radius, state.stage, color, palette.sheet);
-  if (state.headingRad !== null && state.stage !== "lost") {
-    const [hx, hy] = [Math.cos(state.headingRad), -Math.sin(state.headingRad)];
-    context.beginPath();
-    for (const side of state.eitherWay ? [1, -1] : [1]) {
-      context.moveTo(px + hx * radius * 0.2 * side, py + hy * radius * 0.2 * side);
-      context.lineTo(px + hx * radius * 1.5 * side, py + hy * radius * 1.5 * side);
-    }
-    context.strokeStyle = palette.ink;
-    context.lineWidth = 2.5;
-    context.stroke();
-  }
-}
-
-/**
- * The sign of a life stage; index.html draws the same ones for the lists.
- * @param {import("./layer.js").Context2D} context
- * @param {number} px
- * @param {number} py
- * @param {number} radius
- * @param {import("./state.js").Stage} stage
- * @param {string} color
- * @param {string} sheet
- */
-export function drawMark(context, px, py, radius, stage, color, sheet) {
-  const width = Math.max(2.5, radius * 0.38);
-  context.beginPath();
-  context.strokeStyle = color;
-  context.fillStyle = sheet;
-  if (stage === "lost") {
-    const arm = radius * 0.7;
-    context.moveTo(px - arm, py - arm);
-    context.lineTo(px + arm, py + arm);
-    context.moveTo(px + arm, py - arm);
-    context.lineTo(px - arm, py + arm);
-    context.lineWidth = 2.5;
-    context.stroke();
-    return;
-  }
-  if (stage === "tentative") {
-    context.moveTo(px, py - radius);
-    context.lineTo(px + radius, py);
-    context.lineTo(px, py + radius);
-    context.lineTo(px - radius, py);
-    context.closePath();
-    context.lineWidth = 2;
-  } else {
-    context.arc(px, py, radius - width / 2, 0, 2 * Math.PI);
-    context.lineWidth = width;
-  }
-  context.fill();
-  if (stage === "predicted") {
-    const sixth = (Math.PI * (2 * radius - width)) / 12;
-    context.lineCap = "butt";
-    context.setLineDash([sixth * 1.25, sixth * 0.75]);
-  }
-  context.stroke();
-  context.setLineDash([]);
-  context.lineCap = "round";
 }

@@ -7,11 +7,13 @@
 
 import { BoxGeometry, CircleGeometry, Color, Matrix4, PerspectiveCamera, Quaternion, RingGeometry, Scene, SphereGeometry, Vector3, WebGLRenderer } from "../vendor/three.js";
 import { cholesky } from "./geometry.js";
+import { writeWithHalo } from "./halo.js";
 import { FRAME_MS, GAP_MS } from "./history.js";
 import { drawLabels } from "./label.js";
+import { LEAD_S } from "./mark.js";
 import { Orbit, VIEW_RAD } from "./orbit.js";
 import { layOverlay } from "./overlay.js";
-import { CROWD, LEAD_S, trailPlan } from "./plot.js";
+import { CROWD, trailPlan } from "./plot.js";
 import { Coverage, drawFrustum, layFloor, Lines, rgb, stageShapes, Swarm, Tiles } from "./space-parts.js";
 import { CHI2_95_3D } from "./state.js";
 
@@ -241,17 +243,12 @@ export class SpaceView {
     context.font = `11px ${palette.font}`;
     context.textAlign = "center";
     context.textBaseline = "bottom";
-    context.lineWidth = 3;
-    context.lineJoin = "round";
     for (const camera of cameras) {
       const seen = camera.pose && this.orbit.project(camera.pose.position);
       if (!seen) continue;
       const isFailed = camera.status === "failed";
       const words = isFailed ? `${camera.name} – failed` : camera.name;
-      context.strokeStyle = palette.sheet;
-      context.strokeText(words, seen.px, seen.py - 10);
-      context.fillStyle = isFailed ? palette.failed : palette.inkSoft;
-      context.fillText(words, seen.px, seen.py - 10);
+      writeWithHalo(context, palette, words, seen.px, seen.py - 10, isFailed ? palette.failed : palette.inkSoft);
     }
   }
 

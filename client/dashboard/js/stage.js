@@ -8,7 +8,8 @@
 
 import { cameraFootprint, drawBackdrop, gridStepM, RULER } from "./backdrop.js";
 import { Layer } from "./layer.js";
-import { discRadius, drawTracks } from "./plot.js";
+import { discRadius } from "./mark.js";
+import { drawTracks } from "./plot.js";
 import { drawTape, Tape } from "./tape.js";
 import { boundsOf, View } from "./view.js";
 

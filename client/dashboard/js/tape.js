@@ -4,6 +4,7 @@
  */
 
 import { fixed } from "./format.js";
+import { writeWithHalo } from "./halo.js";
 
 /** @typedef {import("./view.js").View} View */
 /** @typedef {import("./track.js").Track} Track */
@@ -102,11 +103,5 @@ export function drawTape(context, view, palette, places) {
   context.font = `600 12px ${palette.font}`;
   context.textAlign = "center";
   context.textBaseline = "middle";
-  context.lineWidth = 4;
-  context.lineJoin = "round";
-  context.strokeStyle = palette.sheet;
-  const [x, y] = [(ax + bx) / 2, (ay + by) / 2 - 12];
-  context.strokeText(distanceWords(places), x, y);
-  context.fillStyle = palette.accent;
-  context.fillText(distanceWords(places), x, y);
+  writeWithHalo(context, palette, distanceWords(places), (ax + bx) / 2, (ay + by) / 2 - 12, palette.accent, 4);
 }
