@@ -3,7 +3,7 @@
 import assert from "node:assert/strict";
 import { after, before, describe, test } from "node:test";
 
-import { launch, openDashboard, startLine } from "./harness.mjs";
+import { launch, openDashboard, startLine, visit } from "./harness.mjs";
 import { startMock } from "./mock.mjs";
 import { World } from "./world.mjs";
 
@@ -17,13 +17,7 @@ after(() => browser?.close());
 async function withWorld(world, body, mock = {}) {
   const server = await startMock({ world, ...mock });
   try {
-    const opened = await openDashboard(browser, server.url);
-    try {
-      await body(opened.page, opened);
-      return;
-    } finally {
-      await opened.context.close();
-    }
+    await visit(browser, server.url, {}, body);
   } finally {
     await server.close();
   }

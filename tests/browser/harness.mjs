@@ -1,10 +1,16 @@
 /** What every browser test needs: a server, a browser, and a page that has been watched from its start. */
 
+import assert from "node:assert/strict";
+import { readFile } from "node:fs/promises";
+import { createRequire } from "node:module";
 import { createServer, connect } from "node:net";
 
 import { chromium } from "playwright-core";
 
 import { startMock } from "./mock.mjs";
+
+/** How long a case waits for what has to come, ms. */
+export const PATIENCE_MS = 30_000;
 
 const EXECUTABLE = process.env.CHROMIUM ?? "/usr/bin/chromium";
 const FLAGS = [
@@ -58,6 +64,41 @@ export async function openDashboard(browser, url, options = {}) {
   await page.goto(url);
   await page.locator('body[data-phase="live"]').waitFor();
   return { context, page, complaints, foreign };
+}
+
+/**
+ * Opens the page, runs the case, and closes the page whatever happens.
+ * @param {import("playwright-core").Browser} browser
+ * @param {string} url
+ * @param {import("playwright-core").BrowserContextOptions} options
+ * @param {(page: import("playwright-core").Page, opened: Awaited<ReturnType<typeof openDashboard>>) => Promise<unknown>} body
+ */
+export async function visit(browser, url, options, body) {
+  const opened = await openDashboard(browser, url, options);
+  opened.page.setDefaultTimeout(PATIENCE_MS);
+  try {
+    return await body(opened.page, opened);
+  } finally {
+    await opened.context.close();
+  }
+}
+
+/** The same on a page that lists its objects. @type {typeof visit} */
+export function visitObjects(browser, url, options, body) {
+  return visit(browser, url, options, async (page, opened) => {
+    await page.locator("#object-rows tr").first().waitFor();
+    return body(page, opened);
+  });
+}
+
+/** That axe finds nothing serious. @param {import("playwright-core").Page} page @param {string} [part] of it alone */
+export async function assertAccessible(page, part = "html") {
+  const axe = await readFile(createRequire(import.meta.url).resolve("axe-core/axe.min.js"), "utf8");
+  await page.evaluate(axe);
+  const { violations, passes } = await page.evaluate((selector) => globalThis.axe.run(selector), part);
+  assert.ok(passes.length > 0, `${part} is there`);
+  const grave = violations.filter(({ impact }) => impact === "serious" || impact === "critical");
+  assert.deepEqual(grave.map(({ help, nodes }) => [help, nodes.map((node) => node.html)]), []);
 }
 
 /** Where the page draws. @param {import("playwright-core").Page} page */

@@ -20,9 +20,8 @@ const [WIDTH, HEIGHT] = [160, 120];
 const FOCAL_PX = 750;
 const FRAMES = 50;
 
-export const CONFIG = `# The lab's own words.
-name = "Ring lab"
-
+/** What each laboratory's file says: where it is reached, what it keeps, and its robots' roundel. */
+export const KEEPING = `
 [server]
 listen = "127.0.0.1:0"
 
@@ -37,7 +36,11 @@ file = "history.sqlite"
 name = "robot"
 outer_mm = 160.0
 inner_mm = 64.0
+`;
 
+export const CONFIG = `# The lab's own words.
+name = "Ring lab"
+${KEEPING}
 [[roundel]]
 name = "coded"
 outer_mm = 122.0
@@ -51,10 +54,16 @@ calibration = "camera.yaml"
 pose = { position_m = [0.0, 0.0, 3.0], orientation_xyzw = [1.0, 0.0, 0.0, 0.0] }
 `;
 
-const LENS = `image_width: ${WIDTH}
-image_height: ${HEIGHT}
-camera_name: door
-camera_matrix: {rows: 3, cols: 3, data: [${FOCAL_PX}.0, 0.0, 79.5, 0.0, ${FOCAL_PX}.0, 59.5, 0.0, 0.0, 1.0]}
+/**
+ * A camera file without distortion.
+ * @param {string} name
+ * @param {[number, number]} size columns and rows
+ * @param {number} focalPx
+ */
+export const cameraFile = (name, [width, height], focalPx) => `image_width: ${width}
+image_height: ${height}
+camera_name: ${name}
+camera_matrix: {rows: 3, cols: 3, data: [${focalPx}.0, 0.0, ${(width - 1) / 2}, 0.0, ${focalPx}.0, ${(height - 1) / 2}, 0.0, 0.0, 1.0]}
 distortion_model: plumb_bob
 distortion_coefficients: {rows: 1, cols: 5, data: [0.0, 0.0, 0.0, 0.0, 0.0]}
 `;
@@ -84,7 +93,7 @@ export async function startLab(config = CONFIG, { prepare, ...files } = {}) {
   await mkdir(join(folder, "door"));
   await mkdir(join(folder, "recordings"));
   for (let frame = 0; frame < FRAMES; frame += 1) await writeFile(join(folder, "door", `${frame}.pgm`), picture(frame));
-  await writeFile(join(folder, "camera.yaml"), LENS);
+  await writeFile(join(folder, "camera.yaml"), cameraFile("door", [WIDTH, HEIGHT], FOCAL_PX));
   await writeFile(join(folder, "lab.toml"), config);
   for (const [name, text] of Object.entries(files)) await writeFile(join(folder, name), text);
   await prepare?.(folder);

@@ -2,14 +2,12 @@
 
 import assert from "node:assert/strict";
 import { readFile } from "node:fs/promises";
-import { createRequire } from "node:module";
 import { join } from "node:path";
 import { after, before, describe, test } from "node:test";
 
-import { launch, openDashboard } from "./harness.mjs";
+import { assertAccessible, launch, visitObjects } from "./harness.mjs";
 import { call, lacking, startLab, startReplay } from "./lab.mjs";
 
-const AXE = await readFile(createRequire(import.meta.url).resolve("axe-core/axe.min.js"), "utf8");
 /** The room at which a phone is held to. */
 const PHONE = { viewport: { width: 390, height: 844 }, hasTouch: true };
 
@@ -26,19 +24,14 @@ after(async () => {
 });
 
 /** @param {string} url @param {(page: import("playwright-core").Page, opened: object) => Promise<void>} body */
-async function withPage(url, body, options = {}) {
-  const opened = await openDashboard(browser, url, options);
-  opened.page.setDefaultTimeout(30_000);
-  try {
-    await opened.page.locator("#object-rows tr").first().waitFor();
-    await body(opened.page, opened);
+function withPage(url, body, options = {}) {
+  return visitObjects(browser, url, options, async (page, opened) => {
+    await body(page, opened);
     // Nothing is wrong but what was refused, or was not there, on purpose.
     const grave = opened.complaints.filter((text) => !/status of (400|404|409|503)/.test(text));
     assert.deepEqual(grave, []);
     assert.deepEqual(opened.foreign, []);
-  } finally {
-    await opened.context.close();
-  }
+  });
 }
 
 const holds = (page, selector, text) => page.locator(selector, { hasText: text }).waitFor();
@@ -398,13 +391,10 @@ describe("all of these for everybody", { skip: lacking }, () => {
       await withPage(
         lab.url,
         async (page) => {
-          await page.evaluate(AXE);
           for (const [opener, part] of Object.entries(openers)) {
             await page.locator(`#${opener}`).click();
             await page.locator(part).waitFor();
-            const { violations } = await page.evaluate((selector) => globalThis.axe.run(selector), part);
-            const grave = violations.filter(({ impact }) => impact === "serious" || impact === "critical");
-            assert.deepEqual(grave.map(({ help, nodes }) => [part, help, nodes.map((node) => node.html)]), []);
+            await assertAccessible(page, part);
             const over = await page.evaluate(() => document.documentElement.scrollWidth - innerWidth);
             assert.ok(over <= 0, `${part} is ${over} px wider than the screen`);
             if (part !== "#history") await page.keyboard.press("Escape");

@@ -2,23 +2,16 @@
 
 import assert from "node:assert/strict";
 import { readFile } from "node:fs/promises";
-import { createRequire } from "node:module";
 import { join } from "node:path";
 import { after, before, describe, test } from "node:test";
 
 import { FOCAL_PX, HEIGHT, WIDTH, writeViews } from "./board.mjs";
-import { launch, openDashboard } from "./harness.mjs";
-import { BINARY, CONFIG, call, lacking, startLab } from "./lab.mjs";
+import { assertAccessible, launch, visit } from "./harness.mjs";
+import { BINARY, CONFIG, call, cameraFile, lacking, startLab } from "./lab.mjs";
 
 const PATIENCE_MS = 60_000;
 /** Of another focal length, so that it is seen which lens is in use. */
-const ROUGH = `image_width: ${WIDTH}
-image_height: ${HEIGHT}
-camera_name: bench
-camera_matrix: {rows: 3, cols: 3, data: [500.0, 0.0, 319.5, 0.0, 500.0, 239.5, 0.0, 0.0, 1.0]}
-distortion_model: plumb_bob
-distortion_coefficients: {rows: 1, cols: 5, data: [0.0, 0.0, 0.0, 0.0, 0.0]}
-`;
+const ROUGH = cameraFile("bench", [WIDTH, HEIGHT], 500);
 const BENCH = `
 [[camera]]
 name = "bench"
@@ -41,16 +34,13 @@ describe("the lens of a camera", { skip: lacking }, () => {
 
   /** @param {(page: import("playwright-core").Page) => Promise<void>} body */
   async function withPage(body, options = {}) {
-    const opened = await openDashboard(browser, lab.url, options);
-    opened.page.setDefaultTimeout(PATIENCE_MS);
-    try {
-      await body(opened.page);
+    await visit(browser, lab.url, options, async (page, opened) => {
+      page.setDefaultTimeout(PATIENCE_MS);
+      await body(page);
       // What the server refuses on purpose, the browser tells as well.
       const complaints = opened.complaints.filter((it) => !it.startsWith("Failed to load resource"));
       assert.deepEqual([complaints, opened.foreign], [[], []]);
-    } finally {
-      await opened.context.close();
-    }
+    });
   }
 
   const words = (page, text) => page.locator("#lens-words", { hasText: text }).waitFor();
@@ -143,17 +133,13 @@ describe("the lens of a camera", { skip: lacking }, () => {
 
   for (const context of [{}, { colorScheme: "dark", viewport: { width: 390, height: 844 } }]) {
     test(`axe finds nothing serious with ${JSON.stringify(context)}`, async () => {
-      const axe = await readFile(createRequire(import.meta.url).resolve("axe-core/axe.min.js"), "utf8");
       await withPage(async (page) => {
         await page.getByRole("button", { name: "Find the lens of camera bench" }).click();
         await page.locator("#lens-form summary").click();
         await page.locator("#lens-views").fill("1");
         await page.locator("#lens-start").click();
         await page.locator("#lens-views-trouble", { hasText: "5 to 100" }).waitFor();
-        await page.evaluate(axe);
-        const { violations } = await page.evaluate(() => globalThis.axe.run("#lens"));
-        const serious = violations.filter((it) => ["serious", "critical"].includes(it.impact));
-        assert.deepEqual(serious.map((it) => [it.id, it.nodes.map((node) => node.html)]), []);
+        await assertAccessible(page, "#lens");
         const { width } = await page.locator("#lens").boundingBox();
         assert.ok(width <= page.viewportSize().width, `${width} px wide`);
       }, context);

@@ -4,14 +4,9 @@
  */
 
 import assert from "node:assert/strict";
-import { readFile } from "node:fs/promises";
-import { createRequire } from "node:module";
 import { after, before, describe, test } from "node:test";
 
-import { launch, openDashboard, readObjects, startLine, target } from "./harness.mjs";
-
-/** How long a case waits for what has to come, ms. */
-const PATIENCE_MS = 30_000;
+import { PATIENCE_MS, assertAccessible, launch, readObjects, startLine, target, visitObjects } from "./harness.mjs";
 
 let server;
 let browser;
@@ -25,17 +20,7 @@ after(async () => {
   await server?.close();
 });
 
-/** Opens the page, runs the case, and closes the page whatever happens. */
-async function withPage(options, body, url = server.url) {
-  const opened = await openDashboard(browser, url, options);
-  opened.page.setDefaultTimeout(PATIENCE_MS);
-  try {
-    await opened.page.locator("#object-rows tr").first().waitFor();
-    return await body(opened.page, opened);
-  } finally {
-    await opened.context.close();
-  }
-}
+const withPage = (options, body, url = server.url) => visitObjects(browser, url, options, body);
 
 /** A number that changes with the canvas' picture, which a worker has drawn. */
 function canvasSum(page, id) {
@@ -458,15 +443,10 @@ describe("a lost connection", () => {
 describe("accessibility", () => {
   for (const options of [{ colorScheme: "light" }, { colorScheme: "dark" }, { viewport: { width: 390, height: 844 } }]) {
     test(`axe finds nothing serious with ${JSON.stringify(options)}`, async () => {
-      const axe = await readFile(createRequire(import.meta.url).resolve("axe-core/axe.min.js"), "utf8");
       await withPage(options, async (page) => {
         await page.locator("#object-rows button").first().click();
         await page.locator("[data-camera-card]").first().waitFor();
-        await page.evaluate(axe);
-        const { violations, passes } = await page.evaluate(() => globalThis.axe.run());
-        assert.ok(passes.length > 0);
-        const grave = violations.filter(({ impact }) => impact === "serious" || impact === "critical");
-        assert.deepEqual(grave.map(({ help, nodes }) => [help, nodes.map((node) => node.html)]), []);
+        await assertAccessible(page);
       });
     });
   }

@@ -10,7 +10,7 @@ import { fileURLToPath } from "node:url";
 
 import { FOCAL_PX, HEIGHT, WIDTH, writeViews } from "./board.mjs";
 import { launch, openDashboard } from "./harness.mjs";
-import { BINARY, call, startLab, startReplay } from "./lab.mjs";
+import { BINARY, KEEPING, call, cameraFile, startLab, startReplay } from "./lab.mjs";
 
 const FOLDER = fileURLToPath(new URL("../../client/pictures", import.meta.url));
 const SCREENS = {
@@ -26,22 +26,7 @@ name = "${["south-west", "south-east", "north-west", "north-east"][place]}"
 source = "sim:?seed=1&robots=12&camera=${place}"
 `;
 const CONFIG = `name = "Lab 2"
-
-[server]
-listen = "127.0.0.1:0"
-
-[recording]
-folder = "recordings"
-min_free_mb = 1.0
-
-[history]
-file = "history.sqlite"
-
-[[roundel]]
-name = "robot"
-outer_mm = 160.0
-inner_mm = 64.0
-${[0, 1, 2, 3].map(camera).join("")}
+${KEEPING}${[0, 1, 2, 3].map(camera).join("")}
 [[camera]]
 name = "gate"
 source = "images:gate/*.png?fps=10&loop=true"
@@ -53,13 +38,6 @@ name = "bench"
 source = "images:board/*.pgm?fps=5&loop=true"
 calibration = "bench.yaml"
 pose = { position_m = [4.5, 0.0, 3.0], orientation_xyzw = [1.0, 0.0, 0.0, 0.0] }
-`;
-const LENS = `image_width: ${WIDTH}
-image_height: ${HEIGHT}
-camera_name: bench
-camera_matrix: {rows: 3, cols: 3, data: [${FOCAL_PX}.0, 0.0, ${WIDTH / 2}.0, 0.0, ${FOCAL_PX}.0, ${HEIGHT / 2}.0, 0.0, 0.0, 1.0]}
-distortion_model: plumb_bob
-distortion_coefficients: {rows: 1, cols: 5, data: [0.0, 0.0, 0.0, 0.0, 0.0]}
 `;
 
 /** @typedef {import("playwright-core").Page} Page */
@@ -144,7 +122,7 @@ async function take(url, view, bring) {
 const wanted = process.argv.slice(2);
 const isWanted = (view) => wanted.length === 0 || wanted.includes(view);
 await mkdir(FOLDER, { recursive: true });
-const lab = await startLab(CONFIG, { "bench.yaml": LENS, prepare: (folder) => writeViews(BINARY, folder) });
+const lab = await startLab(CONFIG, { "bench.yaml": cameraFile("bench", [WIDTH, HEIGHT], FOCAL_PX), prepare: (folder) => writeViews(BINARY, folder) });
 const browser = await launch({ space: true });
 await call(lab, "POST", "recording", { name: "docking" });
 await new Promise((resolve) => setTimeout(resolve, WARM_UP_MS));

@@ -1,11 +1,9 @@
 /** Cameras tried, added, changed and removed by click, on an invented server. */
 
 import assert from "node:assert/strict";
-import { readFile } from "node:fs/promises";
-import { createRequire } from "node:module";
 import { after, before, describe, test } from "node:test";
 
-import { launch, openDashboard } from "./harness.mjs";
+import { assertAccessible, launch, visit } from "./harness.mjs";
 import { startMock } from "./mock.mjs";
 import { Roster } from "./roster.mjs";
 import { World } from "./world.mjs";
@@ -22,9 +20,7 @@ async function withRoster(options, body, context = {}) {
   const roster = new Roster(world, options);
   const server = await startMock({ world, roster });
   try {
-    const opened = await openDashboard(browser, server.url, context);
-    await body(opened.page, roster);
-    await opened.context.close();
+    await visit(browser, server.url, context, (page) => body(page, roster));
   } finally {
     await server.close();
   }
@@ -176,7 +172,6 @@ describe("the setup of cameras", () => {
 
   for (const context of [{}, { colorScheme: "dark", viewport: { width: 390, height: 844 } }]) {
     test(`axe finds nothing serious with ${JSON.stringify(context)}`, async () => {
-      const axe = await readFile(createRequire(import.meta.url).resolve("axe-core/axe.min.js"), "utf8");
       await withRoster(
         {},
         async (page) => {
@@ -185,10 +180,7 @@ describe("the setup of cameras", () => {
           await page.locator("#setup summary").click();
           await page.locator("#setup-save").click();
           await trouble(page, "pose", "Fill in");
-          await page.evaluate(axe);
-          const { violations } = await page.evaluate(() => globalThis.axe.run("#setup"));
-          const serious = violations.filter((it) => ["serious", "critical"].includes(it.impact));
-          assert.deepEqual(serious.map((it) => [it.id, it.nodes.map((node) => node.html)]), []);
+          await assertAccessible(page, "#setup");
           const { width } = await page.locator("#setup").boundingBox();
           assert.ok(width <= page.viewportSize().width, `${width} px wide`);
         },

@@ -7,9 +7,8 @@
 import assert from "node:assert/strict";
 import { after, before, describe, test } from "node:test";
 
-import { launch, openDashboard, target } from "./harness.mjs";
+import { launch, target, visit } from "./harness.mjs";
 
-const PATIENCE_MS = 30_000;
 const PHONE = { viewport: { width: 390, height: 844 }, hasTouch: true, isMobile: true };
 
 let server;
@@ -23,15 +22,7 @@ after(async () => {
   await server?.close();
 });
 
-async function asStranger(options, body) {
-  const { page, context } = await openDashboard(browser, server.url, options);
-  page.setDefaultTimeout(PATIENCE_MS);
-  try {
-    await body(page);
-  } finally {
-    await context.close();
-  }
-}
+const asStranger = (options, body) => visit(browser, server.url, options, body);
 
 for (const [where, options] of Object.entries({ "on a desk": {}, "on a phone": PHONE })) {
   describe(`a stranger finds, ${where}`, () => {

@@ -1,15 +1,11 @@
 /** 3D, health, looking back, finding, keys: on the real server at ROUNDEL_URL where that is given, and else on the mock. */
 
 import assert from "node:assert/strict";
-import { readFile } from "node:fs/promises";
-import { createRequire } from "node:module";
 import { after, before, describe, test } from "node:test";
 
-import { countDraws, drawingWorker, launch, openDashboard, startLine, target } from "./harness.mjs";
+import { PATIENCE_MS, assertAccessible, countDraws, drawingWorker, launch, startLine, target, visitObjects } from "./harness.mjs";
 import { startMock } from "./mock.mjs";
 import { World } from "./world.mjs";
-
-const PATIENCE_MS = 30_000;
 
 let server;
 let browser;
@@ -25,17 +21,7 @@ after(async () => {
   await server?.close();
 });
 
-/** Opens the page, runs the case, and closes the page whatever happens. */
-async function withPage(options, body, url = server.url, within = browser) {
-  const opened = await openDashboard(within, url, options);
-  opened.page.setDefaultTimeout(PATIENCE_MS);
-  try {
-    await opened.page.locator("#object-rows tr").first().waitFor();
-    return await body(opened.page, opened);
-  } finally {
-    await opened.context.close();
-  }
-}
+const withPage = (options, body, url = server.url, within = browser) => visitObjects(within, url, options, body);
 
 /** A mock of this case's own. */
 async function withWorld(world, options, body, within = browser, mock = {}) {
@@ -50,15 +36,6 @@ async function withWorld(world, options, body, within = browser, mock = {}) {
 const choose = (page, mode) => page.locator(`input[name=mode][value=${mode}]`).check();
 const shows = (page, mode) => page.locator(`.arena[data-shows="${mode}"]`).waitFor();
 const value = (page, key) => page.locator(`#selection [data-value="${key}"]`).textContent();
-
-async function assertAccessible(page) {
-  const axe = await readFile(createRequire(import.meta.url).resolve("axe-core/axe.min.js"), "utf8");
-  await page.evaluate(axe);
-  const { violations, passes } = await page.evaluate(() => globalThis.axe.run());
-  assert.ok(passes.length > 0);
-  const grave = violations.filter(({ impact }) => impact === "serious" || impact === "critical");
-  assert.deepEqual(grave.map(({ help, nodes }) => [help, nodes.map((node) => node.html)]), []);
-}
 
 describe("the view in 3D", () => {
   test("draws the arena, turns by mouse and keys, and zooms", async () => {
