@@ -5,6 +5,8 @@ mod order;
 mod reprojection;
 mod rhythm;
 mod riding;
+#[cfg(test)]
+mod sample;
 mod sentence;
 mod watching;
 

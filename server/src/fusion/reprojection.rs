@@ -111,38 +111,20 @@ fn off_px2(seen: &Compared, lens: &Camera, world_from_camera: &Rigid) -> Option<
 mod tests {
     use std::sync::Arc;
 
-    use nalgebra::Vector3;
     use roundel_core::{
-        camera::{Intrinsics, Lens, PixelPoint},
-        ellipse::Ellipse,
-        id::{KindId, TrackNumber},
-        marker::Ring,
-        pose::{Detection, RoundelPose},
+        camera::{Intrinsics, Lens},
         rigid::Covariance6,
-        world::{CameraPlacement, FrameObservations, FusionParams},
+        world::{CameraPlacement, FusionParams},
     };
 
-    use super::*;
-    use crate::hub::{CameraInfo, Installation};
+    use super::{
+        super::sample::{DEPTH_M, MIDDLE, frame, hub},
+        *,
+    };
 
     const FOCAL_PX: f64 = 600.0;
-    const DEPTH_M: f64 = 3.0;
     const START: Timestamp = Timestamp::from_ns(1_700_000_000_000_000_000);
     const CAMERAS: [CameraId; 3] = [CameraId(0), CameraId(1), CameraId(2)];
-
-    fn hub() -> Hub {
-        let camera = |place: usize| CameraInfo { name: place.to_string(), ..CameraInfo::default() };
-        Hub::new(Installation {
-            name: "lab".into(),
-            source_id: "s".into(),
-            started: START,
-            snapshot_rate_hz: 60.0,
-            cameras: Installation::numbered((0..CAMERAS.len()).map(camera)),
-            kinds: vec!["robot".into()],
-            object_names: BTreeMap::new(),
-            body_names: Vec::new(),
-        })
-    }
 
     fn lens() -> Camera {
         Camera::new(Intrinsics {
@@ -150,48 +132,17 @@ mod tests {
             height: 480,
             fx_px: FOCAL_PX,
             fy_px: FOCAL_PX,
-            cx_px: 319.5,
-            cy_px: 239.5,
+            cx_px: MIDDLE.u,
+            cy_px: MIDDLE.v,
             lens: Lens::PlumbBob([0.0; 5]),
         })
         .unwrap()
     }
 
-    fn frame(camera: CameraId, number: u64, time: Timestamp) -> FrameObservations {
-        let rim = Ellipse {
-            center: PixelPoint { u: 319.5, v: 239.5 },
-            semi_major_px: 20.0,
-            semi_minor_px: 20.0,
-            angle_rad: 0.0,
-        };
-        let pose = RoundelPose {
-            position_m: Vector3::new(0.0, 0.0, DEPTH_M),
-            normal: -Vector3::z(),
-            normal_likelihood: 1.0,
-            other_normal: -Vector3::z(),
-            yaw_rad: None,
-            yaw_symmetry: 1,
-            covariance: Covariance6::identity() * 1e-4,
-        };
-        let detection = Detection {
-            track: TrackNumber(1),
-            ring: Ring { kind: Some(KindId(0)), ..Ring::of_rims(rim, rim) },
-            capture_time: time,
-            pose: Some(pose),
-        };
-        FrameObservations {
-            camera,
-            frame: number,
-            capture_time: time,
-            received_time: time,
-            calibration_version: 0,
-            detections: vec![detection],
-        }
-    }
-
     /// What the hub says of each camera after cameras that are off by so much along x have seen the same for two seconds.
     fn told(offsets_m: &[f64]) -> Vec<f64> {
-        let (hub, mut fusion) = (Arc::new(hub()), Fusion::new(FusionParams::default()));
+        let (hub, mut fusion) =
+            (Arc::new(hub(&["0", "1", "2"], START)), Fusion::new(FusionParams::default()));
         let cameras: BTreeSet<CameraId> = CAMERAS[..offsets_m.len()].iter().copied().collect();
         for (camera, offset_m) in cameras.iter().zip(offsets_m) {
             let world_from_camera = Rigid::translation(*offset_m, 0.0, 0.0);

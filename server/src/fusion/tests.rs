@@ -2,64 +2,20 @@ use std::{sync::mpsc::sync_channel, time::Duration};
 
 use nalgebra::Vector3;
 use roundel_core::{
-    camera::PixelPoint,
-    ellipse::Ellipse,
-    id::{BodyId, KindId, TrackNumber},
-    marker::Ring,
-    pose::{Detection, RoundelPose},
+    id::{BodyId, KindId},
     rigid::{Covariance6, Rigid},
-    world::{CameraPlacement, FrameObservations, FusionParams, MotionClass, WrongHeight},
+    world::{CameraPlacement, FusionParams, MotionClass, WrongHeight},
 };
 
 use super::*;
-use crate::hub::{CameraInfo, EVENTS_KEPT, Installation};
+use crate::hub::EVENTS_KEPT;
 
 fn hub(clock: &Clock) -> Arc<Hub> {
-    Arc::new(Hub::new(Installation {
-        name: "lab".into(),
-        source_id: "s".into(),
-        started: clock.now(),
-        snapshot_rate_hz: 100.0,
-        cameras: Installation::numbered([CameraInfo {
-            name: "north".into(),
-            ..CameraInfo::default()
-        }]),
-        kinds: vec!["robot".into()],
-        object_names: BTreeMap::from([(KindId(0), "robot one".into())]),
-        body_names: vec!["carrier".into()],
-    }))
+    Arc::new(sample::hub(&["north"], clock.now()))
 }
 
 fn sighted(frame: u64, capture_time: Timestamp) -> Sighted {
-    let rim = Ellipse {
-        center: PixelPoint { u: 320.0, v: 240.0 },
-        semi_major_px: 20.0,
-        semi_minor_px: 20.0,
-        angle_rad: 0.0,
-    };
-    let pose = RoundelPose {
-        position_m: Vector3::new(0.0, 0.0, 3.0),
-        normal: -Vector3::z(),
-        normal_likelihood: 1.0,
-        other_normal: -Vector3::z(),
-        yaw_rad: None,
-        yaw_symmetry: 1,
-        covariance: Covariance6::identity() * 1e-4,
-    };
-    let detection = Detection {
-        track: TrackNumber(1),
-        ring: Ring { kind: Some(KindId(0)), ..Ring::of_rims(rim, rim) },
-        capture_time,
-        pose: Some(pose),
-    };
-    let observations = FrameObservations {
-        camera: CameraId(0),
-        frame,
-        capture_time,
-        received_time: capture_time,
-        calibration_version: 1,
-        detections: vec![detection],
-    };
+    let observations = sample::frame(CameraId(0), frame, capture_time);
     Sighted { observations: Arc::new(observations), placement: None }
 }
 
