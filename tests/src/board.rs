@@ -1,13 +1,14 @@
-//! Calibration boards as printed and as a camera sees them: Roundel's, and a chessboard of the same size for
-//! others. Written from the facts of the print alone: 7 by 5 coded roundels of 30 mm, 36 mm apart, numbered
+//! Calibration boards as printed and as a camera sees them: Roundel's, and a chessboard and a ChArUco board of the same size. Written from the facts of the print alone: 7 by 5 coded roundels of 30 mm, 36 mm apart, numbered
 //! row by row from the top left.
 
+#[cfg(feature = "chessboard")]
+use anyhow::Context;
 use nalgebra::{Isometry3, Point3, Translation3, UnitQuaternion, Vector3};
 use rayon::prelude::*;
 use roundel_core::{
     calib::{
         board::Board,
-        lens::{Chooser, LensCalibration, LensCalibrationError, View, calibrate},
+        lens::{Chooser, LensCalibration, LensCalibrationError, Target, View, calibrate},
     },
     frame::Frame,
     marker::{CodeLayout, Detector, Mode, Params, Scratch},
@@ -33,6 +34,19 @@ const RIM: usize = 180;
 pub const SQUARES: (usize, usize) = (10, 7);
 /// A side of them.
 pub const SQUARE_M: f64 = 0.025;
+/// The chessboards as they are described.
+pub const CHESSBOARD: &str = "chessboard:9x6:25";
+/// With markers.
+pub const CHARUCO: &str = "charuco:10x7:25:17.5:DICT_4X4_50";
+/// OpenCV's DICT_4X4_50, the first 35, as `cv2.aruco.generateImageMarker` draws them: bits row by row, white ones set.
+const MARKERS: [u16; 35] = [
+    0xb532, 0x0f9a, 0x332d, 0x9946, 0x549e, 0x79cd, 0x9e2e, 0xc4f2, 0xfeda, 0xcf56, 0xf991, 0x11a7,
+    0x0eb7, 0x2a0f, 0x24b1, 0x263e, 0x4665, 0x6600, 0x6c5e, 0x76af, 0x868b, 0xb02b, 0xccd5, 0xdd82,
+    0xfe47, 0x9471, 0xace4, 0xa554, 0x2123, 0x346f, 0x4415, 0x57b2, 0x9ecf, 0xf0cb, 0x08ae,
+];
+/// A marker's side over a square's, and its cells across with the black border.
+pub const MARKER_SHARE: f64 = 0.7;
+const CELLS: usize = 6;
 /// Both boards' paper reaches this far beyond.
 const EDGE_M: f64 = 0.012;
 
@@ -63,19 +77,48 @@ pub fn board_print() -> Print {
 
 /// The chessboard, its first square black.
 pub fn chessboard_print() -> Print {
+    squares_print(|_, _| Vec::new())
+}
+
+/// The chessboard with markers in its white squares, numbered row by row.
+pub fn charuco_print() -> Print {
+    let mut markers = MARKERS.iter();
+    squares_print(|left, top| {
+        let side_m = SQUARE_M * MARKER_SHARE;
+        let (left, top) = (left + (SQUARE_M - side_m) / 2.0, top - (SQUARE_M - side_m) / 2.0);
+        let cell_m = side_m / CELLS as f64;
+        let mut inks = vec![square([left, top], side_m, false)];
+        let word = markers.next().copied().unwrap_or_default();
+        for bit in (0..16).filter(|bit| word >> (15 - bit) & 1 == 1) {
+            let (column, row) = (bit % 4 + 1, bit / 4 + 1);
+            let corner = [left + column as f64 * cell_m, top - row as f64 * cell_m];
+            inks.push(square(corner, cell_m, true));
+        }
+        inks
+    })
+}
+
+/// Black squares and what is in the white ones, by their upper left corners.
+fn squares_print(mut white: impl FnMut(f64, f64) -> Vec<Ink>) -> Print {
     let (across, down) = (SQUARES.0 as f64 * SQUARE_M, SQUARES.1 as f64 * SQUARE_M);
     let mut inks = Vec::new();
     for index in 0..SQUARES.0 * SQUARES.1 {
         let (column, row) = (index % SQUARES.0, index / SQUARES.0);
+        let (left, top) =
+            (column as f64 * SQUARE_M - across / 2.0, down / 2.0 - row as f64 * SQUARE_M);
         if (column + row).is_multiple_of(2) {
-            let (left, top) =
-                (column as f64 * SQUARE_M - across / 2.0, down / 2.0 - row as f64 * SQUARE_M);
-            let (right, bottom) = (left + SQUARE_M, top - SQUARE_M);
-            let corners = straight(&[[left, top], [left, bottom], [right, bottom], [right, top]]);
-            inks.push(Ink { outline: Outline::Polygon(corners), white: false });
+            inks.push(square([left, top], SQUARE_M, false));
+        } else {
+            inks.extend(white(left, top));
         }
     }
     Print { sheet: sheet(across / 2.0 + EDGE_M, down / 2.0 + EDGE_M), inks }
+}
+
+fn square([left, top]: [f64; 2], side_m: f64, white: bool) -> Ink {
+    let (right, bottom) = (left + side_m, top - side_m);
+    let corners = [[left, top], [left, bottom], [right, bottom], [right, top]];
+    Ink { outline: Outline::Polygon(straight(&corners)), white }
 }
 
 fn sheet(half_across_m: f64, half_down_m: f64) -> Outline {
@@ -200,12 +243,34 @@ pub fn lens_by(board: Board, pictures: &[Image]) -> Result<LensCalibration, Lens
         })
         .collect();
     let size = pictures.first().map_or((0, 0), |image| (image.width, image.height));
-    let mut chooser = Chooser::new(board.clone(), size, false);
+    let target = Target::from(board);
+    let mut chooser = Chooser::new(target.clone(), size, false);
     for view in views {
         chooser.offer(view);
     }
     if let Some(other) = chooser.other_board() {
         return Err(other);
     }
-    calibrate(&board, size, chooser.taken(), None)
+    calibrate(&target, size, chooser.taken(), None)
+}
+
+/// What is found in pictures of a chessboard that is described as on the command line.
+#[cfg(feature = "chessboard")]
+pub fn lens_of_chessboard(text: &str, pictures: &[Image]) -> anyhow::Result<LensCalibration> {
+    use roundel_server::lens::{
+        chessboard,
+        search::{Search, Sought},
+    };
+    let described = chessboard::parse(text).and_then(Result::ok);
+    let sought = Sought::Chessboard(described.with_context(|| format!("no chessboard: {text}"))?);
+    let mut search = Search::new(&sought, false)?;
+    for image in pictures {
+        search.look(&Frame::new(&image.pixels, image.width, image.height, image.width)?)?;
+    }
+    let gathered = search.into_gathered().context("no pictures")?;
+    if let Some(other) = gathered.other_print(true) {
+        return Err(other.into());
+    }
+    let chooser = &gathered.chooser;
+    Ok(calibrate(chooser.target(), gathered.size, chooser.taken(), None)?)
 }

@@ -157,7 +157,8 @@ impl Board {
         Some(Point3::new(center.x, center.y, 0.0))
     }
 
-    fn flat(&self, number: u16) -> Option<Point2<f64>> {
+    /// Where the roundel of that number is on the print, metres.
+    pub(super) fn flat(&self, number: u16) -> Option<Point2<f64>> {
         let index = usize::from(number).checked_sub(1).filter(|&index| index < self.count())?;
         let (column, row) = (index % self.columns, index / self.columns);
         let from_middle = |place: usize, count: usize| place as f64 - (count - 1) as f64 / 2.0;

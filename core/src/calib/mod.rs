@@ -3,5 +3,6 @@
 
 pub mod arena;
 pub mod board;
+pub mod checkerboard;
 pub mod lens;
 pub mod watch;

@@ -12,6 +12,9 @@
 //! One runs at a time. A camera goes on meanwhile: what is looked at are copies of some of its frames, ten a second at most,
 //! and the thread looks for half of the time at most. One that nobody asks about for a minute ends.
 
+pub mod chessboard;
+#[cfg(feature = "chessboard")]
+mod corners;
 mod drawing;
 mod pictures;
 pub mod report;

@@ -3,15 +3,65 @@
 use roundel_core::{
     calib::{
         board::Board,
-        lens::{Chooser, Verdict, View},
+        lens::{Chooser, LensCalibrationError, Target, Verdict, View},
     },
     frame::Frame,
     marker::{Detector, DetectorError, Mode, Params, Ring, Scratch},
 };
 use thiserror::Error;
 
+use super::chessboard::{Chessboard, OtherChessboard, Others};
+#[cfg(feature = "chessboard")]
+use super::corners;
+
 /// Enough views, once nothing is missing.
 pub const GOOD_VIEWS: usize = 20;
+
+/// What is held before the camera.
+#[derive(Clone, Debug, PartialEq)]
+pub enum Sought {
+    /// Roundel's own board.
+    Roundels(Board),
+    /// One that another tool has printed.
+    Chessboard(Chessboard),
+}
+
+impl Sought {
+    fn target(&self) -> Target {
+        match self {
+            Self::Roundels(board) => board.clone().into(),
+            Self::Chessboard(board) => board.corners.into(),
+        }
+    }
+}
+
+/// Why nothing can be looked for.
+#[derive(Clone, Debug, PartialEq, Error)]
+pub enum SearchError {
+    /// Not these roundels.
+    #[error(transparent)]
+    Roundels(#[from] DetectorError),
+    /// Not in this program.
+    #[error(
+        "this roundel was built without chessboards (`cargo build --release -p roundel-server --features chessboard` \
+         builds it with them); `roundel print --board 7x5 board.pdf` prints a board that needs no more than this one"
+    )]
+    WithoutChessboards,
+    /// Not this chessboard.
+    #[error("{0}")]
+    Chessboard(String),
+}
+
+/// The print is not what was said.
+#[derive(Clone, Debug, PartialEq, Error)]
+pub enum OtherPrint {
+    /// Of roundels.
+    #[error(transparent)]
+    Board(LensCalibrationError),
+    /// Of squares.
+    #[error(transparent)]
+    Chessboard(#[from] OtherChessboard),
+}
 
 /// A picture of another size than those before.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Error)]
@@ -45,19 +95,22 @@ pub struct Gathered {
     pub alike: usize,
     /// … and of a board with other columns or rows.
     pub others: usize,
+    /// Of a plain chessboard, what else it looked like.
+    grids: Others,
 }
 
 impl Gathered {
-    fn new(board: &Board, size: (usize, usize), still: bool) -> Self {
+    fn new(target: Target, size: (usize, usize), still: bool) -> Self {
         Self {
             size,
-            chooser: Chooser::new(board.clone(), size, still),
+            chooser: Chooser::new(target, size, still),
             frames: 0,
             without_board: 0,
             too_little: 0,
             moving: 0,
             alike: 0,
             others: 0,
+            grids: Others::default(),
         }
     }
 
@@ -80,6 +133,20 @@ impl Gathered {
         text
     }
 
+    /// Why there will be no lens, once it is clear that the print is another one than is described; `is_over`: no more
+    /// pictures come.
+    pub fn other_print(&self, is_over: bool) -> Option<OtherPrint> {
+        let of_roundels = self.chooser.other_board().map(OtherPrint::Board);
+        let of_squares = || match self.chooser.target() {
+            Target::Corners(board) => {
+                let taken = self.chooser.taken().len();
+                self.grids.told(board, taken, is_over).map(OtherPrint::Chessboard)
+            }
+            Target::Roundels(_) => None,
+        };
+        of_roundels.or_else(of_squares)
+    }
+
     /// Whether nothing is missing any more.
     pub fn is_complete(&self) -> bool {
         self.chooser.taken().len() >= GOOD_VIEWS && self.chooser.coverage().wants().is_empty()
@@ -88,34 +155,86 @@ impl Gathered {
 
 /// Looks for the board in one picture after the other.
 pub struct Search {
-    board: Board,
-    detector: Detector,
-    scratch: Scratch,
+    target: Target,
+    finder: Finder,
     still: bool,
     gathered: Option<Gathered>,
 }
 
+enum Finder {
+    Roundels(Board, Box<(Detector, Scratch)>),
+    #[cfg(feature = "chessboard")]
+    Corners(corners::Finder),
+}
+
+/// What one picture shows.
+enum Sight<'a> {
+    Board(View, &'a [Ring]),
+    /// Of a chessboard, columns and rows that are not those described.
+    #[cfg(feature = "chessboard")]
+    OtherGrid((usize, usize)),
+}
+
+impl Finder {
+    fn new(sought: &Sought) -> Result<Self, SearchError> {
+        match sought {
+            Sought::Roundels(board) => {
+                let defaults = Params::default();
+                let max_roundels = defaults.max_roundels.max(board.count());
+                let params = Params { mode: Mode::Precise, max_roundels, ..defaults };
+                let detector = Detector::new(vec![board.kind()], params)?;
+                Ok(Self::Roundels(board.clone(), Box::new((detector, Scratch::default()))))
+            }
+            #[cfg(feature = "chessboard")]
+            Sought::Chessboard(board) => {
+                corners::Finder::new(board).map(Self::Corners).map_err(SearchError::Chessboard)
+            }
+            #[cfg(not(feature = "chessboard"))]
+            Sought::Chessboard(_) => Err(SearchError::WithoutChessboards),
+        }
+    }
+
+    fn find(&mut self, frame: &Frame<'_>) -> Sight<'_> {
+        match self {
+            Self::Roundels(board, detecting) => {
+                let (detector, scratch) = &mut **detecting;
+                let rings = detector.detect(frame, scratch);
+                Sight::Board(View::of_rings(board, rings), rings)
+            }
+            #[cfg(feature = "chessboard")]
+            Self::Corners(finder) => match finder.find(frame) {
+                corners::Found::Board(view) => Sight::Board(view, &[]),
+                corners::Found::Other(sides) => Sight::OtherGrid(sides),
+            },
+        }
+    }
+}
+
 impl Search {
     /// `still`: pictures follow one another in time, so a board that moves is seen to move.
-    pub fn new(board: Board, still: bool) -> Result<Self, DetectorError> {
-        let defaults = Params::default();
-        let max_roundels = defaults.max_roundels.max(board.count());
-        let params = Params { mode: Mode::Precise, max_roundels, ..defaults };
-        let detector = Detector::new(vec![board.kind()], params)?;
-        Ok(Self { board, detector, scratch: Scratch::default(), still, gathered: None })
+    pub fn new(sought: &Sought, still: bool) -> Result<Self, SearchError> {
+        let finder = Finder::new(sought)?;
+        Ok(Self { target: sought.target(), finder, still, gathered: None })
     }
 
     /// Looks at a picture: what became of it, and the rings that were found in it.
     pub fn look(&mut self, frame: &Frame<'_>) -> Result<(Verdict, &[Ring]), SizeChanged> {
         let found = (frame.width(), frame.height());
-        let (board, still) = (&self.board, self.still);
-        let gathered = self.gathered.get_or_insert_with(|| Gathered::new(board, found, still));
+        let (target, still) = (&self.target, self.still);
+        let gathered =
+            self.gathered.get_or_insert_with(|| Gathered::new(target.clone(), found, still));
         if gathered.size != found {
             return Err(SizeChanged { expected: gathered.size, found });
         }
         gathered.frames += 1;
-        let rings = self.detector.detect(frame, &mut self.scratch);
-        let verdict = gathered.chooser.offer(View::of_rings(board, rings));
+        let (verdict, rings) = match self.finder.find(frame) {
+            Sight::Board(view, rings) => (gathered.chooser.offer(view), rings),
+            #[cfg(feature = "chessboard")]
+            Sight::OtherGrid(sides) => {
+                gathered.grids.add(sides);
+                (Verdict::TooLittle, &[] as &[Ring])
+            }
+        };
         match verdict {
             Verdict::Taken => {}
             Verdict::NoBoard => gathered.without_board += 1,

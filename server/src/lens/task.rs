@@ -12,13 +12,13 @@ use super::{
     drawing::Shown,
     pictures::{self, End},
     report::{LensReport, Stage},
-    search::{Gathered, Search},
+    search::{Gathered, Search, Sought},
 };
 use crate::stop::Stop;
 
 /// From the first picture to a lens, or to the reason why there is none.
 pub(super) fn run(shared: &Arc<Shared>, wanted: Wanted, stop: &Stop) {
-    let outcome = Search::new(wanted.board.clone(), true)
+    let outcome = Search::new(&Sought::Roundels(wanted.board.clone()), true)
         .map_err(|error| error.to_string())
         .and_then(|mut search| {
             gather(shared, &wanted, stop, &mut search)?;
@@ -75,7 +75,7 @@ fn gather(
         if is_left() {
             return Err(left());
         }
-        if let Some(error) = gathered.chooser.other_board() {
+        if let Some(error) = gathered.other_print(false) {
             return Err(error.to_string());
         }
         Ok(gathered.is_complete() || gathered.chooser.taken().len() >= wanted.most)
@@ -100,7 +100,8 @@ fn gather(
 fn solve(wanted: &Wanted, gathered: &Gathered) -> Result<Found, LensCalibrationError> {
     let begun = Instant::now();
     let taken = gathered.chooser.taken();
-    let lens = Arc::new(calibrate(&wanted.board, gathered.size, taken, wanted.model)?);
+    let target = gathered.chooser.target();
+    let lens = Arc::new(calibrate(target, gathered.size, taken, wanted.model)?);
     let seconds = begun.elapsed().as_secs_f64();
     tracing::info!(views = taken.len(), rms_px = lens.rms_px, seconds, "a lens was found");
     let camera = match &wanted.subject {

@@ -165,3 +165,22 @@ fn wrong_arguments_of_detect_are_named() {
         assert!(stderr(&output).contains(expected), "{arguments:?}: {}", stderr(&output));
     }
 }
+
+#[test]
+fn boards_that_cannot_be_are_told() {
+    let told = |arguments: &[&str]| {
+        let output = run(&[&["calibrate", "lens"], arguments].concat());
+        assert!(!output.status.success() && output.stdout.is_empty(), "{arguments:?}");
+        stderr(&output)
+    };
+    let short = told(&["--board", "chessboard:9x6", "views"]);
+    assert!(short.contains("such as chessboard:9x6:25"), "{short}");
+    let plain = told(&["--board", "chess:9x6:25", "views"]);
+    assert!(plain.contains("found `chess:9x6:25`; boards of other tools are"), "{plain}");
+    let mixed = told(&["--board", "chessboard:9x6:25", "--pitch", "25", "views"]);
+    assert!(mixed.contains("--pitch and --code describe a board of roundels"), "{mixed}");
+    if cfg!(not(feature = "chessboard")) {
+        let lacking = told(&["--board", "chessboard:9x6:25", "views"]);
+        assert!(lacking.contains("--features chessboard` builds it with them"), "{lacking}");
+    }
+}

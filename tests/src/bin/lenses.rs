@@ -1,46 +1,65 @@
 //! How well lenses are found: 30 rendered views a seed, next to the truth and to what is stated.
 //!
-//! `cargo run --release -p roundel-tests --bin lenses -- [SEEDS] [--export DIR]`. With `--export` pictures of a
-//! chessboard of the same size from the same places are written, for `tests/compare/lens`.
+//! `cargo run --release -p roundel-tests --bin lenses -- [SEEDS] [--board chessboard|charuco] [--export DIR]`. With
+//! `--board` (and `--features chessboard`) the views are of a chessboard of the same size. With `--export` pictures of
+//! that from the same places are written, for `tests/compare/lens`.
 
 use std::{collections::BTreeMap, fmt, fs, path::PathBuf, process::ExitCode};
 
+use anyhow::Context;
+#[cfg(not(feature = "chessboard"))]
+use anyhow::bail;
+use roundel_core::calib::lens::LensCalibration;
+#[cfg(feature = "chessboard")]
+use roundel_tests::board::{CHARUCO, CHESSBOARD, lens_of_chessboard};
 use roundel_tests::{
     board::{
-        SQUARE_M, SQUARES, board_print, camera, chessboard_print, imaging, lens, pictures, poses,
+        SQUARE_M, SQUARES, board_print, camera, charuco_print, chessboard_print, imaging, lens,
+        pictures, poses,
     },
     export::write_png,
     normal::Random,
+    render::{Image, Print},
 };
 
 const VIEWS: usize = 30;
 
 fn main() -> ExitCode {
     let mut arguments = std::env::args().skip(1);
-    let (mut seeds, mut export) = (50, None);
+    let (mut seeds, mut export, mut board) = (50, None, Board::Roundels);
     while let Some(argument) = arguments.next() {
         match argument.as_str() {
             "--export" => export = arguments.next().map(PathBuf::from),
+            "--board" => match arguments.next().as_deref() {
+                Some("chessboard") => board = Board::Chessboard,
+                Some("charuco") => board = Board::Charuco,
+                other => {
+                    eprintln!("expected --board chessboard or charuco, found {other:?}");
+                    return ExitCode::from(2);
+                }
+            },
             number => match number.parse::<u64>() {
                 Ok(number) if number > 0 => seeds = number,
                 _ => {
-                    eprintln!("expected a number of seeds or --export DIR, found {number:?}");
+                    eprintln!(
+                        "expected a number of seeds, --board or --export DIR, found {number:?}"
+                    );
                     return ExitCode::from(2);
                 }
             },
         }
     }
     let truth = camera();
-    let print = board_print();
+    let print = board.print();
     let mut ratios: BTreeMap<&'static str, Vec<f64>> = BTreeMap::new();
     let (mut worst_focal, mut worst_center_px, mut rms_px, mut models) =
         (0.0_f64, 0.0_f64, 0.0, Vec::new());
     for seed in 0..seeds {
         let poses = poses(&truth, VIEWS, &mut Random::new(seed, 0));
-        let found = match lens(&pictures(&truth, imaging(), &print, &poses, seed)) {
+        let found = match board.lens(&pictures(&truth, imaging(), &print, &poses, seed)) {
             Ok(found) => found,
             Err(error) => {
-                eprintln!("seed {seed}: {error}");
+                eprintln!("seed {seed}: {error:#}");
                 return ExitCode::FAILURE;
             }
         };
@@ -92,6 +111,36 @@ fn main() -> ExitCode {
     let all: Vec<f64> = ratios.into_values().flatten().collect();
     println!("all of them: {}", Told(&all));
     ExitCode::SUCCESS
+}
+
+/// What is held before the camera.
+#[derive(Clone, Copy)]
+enum Board {
+    Roundels,
+    Chessboard,
+    Charuco,
+}
+
+impl Board {
+    fn print(self) -> Print {
+        match self {
+            Self::Roundels => board_print(),
+            Self::Chessboard => chessboard_print(),
+            Self::Charuco => charuco_print(),
+        }
+    }
+
+    fn lens(self, pictures: &[Image]) -> anyhow::Result<LensCalibration> {
+        match self {
+            Self::Roundels => lens(pictures).context("of roundels"),
+            #[cfg(feature = "chessboard")]
+            Self::Chessboard => lens_of_chessboard(CHESSBOARD, pictures),
+            #[cfg(feature = "chessboard")]
+            Self::Charuco => lens_of_chessboard(CHARUCO, pictures),
+            #[cfg(not(feature = "chessboard"))]
+            Self::Chessboard | Self::Charuco => bail!("run it with --features chessboard"),
+        }
+    }
 }
 
 /// Errors over their deviations.

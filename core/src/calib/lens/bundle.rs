@@ -28,7 +28,7 @@ use crate::camera::Camera;
 /// Rounds in which large errors count linearly, and most rounds in all.
 const ROBUST_ROUNDS: usize = 3;
 const MOST_ROUNDS: usize = 8;
-/// A view of whose roundels a smaller share agrees with the others is left out.
+/// A view of whose points a smaller share agrees with the others is left out.
 const LEAST_KEPT: f64 = 0.7;
 /// A view whose errors are this many times the median view's is left out.
 const BAD_VIEW: f64 = 3.0;
@@ -59,7 +59,8 @@ pub(super) struct Point {
 #[derive(Clone)]
 pub(super) struct Bundle {
     candidate: Candidate,
-    radius_m: f64,
+    /// Of the circles whose images' centres are seen; none: points are seen.
+    rim_m: Option<f64>,
     pub(super) stations: Vec<Station>,
 }
 
@@ -85,7 +86,7 @@ pub(super) struct Normal {
 impl Bundle {
     pub(super) fn new(
         size: (usize, usize),
-        radius_m: f64,
+        rim_m: Option<f64>,
         started: &Started,
         model: Model,
     ) -> Self {
@@ -103,7 +104,7 @@ impl Bundle {
         });
         Self {
             candidate: Candidate::new(size, started.focal_px, model),
-            radius_m,
+            rim_m,
             stations: stations.collect(),
         }
     }
@@ -129,11 +130,12 @@ impl Bundle {
 
     /// The largest change, pixels.
     fn renew_offsets(&mut self) -> Option<f64> {
+        let Some(rim_m) = self.rim_m else { return Some(0.0) };
         let camera = self.candidate.camera()?;
         let mut moved_px: f64 = 0.0;
         for station in &mut self.stations {
             for point in &mut station.points {
-                let (u, v) = offset_px(&camera, &station.pose, &point.at, self.radius_m).ok()?;
+                let (u, v) = offset_px(&camera, &station.pose, &point.at, rim_m).ok()?;
                 let offset = Vector2::new(u, v);
                 moved_px = moved_px.max((offset - point.offset).norm());
                 point.offset = offset;

@@ -9,8 +9,8 @@ use super::{
     candidate::PINHOLE,
     model::Model,
     start::Started,
+    target::Target,
 };
-use crate::calib::board::Board;
 
 /// What speaks for a model.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -32,16 +32,15 @@ pub(super) struct Best {
 
 /// `None` if no model converges.
 pub(super) fn best(
-    board: &Board,
+    target: &Target,
     size: (usize, usize),
     started: &Started,
     models: &[Model],
 ) -> Option<Best> {
-    let radius_m = board.kind().outer_diameter_m / 2.0;
     let mut fits: Vec<(Evidence, Fit)> = models
         .iter()
         .filter_map(|&model| {
-            let fit = Bundle::new(size, radius_m, started, model).fit()?;
+            let fit = Bundle::new(size, target.rim_m(), started, model).fit()?;
             let (count, parameters) = (fit.count as f64, (PINHOLE + model.free().len()) as f64);
             // Models that leave out other views are told by what a sighting costs them.
             let criterion =

@@ -1,11 +1,11 @@
 //! Which of a stream of views are worth keeping.
 
 use super::{
-    super::board::Board,
     LensCalibrationError,
     coverage::Coverage,
     flat::Flat,
     shape,
+    target::Target,
     view::{LEAST_ROUNDELS, View},
 };
 
@@ -21,7 +21,7 @@ const LEAST_OTHERS: usize = 3;
 pub enum Verdict {
     /// It is kept.
     Taken,
-    /// No roundel of the board was found.
+    /// No roundel or corner of the board was found.
     NoBoard,
     /// Fewer roundels than [`LEAST_ROUNDELS`], or they are not where a flat board has them.
     TooLittle,
@@ -36,7 +36,7 @@ pub enum Verdict {
 /// Chooses views of a stream: the board held still for a moment, at a new place or turned anew.
 #[derive(Clone, Debug)]
 pub struct Chooser {
-    board: Board,
+    target: Target,
     size: (usize, usize),
     still: bool,
     last: Option<View>,
@@ -49,16 +49,16 @@ pub struct Chooser {
 impl Chooser {
     /// For a camera of `size` = (columns, rows). `still`: views follow one another in time, so a board that moves is
     /// seen to move; else each picture stands for itself.
-    pub fn new(board: Board, size: (usize, usize), still: bool) -> Self {
+    pub fn new(target: Target, size: (usize, usize), still: bool) -> Self {
         let coverage = Coverage::new(size);
-        Self { board, size, still, last: None, taken: Vec::new(), coverage, others: (0, None) }
+        Self { target, size, still, last: None, taken: Vec::new(), coverage, others: (0, None) }
     }
 
     /// Looks at the next view.
     pub fn offer(&mut self, view: View) -> Verdict {
         let verdict = self.judge(&view);
         if verdict == Verdict::Taken {
-            if let Some(flat) = Flat::of(&self.board, &view) {
+            if let Some(flat) = Flat::of(&self.target, &view) {
                 self.coverage.add(&view, &flat, self.size);
             }
             self.taken.push(view.clone());
@@ -75,10 +75,11 @@ impl Chooser {
         if view.sightings.is_empty() {
             return Verdict::NoBoard;
         }
-        if let Some((columns, rows)) = shape::other_sides(&self.board, view) {
+        let other = self.target.board().and_then(|board| shape::other_sides(board, view));
+        if let Some((columns, rows)) = other {
             return Verdict::OtherBoard(columns, rows);
         }
-        if view.sightings.len() < LEAST_ROUNDELS || Flat::of(&self.board, view).is_none() {
+        if view.sightings.len() < LEAST_ROUNDELS || Flat::of(&self.target, view).is_none() {
             return Verdict::TooLittle;
         }
         let moved_px = self.last.as_ref().and_then(|last| last.distance_px(view));
@@ -97,10 +98,15 @@ impl Chooser {
     pub fn other_board(&self) -> Option<LensCalibrationError> {
         let (count, sides) = self.others;
         let (found_columns, found_rows) = sides?;
-        let (columns, rows) = (self.board.columns(), self.board.rows());
+        let (columns, rows) = (self.target.columns(), self.target.rows());
         (count >= LEAST_OTHERS && count > self.taken.len()).then_some(
             LensCalibrationError::OtherBoard { columns, rows, found_columns, found_rows },
         )
+    }
+
+    /// What is held before the camera.
+    pub fn target(&self) -> &Target {
+        &self.target
     }
 
     /// The views that were kept.

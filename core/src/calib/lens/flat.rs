@@ -4,10 +4,9 @@ use nalgebra::{
     Isometry3, Matrix3, Point2, Rotation3, SMatrix, Translation3, UnitQuaternion, Vector3,
 };
 
-use super::view::{LEAST_ROUNDELS, Sighting, View};
-use crate::{
-    calib::board::Board,
-    marker::{Code, Pattern},
+use super::{
+    target::Target,
+    view::{LEAST_ROUNDELS, Sighting, View},
 };
 
 /// A roundel this far from where the others' homography has it, in diameters, has another code than was read; a lens
@@ -16,7 +15,7 @@ const MISREAD_DIAMETERS: f64 = 0.6;
 
 /// The board's plane in one picture.
 #[derive(Clone, Debug)]
-pub(crate) struct Flat {
+pub(super) struct Flat {
     /// From the board's metres to raw pixels, up to scale.
     pixel_from_board: Matrix3<f64>,
     /// Roundels that are where it says.
@@ -25,18 +24,11 @@ pub(crate) struct Flat {
 
 impl Flat {
     /// The homography of a view, without the roundels that contradict it; `None` if too few are left.
-    pub(crate) fn of(board: &Board, view: &View) -> Option<Self> {
-        let bits = match board.kind().pattern {
-            Pattern::Coded(layout) => layout.bits,
-            _ => return None,
-        };
+    pub(super) fn of(target: &Target, view: &View) -> Option<Self> {
         let mut sightings: Vec<(Point2<f64>, Sighting)> = view
             .sightings
             .iter()
-            .filter_map(|sighting| {
-                let center = board.center(Code { bits, number: sighting.number })?;
-                Some((center.xy(), *sighting))
-            })
+            .filter_map(|sighting| Some((target.at(sighting.number)?, *sighting)))
             .collect();
         loop {
             if sightings.len() < LEAST_ROUNDELS {

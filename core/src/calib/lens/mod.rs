@@ -1,7 +1,7 @@
 //! A lens from views of a board: focal lengths, principal point, distortion, and how well each is known.
 //!
-//! In: the board's roundels as ellipses in raw pixels, in some ten views from different sides
-//! ([`view`]). Out: a [`Camera`] with the covariance of its parameters.
+//! In: the board's roundels as ellipses in raw pixels, or a chessboard's corners as points ([`Target`]), in some ten views
+//! from different sides ([`view`]). Out: a [`Camera`] with the covariance of its parameters.
 //!
 //! The method is Zhang's (2000): a homography of each view ([`flat`]) gives the focal length
 //! and where the board was ([`start`]); then all is refined together ([`bundle`]) until the *ellipses' centres* are
@@ -27,6 +27,7 @@ mod rim;
 mod robust;
 mod shape;
 mod start;
+mod target;
 pub mod view;
 mod weighing;
 
@@ -38,6 +39,7 @@ pub use self::{
     chooser::{Chooser, Verdict},
     coverage::{Coverage, VISITED, Want, ZONES},
     model::Model,
+    target::Target,
     view::{Sighting, View},
 };
 use super::board::Board;
@@ -59,7 +61,7 @@ pub struct LensCalibration {
     pub rms_px: f64,
     /// Each view as given, in order; `None`: it was left out since it contradicts the others.
     pub views: Vec<Option<ViewFit>>,
-    /// Roundels that were left out of the views that were used.
+    /// Roundels, or corners, that were left out of the views that were used.
     pub outliers: usize,
     /// What speaks for each model, best first.
     pub evidence: Vec<Evidence>,
@@ -72,7 +74,7 @@ pub struct ViewFit {
     pub pose: Isometry3<f64>,
     /// Rms distance between seen and predicted centres, pixels.
     pub rms_px: f64,
-    /// Roundels that were used.
+    /// Roundels, or corners, that were used.
     pub roundels: usize,
 }
 
@@ -128,7 +130,7 @@ pub enum LensCalibrationError {
     /// No model explains what was seen.
     #[error(
         "no lens explains the views: is the board flat, printed at 100 %, and described as it was printed \
-         ({columns} x {rows}, {pitch_mm} mm from centre to centre)?"
+         ({columns} x {rows}, {pitch_mm} mm from one to the next)?"
     )]
     Unexplained {
         /// The board's.
@@ -165,7 +167,7 @@ fn other_board(board: &Board, views: &[View]) -> Option<LensCalibrationError> {
 /// Finds the lens of a camera of `size` = (columns, rows) from views of a board; with `model` of that one, else of
 /// the one for which most speaks.
 pub fn calibrate(
-    board: &Board,
+    target: &Target,
     size: (usize, usize),
     views: &[View],
     model: Option<Model>,
@@ -175,16 +177,16 @@ pub fn calibrate(
     if !(is_side(width) && is_side(height)) {
         return Err(LensCalibrationError::Size { width, height });
     }
-    if let Some(other) = other_board(board, views) {
+    if let Some(other) = target.board().and_then(|board| other_board(board, views)) {
         return Err(other);
     }
-    let started = start::start(board, size, views)?;
+    let started = start::start(target, size, views)?;
     let models = model.map_or_else(|| Model::ALL.to_vec(), |model| vec![model]);
-    let outcome = choice::best(board, size, &started, &models).ok_or_else(|| {
+    let outcome = choice::best(target, size, &started, &models).ok_or_else(|| {
         LensCalibrationError::Unexplained {
-            columns: board.columns(),
-            rows: board.rows(),
-            pitch_mm: board.pitch_m() * 1e3,
+            columns: target.columns(),
+            rows: target.rows(),
+            pitch_mm: target.pitch_m() * 1e3,
         }
     })?;
     Ok(outcome.told(views.len(), &started))
@@ -199,6 +201,7 @@ mod tests {
 
     use super::*;
     use crate::{
+        calib::checkerboard::Checkerboard,
         camera::{Intrinsics, Lens, PixelPoint},
         marker::CodeLayout,
     };
@@ -206,8 +209,8 @@ mod tests {
     const SIZE: (usize, usize) = (1280, 720);
     const NOISE_PX: f64 = 0.03;
 
-    fn board() -> Board {
-        Board::new((7, 5), 0.036, 0.03, CodeLayout { bits: 9, min_distance: 1 }).unwrap()
+    fn board() -> Target {
+        Board::new((7, 5), 0.036, 0.03, CodeLayout { bits: 9, min_distance: 1 }).unwrap().into()
     }
 
     fn camera(lens: Lens) -> Camera {
@@ -225,7 +228,16 @@ mod tests {
 
     /// Views from all sides, as the camera sees the roundels whole.
     fn views(camera: &Camera, count: usize, tilt_rad: f64, rng: &mut ChaCha8Rng) -> Vec<View> {
-        let board = board();
+        views_of(&board(), camera, count, tilt_rad, rng)
+    }
+
+    fn views_of(
+        target: &Target,
+        camera: &Camera,
+        count: usize,
+        tilt_rad: f64,
+        rng: &mut ChaCha8Rng,
+    ) -> Vec<View> {
         let noise = Normal::new(0.0, NOISE_PX).unwrap();
         let mut views = Vec::new();
         while views.len() < count {
@@ -237,10 +249,12 @@ mod tests {
             let place = Vector3::new(within(0.13), within(0.07), 0.32 + within(0.1));
             let pose = Isometry3::from_parts(Translation3::from(place), lean * turn * faced);
             let mut sightings = Vec::new();
-            for (number, center) in board.centers() {
+            for number in 1..=(target.columns() * target.rows()) as u16 {
+                let Some(center) = target.at(number) else { continue };
                 let at = pose * Point3::new(center.x, center.y, 0.0);
                 let Ok(pixel) = camera.project(&at.coords) else { continue };
-                let Ok((u, v)) = rim::offset_px(camera, &pose, &center, 0.015) else { continue };
+                let offset = target.rim_m().map(|it| rim::offset_px(camera, &pose, &center, it));
+                let Ok((u, v)) = offset.unwrap_or(Ok((0.0, 0.0))) else { continue };
                 let radius_px = 0.015 * 900.0 / at.z;
                 let inside =
                     |place: f64, side: usize| place > radius_px && place < side as f64 - radius_px;
@@ -324,6 +338,21 @@ mod tests {
         }
         // Chi square with 30 degrees of freedom over 30: 0.45 to 1.8 holds 99.8 % for one of them.
         assert!(squares.iter().all(|square| (0.4..1.9).contains(square)), "{squares:?}");
+    }
+
+    #[test]
+    fn corners_tell_a_lens_as_roundels_do() {
+        let target = Target::from(Checkerboard::new((9, 6), 0.025).unwrap());
+        let truth = camera(Lens::PlumbBob([-0.12, 0.03, 0.001, -0.0008, 0.0]));
+        let mut rng = ChaCha8Rng::seed_from_u64(11);
+        let views = views_of(&target, &truth, 20, 0.7, &mut rng);
+        let found = calibrate(&target, SIZE, &views, None).unwrap();
+        let (is, was) = (found.camera.intrinsics(), truth.intrinsics());
+        let errors = [is.fx_px - was.fx_px, is.fy_px - was.fy_px, is.cx_px - was.cx_px];
+        for (error, deviation) in errors.iter().zip(found.deviations()) {
+            assert!(error.abs() < 4.0 * deviation && deviation < 0.3, "{errors:?}");
+        }
+        assert!((found.rms_px / (NOISE_PX * 2.0_f64.sqrt()) - 1.0).abs() < 0.1, "{}", found.rms_px);
     }
 
     #[test]

@@ -4,7 +4,7 @@
 //! of the roundels (of 7 x 5 ones taken for 6 x 5 for 20 of 35), and a sheared board is a view like any other. So what is described
 //! is held against other counts of columns: the right one has all roundels in their places.
 
-use super::{LEAST_VIEWS, flat::Flat, view::View};
+use super::{LEAST_VIEWS, flat::Flat, target::Target, view::View};
 use crate::calib::board::Board;
 
 /// Fewer roundels say nothing of the print.
@@ -20,7 +20,9 @@ const WHOLE_SHARE: f64 = 0.9;
 /// the picture.
 pub(super) fn other_sides(board: &Board, view: &View) -> Option<(usize, usize)> {
     let all = view.sightings.len();
-    let fitting = |board: &Board| Flat::of(board, view).map_or(0, |flat| flat.sightings.len());
+    let fitting = |board: &Board| {
+        Flat::of(&Target::from(board.clone()), view).map_or(0, |flat| flat.sightings.len())
+    };
     let described = fitting(board);
     let is_clear =
         |count: usize| count >= described + LEAST_MORE && count as f64 >= LEAST_SHARE * all as f64;

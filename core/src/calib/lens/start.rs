@@ -9,9 +9,9 @@ use super::{
     LEAST_VIEWS, LensCalibrationError,
     coverage::Coverage,
     flat::Flat,
+    target::Target,
     view::{Sighting, View},
 };
-use crate::calib::board::Board;
 
 /// Focal lengths that are believed, in widths of the picture.
 const FOCAL_SHARES: (f64, f64) = (0.2, 20.0);
@@ -32,14 +32,14 @@ pub(super) struct StartedView {
 
 /// Focal length and the board's places.
 pub(super) fn start(
-    board: &Board,
+    target: &Target,
     size: (usize, usize),
     views: &[View],
 ) -> Result<Started, LensCalibrationError> {
     let flats: Vec<(usize, Flat)> = views
         .iter()
         .enumerate()
-        .filter_map(|(index, view)| Some((index, Flat::of(board, view)?)))
+        .filter_map(|(index, view)| Some((index, Flat::of(target, view)?)))
         .collect();
     let mut coverage = Coverage::new(size);
     for (index, flat) in &flats {

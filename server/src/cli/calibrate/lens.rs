@@ -8,13 +8,10 @@ use std::{
     process::ExitCode,
 };
 
-use anyhow::Context;
+use anyhow::{Context, bail};
 use clap::{Args, ValueEnum};
 use roundel_core::{
-    calib::{
-        board::Board,
-        lens::{LensCalibration, Model, calibrate},
-    },
+    calib::lens::{LensCalibration, Model, calibrate},
     marker::CodeLayout,
     plan::precision::LensDoubt,
 };
@@ -26,7 +23,11 @@ use super::{
 };
 use crate::{
     camera_file,
-    lens::{report::parameters, search::Gathered},
+    lens::{
+        chessboard::{self, Chessboard},
+        report::parameters,
+        search::{Gathered, Sought},
+    },
     print::{
         BOARD_LAYOUT, Order,
         spec::{self, Diameters},
@@ -41,6 +42,8 @@ use crate::{
     roundel calibrate lens --output north.yaml v4l2:/dev/video0       move the board before the camera\n  \
     roundel calibrate lens --output north.yaml http://10.0.0.2:81/stream\n  \
     roundel calibrate lens --output north.yaml views/                 a folder, or files\n  \
+    roundel calibrate lens --output north.yaml --board chessboard:9x6:25 views/\n  \
+    roundel calibrate lens --output north.yaml --board charuco:10x7:25:18:DICT_4X4_50 views/\n  \
     roundel calibrate lens --output north.yaml --from-recording run.mcap --camera north\n\n\
     Good views are chosen by themselves: the board held still for a moment, near and far, in the middle and in\n\
     every corner, tilted to each side by 20° to 45°. Fix the print to something flat. It ends when nothing is\n\
@@ -63,9 +66,10 @@ pub(super) struct LensArgs {
     /// The camera of the recording whose lens is wanted
     #[arg(long, value_name = "NAME", requires = "from_recording")]
     camera: Option<String>,
-    /// The printed board: columns and rows
-    #[arg(long, value_name = "COLUMNSxROWS", value_parser = spec::sides, default_value = "7x5")]
-    board: (usize, usize),
+    /// The printed board: columns and rows of roundels; or chessboard:COLUMNSxROWS:SQUARE_MM by its inner corners, or
+    /// charuco:COLUMNSxROWS:SQUARE_MM:MARKER_MM:DICTIONARY by its squares
+    #[arg(long, value_name = "COLUMNSxROWS", value_parser = board_word, default_value = "7x5")]
+    board: BoardWord,
     /// Its roundels' outer diameter, millimetres, as measured on the print [default: 30]
     #[arg(long, value_name = "OUTER_MM", value_parser = spec::diameters)]
     marker: Option<Diameters>,
@@ -90,6 +94,24 @@ pub(super) struct LensArgs {
     /// How to print the report
     #[arg(long, value_enum, default_value_t = Format::Table)]
     format: Format,
+}
+
+/// A board as it is described.
+#[derive(Clone, Debug, PartialEq)]
+enum BoardWord {
+    Roundels((usize, usize)),
+    Chessboard(Chessboard),
+}
+
+fn board_word(text: &str) -> Result<BoardWord, String> {
+    match chessboard::parse(text) {
+        Some(board) => board.map(BoardWord::Chessboard),
+        None => spec::sides(text).map(BoardWord::Roundels).map_err(|error| {
+            format!(
+                "{error}; boards of other tools are described as chessboard:9x6:25 or charuco:10x7:25:18:DICT_4X4_50"
+            )
+        }),
+    }
 }
 
 /// Words for distortion models.
@@ -123,11 +145,11 @@ pub(super) fn run(arguments: &LensArgs) -> anyhow::Result<ExitCode> {
     if let (Some(file), Some(camera)) = (&arguments.from_recording, &arguments.camera) {
         return moving::run(arguments, file, camera);
     }
-    let board = board(arguments)?;
-    let views = Views { board: &board, most: usize::from(arguments.views) };
+    let sought = sought(arguments)?;
+    let views = Views { sought: &sought, most: usize::from(arguments.views) };
     let gathered = gather(&arguments.sources, &views)?;
     let taken = gathered.chooser.taken();
-    let found = calibrate(&board, gathered.size, taken, arguments.model())
+    let found = calibrate(gathered.chooser.target(), gathered.size, taken, arguments.model())
         .with_context(|| format!("no lens was found: {}", gathered.told()))?;
     let text = match arguments.format {
         Format::Json => format!("{}\n", report_of_views(&found, &gathered)),
@@ -163,16 +185,31 @@ fn stem(file: &Path) -> String {
     file.file_stem().unwrap_or_default().to_string_lossy().into_owned()
 }
 
-fn board(arguments: &LensArgs) -> anyhow::Result<Board> {
-    let layout = arguments.code.unwrap_or(BOARD_LAYOUT);
-    Ok(Order::board(arguments.board, arguments.marker, arguments.pitch, layout)?)
+fn sought(arguments: &LensArgs) -> anyhow::Result<Sought> {
+    let LensArgs { marker, pitch, code, .. } = arguments;
+    match &arguments.board {
+        BoardWord::Roundels(sides) => {
+            let layout = code.unwrap_or(BOARD_LAYOUT);
+            Ok(Sought::Roundels(Order::board(*sides, *marker, *pitch, layout)?))
+        }
+        BoardWord::Chessboard(board) => {
+            if marker.is_some() || pitch.is_some() || code.is_some() {
+                bail!(
+                    "--marker, --pitch and --code describe a board of roundels; a chessboard's squares are described in \
+                     --board, such as chessboard:9x6:25"
+                );
+            }
+            Ok(Sought::Chessboard(board.clone()))
+        }
+    }
 }
 
 fn report_of_views(found: &LensCalibration, gathered: &Gathered) -> serde_json::Value {
+    let points = gathered.chooser.target().points();
     let views: Vec<_> = found
         .views
         .iter()
-        .map(|view| view.map(|view| json!({"rms_px": view.rms_px, "roundels": view.roundels})))
+        .map(|view| view.map(|view| json!({"rms_px": view.rms_px, points: view.roundels})))
         .collect();
     let mut report = report(found);
     report["views"] = json!(views);
@@ -215,9 +252,10 @@ fn table(found: &LensCalibration, gathered: &Gathered) -> anyhow::Result<String>
     writeln!(text, "{}", gathered.told())?;
     writeln!(
         text,
-        "{used} views used, {} left out, {} roundels left out; rms {:.3} px; {} % of the picture covered",
+        "{used} views used, {} left out, {} {} left out; rms {:.3} px; {} % of the picture covered",
         found.views.len() - used,
         found.outliers,
+        gathered.chooser.target().points(),
         found.rms_px,
         (gathered.chooser.coverage().share() * 100.0).round()
     )?;

@@ -10,14 +10,11 @@ use std::{
 
 use anyhow::{Context, bail};
 use indicatif::{ProgressBar, ProgressStyle};
-use roundel_core::{
-    calib::{board::Board, lens::Chooser},
-    frame::Frame,
-};
+use roundel_core::frame::Frame;
 
 use crate::{
     image_file,
-    lens::search::{Gathered, Search},
+    lens::search::{Gathered, Search, Sought},
     source::{OpenSource, Playback, SourceAddress, SourceError, SourceOpener, image_files},
     stop::Stop,
 };
@@ -27,7 +24,7 @@ const USUAL_SIZE: (usize, usize) = (1280, 720);
 
 /// What is looked for.
 pub(super) struct Views<'a> {
-    pub(super) board: &'a Board,
+    pub(super) sought: &'a Sought,
     /// No more than so many.
     pub(super) most: usize,
 }
@@ -47,7 +44,7 @@ fn is_stream(source: &str) -> bool {
 }
 
 fn searched(views: &Views<'_>, still: bool) -> anyhow::Result<Search> {
-    Ok(Search::new(views.board.clone(), still)?)
+    Ok(Search::new(views.sought, still)?)
 }
 
 /// Looks at a picture; whether there is enough. Of files, all that there are.
@@ -58,8 +55,7 @@ fn look(
     still: bool,
 ) -> anyhow::Result<bool> {
     search.look(frame)?;
-    let chooser = search.gathered().map(|it| &it.chooser);
-    if let Some(error) = chooser.and_then(Chooser::other_board) {
+    if let Some(error) = search.gathered().and_then(|it| it.other_print(false)) {
         return Err(error.into());
     }
     let enough =
@@ -68,7 +64,8 @@ fn look(
 }
 
 fn done(search: Search, what: &str) -> anyhow::Result<Gathered> {
-    search.into_gathered().with_context(|| format!("{what}: no picture came"))
+    let gathered = search.into_gathered().with_context(|| format!("{what}: no picture came"))?;
+    gathered.other_print(true).map_or(Ok(gathered), |error| Err(error.into()))
 }
 
 fn of_files(sources: &[String], views: &Views<'_>) -> anyhow::Result<Gathered> {
