@@ -27,6 +27,9 @@ use tracing_subscriber::EnvFilter;
 /// Async tasks only pass bytes on; detection and fusion have threads of their own.
 const ASYNC_THREADS: usize = 2;
 
+/// What is logged where RUST_LOG does not say. The finder of ChArUco boards warns of each picture without one.
+const LOG: &str = "info,calib_targets_charuco=error";
+
 /// Localizes robots with printed roundels and cameras.
 #[derive(Debug, Parser)]
 #[command(name = "roundel", version, about, arg_required_else_help = true)]
@@ -58,7 +61,7 @@ enum Command {
 /// success, 1 for failure, 2 for wrong arguments.
 pub fn main() -> ExitCode {
     let arguments = Arguments::parse();
-    let filter = EnvFilter::try_from_default_env().unwrap_or_else(|_| EnvFilter::new("info"));
+    let filter = EnvFilter::try_from_default_env().unwrap_or_else(|_| EnvFilter::new(LOG));
     let colors = stderr().is_terminal();
     tracing_subscriber::fmt().with_env_filter(filter).with_ansi(colors).with_writer(stderr).init();
     let outcome = match arguments.command {

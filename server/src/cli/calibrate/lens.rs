@@ -150,7 +150,9 @@ pub(super) fn run(arguments: &LensArgs) -> anyhow::Result<ExitCode> {
     let gathered = gather(&arguments.sources, &views)?;
     let taken = gathered.chooser.taken();
     let found = calibrate(gathered.chooser.target(), gathered.size, taken, arguments.model())
-        .with_context(|| format!("no lens was found: {}", gathered.told()))?;
+        .with_context(|| {
+            format!("no lens was found: {}{}", gathered.told(), hint(&sought, &gathered))
+        })?;
     let text = match arguments.format {
         Format::Json => format!("{}\n", report_of_views(&found, &gathered)),
         Format::Table => table(&found, &gathered)?,
@@ -201,6 +203,16 @@ fn sought(arguments: &LensArgs) -> anyhow::Result<Sought> {
             }
             Ok(Sought::Chessboard(board.clone()))
         }
+    }
+}
+
+/// Of a ChArUco board nothing is found where anything of its description is wrong.
+fn hint(sought: &Sought, gathered: &Gathered) -> &'static str {
+    let has_markers = matches!(sought, Sought::Chessboard(Chessboard { markers: Some(_), .. }));
+    if has_markers && gathered.without_board == gathered.frames {
+        " (are these its counts of squares and its dictionary, and is the square at the top left black?)"
+    } else {
+        ""
     }
 }
 
