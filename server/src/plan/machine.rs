@@ -14,7 +14,13 @@ use roundel_core::{
 };
 use serde::{Deserialize, Serialize};
 
-use super::trial::{Measured, cases, measure_case};
+use super::{
+    quiet::Probe,
+    trial::{Measured, Timed, cases, time},
+};
+
+/// Share of the cases that are enough to tell the constants by.
+const ENOUGH: f64 = 0.75;
 
 /// Of both modes.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -143,11 +149,17 @@ pub fn usual_path(config: Option<&Path>) -> Option<PathBuf> {
 /// Measures this machine, one core; `progress` is told after each of so many cases.
 pub fn measure(mut progress: impl FnMut(usize, usize)) -> anyhow::Result<(Machine, Vec<Measured>)> {
     let cases = cases();
-    let mut measured = Vec::new();
+    let mut probe = Probe::new()?;
+    let mut timed = Vec::new();
     for (number, case) in cases.iter().enumerate() {
-        measured.extend(measure_case(case)?);
+        timed.push(time(case, &mut probe)?);
         progress(number + 1, cases.len());
     }
+    // What was timed while others used the machine would only mislead, unless there is little else.
+    let was_quiet = |timed: &&Timed| timed.was_quiet(&probe);
+    let is_enough = timed.iter().filter(was_quiet).count() as f64 >= ENOUGH * cases.len() as f64;
+    let used = timed.iter().filter(|timed| !is_enough || was_quiet(timed));
+    let measured: Vec<_> = used.flat_map(|timed| timed.measured(&probe)).collect();
     let constants = |mode: Mode| {
         let own: Vec<_> = measured
             .iter()

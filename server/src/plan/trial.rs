@@ -2,8 +2,8 @@
 //!
 //! In a [`Case`] robots drive below one camera. Its first frame is searched as a whole; in the others the roundels are
 //! followed, sought (a part of each frame goes for new ones) and located, and those count in which all that is kept of
-//! tracks has settled. A frame's least time of several rounds counts, since others use the machine. How fast robots go
-//! through the picture is a matter of the camera's rate; frames are exposed for a quarter of the time between two.
+//! tracks has settled. A frame's least time of several rounds counts, in which the machine was quiet ([`super::quiet`]).
+//! How fast robots go through the picture is a matter of the camera's rate; frames are exposed for a quarter of the time between two.
 
 use std::{collections::HashMap, time::Instant};
 
@@ -17,11 +17,12 @@ use roundel_core::{
     sim::{CameraMount, Renderer, Scenario, ScenarioParams},
 };
 
+use super::quiet::{Probe, Rounds};
+
 /// Frames before those that count, and these: as many as precise mode follows until it looks for motion again.
 const SETTLING: usize = 7;
 const COUNTED: usize = 9;
-/// Rounds of which the quickest counts.
-const ROUNDS: usize = 10;
+const MODES: [Mode; 2] = [Mode::Precise, Mode::Fast];
 /// Share of the time between frames in which one is exposed.
 const EXPOSED_SHARE: f64 = 0.25;
 /// Focal length over the picture's width, that of the reference installations.
@@ -55,7 +56,7 @@ const HUGE: (usize, usize) = (2592, 1944);
 /// What is measured: size of the picture, robots, metres and pixels of their roundels, pixels a frame.
 type Listed = ((usize, usize), usize, f64, f64, f64);
 
-const PLAIN: [Listed; 26] = [
+const PLAIN: [Listed; 28] = [
     (SMALL, 1, 0.25, 30.0, 0.0),
     (SMALL, 4, 0.10, 14.0, 1.0),
     (SMALL, 6, 0.16, 22.0, 4.0),
@@ -79,6 +80,8 @@ const PLAIN: [Listed; 26] = [
     (LARGE, 12, 0.25, 52.0, 1.0),
     (LARGE, 6, 0.25, 80.0, 0.0),
     (LARGE, 5, 0.25, 84.0, 4.5),
+    (LARGE, 3, 0.25, 105.0, 1.0),
+    (LARGE, 2, 0.25, 95.0, 0.0),
     (LARGE, 1, 0.16, 20.0, 0.0),
     (HUGE, 30, 0.25, 36.0, 1.5),
     (HUGE, 1, 0.25, 45.0, 0.0),
@@ -139,8 +142,18 @@ struct Seen {
     motion_px: f64,
 }
 
+/// A case that has been timed.
+#[derive(Clone, Debug)]
+pub struct Timed {
+    image_px: f64,
+    is_coded: bool,
+    seen: [Seen; MODES.len()],
+    /// Of each frame in each mode.
+    rounds: Rounds,
+}
+
 /// A case in all modes: followed, and searched as a whole.
-pub fn measure_case(case: &Case) -> anyhow::Result<Vec<Measured>> {
+pub fn time(case: &Case, probe: &mut Probe) -> anyhow::Result<Timed> {
     let scenario = case.scenario()?;
     let (width, height) = case.size;
     let mut renderer = Renderer::new(&scenario, 0)?;
@@ -149,32 +162,68 @@ pub fn measure_case(case: &Case) -> anyhow::Result<Vec<Measured>> {
         let mut pixels = vec![0; width * height];
         renderer.render(number as u64, &mut pixels)?;
         pictures.push(pixels);
+        probe.time_s();
     }
-    let frames = pictures
-        .iter()
-        .map(|pixels| Frame::new(pixels, width, height, width))
-        .collect::<Result<Vec<_>, _>>()?;
-    let mut measured = Vec::new();
-    for mode in [Mode::Precise, Mode::Fast] {
+    let mut pixels = pictures[0].clone();
+    let mut seen = [Seen::default(); MODES.len()];
+    let mut ways = Vec::new();
+    for (mode, seen) in MODES.into_iter().zip(&mut seen) {
         let kinds = &scenario.params().kinds;
         let detector = Detector::new(kinds.clone(), Params { mode, ..Params::default() })?;
         let mut tracker = Tracker::new(detector);
-        let seen = look(&mut tracker, &frames)?;
+        *seen = look(&mut tracker, &pictures, case.size)?;
         let camera = renderer.camera().camera.clone();
-        let mut locator = Locator::new(camera, kinds.clone(), mode);
-        let [search_s, follow_s] = times(&mut tracker, &mut locator, &frames);
-        let load = |searched_share: f64| Load {
-            image_px: (width * height) as f64,
-            roundels: seen.roundels,
-            diameter_px: seen.diameter_px,
-            motion_px: seen.motion_px,
-            is_coded: case.bits.is_some(),
-            searched_share,
-        };
-        measured.push(Measured { mode, load: load(0.0), time_s: follow_s });
-        measured.push(Measured { mode, load: load(1.0), time_s: search_s });
+        ways.push((tracker, Locator::new(camera, kinds.clone(), mode)));
     }
-    Ok(measured)
+    let mut located = Vec::new();
+    let rounds = probe.rounds(|| {
+        let mut times_s = Vec::new();
+        for (tracker, locator) in &mut ways {
+            tracker.reset();
+            locator.reset();
+            times_s.extend(pictures.iter().map(|picture| {
+                // As a camera's frame it has just been written, so that not all of it is in the nearest cache.
+                pixels.copy_from_slice(picture);
+                let frame = frame_of(&pixels, case.size);
+                let begun = Instant::now();
+                let tracked = tracker.follow(&frame);
+                locator.locate_all(&frame, tracked, &mut located);
+                tracker.seek(&frame);
+                begun.elapsed().as_secs_f64()
+            }));
+        }
+        times_s
+    });
+    Ok(Timed { image_px: (width * height) as f64, is_coded: case.bits.is_some(), seen, rounds })
+}
+
+impl Timed {
+    /// Whether the machine was ever quiet meanwhile.
+    pub fn was_quiet(&self, probe: &Probe) -> bool {
+        self.rounds.were_quiet(probe)
+    }
+
+    /// What it took in all modes: of the first frame, and of one of those that count in the mean.
+    pub fn measured(&self, probe: &Probe) -> Vec<Measured> {
+        let least_s = self.rounds.least_s(probe);
+        let modes = MODES.into_iter().zip(&self.seen).zip(least_s.chunks(SETTLING + COUNTED));
+        let each = modes.flat_map(|((mode, seen), least_s)| {
+            let load = |searched_share: f64| Load {
+                image_px: self.image_px,
+                roundels: seen.roundels,
+                diameter_px: seen.diameter_px,
+                motion_px: seen.motion_px,
+                is_coded: self.is_coded,
+                searched_share,
+            };
+            let follow_s = least_s[SETTLING..].iter().sum::<f64>() / COUNTED as f64;
+            [
+                Measured { mode, load: load(0.0), time_s: follow_s },
+                Measured { mode, load: load(1.0), time_s: least_s[0] },
+            ]
+        });
+        each.collect()
+    }
 }
 
 impl Case {
@@ -209,12 +258,16 @@ impl Case {
     }
 }
 
+fn frame_of(pixels: &[u8], (width, height): (usize, usize)) -> Frame<'_> {
+    Frame::new(pixels, width, height, width).expect("pixels of a frame of this size")
+}
+
 /// Goes through all frames without a clock.
-fn look(tracker: &mut Tracker, frames: &[Frame<'_>]) -> anyhow::Result<Seen> {
+fn look(tracker: &mut Tracker, pictures: &[Vec<u8>], size: (usize, usize)) -> anyhow::Result<Seen> {
     let mut before: HashMap<TrackNumber, TrackedRing> = HashMap::new();
     let (mut count, mut diameters_px, mut moved, mut motions_px) = (0.0, 0.0, 0.0, 0.0);
-    for (number, frame) in frames.iter().enumerate() {
-        let tracked = tracker.process(frame);
+    for (number, pixels) in pictures.iter().enumerate() {
+        let tracked = tracker.process(&frame_of(pixels, size));
         if number >= SETTLING {
             for one in tracked {
                 count += 1.0;
@@ -238,25 +291,6 @@ fn look(tracker: &mut Tracker, frames: &[Frame<'_>]) -> anyhow::Result<Seen> {
     })
 }
 
-/// Seconds of the first frame, and of one of those that count in the mean.
-fn times(tracker: &mut Tracker, locator: &mut Locator, frames: &[Frame<'_>]) -> [f64; 2] {
-    let mut located = Vec::new();
-    let mut least_s = vec![f64::INFINITY; frames.len()];
-    for _ in 0..ROUNDS {
-        tracker.reset();
-        locator.reset();
-        for (frame, least_s) in frames.iter().zip(&mut least_s) {
-            let begun = Instant::now();
-            let tracked = tracker.follow(frame);
-            locator.locate_all(frame, tracked, &mut located);
-            tracker.seek(frame);
-            *least_s = least_s.min(begun.elapsed().as_secs_f64());
-        }
-    }
-    let sum_s: f64 = least_s[SETTLING..].iter().sum();
-    [least_s[0], sum_s / COUNTED as f64]
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -266,8 +300,9 @@ mod tests {
         for case in cases() {
             case.scenario().unwrap();
         }
+        let mut probe = Probe::new().unwrap();
         for case in [cases()[1], cases()[PLAIN.len()]] {
-            let measured = measure_case(&case).unwrap();
+            let measured = time(&case, &mut probe).unwrap().measured(&probe);
             assert_eq!(measured.len(), 4, "{measured:?}");
             for one in measured {
                 let Load { roundels, diameter_px, motion_px, is_coded, .. } = one.load;

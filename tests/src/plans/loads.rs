@@ -15,7 +15,7 @@ use roundel_core::{
     plan::time::Load,
     pose::Locator,
 };
-use roundel_server::plan::machine;
+use roundel_server::plan::{machine, quiet::Probe};
 
 use super::Pair;
 use crate::{
@@ -44,9 +44,6 @@ const EXPOSURE_S: f64 = 0.25 * FRAME_S;
 const MARGIN: f64 = 0.2;
 /// Grey level of the floor, not just between black and white, where noise alone makes segments.
 const FLOOR: f64 = 150.0;
-/// Rounds of which the quickest counts.
-const ROUNDS: usize = 6;
-
 /// What is timed: width, height, roundels, their pixels, pixels a frame.
 type Listed = (usize, usize, usize, f64, f64);
 
@@ -112,9 +109,10 @@ pub fn times() -> anyhow::Result<[Vec<Timed>; 2]> {
         (one.load, one.mode, Pair { planned, simulated: one.time_s })
     });
     let mut others = Vec::new();
+    let mut probe = Probe::new()?;
     for (&(width, height, count, diameter_px, motion_px), bits) in plain.chain(coded) {
         let shown = Shown { width, height, count, diameter_px, motion_px, bits };
-        for (mode, took) in MODES.into_iter().zip(shown.took(MODES, ROUNDS)) {
+        for (mode, took) in MODES.into_iter().zip(shown.took(MODES, &mut probe)) {
             for (searched_share, simulated) in [(0.0, took.follow_s), (1.0, took.search_s)] {
                 let load = Load {
                     image_px: (width * height) as f64,
@@ -159,51 +157,57 @@ pub struct Took {
 }
 
 impl Shown {
-    /// Least times, of so many rounds, in these modes.
-    pub fn took<const N: usize>(&self, modes: [Mode; N], rounds: usize) -> [Took; N] {
+    /// Least times in these modes.
+    pub fn took<const N: usize>(&self, modes: [Mode; N], probe: &mut Probe) -> [Took; N] {
         let lens = Distortion::PlumbBob([-0.02, 0.0, 0.0, 0.0, 0.0]);
         let camera = Pinhole::centered(self.width, self.height, FOCAL * self.width as f64, lens);
         let images = self.pictures(&camera);
-        let frames: Vec<_> = images
-            .iter()
-            .map(|image| {
-                Frame::new(&image.pixels, image.width, image.height, image.width)
-                    .expect("a frame of the renderer's size")
-            })
-            .collect();
-        modes.map(|mode| self.took_in(&camera, &frames, mode, rounds))
+        let mut pixels = images[0].pixels.clone();
+        let mut ways = modes.map(|mode| self.way(&camera, mode));
+        let mut located = Vec::new();
+        let rounds = probe.rounds(|| {
+            let mut times_s = Vec::new();
+            for (tracker, locator) in &mut ways {
+                tracker.reset();
+                locator.reset();
+                times_s.extend(images.iter().map(|image| {
+                    // As a camera's frame it has just been written.
+                    pixels.copy_from_slice(&image.pixels);
+                    let frame = Frame::new(&pixels, image.width, image.height, image.width)
+                        .expect("a frame of the renderer's size");
+                    let begun = Instant::now();
+                    let tracked = tracker.follow(&frame);
+                    locator.locate_all(&frame, tracked, &mut located);
+                    let found = tracked.len();
+                    tracker.seek(&frame);
+                    let time_s = begun.elapsed().as_secs_f64();
+                    assert!(20 * found >= 19 * self.count, "{self:?}: {found} found");
+                    time_s
+                }));
+            }
+            times_s
+        });
+        if !rounds.were_quiet(probe) {
+            eprintln!("{self:?}: others used the machine all the time");
+        }
+        let least_s = rounds.least_s(probe);
+        std::array::from_fn(|mode| {
+            let least_s = &least_s[mode * FRAMES..][..FRAMES];
+            let sum_s: f64 = least_s[SETTLING..].iter().sum();
+            Took { follow_s: sum_s / COUNTED as f64, search_s: least_s[0] }
+        })
     }
 
     fn kind(&self) -> Kind {
         self.bits.map_or_else(Kind::robot, Kind::coded)
     }
 
-    fn took_in(&self, camera: &Pinhole, frames: &[Frame<'_>], mode: Mode, rounds: usize) -> Took {
+    fn way(&self, camera: &Pinhole, mode: Mode) -> (Tracker, Locator) {
         let kinds = core_kinds(&[self.kind()]);
         let params = Params { mode, ..Params::default() };
         let detector = Detector::new(kinds.clone(), params).expect("a kind that can be printed");
-        let mut tracker = Tracker::new(detector);
         let camera = core_camera(camera).expect("a camera as above");
-        let mut locator = Locator::new(camera, kinds, mode);
-        let mut located = Vec::new();
-        let mut least_s = [f64::INFINITY; FRAMES];
-        for _ in 0..rounds {
-            tracker.reset();
-            locator.reset();
-            for (frame, least_s) in frames.iter().zip(&mut least_s) {
-                let begun = Instant::now();
-                let tracked = tracker.follow(frame);
-                locator.locate_all(frame, tracked, &mut located);
-                let followed = begun.elapsed();
-                let found = tracked.len();
-                assert!(20 * found >= 19 * self.count, "{self:?}: {found} found");
-                let again = Instant::now();
-                tracker.seek(frame);
-                *least_s = least_s.min((followed + again.elapsed()).as_secs_f64());
-            }
-        }
-        let sum_s: f64 = least_s[SETTLING..].iter().sum();
-        Took { follow_s: sum_s / COUNTED as f64, search_s: least_s[0] }
+        (Tracker::new(detector), Locator::new(camera, kinds, mode))
     }
 
     /// Roundels in a grid, each tilted to its own side.
