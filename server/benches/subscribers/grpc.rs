@@ -27,6 +27,8 @@ const INITIAL_WINDOW_SIZE: u16 = 4;
 /// As large as a window may be: at 3 MB a second it is never used up within a run of ten minutes.
 const WINDOW: u32 = 0x7fff_ffff;
 const FRAME_HEAD: usize = 9;
+/// Where nobody has asked for another.
+const MAX_FRAME: usize = 16_384;
 /// Of a message, as much as has its times.
 const LOOKED_AT: usize = 160;
 
@@ -40,8 +42,20 @@ pub fn request(case: &Case, number: usize) -> Vec<u8> {
         region: case.differ.then_some(region),
         ..Default::default()
     };
-    let message = request.encode_to_vec();
-    [&[0], (message.len() as u32).to_be_bytes().as_slice(), &message].concat()
+    prefixed(&request.encode_to_vec())
+}
+
+fn prefixed(message: &[u8]) -> Vec<u8> {
+    [&[0], (message.len() as u32).to_be_bytes().as_slice(), message].concat()
+}
+
+/// A message of a stream as its frames.
+pub fn message(message: &[u8]) -> Vec<u8> {
+    let mut bytes = Vec::new();
+    for part in prefixed(message).chunks(MAX_FRAME) {
+        frame(&mut bytes, DATA, 0, 1, part);
+    }
+    bytes
 }
 
 /// Reads all that comes.

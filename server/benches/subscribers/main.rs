@@ -12,6 +12,7 @@
 //! processes read one clock. *Re-encoded* gives every subscriber a region of its own that holds all objects, so that
 //! nothing can be shared, and everything else is the same.
 
+mod bare;
 mod grpc;
 mod measure;
 #[path = "../shared/object.rs"]
@@ -45,6 +46,8 @@ pub struct Case {
     protobuf: bool,
     /// Whether no two want the same.
     differ: bool,
+    /// Whether the same bytes come by plain writes.
+    bare: bool,
 }
 
 const LEAN: Case = Case {
@@ -55,10 +58,13 @@ const LEAN: Case = Case {
     covariances: false,
     protobuf: false,
     differ: false,
+    bare: false,
 };
-const CASES: [Case; 10] = [
+const CASES: [Case; 12] = [
     LEAN,
+    Case { name: "lean-bare", bare: true, ..LEAN },
     Case { name: "full", covariances: true, ..LEAN },
+    Case { name: "full-bare", covariances: true, bare: true, ..LEAN },
     Case { name: "lean-stuck", stuck: 100, ..LEAN },
     Case { name: "full-stuck", stuck: 100, covariances: true, ..LEAN },
     Case { name: "websocket-lean", grpc: 100, websockets: 500, ..LEAN },
@@ -83,7 +89,8 @@ fn main() {
     let mut arguments = std::env::args().skip(1);
     while let Some(argument) = arguments.next() {
         match argument.as_str() {
-            "--serve" => return serve::run(),
+            "--serve" => return serve::run(None),
+            "--serve-bare" => return serve::run(Some(arguments.next().as_deref() == Some("full"))),
             "--seconds" => {
                 let number = arguments.next().and_then(|value| value.parse().ok());
                 seconds = number.expect("--seconds takes a number");
@@ -115,10 +122,15 @@ struct Served {
 }
 
 impl Served {
-    fn start() -> Self {
+    fn start(case: &Case) -> Self {
         let program = std::env::current_exe().expect("this program");
+        let arguments: &[&str] = match (case.bare, case.covariances) {
+            (false, _) => &["--serve"],
+            (true, false) => &["--serve-bare", "lean"],
+            (true, true) => &["--serve-bare", "full"],
+        };
         let mut process = Command::new(program)
-            .arg("--serve")
+            .args(arguments)
             .stdin(Stdio::piped())
             .stdout(Stdio::piped())
             .spawn()
@@ -139,7 +151,7 @@ impl Drop for Served {
 }
 
 async fn run(case: Case, length: Duration) {
-    let server = Served::start();
+    let server = Served::start(&case);
     let readings = Readings::default();
     let mut clients = tokio::task::JoinSet::new();
     for number in 0..case.grpc {

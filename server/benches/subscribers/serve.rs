@@ -3,6 +3,7 @@
 use std::{
     collections::BTreeMap,
     io::{self, Read, Write},
+    net::TcpListener,
     sync::Arc,
     thread,
     time::{Duration, Instant},
@@ -14,16 +15,15 @@ use roundel_server::{
     clock::Clock,
     hub::{CameraInfo, Hub, Installation},
 };
-use tokio::net::TcpListener;
 use tokio_util::sync::CancellationToken;
 
-use crate::object::object;
+use crate::{bare, object::object};
 
 pub const RATE_HZ: f64 = 60.0;
 const OBJECTS: u64 = 100;
 
-/// Serves until its standard input ends; prints its address first.
-pub fn run() {
+/// Serves until its standard input ends; prints its address first. `bare`: as [`bare`], with covariances or without.
+pub fn run(bare: Option<bool>) {
     let clock = Clock::anchored_now();
     let hub = Arc::new(Hub::new(installation(clock)));
     let feeding = hub.clone();
@@ -33,15 +33,20 @@ pub fn run() {
         let _ = io::stdin().read(&mut [0]);
         std::process::exit(0);
     });
+    let listener = TcpListener::bind("127.0.0.1:0").expect("a port");
+    println!("{}", listener.local_addr().expect("an address"));
+    io::stdout().flush().expect("a pipe");
+    if let Some(covariances) = bare {
+        return bare::run(listener, &hub, clock, covariances);
+    }
     let runtime = tokio::runtime::Builder::new_multi_thread()
         .worker_threads(2)
         .enable_all()
         .build()
         .expect("a runtime");
     runtime.block_on(async {
-        let listener = TcpListener::bind("127.0.0.1:0").await.expect("a port");
-        println!("{}", listener.local_addr().expect("an address"));
-        io::stdout().flush().expect("a pipe");
+        listener.set_nonblocking(true).expect("an option");
+        let listener = tokio::net::TcpListener::from_std(listener).expect("a port");
         let served = Served::of_hub(hub, clock);
         let limits = Limits { max_clients: 4000, ..Limits::default() };
         api::serve(listener, served, limits, CancellationToken::new()).await;

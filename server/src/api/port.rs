@@ -1,8 +1,11 @@
 //! The one port: accepts connections up to the limit, hands requests to gRPC or HTTP, and takes
 //! everything apart on shutdown.
 
+mod gather;
+
 use std::{
     convert::Infallible,
+    future::poll_fn,
     io,
     pin::{Pin, pin},
     sync::{Arc, atomic::Ordering},
@@ -33,6 +36,7 @@ use tonic::Status;
 use tower::{Layer, ServiceExt, service_fn};
 use tower_http::cors::CorsLayer;
 
+use self::gather::Gather;
 use super::{Api, deadline, error::ApiError, grpc::Cut, push::Peer};
 
 /// Bytes that the kernel may hold unsent for a client. More would be stale snapshots: a slow client
@@ -200,14 +204,15 @@ async fn converse(stream: Counted, dispatch: Dispatch, api: Arc<Api>) {
         dispatch.clone().answer(request)
     });
     let protocol = protocol();
-    let mut connection =
-        pin!(protocol.serve_connection_with_upgrades(TokioIo::new(stream), service));
+    let stream = Gather::new(stream);
+    let io = TokioIo::new(stream.clone());
+    let mut connection = pin!(protocol.serve_connection_with_upgrades(io, service));
     let ended = tokio::select! {
-        ended = connection.as_mut() => ended,
+        ended = poll_fn(|context| stream.poll_through(connection.as_mut(), context)) => ended,
         () = cut.0.cancelled() => return,
         () = api.cancel.cancelled() => {
             connection.as_mut().graceful_shutdown();
-            connection.await
+            poll_fn(|context| stream.poll_through(connection.as_mut(), context)).await
         }
     };
     if let Err(error) = ended {
