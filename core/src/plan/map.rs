@@ -1,11 +1,13 @@
 //! What several cameras would make of roundels all over an arena.
 //!
-//! At each spot of a level grid a roundel lies face up. Each camera that would find it gives a detection with its
-//! expected covariance ([`super::precision`], what its lens leaves open included), carried into the world as fusion
-//! does it ([`crate::world::seen_in_world`]: the camera's own place and the floor of what is believed included). Of
-//! detections at one instant fusion's update leaves (Σ Cᵢ⁻¹)⁻¹; so much is known of one set of frames, before time
-//! averages anything. Lenses of several cameras are off each by itself, so that more cameras help; all roundels that
-//! one camera sees its lens moves alike, so that distances between neighbours are known better than each place.
+//! At each spot of a level grid a roundel lies face up. Each camera that would find it and, if it is coded, read its
+//! code gives a detection with its expected covariance ([`super::precision`], what its lens leaves open included),
+//! carried into the world as fusion does it ([`crate::world::seen_in_world`]: the camera's own place and the floor of
+//! what is believed included). Of detections at one instant fusion's update leaves (Σ Cᵢ⁻¹)⁻¹; so much is known of one
+//! set of frames, before time averages anything. Lenses of several cameras are off each by itself, so that more cameras
+//! help; all roundels that one camera sees its lens moves alike, so that distances between neighbours are known better
+//! than each place. A camera that finds a coded ring and does not read it is left out, though fusion takes what it sees
+//! of one that another camera has read.
 
 use nalgebra::{Matrix3, Translation3, UnitQuaternion, Vector3};
 use rayon::prelude::*;
@@ -58,7 +60,7 @@ pub struct Field {
 /// What is known of a roundel at one spot.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct Spot {
-    /// Cameras that would find it.
+    /// Cameras that would find it and, if it is coded, read its code.
     pub cameras: usize,
     /// How exactly it would be known, if any would.
     pub deviation: Option<Deviation>,
@@ -164,7 +166,8 @@ impl Station {
         points
     }
 
-    /// The information that this camera has of a roundel's place in the world; `None` if it would not find it.
+    /// The information that this camera has of a roundel's place in the world; `None` if it would not find it, or not
+    /// read its code.
     fn information(
         &self,
         kind: &Kind,
@@ -173,7 +176,7 @@ impl Station {
     ) -> Option<Matrix3<f64>> {
         let camera_from_roundel = self.place.world_from_camera.inv_mul(world_from_roundel);
         let expected = expect(&self.sensor, self.doubt.as_ref(), kind, &camera_from_roundel)?;
-        if self.mask.covers(expected.sighting.ring.outer.center) {
+        if !expected.is_read || self.mask.covers(expected.sighting.ring.outer.center) {
             return None;
         }
         let (_, covariance) = seen_in_world(&expected.detection(), &self.place, params)?;

@@ -3,7 +3,7 @@
 //!
 //! | question | module | paper |
 //! | --- | --- | --- |
-//! | how a roundel is imaged, and whether it is found | [`sight`] | eq. (12), D of eq. (14) |
+//! | how a roundel is imaged, and whether it is found and read | [`sight`] | eq. (12), D of eq. (14) |
 //! | how near and how far, how wide | [`reach`] | eqs. (13) to (16) |
 //! | how exactly | [`precision`] | eqs. (17) to (19) |
 //! | how fast | [`time`] | eq. (20) |
@@ -84,18 +84,23 @@ pub enum PlanError {
     /// The detector knows no such roundel.
     #[error(transparent)]
     Kind(#[from] DetectorError),
-    /// It is found nowhere before this camera.
+    /// It is found, or its code read, nowhere before this camera.
     #[error(
-        "a roundel of {outer_mm} mm tilted by {tilt_deg:.0}° is found at no distance from this camera, in which it \
-         is at most {most_px:.1} px wide where it fits in; take a longer focal length, more pixels or less tilt"
+        "a roundel of {outer_mm} mm tilted by {tilt_deg:.0}° is {wanted} at no distance from this camera, in which it \
+         is at most {most_px:.1} px wide where it fits in, of {least_px:.1} that it takes; take a longer focal length, \
+         more pixels or less tilt"
     )]
     NoReach {
         /// Outer diameter, millimetres.
         outer_mm: f64,
         /// Tilt, degrees.
         tilt_deg: f64,
+        /// What has to be at a distance that counts.
+        wanted: &'static str,
         /// Widest it gets while it is wholly in the picture, pixels.
         most_px: f64,
+        /// The shorter diameter that it takes, pixels.
+        least_px: f64,
     },
     /// Nothing that was tried does what is wanted.
     #[error("{0}")]
@@ -156,7 +161,7 @@ mod tests {
     };
     use crate::{
         camera::{Intrinsics, Lens, NormalizedPoint},
-        marker::Mask,
+        marker::{CodeLayout, Mask, Pattern},
         rigid::{Covariance6, Rigid},
         world::CameraPlacement,
     };
@@ -200,6 +205,54 @@ mod tests {
         assert!(near(found.base_m[0], base_m[0]) && near(found.base_m[1], base_m[1]), "{found:?}");
         let tilted = reach(&sensor(), &kind(), 0.7).unwrap();
         assert!(tilted.most_m < 0.9 * found.most_m);
+    }
+
+    /// The same print with teeth.
+    fn coded(bits: u8) -> Kind {
+        let pattern = Pattern::Coded(CodeLayout { bits, min_distance: 1 });
+        Kind { pattern, ..Kind::plain("robot", 0.16, 0.16 * CodeLayout::RATIO) }
+    }
+
+    #[test]
+    fn a_code_is_read_less_far_than_its_ring_is_found() {
+        for (bits, least_px) in [(5, 30.0), (8, 36.0), (10, 48.0), (12, 60.0), (16, 90.0)] {
+            let found = reach(&sensor(), &coded(bits), 0.0).unwrap();
+            assert_eq!(found.least_minor_px, least_px);
+            let by_pinhole_m = 700.0 * 0.16 / least_px;
+            assert!((found.most_m / by_pinhole_m - 1.0).abs() < 0.02, "{bits}: {found:?}");
+            let ring = found.unread.unwrap();
+            assert!(ring.least_minor_px < 20.0 && ring.most_m > 1.5 * found.most_m, "{found:?}");
+        }
+        assert_eq!(reach(&sensor(), &kind(), 0.0).unwrap().unread, None);
+        let face_on = reach(&sensor(), &coded(8), 0.0).unwrap();
+        let tilted = reach(&sensor(), &coded(8), 0.8).unwrap();
+        let ratio = tilted.most_m / face_on.most_m;
+        assert!((ratio / 0.8f64.cos() - 1.0).abs() < 0.02, "{tilted:?}");
+        assert!(tilted.most_corner_m <= tilted.most_m && tilted.base_m[0] < face_on.base_m[0]);
+    }
+
+    #[test]
+    fn what_covers_an_arena_reads_its_codes() {
+        let at = (4.0, 0.0);
+        let [plain_m, coded_m] =
+            [kind(), coded(8)].map(|kind| smallest_m(&sensor(), None, &kind, at, None).unwrap());
+        assert!(plain_m < 0.5 * coded_m && (coded_m / (36.0 * 4.0 / 700.0) - 1.0).abs() < 0.02);
+        // From 3.5 m the ring is 32 px wide.
+        let mut stations = row(&[0.0]);
+        let lift = Translation3::new(0.0, 0.0, 0.5);
+        let place = &mut stations[0].place;
+        place.world_from_camera = lift * place.world_from_camera;
+        let field = Field { low_m: [-0.5, -0.4], high_m: [0.5, 0.4], height_m: 0.0, step_m: 0.1 };
+        let [plain, unread, read] = [kind(), coded(8), scaled(&coded(8), 0.2)]
+            .map(|kind| map(&stations, &kind, field).unwrap().summary().seen_share);
+        assert_eq!([plain, unread, read], [1.0, 0.0, 1.0]);
+        let wish = Wish { field, mount_m: [3.0, 3.5], views: 1, share: 1.0, most_m: None };
+        let grid = fewest(&sensor(), None, &coded(8), &wish).unwrap();
+        assert!(grid.mount_m < 3.2, "{}", grid.mount_m);
+        let refused = fewest(&sensor(), None, &coded(12), &wish).unwrap_err().to_string();
+        assert!(refused.contains("is not found and its code read 3.00 m"), "{refused}");
+        let refused = smallest_m(&sensor(), None, &coded(8), (1e4, 0.0), None).unwrap_err();
+        assert!(refused.to_string().contains("found and its code read at 10000 m"), "{refused}");
     }
 
     #[test]

@@ -21,7 +21,7 @@ use nalgebra::{DMatrix, Matrix3, Matrix3xX, Vector3};
 
 use super::{
     Imaging, Sensor,
-    sight::{Sighting, is_found, sight},
+    sight::{Sighting, is_found, is_read, sight},
 };
 use crate::{
     camera::{Camera, Intrinsics, Lens},
@@ -62,6 +62,8 @@ pub struct LensDoubt {
 pub struct Expected {
     /// As imaged.
     pub sighting: Sighting,
+    /// Whether its code would be read; true of one without.
+    pub is_read: bool,
     /// With the covariance from the picture alone.
     pub pose: RoundelPose,
     /// Of the position by the lens' doubt, camera frame, m²; zero where the lens is exact.
@@ -92,7 +94,8 @@ pub fn expect(
         Some(doubt) => doubt.carried(&sensor.camera, position)?,
         None => Matrix3::zeros(),
     };
-    Some(Expected { sighting, pose, by_lens_m2 })
+    let is_read = is_read(sensor, kind, &sighting);
+    Some(Expected { sighting, is_read, pose, by_lens_m2 })
 }
 
 /// The fit sees a coded disc's rim whole, if in parts at the teeth's inner and outer ends.

@@ -10,6 +10,7 @@ use super::{
     map::{Field, Map, Station, Summary, map},
     precision::{LensDoubt, expect},
     reach::before,
+    sight::wanted,
     within,
 };
 use crate::{
@@ -44,7 +45,7 @@ pub fn scaled(kind: &Kind, outer_m: f64) -> Kind {
 }
 
 /// The smallest outer diameter, metres, of roundels like this one that are found at a distance along the optical axis,
-/// tilted so, and located to `most_m` (rms of the distance from the truth) if that is given.
+/// tilted so, read if they are coded, and located to `most_m` (rms of the distance from the truth) if that is given.
 pub fn smallest_m(
     sensor: &Sensor,
     doubt: Option<&LensDoubt>,
@@ -59,7 +60,8 @@ pub fn smallest_m(
     }
     let error_m = |outer_m: f64| {
         let pose = before(NormalizedPoint::default(), distance_m, tilt_rad);
-        Some(expect(sensor, doubt, &scaled(kind, outer_m), &pose)?.position_m())
+        let expected = expect(sensor, doubt, &scaled(kind, outer_m), &pose)?;
+        expected.is_read.then(|| expected.position_m())
     };
     let does = |outer_m: f64| {
         error_m(outer_m).is_some_and(|error_m| most_m.is_none_or(|most_m| error_m <= most_m))
@@ -78,9 +80,10 @@ pub fn smallest_m(
                 outer_m * 1e3
             ),
             None => format!(
-                "no roundel of {:.0} mm to {:.0} m is found at {distance_m} m, tilted by {:.0}°",
+                "no roundel of {:.0} mm to {:.0} m is {} at {distance_m} m, tilted by {:.0}°",
                 DIAMETERS_M.0 * 1e3,
                 DIAMETERS_M.1,
+                wanted(kind),
                 tilt_rad.to_degrees()
             ),
         }));
@@ -134,11 +137,12 @@ pub fn fewest(
     let field = wish.check()?;
     let below_m = wish.mount_m[0] - field.height_m;
     let straight = before(NormalizedPoint::default(), below_m, 0.0);
-    if expect(sensor, doubt, kind, &straight).is_none() {
+    if !expect(sensor, doubt, kind, &straight).is_some_and(|expected| expected.is_read) {
         return Err(PlanError::Unreachable(format!(
-            "a roundel of {:.0} mm is not found {below_m:.2} m before this camera, not even straight below the lowest \
+            "a roundel of {:.0} mm is not {} {below_m:.2} m before this camera, not even straight below the lowest \
              mount; take larger roundels, another height, or more pixels",
-            kind.outer_diameter_m * 1e3
+            kind.outer_diameter_m * 1e3,
+            wanted(kind)
         )));
     }
     let mut best: Option<(f64, Grid)> = None;

@@ -1,9 +1,12 @@
-//! How a roundel is imaged, and whether it would be found.
+//! How a roundel is imaged, whether it would be found, and whether its code would be read.
 //!
 //! Both rims are carried through the whole camera model point by point, and the ellipses of the areas that they
 //! enclose are what the detector measures of them. Found is what is wholly in the picture, wide enough and not tilted
 //! too far: the detector's own limits ([`crate::marker::Params`]), and what blur and noise leave of them, measured on
 //! rendered roundels (`--bin plans` of the tests' crate).
+//!
+//! A coded ring is found several times as far as its teeth are read: who prints codes wants them read, so what counts
+//! as covered is where they are ([`least_needed_px`], [`is_read`]).
 
 use nalgebra::{Point3, Vector3};
 
@@ -28,6 +31,8 @@ const SMALL_DISC_PX: f64 = 6.5;
 const SMALL_DISC: f64 = 5.5;
 /// … and black at least so wide against the blur.
 const BLACK_OVER_BLUR: f64 = 1.73;
+/// Bits of a code, and the outer diameter from which it is read, pixels; of other codes by straight lines between.
+const READ_PX: [(f64, f64); 4] = [(5.0, 30.0), (8.0, 36.0), (12.0, 60.0), (16.0, 90.0)];
 /// A ring's levels stray by this share of the noise in them, since they are means over its rim's width.
 const UNEVEN_SHARE: f64 = 2.0 / 3.0;
 
@@ -99,11 +104,23 @@ pub fn least_minor_px(sensor: &Sensor, kind: &Kind, tilt_rad: f64) -> f64 {
 }
 
 /// The least shorter diameter of the outer rim at which the teeth of a coded roundel are read, pixels; `None` of one
-/// without (`--bin codes` of the tests' crate).
+/// without.
+///
+/// Measured on rendered roundels (`--bin codes` of the tests' crate) of these diameters seen face-on and tilted up to
+/// 50° then. The shorter diameter is held to them all the same: teeth at the ends of the longer one are as narrow as
+/// it, and a plan had better err to the side of larger prints.
 pub fn least_read_px(kind: &Kind) -> Option<f64> {
     let Pattern::Coded(layout) = kind.pattern else { return None };
     let bits = f64::from(layout.bits);
-    Some(bits * (4.5 + 0.14 * (bits - 8.0)))
+    let more = READ_PX.partition_point(|&(known, _)| known < bits).clamp(1, READ_PX.len() - 1);
+    let ((few, few_px), (many, many_px)) = (READ_PX[more - 1], READ_PX[more]);
+    Some(few_px + (bits - few) / (many - few) * (many_px - few_px))
+}
+
+/// The least shorter diameter of the outer rim that does what the print is for, pixels: it is found and, if it is
+/// coded, read.
+pub fn least_needed_px(sensor: &Sensor, kind: &Kind, tilt_rad: f64) -> f64 {
+    least_minor_px(sensor, kind, tilt_rad).max(least_read_px(kind).unwrap_or(0.0))
 }
 
 /// Whether it would be found.
@@ -113,6 +130,17 @@ pub fn is_found(sensor: &Sensor, kind: &Kind, sighting: &Sighting) -> bool {
     sighting.is_whole
         && sighting.minor_px >= least_minor_px(sensor, kind, sighting.tilt_rad)
         && outer.semi_minor_px >= params.min_axis_ratio * outer.semi_major_px
+}
+
+/// Whether it would be found and, if it is coded, its code read.
+pub fn is_read(sensor: &Sensor, kind: &Kind, sighting: &Sighting) -> bool {
+    is_found(sensor, kind, sighting)
+        && least_read_px(kind).is_none_or(|least_px| sighting.minor_px >= least_px)
+}
+
+/// What is wanted of a roundel of this kind, as errors say it.
+pub(super) fn wanted(kind: &Kind) -> &'static str {
+    if least_read_px(kind).is_some() { "found and its code read" } else { "found" }
 }
 
 /// The ellipse of a rim of these semiaxes.

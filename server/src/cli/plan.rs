@@ -3,6 +3,7 @@
 mod arena;
 mod measure;
 mod optics;
+mod roundel;
 mod single;
 
 use std::{

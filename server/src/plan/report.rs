@@ -21,7 +21,8 @@ pub struct PlanMap {
     pub columns: usize,
     /// Spots along y.
     pub rows: usize,
-    /// Cameras that would find one, by spot: row by row from the least y on, each from the least x on.
+    /// Cameras that would find one and, if it is coded, read its code, by spot: row by row from the least y on, each
+    /// from the least x on.
     pub cameras: Vec<usize>,
     /// Root mean square of the distance from the truth, of one set of frames, metres; null where no camera sees it.
     pub deviation_m: Vec<Option<f64>>,
@@ -38,9 +39,9 @@ pub struct PlanMap {
 /// A map in a few numbers.
 #[derive(Clone, Debug, Serialize, ToSchema)]
 pub struct PlanSummary {
-    /// Share of spots that a camera sees.
+    /// Share of spots that a camera sees; of a coded roundel, where it reads the code.
     pub seen_share: f64,
-    /// Share of spots that two see at least.
+    /// Share of spots that two see at least, in the same sense.
     pub twice_share: f64,
     /// Median of the deviations, metres; null if nothing is seen.
     pub median_m: Option<f64>,

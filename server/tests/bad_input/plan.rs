@@ -26,6 +26,9 @@ fn what_cannot_be_planned_is_named() {
     let text = folder.path().join("text.toml");
     fs::write(&text, "not a configuration").unwrap();
     let text = text.to_str().unwrap();
+    let lab = folder.path().join("lab.toml");
+    fs::write(&lab, super::EXAMPLE).unwrap();
+    let lab = lab.to_str().unwrap();
     for (arguments, code, expected) in [
         (vec![], 1, "which camera? Say --camera FILE"),
         (vec!["--camera", "/no/such.yaml"], 1, "cannot read camera file /no/such.yaml"),
@@ -37,6 +40,7 @@ fn what_cannot_be_planned_is_named() {
         (vec!["--resolution", "8x8", "--fov", "60"], 1, "is found at no distance"),
         (vec!["--map", "map.svg"], 1, "a map needs cameras with places"),
         (vec!["--config", text], 1, "text.toml:1"),
+        (vec!["--config", lab, "--code", "8:2"], 1, "--code: expected --marker beside it"),
         (vec!["--config", "/no/such.toml"], 1, "cannot read the configuration"),
     ] {
         let output = plan(&arguments);
@@ -75,6 +79,11 @@ fn what_is_wrong_about_a_pinhole_and_its_roundel_is_named() {
         (vec!["--arena", "4x3", "--mount", "5:3"], 2, "LOWEST:HIGHEST"),
         (vec!["--arena", "4x3", "--mount", "0.1"], 1, "mount: expected above"),
         (vec!["--arena", "4x3", "--mount", "50"], 1, "not even straight below"),
+        (
+            vec!["--arena", "4x3", "--mount", "4", "--code", "8:2"],
+            1,
+            "found and its code read 3.70 m",
+        ),
         (vec!["--machine", "/no/machine.toml"], 1, "`roundel plan --measure` writes such a file"),
     ] {
         let all: Vec<&str> = PINHOLE.iter().chain(&arguments).copied().collect();
@@ -135,6 +144,41 @@ fn a_camera_is_planned_and_the_cameras_for_an_arena_are_found() {
     fs::write(camera, fs::read_to_string(camera).unwrap() + &doubt).unwrap();
     let doubtful_m = median_m();
     assert!(doubtful_m > 2.0 * exact_m, "{exact_m} {doubtful_m}");
+}
+
+#[test]
+fn a_coded_plan_reaches_as_far_as_the_code_is_read() {
+    let json = |arguments: &[&str]| {
+        let told = plan(&[&PINHOLE[..], &["--format", "json"], arguments].concat());
+        assert!(told.status.success(), "{}", stderr(&told));
+        serde_json::from_slice::<serde_json::Value>(&told.stdout).unwrap()
+    };
+    let number = |told: &serde_json::Value, name: &str| told[name].as_f64().unwrap();
+    let marker = ["--marker", "160:96"];
+    let (plain, coded) = (json(&marker), json(&["--marker", "160", "--code", "8:2"]));
+    let (plain_m, coded_m) = (number(&plain, "most_distance_m"), number(&coded, "most_distance_m"));
+    // 554 px, 160 mm, 36 px.
+    assert!((coded_m - 2.46).abs() < 0.05 && coded_m < 0.5 * plain_m, "{plain_m} {coded_m}");
+    let ring_m = number(&coded["code_unread"], "most_distance_m");
+    assert!((ring_m / plain_m - 1.0).abs() < 1e-3, "{ring_m} {plain_m}");
+    assert_eq!((&coded["code_is_read"], &plain["code_is_read"]), (&true.into(), &().into()));
+    // Beyond that the ring is found all the same, which is said.
+    let beyond = ["--marker", "160", "--code", "8:2", "--distance", "4"];
+    assert_eq!(json(&beyond)["code_is_read"], false);
+    let table = String::from_utf8(plan(&[&PINHOLE[..], &beyond[..]].concat()).stdout).unwrap();
+    assert!(table.contains("farthest, code read, on the axis"), "{table}");
+    assert!(table.contains("codes of 8 bits") && table.contains("not read"), "{table}");
+
+    // One camera high up would find the rings of the whole arena. The size that nobody has said is told.
+    let arena = ["--arena", "4x3", "--mount", "2:6"];
+    let cameras = |told: &serde_json::Value| told["stations"].as_array().unwrap().len();
+    let (plain, coded) = (json(&arena), json(&[&arena[..], &["--code", "8:2"]].concat()));
+    assert!(cameras(&plain) == 1 && cameras(&coded) >= 4, "{plain} {coded}");
+    assert_eq!((number(&coded, "outer_m"), &coded["size_is_assumed"]), (0.16, &true.into()));
+    assert_eq!(coded["code"]["bits"], 8);
+    assert_eq!(json(&[&arena[..], &marker].concat())["size_is_assumed"], false);
+    let table = String::from_utf8(plan(&[&PINHOLE[..], &arena[..]].concat()).stdout).unwrap();
+    assert!(table.contains("160.0 mm, disc 64.0 mm, assumed"), "{table}");
 }
 
 #[test]

@@ -12,7 +12,7 @@ use roundel_core::{
 };
 use serde_json::json;
 
-use super::{Format, ModeWord, PlanArgs, optics};
+use super::{Format, ModeWord, PlanArgs, optics, roundel};
 use crate::{
     calibration::file::CalibrationFile,
     config::Config,
@@ -58,12 +58,18 @@ pub(super) fn configured(arguments: &PlanArgs, path: &Path) -> anyhow::Result<()
     })?;
     let field = Field { step_m: arguments.step.unwrap_or(seen.step_m), ..seen };
     let map = PlanMap::of(&map(&stations, &kind, field)?, &kind.name, &cameras);
-    told(arguments, &map, None)
+    told(arguments, &kind, &map, None)
 }
 
 fn configured_kind(arguments: &PlanArgs, config: &Config) -> anyhow::Result<Kind> {
     if arguments.marker.is_some() {
         return Ok(Kind { name: "the roundel".to_owned(), ..arguments.kind()? });
+    }
+    if arguments.code.is_some() {
+        bail!(
+            "--code: expected --marker beside it, since the configuration says which roundels it has; --kind NAME takes \
+             another of those"
+        );
     }
     let Some(name) = &arguments.kind else {
         return config.kinds.first().cloned().context("expected a [[roundel]], found none");
@@ -102,10 +108,17 @@ pub(super) fn fewest(arguments: &PlanArgs, arena_m: [f64; 2]) -> anyhow::Result<
         .collect();
     let fine: Map = map(&grid.stations, &kind, field)?;
     let map = PlanMap::of(&fine, &kind.name, &cameras);
-    told(arguments, &map, Some(&grid))
+    told(arguments, &kind, &map, Some(&grid))
 }
 
-fn told(arguments: &PlanArgs, map: &PlanMap, grid: Option<&Grid>) -> anyhow::Result<()> {
+fn told(
+    arguments: &PlanArgs,
+    kind: &Kind,
+    map: &PlanMap,
+    grid: Option<&Grid>,
+) -> anyhow::Result<()> {
+    // Of an arena whose roundels nobody has described the usual ones are assumed; of an installation never.
+    let is_assumed = grid.is_some() && arguments.marker.is_none();
     let text = match arguments.format {
         Format::Json => {
             let grid = grid.map(|grid| {
@@ -115,6 +128,10 @@ fn told(arguments: &PlanArgs, map: &PlanMap, grid: Option<&Grid>) -> anyhow::Res
                 "{:#}\n",
                 json!({
                     "roundel": map.roundel,
+                    "outer_m": kind.outer_diameter_m,
+                    "inner_m": kind.inner_diameter_m,
+                    "code": roundel::code(kind),
+                    "size_is_assumed": is_assumed,
                     "height_m": map.height_m,
                     "min_m": map.min_m,
                     "max_m": map.max_m,
@@ -124,14 +141,15 @@ fn told(arguments: &PlanArgs, map: &PlanMap, grid: Option<&Grid>) -> anyhow::Res
                 })
             )
         }
-        Format::Table => table(map, grid),
+        Format::Table => table((kind, is_assumed), map, grid),
     };
     std::io::stdout().write_all(text.as_bytes()).context("cannot write to the standard output")?;
     arguments.write_map(map)
 }
 
-fn table(map: &PlanMap, grid: Option<&Grid>) -> String {
-    let mut lines = Vec::new();
+fn table((kind, is_assumed): (&Kind, bool), map: &PlanMap, grid: Option<&Grid>) -> String {
+    let assumed = if is_assumed { ", assumed since --marker says none" } else { "" };
+    let mut lines = vec![format!("{}: {}{assumed}", map.roundel, roundel::words(kind))];
     if let Some(grid) = grid {
         let [columns, rows] = grid.counts;
         lines.push(format!(
@@ -153,11 +171,12 @@ fn table(map: &PlanMap, grid: Option<&Grid>) -> String {
     };
     let sides = [0, 1].map(|axis| map.max_m[axis] - map.min_m[axis]);
     lines.push(format!(
-        "{:.1} x {:.1} m at {} m: {:.1} % seen, {:.1} % by two and more; rms error {} (median), {} (95 %)",
+        "{:.1} x {:.1} m at {} m: {:.1} % {}, {:.1} % by two and more; rms error {} (median), {} (95 %)",
         sides[0],
         sides[1],
         map.height_m,
         seen_share * 100.0,
+        if roundel::is_coded(kind) { "seen and the code read" } else { "seen" },
         twice_share * 100.0,
         millimetres(median_m),
         millimetres(p95_m)

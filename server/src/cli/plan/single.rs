@@ -17,7 +17,7 @@ use roundel_core::{
 };
 use serde_json::{Value, json};
 
-use super::{Format, PlanArgs, optics};
+use super::{Format, PlanArgs, optics, roundel};
 
 /// Everything that is told.
 struct Told {
@@ -99,7 +99,7 @@ fn expected(
             kind.outer_diameter_m * 1e3,
             tilt_rad.to_degrees(),
             reach.least_m,
-            reach.most_m
+            reach.unread.map_or(reach.most_m, |ring| ring.most_m)
         )
     })
 }
@@ -187,17 +187,16 @@ impl Told {
                 sensor.mode
             ),
             format!(
-                "roundel    {}{:.1} mm, disc {:.1} mm, tilted by {}°",
+                "roundel    {}{}, tilted by {}°",
                 if self.was_searched { "at least " } else { "" },
-                kind.outer_diameter_m * 1e3,
-                kind.inner_diameter_m * 1e3,
+                roundel::words(kind),
                 arguments.tilt
             ),
             String::new(),
-            format!("{:34} {:>12} {:>12}", "", "plan", "paper"),
+            format!("{:36} {:>12} {:>12}", "", "plan", "paper"),
         ];
         let mut row = |what: &str, plan: String, paper: String| {
-            lines.push(format!("{what:34} {plan:>12} {paper:>12}"));
+            lines.push(format!("{what:36} {plan:>12} {paper:>12}"));
         };
         let metres = |length: f64| format!("{length:.2} m");
         row(
@@ -205,26 +204,37 @@ impl Told {
             metres(reach.least_m),
             metres(paper.least_distance_m()),
         );
-        row("farthest, on the axis", metres(reach.most_m), metres(paper.most_distance_m()));
+        let farthest = if reach.unread.is_some() { "farthest, code read" } else { "farthest" };
         row(
-            "farthest, in every corner",
+            &format!("{farthest}, on the axis"),
+            metres(reach.most_m),
+            metres(paper.most_distance_m()),
+        );
+        row(
+            &format!("{farthest}, in every corner"),
             metres(reach.most_corner_m),
             metres(paper.most_corner_distance_m()),
         );
         let [base, papers_base] = [reach.base_m, paper.base_m()]
             .map(|[wide, high]| format!("{:.1} x {:.1} m", wide.max(0.0), high.max(0.0)));
         row("wide and high there", base, papers_base);
-        row(
-            "smallest that is found",
-            format!("{:.1} px", reach.least_minor_px),
-            format!("{:.1} px", paper.least_px),
-        );
+        let pixels = |length: f64| format!("{length:.1} px");
+        if let Some(ring) = reach.unread {
+            row("farthest, ring found, code unread", metres(ring.most_m), String::new());
+            row("smallest whose code is read", pixels(reach.least_minor_px), String::new());
+        }
+        let found_px = reach.unread.map_or(reach.least_minor_px, |ring| ring.least_minor_px);
+        row("smallest that is found", pixels(found_px), pixels(paper.least_px));
         let millimetres = |length: f64| format!("{:.3} mm", length * 1e3);
         row(
             &format!("at {:.2} m it is", self.distance_m),
-            format!("{:.1} px", expected.sighting.minor_px),
+            pixels(expected.sighting.minor_px),
             String::new(),
         );
+        if reach.unread.is_some() {
+            let read = if expected.is_read { "read" } else { "not read" };
+            row("  its code is", read.to_owned(), String::new());
+        }
         row(
             "  its distance is known to",
             millimetres(expected.depth_m()),
@@ -255,6 +265,7 @@ impl Told {
         json!({
             "outer_m": kind.outer_diameter_m,
             "inner_m": kind.inner_diameter_m,
+            "code": roundel::code(kind),
             "outer_was_searched": self.was_searched,
             "tilt_deg": arguments.tilt,
             "least_distance_m": reach.least_m,
@@ -262,8 +273,12 @@ impl Told {
             "most_corner_distance_m": reach.most_corner_m,
             "base_m": reach.base_m,
             "least_minor_px": reach.least_minor_px,
+            "code_unread": reach.unread.map(|ring| {
+                json!({"most_distance_m": ring.most_m, "least_minor_px": ring.least_minor_px})
+            }),
             "distance_m": self.distance_m,
             "minor_px": expected.sighting.minor_px,
+            "code_is_read": reach.unread.map(|_| expected.is_read),
             "depth_deviation_m": expected.depth_m(),
             "across_deviation_m": expected.across_m(),
             "position_deviation_m": expected.position_m(),
