@@ -96,6 +96,9 @@ pub struct Limits {
     pub grace: Duration,
     /// How long a subscriber may take no bytes before it is cut off.
     pub send_timeout: Duration,
+    /// Within this time a client that has connected says what it speaks and sends a request's head, also between two
+    /// requests; and so long it may pause within a request's body.
+    pub request_timeout: Duration,
 }
 
 impl Default for Limits {
@@ -104,6 +107,7 @@ impl Default for Limits {
             max_clients: 2000,
             grace: Duration::from_secs(2),
             send_timeout: Duration::from_secs(10),
+            request_timeout: Duration::from_secs(15),
         }
     }
 }
@@ -263,7 +267,9 @@ pub async fn serve(
     let (grpc_router, health) = grpc::router(&api);
     let http_router = http_router(api.clone());
     let readiness = tokio::spawn(metrics::report_readiness(api.clone(), health));
-    port::run(listener, port::Dispatch { grpc_router, http_router, cors }, api).await;
+    let body_timeout = limits.request_timeout;
+    let dispatch = port::Dispatch { grpc_router, http_router, cors, body_timeout };
+    port::run(listener, dispatch, api).await;
     // It watches the same token, so it has ended.
     let _ = readiness.await;
 }

@@ -1,6 +1,7 @@
 //! The one port: accepts connections up to the limit, hands requests to gRPC or HTTP, and takes
 //! everything apart on shutdown.
 
+mod arrival;
 mod gather;
 
 use std::{
@@ -16,7 +17,7 @@ use std::{
 use axum::{
     Router,
     body::Body,
-    http::{HeaderValue, Request, Response, header},
+    http::{HeaderValue, Request, Response, Version, header},
     response::IntoResponse,
 };
 use hyper::body::Incoming;
@@ -34,18 +35,19 @@ use tokio::{
 use tokio_util::sync::CancellationToken;
 use tonic::Status;
 use tower::{Layer, ServiceExt, service_fn};
-use tower_http::cors::CorsLayer;
+use tower_http::{cors::CorsLayer, timeout::TimeoutBody};
 
-use self::gather::Gather;
-use super::{Api, deadline, error::ApiError, grpc::Cut, push::Peer};
+use self::{
+    arrival::{Silent, speaks},
+    gather::Gather,
+};
+use super::{Api, Limits, deadline, error::ApiError, grpc::Cut, push::Peer};
 
 /// Bytes that the kernel may hold unsent for a client. More would be stale snapshots: a slow client
 /// is to find the newest one when it comes back.
 const UNSENT_LIMIT_BYTES: u32 = 64 * 1024;
 /// The same for what HTTP/2 holds for one stream.
 const STREAM_BUFFER_BYTES: usize = 64 * 1024;
-/// A client that has connected says something within this time; also between two requests.
-const HEADER_TIMEOUT: Duration = Duration::from_secs(15);
 /// An HTTP/2 client that is silent for this long is asked whether it lives.
 const KEEP_ALIVE_INTERVAL: Duration = Duration::from_secs(10);
 /// And has this long to answer.
@@ -68,6 +70,8 @@ pub(super) struct Dispatch {
     pub http_router: Router,
     /// What pages of other origins may.
     pub cors: Option<CorsLayer>,
+    /// How long a request's body may pause.
+    pub body_timeout: Duration,
 }
 
 impl Dispatch {
@@ -82,12 +86,18 @@ impl Dispatch {
     }
 
     async fn route(self, request: Request<Incoming>) -> Result<Response<Body>, Infallible> {
+        // Streams of gRPC rest for as long as they like, and HTTP/2 asks whether their client lives.
+        let may_rest = request.version() >= Version::HTTP_2 && is_grpc(&request);
+        let request = request.map(|body| match may_rest {
+            true => Body::new(body),
+            false => Body::new(TimeoutBody::new(self.body_timeout, body)),
+        });
         if is_grpc_web(&request) {
             self.answer_web(request).await
         } else if is_grpc(&request) {
-            self.answer_grpc(request.map(Body::new)).await
+            self.answer_grpc(request).await
         } else {
-            self.http_router.oneshot(request.map(Body::new)).await
+            self.http_router.oneshot(request).await
         }
     }
 
@@ -97,7 +107,7 @@ impl Dispatch {
     }
 
     /// gRPC as pages in browsers speak it: over HTTP/1.1 too, with the trailers in the body.
-    async fn answer_web(self, request: Request<Incoming>) -> Result<Response<Body>, Infallible> {
+    async fn answer_web(self, request: Request<Body>) -> Result<Response<Body>, Infallible> {
         let plain = service_fn(move |request: Request<tonic::body::Body>| {
             let this = self.clone();
             async move {
@@ -127,6 +137,7 @@ pub(super) async fn run(listener: TcpListener, dispatch: Dispatch, api: Arc<Api>
     let slots = Arc::new(Semaphore::new(max_clients));
     let refusals = Arc::new(Semaphore::new(MAX_REFUSALS));
     let mut connections = JoinSet::new();
+    let mut silent = Silent::default();
     loop {
         let stream = tokio::select! {
             () = api.cancel.cancelled() => break,
@@ -142,15 +153,13 @@ pub(super) async fn run(listener: TcpListener, dispatch: Dispatch, api: Arc<Api>
             },
         };
         prepare(&stream);
-        if let Ok(permit) = slots.clone().try_acquire_owned() {
-            let stream = Counted::new(stream, permit, api.clone());
-            connections.spawn(converse(stream, dispatch.clone(), api.clone()));
-            continue;
-        }
-        api.counters.connections_refused.fetch_add(1, Ordering::Relaxed);
-        if let Ok(permit) = refusals.clone().try_acquire_owned() {
-            connections.spawn(refuse(stream, permit, max_clients));
-        }
+        let newcomer = Newcomer {
+            stream,
+            has_spoken: silent.add(),
+            slots: slots.clone(),
+            refusals: refusals.clone(),
+        };
+        connections.spawn(newcomer.converse(dispatch.clone(), api.clone()));
     }
     drop(listener);
     // WebSockets have left their connection's task; they hold a slot until they end.
@@ -172,12 +181,12 @@ fn prepare(stream: &TcpStream) {
     }
 }
 
-fn protocol() -> auto::Builder<TokioExecutor> {
+fn protocol(limits: &Limits) -> auto::Builder<TokioExecutor> {
     let mut builder = auto::Builder::new(TokioExecutor::new());
     builder
         .http1()
         .timer(TokioTimer::new())
-        .header_read_timeout(HEADER_TIMEOUT)
+        .header_read_timeout(limits.request_timeout)
         .max_buf_size(MAX_HEAD_BYTES);
     builder
         .http2()
@@ -190,11 +199,43 @@ fn protocol() -> auto::Builder<TokioExecutor> {
     builder
 }
 
+/// A connection that has just been accepted, and takes a place once it has said something.
+struct Newcomer {
+    stream: TcpStream,
+    /// One of [`Silent`].
+    has_spoken: CancellationToken,
+    slots: Arc<Semaphore>,
+    refusals: Arc<Semaphore>,
+}
+
+impl Newcomer {
+    async fn converse(self, dispatch: Dispatch, api: Arc<Api>) {
+        let Self { stream, has_spoken, slots, refusals } = self;
+        let limits = api.limits;
+        let _is_over = has_spoken.clone().drop_guard();
+        let speaks = tokio::select! {
+            speaks = timeout(limits.request_timeout, speaks(&stream)) => {
+                matches!(speaks, Ok(Ok(true)))
+            }
+            () = api.cancel.cancelled() => false,
+            () = has_spoken.cancelled() => false,
+        };
+        has_spoken.cancel();
+        if !speaks {
+            return;
+        }
+        if let Ok(permit) = slots.try_acquire_owned() {
+            return converse(Counted::new(stream, permit, api.clone()), dispatch, api).await;
+        }
+        api.counters.connections_refused.fetch_add(1, Ordering::Relaxed);
+        if let Ok(permit) = refusals.try_acquire_owned() {
+            refuse(stream, permit, &limits).await;
+        }
+    }
+}
+
 /// Serves one connection to its end.
 async fn converse(stream: Counted, dispatch: Dispatch, api: Arc<Api>) {
-    if !speaks(&stream.stream, &api).await {
-        return;
-    }
     let peer = stream.stream.peer_addr().ok().map(Peer);
     let cut = Cut(CancellationToken::new());
     let given = cut.clone();
@@ -203,7 +244,7 @@ async fn converse(stream: Counted, dispatch: Dispatch, api: Arc<Api>) {
         request.extensions_mut().insert(given.clone());
         dispatch.clone().answer(request)
     });
-    let protocol = protocol();
+    let protocol = protocol(&api.limits);
     let stream = Gather::new(stream);
     let io = TokioIo::new(stream.clone());
     let mut connection = pin!(protocol.serve_connection_with_upgrades(io, service));
@@ -220,16 +261,9 @@ async fn converse(stream: Counted, dispatch: Dispatch, api: Arc<Api>) {
     }
 }
 
-/// Waits for the first byte; false if the client only holds the line.
-async fn speaks(stream: &TcpStream, api: &Api) -> bool {
-    tokio::select! {
-        ready = timeout(HEADER_TIMEOUT, stream.readable()) => matches!(ready, Ok(Ok(()))),
-        () = api.cancel.cancelled() => false,
-    }
-}
-
 /// Answers the first request with the reason for having no room, and hangs up.
-async fn refuse(stream: TcpStream, _permit: OwnedSemaphorePermit, max_clients: usize) {
+async fn refuse(stream: TcpStream, _permit: OwnedSemaphorePermit, limits: &Limits) {
+    let max_clients = limits.max_clients;
     let told = Arc::new(Notify::new());
     let teller = told.clone();
     let service = hyper::service::service_fn(move |request: Request<Incoming>| {
@@ -246,7 +280,7 @@ async fn refuse(stream: TcpStream, _permit: OwnedSemaphorePermit, max_clients: u
         };
         std::future::ready(Ok::<_, Infallible>(response))
     });
-    let protocol = protocol();
+    let protocol = protocol(limits);
     let mut connection = pin!(protocol.serve_connection(TokioIo::new(stream), service));
     let conversation = async {
         tokio::select! {
