@@ -2,7 +2,7 @@
 //!
 //! In: a fused snapshot and a [`Filter`]. Out: the message as protobuf or JSON, but for what belongs to one subscriber
 //! ([`Own`]), which is written in front of it: protobuf takes fields in any order, and so does JSON. Encoding 100 objects
-//! costs some 50 µs, and a subscriber more only what sending costs; see `benches/crowd.rs`.
+//! costs some 50 µs, and a subscriber more only what sending costs; see `benches/subscribers`.
 //!
 //! Full-policy: forms of the newest snapshot only; a form lives as long as somebody sends it.
 
@@ -85,11 +85,12 @@ impl Encoder {
             forms.sequence = sequence;
             forms.of.clear();
         }
-        if let Some(shared) = forms.of.get(&(form, filter.clone())) {
-            return Some(shared.clone());
-        }
-        forms.encoded += 1;
-        Some(forms.of.entry((form, filter.clone())).or_default().clone())
+        let Forms { of, encoded, .. } = &mut *forms;
+        let made = of.entry((form, filter.clone())).or_insert_with(|| {
+            *encoded += 1;
+            Shared::default()
+        });
+        Some(made.clone())
     }
 
     /// How many forms were made, of all snapshots.

@@ -6,7 +6,8 @@
 
 use std::{
     borrow::Cow,
-    hash::{Hash, Hasher},
+    hash::{DefaultHasher, Hash, Hasher},
+    sync::Arc,
 };
 
 use roundel_core::{
@@ -23,6 +24,8 @@ use crate::{
 
 /// Longest prediction past the server's pose time, milliseconds.
 pub const MAX_HORIZON_MS: f64 = 1000.0;
+/// Most objects that one subscriber can name.
+pub const MAX_IDS: usize = 10_000;
 
 /// How the fields of a selection are called where the request came from.
 #[derive(Debug)]
@@ -55,9 +58,17 @@ pub const QUERY_FIELDS: FieldNames = FieldNames {
     roundels: "roundels",
 };
 
-/// What a snapshot's message holds.
-#[derive(Clone, Debug, Default)]
+/// What a snapshot's message holds. Cloning, hashing and comparing with a clone take the same time whatever it is.
+#[derive(Clone, Debug)]
 pub struct Filter {
+    wish: Arc<Wish>,
+    /// Of the wish.
+    digest: u64,
+}
+
+/// What is in a filter.
+#[derive(Clone, Debug, Default)]
+struct Wish {
     /// Ascending, each once; empty: all.
     ids: Vec<ObjectId>,
     /// Likewise, of the kinds.
@@ -67,7 +78,7 @@ pub struct Filter {
     omit_covariance: bool,
 }
 
-impl Filter {
+impl Wish {
     /// Everything that takes part in comparing and hashing. Zero has one sign here, and no number
     /// is NaN, so that bits stand for values.
     fn key(&self) -> (&[ObjectId], &[KindId], Option<[u64; 6]>, u64, bool) {
@@ -76,13 +87,6 @@ impl Filter {
             [min.x, min.y, min.z, max.x, max.y, max.z].map(|side| (side + 0.0).to_bits())
         });
         (&self.ids, &self.kinds, region, (self.horizon_s + 0.0).to_bits(), self.omit_covariance)
-    }
-
-    /// The message that this filter makes of a snapshot; `sent_time_ns` and `missed` belong to the
-    /// subscriber and are left 0.
-    pub fn message(&self, installation: &Installation, fused: &FusedSnapshot) -> v1::Snapshot {
-        let chosen = self.choose(&fused.snapshot);
-        convert::snapshot(installation, fused, &chosen, !self.omit_covariance)
     }
 
     fn choose<'a>(&self, snapshot: &'a world::Snapshot) -> Cow<'a, world::Snapshot> {
@@ -110,9 +114,33 @@ impl Filter {
     }
 }
 
+impl From<Wish> for Filter {
+    fn from(wish: Wish) -> Self {
+        let mut hasher = DefaultHasher::new();
+        wish.key().hash(&mut hasher);
+        Self { wish: Arc::new(wish), digest: hasher.finish() }
+    }
+}
+
+impl Default for Filter {
+    fn default() -> Self {
+        Wish::default().into()
+    }
+}
+
+impl Filter {
+    /// The message that this filter makes of a snapshot; `sent_time_ns` and `missed` belong to the
+    /// subscriber and are left 0.
+    pub fn message(&self, installation: &Installation, fused: &FusedSnapshot) -> v1::Snapshot {
+        let chosen = self.wish.choose(&fused.snapshot);
+        convert::snapshot(installation, fused, &chosen, !self.wish.omit_covariance)
+    }
+}
+
 impl PartialEq for Filter {
     fn eq(&self, other: &Self) -> bool {
-        self.key() == other.key()
+        Arc::ptr_eq(&self.wish, &other.wish)
+            || self.digest == other.digest && self.wish.key() == other.wish.key()
     }
 }
 
@@ -120,7 +148,7 @@ impl Eq for Filter {}
 
 impl Hash for Filter {
     fn hash<H: Hasher>(&self, state: &mut H) {
-        self.key().hash(state);
+        self.digest.hash(state);
     }
 }
 
@@ -154,13 +182,13 @@ impl Selection {
             return Err(ApiError::invalid(names.horizon_ms, expected, horizon_ms));
         }
         Ok(Self {
-            filter: Filter {
+            filter: Filter::from(Wish {
                 ids: checked_ids(&request.object_ids, names)?,
                 kinds: checked_kinds(&request.roundels, kinds, names)?,
                 region,
                 horizon_s: horizon_ms * 1e-3,
                 omit_covariance: request.omit_covariance,
-            },
+            }),
             max_rate_hz: request.max_rate_hz,
         })
     }
@@ -169,6 +197,10 @@ impl Selection {
 fn checked_ids(ids: &[u64], names: &FieldNames) -> Result<Vec<ObjectId>, ApiError> {
     if ids.contains(&0) {
         return Err(ApiError::invalid(names.ids, "ids of objects, which count from 1", 0));
+    }
+    if ids.len() > MAX_IDS {
+        let expected = format!("at most {MAX_IDS} ids (leave them out for all objects)");
+        return Err(ApiError::invalid(names.ids, expected, ids.len()));
     }
     let mut ids: Vec<ObjectId> = ids.iter().copied().map(ObjectId).collect();
     ids.sort_unstable();
@@ -223,16 +255,32 @@ mod tests {
             filter(&[1, 1, 2, 2], 0.0, -0.0),
         ];
         assert_eq!(HashSet::from(same).len(), 1);
+        let wish = || Wish::clone(&filter(&[1, 2], 0.0, 0.0).wish);
         let different = [
             filter(&[1, 2], 0.0, 0.0),
             filter(&[1], 0.0, 0.0),
             filter(&[1, 2], 0.5, 0.0),
             filter(&[1, 2], 0.0, 0.5),
-            Filter { omit_covariance: true, ..filter(&[1, 2], 0.0, 0.0) },
-            Filter { region: None, ..filter(&[1, 2], 0.0, 0.0) },
-            Filter { kinds: vec![KindId(1)], ..filter(&[1, 2], 0.0, 0.0) },
+            Filter::from(Wish { omit_covariance: true, ..wish() }),
+            Filter::from(Wish { region: None, ..wish() }),
+            Filter::from(Wish { kinds: vec![KindId(1)], ..wish() }),
         ];
         assert_eq!(HashSet::from(different).len(), 7);
+    }
+
+    #[test]
+    fn a_longer_list_of_ids_than_any_arena_needs_is_refused() {
+        let request = |count: u64| v1::SubscribeSnapshotsRequest {
+            object_ids: (1..=count).collect(),
+            ..Default::default()
+        };
+        let selection = |count| Selection::new(request(count), &kinds(), &QUERY_FIELDS);
+        assert_eq!(selection(10_000).unwrap().filter.wish.ids.len(), 10_000);
+        let error = selection(10_001).unwrap_err().to_string();
+        assert_eq!(
+            error,
+            "ids: expected at most 10000 ids (leave them out for all objects), found 10001"
+        );
     }
 
     #[test]
@@ -242,7 +290,7 @@ mod tests {
             ..Default::default()
         };
         let selection = |name| Selection::new(request(name), &kinds(), &MESSAGE_FIELDS);
-        assert_eq!(selection("robot").unwrap().filter.kinds, [KindId(0), KindId(1)]);
+        assert_eq!(selection("robot").unwrap().filter.wish.kinds, [KindId(0), KindId(1)]);
         let error = selection("robots").unwrap_err().to_string();
         assert_eq!(error, "roundels: expected any of robot, cart, found \"robots\"");
     }
