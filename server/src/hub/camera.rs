@@ -72,8 +72,8 @@ pub enum PoseStatus {
     Without(Unplaced),
 }
 
-/// Where a camera is.
-#[derive(Clone, Debug, Default, PartialEq)]
+/// Where a camera is. By default that is not known, since nobody has looked.
+#[derive(Clone, Debug, PartialEq)]
 pub struct CameraPlace {
     /// How that is known, or why not.
     pub status: PoseStatus,
@@ -88,12 +88,19 @@ pub struct CameraPlace {
 impl CameraPlace {
     /// Of a camera that stands.
     pub fn standing(status: PoseStatus, placement: CameraPlacement) -> Self {
-        Self { status, placement: Some(placement), ..Self::default() }
+        Self { status, placement: Some(placement), time: None, reason: String::new() }
     }
 
     /// Of one that has not found its place.
     pub fn searching(reason: impl Into<String>) -> Self {
-        Self { reason: reason.into(), ..Self::default() }
+        let status = PoseStatus::Searching;
+        Self { status, placement: None, time: None, reason: reason.into() }
+    }
+}
+
+impl Default for CameraPlace {
+    fn default() -> Self {
+        Self::searching("none of its frames has been looked at yet")
     }
 }
 
