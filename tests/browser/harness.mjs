@@ -91,6 +91,35 @@ export function visitObjects(browser, url, options, body) {
   });
 }
 
+/** A number that changes with the canvas' picture, which a worker has drawn. */
+export function canvasSum(page, id) {
+  return page.evaluate((name) => {
+    const canvas = document.getElementById(name);
+    const copy = new OffscreenCanvas(canvas.width, canvas.height).getContext("2d", { willReadFrequently: true });
+    copy.drawImage(canvas, 0, 0);
+    const { data } = copy.getImageData(0, 0, canvas.width, canvas.height);
+    let sum = 0;
+    for (let i = 0; i < data.length; i += 4) {
+      sum = (sum * 31 + data[i] + 7 * data[i + 1] + 13 * data[i + 2] + 17 * data[i + 3]) % 4294967291;
+    }
+    return sum;
+  }, id);
+}
+
+/** Waits until a canvas' picture is as wanted. */
+export async function assertPicture(page, id, wanted, complaint) {
+  const until = Date.now() + PATIENCE_MS;
+  while (!wanted(await canvasSum(page, id))) {
+    assert.ok(Date.now() < until, `${id} ${complaint} for ${PATIENCE_MS} ms`);
+    await page.waitForTimeout(100);
+  }
+}
+
+export const assertChanges = (page, id, before) =>
+  assertPicture(page, id, (sum) => sum !== before, "shows the same picture");
+export const assertReturns = (page, id, before) =>
+  assertPicture(page, id, (sum) => sum === before, "does not show what it did");
+
 /** That axe finds nothing serious. @param {import("playwright-core").Page} page @param {string} [part] of it alone */
 export async function assertAccessible(page, part = "html") {
   const axe = await readFile(createRequire(import.meta.url).resolve("axe-core/axe.min.js"), "utf8");

@@ -5,7 +5,7 @@ import { readFile } from "node:fs/promises";
 import { join } from "node:path";
 import { after, before, describe, test } from "node:test";
 
-import { assertAccessible, launch, visitObjects } from "./harness.mjs";
+import { assertAccessible, assertChanges, canvasSum, launch, visitObjects } from "./harness.mjs";
 import { call, lacking, startLab, startReplay } from "./lab.mjs";
 
 /** The room at which a phone is held to. */
@@ -46,9 +46,6 @@ async function until(wanted, path = "recording", server = lab) {
   }
   assert.fail(`GET ${path} never was as wanted`);
 }
-
-/** What a canvas shows. */
-const pictureOf = (page, id) => page.evaluate((name) => document.getElementById(name).toDataURL(), id);
 
 describe("recordings", { skip: lacking }, () => {
   test("are begun and ended by click, seen from everywhere, and listed", async () => {
@@ -167,14 +164,14 @@ describe("where objects were", { skip: lacking }, () => {
   test("is drawn as courses and as a map of heat, for whom and when one wants", async () => {
     await until((it) => it.points > 20, "history");
     await withPage(lab.url, async (page) => {
-      const bare = await pictureOf(page, "arena-backdrop");
+      const bare = await canvasSum(page, "arena-backdrop");
       await page.locator("#history-open").click();
       await holds(page, "#history-words", /^(\d+|\d+ objects), \d.*places, one each \d+.*Kept are/);
-      const courses = await pictureOf(page, "arena-backdrop");
-      assert.notEqual(courses, bare);
+      await assertChanges(page, "arena-backdrop", bare);
+      const courses = await canvasSum(page, "arena-backdrop");
       await page.locator("label:has(#history-heat)").click();
       await holds(page, "#history-words", /Darkest: .* in a square of 0\.\d+ m/);
-      assert.notEqual(await pictureOf(page, "arena-backdrop"), courses);
+      await assertChanges(page, "arena-backdrop", courses);
       const row = page.locator("#object-rows tr").first();
       const id = await row.getAttribute("data-object-id");
       await row.locator("button").click();

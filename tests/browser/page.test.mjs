@@ -6,7 +6,18 @@
 import assert from "node:assert/strict";
 import { after, before, describe, test } from "node:test";
 
-import { PATIENCE_MS, assertAccessible, launch, readObjects, startLine, target, visitObjects } from "./harness.mjs";
+import {
+  assertAccessible,
+  assertChanges,
+  assertPicture,
+  assertReturns,
+  canvasSum,
+  launch,
+  readObjects,
+  startLine,
+  target,
+  visitObjects,
+} from "./harness.mjs";
 
 let server;
 let browser;
@@ -21,35 +32,6 @@ after(async () => {
 });
 
 const withPage = (options, body, url = server.url) => visitObjects(browser, url, options, body);
-
-/** A number that changes with the canvas' picture, which a worker has drawn. */
-function canvasSum(page, id) {
-  return page.evaluate((name) => {
-    const canvas = document.getElementById(name);
-    const copy = new OffscreenCanvas(canvas.width, canvas.height).getContext("2d", { willReadFrequently: true });
-    copy.drawImage(canvas, 0, 0);
-    const { data } = copy.getImageData(0, 0, canvas.width, canvas.height);
-    let sum = 0;
-    for (let i = 0; i < data.length; i += 4) {
-      sum = (sum * 31 + data[i] + 7 * data[i + 1] + 13 * data[i + 2] + 17 * data[i + 3]) % 4294967291;
-    }
-    return sum;
-  }, id);
-}
-
-/** Waits until a canvas' picture is as wanted. */
-async function assertPicture(page, id, wanted, complaint) {
-  const until = Date.now() + PATIENCE_MS;
-  while (!wanted(await canvasSum(page, id))) {
-    assert.ok(Date.now() < until, `${id} ${complaint} for ${PATIENCE_MS} ms`);
-    await page.waitForTimeout(100);
-  }
-}
-
-const assertChanges = (page, id, before) =>
-  assertPicture(page, id, (sum) => sum !== before, "shows the same picture");
-const assertReturns = (page, id, before) =>
-  assertPicture(page, id, (sum) => sum === before, "does not show what it did");
 
 describe("the page", () => {
   test("opens without a complaint and asks nobody but its server", async () => {
