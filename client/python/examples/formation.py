@@ -4,7 +4,8 @@
     python client/python/examples/formation.py           # in another
 
 Every 50 ms: the newest poses are predicted to when the robots will obey, each robot is drawn to its place on the circle
-and away from whoever is near, and told so. Ends with an error if the circle is not as wanted.
+and away from whoever is near, and told so. Ends with an error if the circle is not as wanted, if the push moved
+nobody, and as soon as there is no news of where the robots are: they stop by themselves when they are told nothing.
 """
 
 from __future__ import annotations
@@ -12,12 +13,11 @@ from __future__ import annotations
 import argparse
 import sys
 import time
-from typing import Callable
 
 import numpy as np
 from numpy.typing import NDArray
 
-from roundel import Client, LifeStage, RoundelError, Snapshot
+from roundel import Client, Latest, RoundelError, Snapshot, Stale
 
 Floats = NDArray[np.float64]
 
@@ -33,7 +33,11 @@ GIVE_WAY_HZ = 1.5
 GOOD_M = 0.03
 """Root mean square distance from the places at which the circle stands."""
 SETTLED_S = 2.0
+PUSHED_M = 0.3
+"""So far the push must take its robot at least: it moves at 1 m/s for a second, and draws back meanwhile."""
 PATIENCE_S = 60.0
+BLIND_S = 1.0
+"""Nobody is driven by what is older, nor waited for longer with an answer."""
 
 
 def main() -> None:
@@ -42,16 +46,19 @@ def main() -> None:
     parser.add_argument("--robots", type=int, default=12)
     parser.add_argument("--radius", type=float, default=2.0, help="of the circle, metres")
     arguments = parser.parse_args()
-    with Client.connect(arguments.server) as client, client.latest() as latest:
+    with Client.connect(arguments.server, timeout_s=BLIND_S) as client, client.latest() as latest:
         formation = Formation(client, arguments.robots, arguments.radius)
-        snapshot = wait_for(latest.next, arguments.robots)
-        formation.assign(snapshot)
-        formed_s = formation.hold(latest.next, "forming")
+        formation.assign(wait_for(latest, arguments.robots))
+        formed_s = formation.hold(latest, "forming")
         pushed = formation.ids[0]
         outwards = formation.places_m[0] / arguments.radius
         client.push(pushed, outwards, duration_s=1.0)
-        print(f"pushing robot {pushed} away")
-        back_s = formation.hold(latest.next, "holding", least_s=3.0)
+        print(f"pushing robot {pushed} away", flush=True)
+        back_s = formation.hold(latest, "holding", least_s=3.0)
+        if formation.worst_m[0] < PUSHED_M:
+            sys.exit(
+                f"expected the push to take robot {pushed} at least {PUSHED_M} m away, found {formation.worst_m[0]:.2f} m"
+            )
         print(
             f"formed in {formed_s:.1f} s, again {back_s:.1f} s after the push, which took robot {pushed} "
             f"{formation.worst_m[0]:.2f} m away and the others {formation.worst_m[1:].max():.3f} m; "
@@ -59,16 +66,20 @@ def main() -> None:
         )
 
 
-def wait_for(next_snapshot: Callable[[float], Snapshot], robots: int) -> Snapshot:
+def wait_for(latest: Latest, robots: int) -> Snapshot:
     """The first snapshot with enough robots that are seen."""
     end = time.monotonic() + PATIENCE_S
-    while True:
-        snapshot = next_snapshot(PATIENCE_S)
-        tracked = int((snapshot.stages == LifeStage.TRACKED).sum())
+    tracked = 0
+    while time.monotonic() < end:
+        try:
+            snapshot = latest.next(BLIND_S)
+        except Stale:
+            # A server that has just begun makes none before it has seen something.
+            continue
+        tracked = int(snapshot.tracked.sum())
         if tracked >= robots:
             return snapshot
-        if time.monotonic() > end:
-            sys.exit(f"expected {robots} robots to be seen, found {tracked}")
+    sys.exit(f"expected {robots} robots to be seen within {PATIENCE_S:.0f} s, found {tracked}; {latest.link}")
 
 
 class Formation:
@@ -86,7 +97,7 @@ class Formation:
 
     def assign(self, snapshot: Snapshot) -> None:
         """Gives each robot a place: in the order in which they stand round the middle, so that ways hardly cross."""
-        rows = np.flatnonzero(snapshot.stages == LifeStage.TRACKED)[: len(self.places_m)]
+        rows = np.flatnonzero(snapshot.tracked)[: len(self.places_m)]
         at_m = snapshot.positions_m[rows, :2]
         around = at_m - at_m.mean(axis=0)
         order = np.argsort(np.arctan2(around[:, 1], around[:, 0]))
@@ -95,7 +106,7 @@ class Formation:
         best = min(turns, key=lambda turn: float(((np.roll(at_m, turn, axis=0) - self.places_m) ** 2).sum()))
         self.ids = [int(i) for i in snapshot.ids[np.roll(rows, best)]]
 
-    def hold(self, next_snapshot: Callable[[float], Snapshot], word: str, least_s: float = 0.0) -> float:
+    def hold(self, latest: Latest, word: str, least_s: float = 0.0) -> float:
         """Drives until the circle has stood for a while; how long it took until then."""
         begin = time.monotonic()
         good_since: float | None = None
@@ -103,7 +114,7 @@ class Formation:
         self.worst_m[:] = 0.0
         while True:
             now = time.monotonic()
-            snapshot = next_snapshot(PATIENCE_S)
+            snapshot = latest.next(BLIND_S)
             off_m = self.step(snapshot)
             self.worst_m = np.maximum(self.worst_m, off_m)
             self.rms_m = float(np.sqrt((off_m**2).mean()))

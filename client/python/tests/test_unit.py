@@ -5,10 +5,27 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from roundel import Conflict, Disconnected, InvalidAddress, LifeStage, Reconnected, Refused, Snapshot, Subscription, Unreachable, v1
+from roundel import (
+    Client,
+    Conflict,
+    Disconnected,
+    History,
+    InvalidAddress,
+    LifeStage,
+    Link,
+    LinkState,
+    Reconnected,
+    Refused,
+    Snapshot,
+    Stale,
+    Subscription,
+    Track,
+    Unreachable,
+    v1,
+)
 from roundel._address import target
 from roundel._backoff import FIRST_S, LONGEST_S, Backoff
-from roundel._calls import ANSWERS, calibration_request, drive_request, history_request
+from roundel._calls import ANSWERS, LONG_CALLS, calibration_request, deadline_s, drive_request, history_request
 from roundel._follower import Follower
 from roundel.clock import best
 from roundel.errors import from_rpc
@@ -118,7 +135,8 @@ def test_prediction_follows_velocity_fading_acceleration_and_turn() -> None:
 
 
 def test_a_follower_counts_gaps_and_tells_a_new_server() -> None:
-    follower = Follower()
+    now_s = 100.0
+    follower = Follower(lambda: now_s)
     message = lambda sequence, source="a", missed=0: v1.Snapshot(sequence=sequence, source_id=source, missed=missed)  # noqa: E731
     assert [type(u) for u in follower.received(message(5))] == [Snapshot]
     follower.received(message(9, missed=3))
@@ -130,10 +148,85 @@ def test_a_follower_counts_gaps_and_tells_a_new_server() -> None:
     assert isinstance(back[0], Reconnected) and back[0].missed == 10
     assert isinstance(back[1], Snapshot) and follower.missed == 13
     follower.lost(Unreachable("here", "reset"))
-    assert follower.received(message(1, source="b"))[0] == Reconnected(None)
+    now_s += 2.5
+    assert follower.received(message(1, source="b"))[0] == Reconnected(None, True, 2.5)
     with pytest.raises(Refused):
         follower.lost(Refused("region: expected …", grpc.StatusCode.INVALID_ARGUMENT))
     assert isinstance(gone, Disconnected)
+
+
+def test_a_link_tells_what_became_of_it_and_the_first_connection_is_none_that_is_back() -> None:
+    now_s = 10.0
+    follower = Follower(lambda: now_s)
+    assert follower.link == Link(LinkState.CONNECTING, None, 0, 0) and follower.age_s == float("inf")
+    with pytest.raises(Stale, match="none has come yet; the stream is connecting"):
+        follower.recent(None, 1.0)
+    refused = Unreachable("here", "nobody listens")
+    follower.lost(refused)
+    assert follower.link == Link(LinkState.CONNECTING, refused, 1, 0)
+    (snapshot,) = follower.received(v1.Snapshot(sequence=5, source_id="a"))
+    assert isinstance(snapshot, Snapshot)
+    assert follower.link.is_up and follower.link.error is refused
+    now_s += 0.5
+    assert follower.age_s == 0.5 and follower.recent(snapshot, 0.5) is snapshot
+    reset = Unreachable("here", "reset by peer")
+    follower.lost(reset)
+    assert follower.link == Link(LinkState.LOST, reset, 1, 1)
+    with pytest.raises(Stale, match="newest came 0.50 s ago; the stream is lost: no answer from here: reset by peer") as stale:
+        follower.recent(snapshot, 0.4)
+    assert (stale.value.age_s, stale.value.link) == (0.5, follower.link)
+    follower.lost(refused)
+    assert follower.link == Link(LinkState.LOST, refused, 2, 1)
+    assert isinstance(follower.received(v1.Snapshot(sequence=6, source_id="a"))[0], Reconnected)
+    follower.end()
+    assert follower.link.state is LinkState.ENDED
+
+
+def test_the_past_comes_as_arrays() -> None:
+    points = [v1.HistoryPoint(time_ns=t, position=v1.Vector3(x=t, y=2.0, z=3.0)) for t in (10, 20)]
+    points[1].yaw_rad = 0.5
+    old = v1.ObjectHistory(object_id=4, name="carrier", source_id="a", points=points[:1])
+    new = v1.ObjectHistory(object_id=1, name="carrier", source_id="b", code=12, points=points)
+    past = History(v1.QueryHistoryResponse(objects=[old, new], step_s=0.1, oldest_time_ns=5, newest_time_ns=25))
+    track = past.track("carrier")
+    assert track is past.tracks[1] and past.track(4) is past.tracks[0] and past.track("nobody") is None
+    assert (track.source_id, track.code, past.tracks[0].code, len(track)) == ("b", 12, None, 2)
+    assert track.times_ns.tolist() == [10, 20] and track.times_ns.dtype == np.int64
+    np.testing.assert_array_equal(track.positions_m, [[10.0, 2.0, 3.0], [20.0, 2.0, 3.0]])
+    np.testing.assert_array_equal(track.yaws_rad, [np.nan, 0.5])
+    assert (past.step_s, past.kept_ns) == (0.1, (5, 25))
+    empty = Track(v1.ObjectHistory())
+    assert empty.positions_m.shape == (0, 3) and History(v1.QueryHistoryResponse()).tracks == []
+
+
+def test_robots_are_found_by_id_name_and_code() -> None:
+    quarter = v1.Quaternion(z=np.sqrt(0.5), w=np.sqrt(0.5))
+    objects = [state(3, name="carrier", yaw_observed=True), state(9, code=v1.Code(bits=8, number=5))]
+    objects[0].orientation.CopyFrom(quarter)
+    objects[1].stage = v1.LIFE_STAGE_PREDICTED
+    snapshot = Snapshot(v1.Snapshot(objects=objects))
+    carrier, coded = snapshot.robot("carrier"), snapshot.coded(5)
+    assert carrier is not None and coded is not None
+    assert (carrier.object_id, coded.object_id) == (3, 9)
+    assert snapshot.robot("nobody") is None and snapshot.coded(6) is None and snapshot.position_m("nobody") is None
+    assert carrier.yaw_rad == pytest.approx(np.pi / 2) and coded.yaw_rad is None
+    assert carrier.speed_m_s == 1.0
+    np.testing.assert_array_equal(snapshot.position_m(9), [1.0, 2.0, 3.0])
+    assert snapshot.codes == [None, 5] and snapshot.tracked.tolist() == [True, False]
+    # Nobody's name is empty: an object without one is not found by it.
+    assert snapshot.robot("") is None
+
+
+@pytest.mark.parametrize("wrong", [0.0, -1.0, float("nan"), float("inf")])
+def test_a_timeout_by_which_no_call_can_end_is_refused(wrong: float) -> None:
+    with pytest.raises(ValueError, match="timeout_s: expected seconds above 0"):
+        Client("http://127.0.0.1:9", timeout_s=wrong)
+
+
+def test_calls_that_take_longer_may() -> None:
+    assert deadline_s("GetSnapshot", None) < deadline_s("TestSource", None) < float("inf")
+    assert deadline_s("TestSource", 0.5) == 0.5
+    assert LONG_CALLS <= ANSWERS.keys()
 
 
 def test_the_quickest_probe_gives_the_offset() -> None:

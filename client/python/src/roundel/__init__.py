@@ -11,18 +11,35 @@
 
 from roundel.client import Client, Latest, Snapshots
 from roundel.clock import ClockOffset
-from roundel.errors import Conflict, InvalidAddress, NotRoundel, Refused, RoundelError, ServerError, Unreachable
+from roundel.errors import (
+    Closed,
+    Conflict,
+    InvalidAddress,
+    NotRoundel,
+    Refused,
+    RoundelError,
+    ServerError,
+    Stale,
+    TimedOut,
+    Unreachable,
+)
+from roundel.history import History, Track
+from roundel.link import Link, LinkState
 from roundel.snapshot import Disconnected, LifeStage, Reconnected, Robot, Snapshot, Update
 from roundel.subscription import Subscription
 
 __all__ = [
     "Client",
     "ClockOffset",
+    "Closed",
     "Conflict",
     "Disconnected",
+    "History",
     "InvalidAddress",
     "Latest",
     "LifeStage",
+    "Link",
+    "LinkState",
     "NotRoundel",
     "Reconnected",
     "Refused",
@@ -31,7 +48,10 @@ __all__ = [
     "ServerError",
     "Snapshot",
     "Snapshots",
+    "Stale",
     "Subscription",
+    "TimedOut",
+    "Track",
     "Unreachable",
     "Update",
 ]

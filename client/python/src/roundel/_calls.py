@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from typing import Any, Mapping, Sequence
 
 from roundel import v1
@@ -10,6 +11,14 @@ MAX_MESSAGE_BYTES = 64 * 1024 * 1024
 """Largest message; a snapshot of 10,000 objects with covariances takes 5 MB."""
 
 CONNECT_TIMEOUT_S = 5.0
+TIMEOUT_S = 10.0
+"""Longest that a call may take, if nobody says otherwise …"""
+LONG_TIMEOUT_S = 60.0
+"""… and one of those for which the server opens, writes or searches something."""
+
+LONG_CALLS = frozenset({
+    "TestSource", "AddCamera", "ChangeCamera", "RemoveCamera", "ApplyConfiguration", "StopRecording", "QueryHistory",
+})  # fmt: skip
 
 OPTIONS: list[tuple[str, Any]] = [
     ("grpc.max_receive_message_length", MAX_MESSAGE_BYTES),
@@ -67,6 +76,20 @@ ANSWERS: dict[str, Any] = {
     "QueryHistory": v1.QueryHistoryResponse,
 }
 """What each call answers with."""
+
+
+def timeout(timeout_s: float | None) -> float | None:
+    """As given, if a call can end by it."""
+    if timeout_s is not None and not 0.0 < timeout_s < math.inf:
+        raise ValueError(f"timeout_s: expected seconds above 0, or None for the usual ones, found {timeout_s}")
+    return timeout_s
+
+
+def deadline_s(call: str, timeout_s: float | None) -> float:
+    """How long this call may take, where `timeout_s` is what a client was told."""
+    if timeout_s is not None:
+        return timeout_s
+    return LONG_TIMEOUT_S if call in LONG_CALLS else TIMEOUT_S
 
 
 def path(call: str) -> str:

@@ -2,78 +2,85 @@
 
 from __future__ import annotations
 
+import dataclasses
 import logging
-import threading
+import time
+from typing import Callable
 
 from roundel import v1
 from roundel._backoff import Backoff
-from roundel.errors import RoundelError, ServerError, Unreachable
+from roundel.errors import RoundelError, ServerError, Stale, Unreachable
+from roundel.link import Link, LinkState
 from roundel.snapshot import Disconnected, Reconnected, Snapshot, Update
 
 log = logging.getLogger("roundel")
 
 
 class Follower:
-    """Turns messages and errors into updates. Pure but for the log: it neither waits nor sends."""
+    """Turns messages and errors into updates; it logs, and neither waits nor sends."""
 
-    def __init__(self) -> None:
+    def __init__(self, clock_s: Callable[[], float] = time.monotonic) -> None:
         self.backoff = Backoff()
         self.missed = 0
         """Snapshots missed so far, by slowness and without a connection."""
+        self.link = Link()
+        self._clock_s = clock_s
         self._newest: tuple[str, int] | None = None
-        self._was_lost = False
+        self._arrived_s: float | None = None
+
+    @property
+    def age_s(self) -> float:
+        """How long ago the newest snapshot came; infinite before the first."""
+        return float("inf") if self._arrived_s is None else self._clock_s() - self._arrived_s
 
     def received(self, message: v1.Snapshot) -> list[Update]:
         """A snapshot, after word that the connection is back if it was lost."""
         self.backoff.reset()
         before, self._newest = self._newest, (message.source_id, message.sequence)
+        gap_s, self._arrived_s = self.age_s, self._clock_s()
+        was, self.link = self.link, dataclasses.replace(self.link, state=LinkState.CONNECTED, tries=0)
         snapshot = Snapshot(message)
         self.missed += message.missed
-        if not self._was_lost:
+        if was.state is not LinkState.LOST or before is None:
+            # The first one there is comes back from nowhere, however many tries it took.
+            if was.tries:
+                log.warning("connected after %d tries in vain", was.tries)
             return [snapshot]
-        self._was_lost = False
+        restarted = before[0] != message.source_id
         missed: int | None = None
-        if before is not None and before[0] == message.source_id:
+        if not restarted:
             missed = max(message.sequence - before[1] - 1, 0)
             self.missed += missed
-        log.warning("connected again, %s", "to a server that was started anew" if missed is None else f"{missed} missed")
-        return [Reconnected(missed), snapshot]
+        told = "to a server that was started anew" if restarted else f"{missed} missed"
+        log.warning("connected again after %.1f s, %s", gap_s, told)
+        return [Reconnected(missed, restarted, gap_s), snapshot]
 
     def lost(self, error: RoundelError) -> Disconnected:
         """Word of the loss, with the pause before the next try; raises what asking again cannot heal."""
         if not error.is_temporary:
+            self.end(error)
             raise error
-        self._was_lost = True
         tries, retry_in_s = self.backoff.tries, self.backoff.next_pause_s()
+        losses = self.link.losses + self.link.is_up
+        state = LinkState.CONNECTING if self._newest is None else LinkState.LOST
+        self.link = Link(state, error, tries + 1, losses)
         if isinstance(error, Unreachable):
             reason = error.reason
         elif isinstance(error, ServerError):
             reason = error.message
         else:
             reason = str(error)
-        log.warning("connection lost: %s; next try in %.1f s", reason, retry_in_s)
+        what = "no connection yet" if self._newest is None else "connection lost"
+        log.warning("%s: %s; next try in %.1f s", what, reason, retry_in_s)
         return Disconnected(reason, tries, retry_in_s)
 
+    def end(self, error: RoundelError | None = None) -> None:
+        """Nothing will come any more."""
+        self.link = dataclasses.replace(self.link, state=LinkState.ENDED, error=error or self.link.error)
 
-class Newest:
-    """A place for the newest snapshot: who puts never waits, who takes gets no old ones."""
-
-    def __init__(self) -> None:
-        self.changed = threading.Condition()
-        self.value: Snapshot | None = None
-        self.skipped = 0
-        """Snapshots that were replaced before anybody took them."""
-        self.is_taken = True
-        self.failure: BaseException | None = None
-        self.is_closed = False
-
-    def put(self, snapshot: Snapshot) -> None:
-        with self.changed:
-            self.skipped += not self.is_taken
-            self.value, self.is_taken = snapshot, False
-            self.changed.notify_all()
-
-    def end(self, failure: BaseException | None) -> None:
-        with self.changed:
-            self.failure, self.is_closed = failure, True
-            self.changed.notify_all()
+    def recent(self, newest: Snapshot | None, longest_s: float) -> Snapshot:
+        """The newest snapshot, if it came so short a time ago."""
+        age_s = self.age_s
+        if newest is None or age_s > longest_s:
+            raise Stale(longest_s, age_s, self.link)
+        return newest

@@ -9,8 +9,9 @@ from typing import TYPE_CHECKING, Any, Iterator
 
 import grpc
 
-from roundel._follower import Follower, Newest, log
-from roundel.errors import RoundelError, Unreachable, from_rpc
+from roundel._follower import Follower, log
+from roundel.errors import Closed, RoundelError, Stale, Unreachable, from_rpc
+from roundel.link import Link
 from roundel.snapshot import Snapshot, Update
 from roundel.subscription import Subscription
 
@@ -19,7 +20,11 @@ if TYPE_CHECKING:
 
 
 class Snapshots(Iterator[Update]):
-    """Snapshots, and word of connections lost and back; ends when closed, or with an error that asking again cannot heal."""
+    """Snapshots, and word of connections lost and back.
+
+    Ends when it or its client is closed, at once, whatever it waits for; with an error that asking again cannot heal,
+    such as a refusal, it ends by raising that.
+    """
 
     def __init__(self, client: Client, subscription: Subscription) -> None:
         self._client = client
@@ -29,17 +34,29 @@ class Snapshots(Iterator[Update]):
         self._messages: Any = None
         self._pause_s = 0.0
         self._closed = threading.Event()
+        client._adopt(self)
 
     @property
     def missed(self) -> int:
         """Snapshots missed so far, since this client was too slow for them or had no connection."""
         return self._follower.missed
 
+    @property
+    def link(self) -> Link:
+        """How the connection is now."""
+        return self._follower.link
+
+    @property
+    def age_s(self) -> float:
+        """How long ago the newest snapshot came; infinite before the first."""
+        return self._follower.age_s
+
     def close(self) -> None:
         """Ends the stream; another thread that waits for its next value is let go."""
         self._closed.set()
-        if self._messages is not None:
-            self._messages.cancel()
+        messages = self._messages
+        if messages is not None:
+            messages.cancel()
 
     def __enter__(self) -> Snapshots:
         return self
@@ -53,12 +70,14 @@ class Snapshots(Iterator[Update]):
         return self
 
     def __next__(self) -> Update:
-        if not self._held:
-            if self._pause_s and self._closed.wait(self._pause_s):
-                raise StopIteration
-            self._pause_s = 0.0
-            self._receive()
-        return self._held.popleft()
+        while not self._closed.is_set():
+            if self._held:
+                return self._held.popleft()
+            pause_s, self._pause_s = self._pause_s, 0.0
+            if not (pause_s and self._closed.wait(pause_s)):
+                self._receive()
+        self._follower.end()
+        raise StopIteration
 
     def _receive(self) -> None:
         try:
@@ -66,15 +85,13 @@ class Snapshots(Iterator[Update]):
                 self._messages = self._client._open("SubscribeSnapshots", self._request)
             if self._closed.is_set():
                 self._messages.cancel()
-                raise StopIteration
+                return
             message = next(self._messages, None)
+        except Closed:
+            self._closed.set()
         except grpc.RpcError as failure:
-            if self._closed.is_set():
-                raise StopIteration from None
-            self._lost(from_rpc(self._client.address, failure))
-        except ValueError as failure:
-            # grpc's word for a channel that was closed.
-            raise StopIteration from failure
+            if not self._closed.is_set():
+                self._lost(from_rpc(self._client.address, failure))
         else:
             if message is None:
                 self._lost(Unreachable(self._client.address, "the server ended the stream"))
@@ -83,62 +100,101 @@ class Snapshots(Iterator[Update]):
 
     def _lost(self, error: RoundelError) -> None:
         self._messages = None
-        update = self._follower.lost(error)
+        try:
+            update = self._follower.lost(error)
+        except RoundelError:
+            # It has been said: who asks on finds the end.
+            self._closed.set()
+            raise
         self._pause_s = update.retry_in_s
         self._held.append(update)
 
 
 class Latest:
-    """The newest snapshot at any time. A thread reads; whoever asks gets the newest, and nothing waits for it."""
+    """The newest snapshot at any time. A thread reads; whoever asks gets the newest, and nothing waits for it.
+
+    While there is no connection the newest one stays, and grows old: :meth:`recent` and :meth:`next` with a timeout
+    raise :class:`Stale` then, and :attr:`age_s` and :attr:`link` say more.
+    """
 
     def __init__(self, client: Client, subscription: Subscription) -> None:
         self._updates = Snapshots(client, subscription)
-        self._newest = Newest()
+        self._changed = threading.Condition()
+        self._value: Snapshot | None = None
+        self._is_taken = True
+        self._skipped = 0
+        self._failure: RoundelError | None = None
+        self._is_ended = False
         self._reader = threading.Thread(target=self._read, name="roundel-latest", daemon=True)
         self._reader.start()
 
     @property
     def value(self) -> Snapshot | None:
-        """The newest snapshot; None before the first. Does not wait."""
-        with self._newest.changed:
-            self._newest.is_taken = True
-            return self._newest.value
+        """The newest snapshot, however old; None before the first. Does not wait."""
+        with self._changed:
+            self._is_taken = True
+            return self._value
+
+    @property
+    def age_s(self) -> float:
+        """How long ago the newest snapshot came; infinite before the first."""
+        return self._updates.age_s
+
+    @property
+    def link(self) -> Link:
+        """How the connection is now, and the last error there was."""
+        return self._updates.link
 
     @property
     def skipped(self) -> int:
         """Snapshots that came and were replaced before anybody took them."""
-        return self._newest.skipped
+        return self._skipped
 
     @property
     def missed(self) -> int:
         """Snapshots that never came, as of :attr:`Snapshots.missed`."""
         return self._updates.missed
 
+    def recent(self, longest_s: float) -> Snapshot:
+        """The newest snapshot if it came at most so long ago; else raises :class:`Stale`. Does not wait.
+
+        Raises what ended the stream (:class:`Refused`, :class:`Closed`) too.
+        """
+        with self._changed:
+            if self._is_ended:
+                raise self._end()
+            snapshot = self._updates._follower.recent(self._value, longest_s)
+            self._is_taken = True
+            return snapshot
+
     def next(self, timeout_s: float | None = None) -> Snapshot:
-        """The newest snapshot that nobody has taken yet; waits for one, and raises TimeoutError in vain."""
-        newest = self._newest
-        with newest.changed:
-            if not newest.changed.wait_for(lambda: newest.is_closed or not newest.is_taken, timeout_s):
-                raise TimeoutError(f"no snapshot within {timeout_s} s")
-            if newest.value is not None and not newest.is_taken:
-                newest.is_taken = True
-                return newest.value
-            if newest.failure is not None:
-                raise newest.failure
-            raise StopIteration
+        """The newest snapshot that nobody has taken yet; waits for one.
+
+        Raises :class:`Stale`, a TimeoutError, in vain; and what ended the stream: :class:`Refused`, :class:`Closed`.
+        """
+        with self._changed:
+            if not self._changed.wait_for(lambda: self._is_ended or not self._is_taken, timeout_s):
+                raise Stale(timeout_s or 0.0, self.age_s, self.link)
+            if self._is_ended:
+                raise self._end()
+            assert self._value is not None
+            self._is_taken = True
+            return self._value
 
     def __iter__(self) -> Iterator[Snapshot]:
+        """Each time the newest one that nobody has taken yet, until it is closed."""
         while True:
             try:
                 snapshot = self.next()
-            except StopIteration:
+            except Closed:
                 return
             yield snapshot
 
     def close(self) -> None:
         """Ends the stream and its thread."""
         self._updates.close()
-        self._reader.join()
+        if threading.current_thread() is not self._reader:
+            self._reader.join()
 
     def __enter__(self) -> Latest:
         return self
@@ -148,13 +204,21 @@ class Latest:
     ) -> None:
         self.close()
 
+    def _end(self) -> RoundelError:
+        return self._failure or Closed("stream of snapshots")
+
     def _read(self) -> None:
-        failure: BaseException | None = None
+        failure: RoundelError | None = None
         try:
             for update in self._updates:
                 if isinstance(update, Snapshot):
-                    self._newest.put(update)
+                    with self._changed:
+                        self._skipped += not self._is_taken
+                        self._value, self._is_taken = update, False
+                        self._changed.notify_all()
         except RoundelError as error:
             log.error("%s", error)
             failure = error
-        self._newest.end(failure)
+        with self._changed:
+            self._failure, self._is_ended = failure, True
+            self._changed.notify_all()

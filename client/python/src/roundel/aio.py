@@ -1,8 +1,14 @@
-"""The same client for asyncio: calls are awaited, streams are `async for`."""
+"""The same client for asyncio: calls are awaited, streams are `async for`.
+
+What has been closed raises `Closed` when it is asked, and streams over it end.
+"""
 
 from __future__ import annotations
 
+import asyncio
+import copy
 import time
+import weakref
 from types import TracebackType
 from typing import Any, AsyncIterator, Mapping, Sequence
 
@@ -11,8 +17,9 @@ import grpc.aio
 
 from roundel import _calls, clock, v1
 from roundel._address import target
-from roundel._aio_snapshots import Latest, Snapshots
-from roundel.errors import RoundelError, ServerError, from_rpc
+from roundel._aio_snapshots import Latest, Snapshots, is_cancelled
+from roundel.errors import Closed, RoundelError, ServerError, from_rpc
+from roundel.history import History
 from roundel.snapshot import Snapshot
 from roundel.subscription import Subscription
 
@@ -22,24 +29,41 @@ __all__ = ["Client", "Latest", "Snapshots"]
 class Client:
     """A connection to a server; it comes back by itself. To be made and used within one event loop."""
 
-    def __init__(self, address: str = "http://127.0.0.1:7670") -> None:
-        """Asks nothing of the server yet: it may come up later."""
+    def __init__(self, address: str = "http://127.0.0.1:7670", timeout_s: float | None = None) -> None:
+        """Asks nothing of the server yet: it may come up later.
+
+        A call that takes longer than `timeout_s` raises `TimedOut`; None: 10 s, and a minute where the server has to
+        open, write or search something. Streams have no such end. See also :meth:`within`.
+        """
         self.address = address
+        self.timeout_s = _calls.timeout(timeout_s)
         self._channel = grpc.aio.insecure_channel(target(address), options=_calls.OPTIONS)
+        self._closed = asyncio.Event()
+        self._streams: weakref.WeakSet[Snapshots] = weakref.WeakSet()
 
     @classmethod
-    async def connect(cls, address: str = "http://127.0.0.1:7670") -> Client:
+    async def connect(cls, address: str = "http://127.0.0.1:7670", timeout_s: float | None = None) -> Client:
         """The same, after making sure that a Roundel server is there."""
-        client = cls(address)
+        client = cls(address, timeout_s)
         try:
-            await client.info(timeout_s=_calls.CONNECT_TIMEOUT_S)
-        except RoundelError:
+            await client.info(timeout_s=_calls.CONNECT_TIMEOUT_S if timeout_s is None else timeout_s)
+        except BaseException:
+            # Cancelled too: nobody else knows of this connection.
             await client.close()
             raise
         return client
 
+    def within(self, timeout_s: float) -> Client:
+        """This client over the same connection, with another timeout: ``await client.within(0.2).drive(…)``."""
+        other = copy.copy(self)
+        other.timeout_s = _calls.timeout(timeout_s)
+        return other
+
     async def close(self) -> None:
-        """Ends the connection, and every stream over it."""
+        """Ends the connection, and every stream over it, at once."""
+        self._closed.set()
+        for stream in list(self._streams):
+            stream.close()
         await self._channel.close(None)
 
     async def __aenter__(self) -> Client:
@@ -56,13 +80,10 @@ class Client:
 
     async def snapshots(self, subscription: Subscription | None = None) -> AsyncIterator[Snapshot]:
         """The same without the word, which is logged (logger ``roundel``)."""
-        updates = self.updates(subscription)
-        try:
+        async with self.updates(subscription) as updates:
             async for update in updates:
                 if isinstance(update, Snapshot):
                     yield update
-        finally:
-            updates.close()
 
     def latest(self, subscription: Subscription | None = None) -> Latest:
         """The newest snapshot at any time, for loops that run at a rate of their own."""
@@ -240,21 +261,30 @@ class Client:
         from_ns: int = 0,
         until_ns: int = 0,
         max_points: int = 0,
-    ) -> v1.QueryHistoryResponse:
+    ) -> History:
         """Where objects (by id, name or code; none: all) were; from an hour before until now where times are 0."""
         request = _calls.history_request(objects, region_m, (from_ns, until_ns), max_points)
-        return await self._call("QueryHistory", request)  # type: ignore[no-any-return]
+        return History(await self._call("QueryHistory", request))
 
     async def _call(self, call: str, request: Any, timeout_s: float | None = None) -> Any:
-        method = self._channel.unary_unary(_calls.path(call), _calls.encoded, _calls.ANSWERS[call].FromString)
+        if timeout_s is None:
+            timeout_s = _calls.deadline_s(call, self.timeout_s)
         try:
-            return await method(request, timeout=timeout_s)
+            return await self._method(self._channel.unary_unary, call)(request, timeout=timeout_s)
         except grpc.aio.AioRpcError as error:
-            raise from_rpc(self.address, error) from error
+            raise self._failure(error, call, timeout_s) from error
+        except grpc.aio.UsageError as error:
+            raise self._misuse(error) from error
+        except asyncio.CancelledError as error:
+            if self._closed.is_set() and not is_cancelled():
+                raise Closed("client") from error
+            raise
 
     def _open(self, call: str, request: Any) -> Any:
-        method = self._channel.unary_stream(_calls.path(call), _calls.encoded, _calls.ANSWERS[call].FromString)
-        return method(request)
+        try:
+            return self._method(self._channel.unary_stream, call)(request)
+        except grpc.aio.UsageError as error:
+            raise self._misuse(error) from error
 
     async def _stream(self, call: str, request: Any) -> AsyncIterator[Any]:
         messages = self._open(call, request)
@@ -262,6 +292,27 @@ class Client:
             async for message in messages:
                 yield message
         except grpc.aio.AioRpcError as error:
-            raise from_rpc(self.address, error) from error
+            if not self._closed.is_set():
+                raise self._failure(error, call) from error
+        except asyncio.CancelledError:
+            if not self._closed.is_set() or is_cancelled():
+                raise
         finally:
             messages.cancel()
+
+    def _method(self, kind: Any, call: str) -> Any:
+        if self._closed.is_set():
+            raise Closed("client")
+        return kind(_calls.path(call), _calls.encoded, _calls.ANSWERS[call].FromString)
+
+    def _failure(self, error: grpc.RpcError, call: str, timeout_s: float | None = None) -> RoundelError:
+        return Closed("client") if self._closed.is_set() else from_rpc(self.address, error, call, timeout_s)
+
+    def _misuse(self, error: grpc.aio.UsageError) -> Exception:
+        return Closed("client") if self._closed.is_set() else error
+
+    def _adopt(self, stream: Snapshots) -> None:
+        """Has a stream closed with this client."""
+        if self._closed.is_set():
+            raise Closed("client")
+        self._streams.add(stream)

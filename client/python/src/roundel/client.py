@@ -1,11 +1,15 @@
 """The plain client: calls that return, and iterators that wait.
 
-A client may be used from several threads; an iterator belongs to one of them, but for `close`.
+A client may be used from several threads; an iterator belongs to one of them, but for `close`. Every call can raise
+what `errors` lists; what has been closed raises `Closed` when it is asked, and iterators over it end.
 """
 
 from __future__ import annotations
 
+import copy
+import threading
 import time
+import weakref
 from types import TracebackType
 from typing import Any, Iterator, Mapping, Sequence
 
@@ -14,7 +18,8 @@ import grpc
 from roundel import _calls, clock, v1
 from roundel._address import target
 from roundel._snapshots import Latest, Snapshots
-from roundel.errors import RoundelError, ServerError, from_rpc
+from roundel.errors import Closed, RoundelError, ServerError, from_rpc
+from roundel.history import History
 from roundel.snapshot import Snapshot
 from roundel.subscription import Subscription
 
@@ -24,24 +29,43 @@ __all__ = ["Client", "Latest", "Snapshots"]
 class Client:
     """A connection to a server; it comes back by itself."""
 
-    def __init__(self, address: str = "http://127.0.0.1:7670") -> None:
-        """Asks nothing of the server yet: it may come up later."""
+    def __init__(self, address: str = "http://127.0.0.1:7670", timeout_s: float | None = None) -> None:
+        """Asks nothing of the server yet: it may come up later.
+
+        A call that takes longer than `timeout_s` raises `TimedOut`; None: 10 s, and a minute where the server has to
+        open, write or search something. Streams have no such end. See also :meth:`within`.
+        """
         self.address = address
+        self.timeout_s = _calls.timeout(timeout_s)
         self._channel = grpc.insecure_channel(target(address), options=_calls.OPTIONS)
+        self._closed = threading.Event()
+        self._streams: weakref.WeakSet[Snapshots] = weakref.WeakSet()
+        self._adopting = threading.Lock()
 
     @classmethod
-    def connect(cls, address: str = "http://127.0.0.1:7670") -> Client:
+    def connect(cls, address: str = "http://127.0.0.1:7670", timeout_s: float | None = None) -> Client:
         """The same, after making sure that a Roundel server is there."""
-        client = cls(address)
+        client = cls(address, timeout_s)
         try:
-            client.info(timeout_s=_calls.CONNECT_TIMEOUT_S)
+            client.info(timeout_s=_calls.CONNECT_TIMEOUT_S if timeout_s is None else timeout_s)
         except RoundelError:
             client.close()
             raise
         return client
 
+    def within(self, timeout_s: float) -> Client:
+        """This client over the same connection, with another timeout: ``client.within(0.2).drive(…)``."""
+        other = copy.copy(self)
+        other.timeout_s = _calls.timeout(timeout_s)
+        return other
+
     def close(self) -> None:
-        """Ends the connection, and every iterator over it."""
+        """Ends the connection, and every iterator over it, at once."""
+        with self._adopting:
+            self._closed.set()
+            streams = list(self._streams)
+        for stream in streams:
+            stream.close()
         self._channel.close()
 
     def __enter__(self) -> Client:
@@ -246,27 +270,49 @@ class Client:
         from_ns: int = 0,
         until_ns: int = 0,
         max_points: int = 0,
-    ) -> v1.QueryHistoryResponse:
+    ) -> History:
         """Where objects (by id, name or code; none: all) were; from an hour before until now where times are 0."""
         request = _calls.history_request(objects, region_m, (from_ns, until_ns), max_points)
-        return self._call("QueryHistory", request)  # type: ignore[no-any-return]
+        return History(self._call("QueryHistory", request))
 
     def _call(self, call: str, request: Any, timeout_s: float | None = None) -> Any:
-        method = self._channel.unary_unary(_calls.path(call), _calls.encoded, _calls.ANSWERS[call].FromString)
+        if timeout_s is None:
+            timeout_s = _calls.deadline_s(call, self.timeout_s)
         try:
+            method = self._channel.unary_unary(_calls.path(call), _calls.encoded, _calls.ANSWERS[call].FromString)
             return method(request, timeout=timeout_s)
         except grpc.RpcError as error:
-            raise from_rpc(self.address, error) from error
+            raise self._failure(error, call, timeout_s) from error
+        except ValueError as error:
+            raise self._misuse(error) from error
 
     def _open(self, call: str, request: Any) -> Any:
-        method = self._channel.unary_stream(_calls.path(call), _calls.encoded, _calls.ANSWERS[call].FromString)
-        return method(request)
+        try:
+            method = self._channel.unary_stream(_calls.path(call), _calls.encoded, _calls.ANSWERS[call].FromString)
+            return method(request)
+        except ValueError as error:
+            raise self._misuse(error) from error
 
     def _stream(self, call: str, request: Any) -> Iterator[Any]:
         messages = self._open(call, request)
         try:
             yield from messages
         except grpc.RpcError as error:
-            raise from_rpc(self.address, error) from error
+            if not self._closed.is_set():
+                raise self._failure(error, call) from error
         finally:
             messages.cancel()
+
+    def _failure(self, error: grpc.RpcError, call: str, timeout_s: float | None = None) -> RoundelError:
+        return Closed("client") if self._closed.is_set() else from_rpc(self.address, error, call, timeout_s)
+
+    def _misuse(self, error: ValueError) -> Exception:
+        """A ValueError is grpc's word for a channel that was closed, and for what cannot be encoded."""
+        return Closed("client") if self._closed.is_set() else error
+
+    def _adopt(self, stream: Snapshots) -> None:
+        """Has a stream closed with this client."""
+        with self._adopting:
+            if self._closed.is_set():
+                raise Closed("client")
+            self._streams.add(stream)

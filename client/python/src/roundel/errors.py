@@ -2,7 +2,14 @@
 
 from __future__ import annotations
 
+from typing import TYPE_CHECKING, Any
+
 import grpc
+from google.protobuf.message import DecodeError
+from google.rpc import error_details_pb2, status_pb2
+
+if TYPE_CHECKING:
+    from roundel.link import Link
 
 _REFUSALS = frozenset({
     grpc.StatusCode.INVALID_ARGUMENT,
@@ -10,6 +17,9 @@ _REFUSALS = frozenset({
     grpc.StatusCode.OUT_OF_RANGE,
     grpc.StatusCode.FAILED_PRECONDITION,
 })
+
+_DETAILS = "grpc-status-details-bin"
+"""Trailing metadata in which a server says the parts of an error: a google.rpc.Status."""
 
 
 class RoundelError(Exception):
@@ -42,6 +52,14 @@ class Unreachable(RoundelError):
         self.reason = reason
 
 
+class TimedOut(Unreachable, TimeoutError):
+    """A call has taken longer than its `timeout_s`. Whether the server has done what was asked is not known."""
+
+    def __init__(self, address: str, call: str, timeout_s: float) -> None:
+        super().__init__(address, f"{call} has taken longer than its timeout of {timeout_s:g} s")
+        self.timeout_s = timeout_s
+
+
 class NotRoundel(RoundelError):
     """Somebody answers there, but not a Roundel server that knows the call."""
 
@@ -52,10 +70,15 @@ class NotRoundel(RoundelError):
 class Refused(RoundelError):
     """The server refuses the request as it is; asking again will not help."""
 
-    def __init__(self, message: str, code: grpc.StatusCode) -> None:
+    def __init__(self, message: str, code: grpc.StatusCode, field: str | None = None, what: str | None = None) -> None:
         super().__init__(f"the server refuses the request: {message}")
         self.message = message
         self.code = code
+        """INVALID_ARGUMENT, NOT_FOUND, OUT_OF_RANGE or FAILED_PRECONDITION."""
+        self.field = field
+        """The field of the request that is wrong, as the .proto files name it; None where it is none."""
+        self.what = what
+        """The kind of thing that is not there, such as camera; None but for NOT_FOUND."""
 
 
 class ServerError(RoundelError):
@@ -78,17 +101,60 @@ class Conflict(RoundelError):
         self.code = code
 
 
-def from_rpc(address: str, error: grpc.RpcError) -> RoundelError:
+class Closed(RoundelError):
+    """This program has closed the client, or the stream, that it asks."""
+
+    def __init__(self, what: str) -> None:
+        super().__init__(f"this {what} has been closed; make another one")
+
+
+class Stale(RoundelError, TimeoutError):
+    """No snapshot is as new as was asked for: who steers by them had better stop."""
+
+    is_temporary = True
+
+    def __init__(self, longest_s: float, age_s: float, link: Link) -> None:
+        newest = "none has come yet" if age_s == float("inf") else f"the newest came {age_s:.2f} s ago"
+        super().__init__(f"no snapshot within {longest_s:g} s: {newest}; {link}")
+        self.age_s = age_s
+        """How long ago the newest one came; infinite before the first."""
+        self.link = link
+
+
+def from_rpc(address: str, error: grpc.RpcError, call: str = "the call", timeout_s: float | None = None) -> RoundelError:
     """What a failed call to `address` means."""
     # Both of grpc's kinds of errors have these; their common base declares neither.
     code = error.code() if hasattr(error, "code") else grpc.StatusCode.UNKNOWN
     message = (error.details() if hasattr(error, "details") else None) or str(error)
     if code in _REFUSALS:
-        return Refused(message, code)
+        field, what = _refused(error)
+        return Refused(message, code, field, what)
     if code is grpc.StatusCode.ABORTED:
         return Conflict(message, code)
     if code is grpc.StatusCode.UNIMPLEMENTED:
         return NotRoundel(address, f"it does not know this call ({message})")
+    if code is grpc.StatusCode.DEADLINE_EXCEEDED and timeout_s is not None:
+        return TimedOut(address, call, timeout_s)
     if code in (grpc.StatusCode.UNAVAILABLE, grpc.StatusCode.DEADLINE_EXCEEDED):
         return Unreachable(address, message)
     return ServerError(message, code)
+
+
+def _refused(error: grpc.RpcError) -> tuple[str | None, str | None]:
+    """The wrong field, and the kind of thing that is not there, where the server says them."""
+    trailers: Any = (error.trailing_metadata() if hasattr(error, "trailing_metadata") else None) or ()
+    field: str | None = None
+    what: str | None = None
+    for value in (value for key, value in trailers if key == _DETAILS):
+        try:
+            details = status_pb2.Status.FromString(value).details
+        except DecodeError:
+            # Of another server's making: the sentence says it too.
+            continue
+        for detail in details:
+            request, thing = error_details_pb2.BadRequest(), error_details_pb2.ResourceInfo()
+            if detail.Unpack(request) and request.field_violations:
+                field = request.field_violations[0].field
+            elif detail.Unpack(thing):
+                what = thing.resource_type
+    return field, what

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import enum
 import functools
+import math
 from dataclasses import dataclass, field
 from typing import Callable, Iterable, Sequence
 
@@ -58,6 +59,19 @@ class Robot:
     """Pose time less the capture time of the newest observation used."""
     covariance: Floats | None
     """6x6 over (position m, rotation rad); None where it was left out."""
+
+    @property
+    def yaw_rad(self) -> float | None:
+        """Angle of its x axis about the world's z axis, anticlockwise from the world's x; None while it is not observed."""
+        if not self.yaw_observed:
+            return None
+        x, y, z, w = self.orientation
+        return math.atan2(2.0 * (x * y + w * z), 1.0 - 2.0 * (y * y + z * z))
+
+    @property
+    def speed_m_s(self) -> float:
+        """Length of the velocity."""
+        return float(np.linalg.norm(self.velocity_m_s))
 
     @property
     def position_sigma_m(self) -> Floats | None:
@@ -125,6 +139,17 @@ class Snapshot:
     def names(self) -> list[str]:
         """Configured names; empty where there is none."""
         return [o.name for o in self.message.objects]
+
+    @functools.cached_property
+    def codes(self) -> list[int | None]:
+        """Numbers of the codes; None where a roundel has none, or was not read yet."""
+        return [o.code.number if o.HasField("code") else None for o in self.message.objects]
+
+    @property
+    def tracked(self) -> NDArray[np.bool_]:
+        """Which objects are observed now, shape (n,): of the others the poses are expected ones."""
+        mask: NDArray[np.bool_] = self.stages == LifeStage.TRACKED
+        return mask
 
     @functools.cached_property
     def stages(self) -> NDArray[np.int64]:
@@ -203,10 +228,20 @@ class Snapshot:
         rows = np.flatnonzero(self.ids == object_id)
         return int(rows[0]) if len(rows) else None
 
-    def robot(self, object_id: int) -> Robot | None:
-        """One object, or None if it is not in this snapshot."""
-        row = self.index(object_id)
+    def robot(self, which: int | str) -> Robot | None:
+        """One object, by object_id or by name; None if it is not in this snapshot."""
+        row = self.index(which) if isinstance(which, int) else _place(self.names, which)
         return None if row is None else self[row]
+
+    def coded(self, number: int) -> Robot | None:
+        """The object whose roundel has this code; None if it is not in this snapshot."""
+        row = _place(self.codes, number)
+        return None if row is None else self[row]
+
+    def position_m(self, which: int | str) -> Floats | None:
+        """Where one object is, by object_id or by name, shape (3,); None if it is not in this snapshot."""
+        robot = self.robot(which)
+        return None if robot is None else robot.position_m
 
     def __getitem__(self, row: int) -> Robot:
         one = self.message.objects[row]
@@ -214,7 +249,7 @@ class Snapshot:
             object_id=one.object_id,
             name=one.name,
             roundel=one.roundel,
-            code=one.code.number if one.HasField("code") else None,
+            code=self.codes[row],
             stage=_stage(one.stage),
             position_m=self.positions_m[row],
             velocity_m_s=self.velocities_m_s[row],
@@ -267,7 +302,11 @@ class Reconnected:
     """The connection is back; the next update is a snapshot."""
 
     missed: int | None
-    """Snapshots that the server made meanwhile; None if it was started anew, or had sent none yet."""
+    """Snapshots that the server made meanwhile; None if it was started anew."""
+    restarted: bool
+    """The server was started anew: ids begin anew too, so robots are to be found again by name or code."""
+    gap_s: float
+    """From the last snapshot before the loss to the first one after it, by this machine's clock."""
 
 
 Update = Snapshot | Disconnected | Reconnected
@@ -279,6 +318,11 @@ def _stage(value: int) -> LifeStage:
     except ValueError:
         # Of a newer server.
         return LifeStage.UNSPECIFIED
+
+
+def _place(values: Sequence[object], wanted: object) -> int | None:
+    # Objects without a name have an empty one: it is nobody's.
+    return values.index(wanted) if wanted != "" and wanted in values else None
 
 
 def _vectors(objects: Iterable[v1.ObjectState], of: Callable[[v1.ObjectState], v1.Vector3]) -> Floats:
