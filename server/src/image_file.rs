@@ -19,6 +19,8 @@ use zune_core::{colorspace::ColorSpace, options::DecoderOptions};
 /// Larger files are refused before they are read: the largest frame as an uncompressed 16-bit RGBA
 /// image has half of this at 8 k.
 const MAX_BYTES: u64 = 1 << 30;
+/// By so many a video is told.
+const HEAD_BYTES: u64 = 16;
 /// More pixels than this are refused: a crafted header must not take all memory.
 const MAX_PIXELS: usize = 1 << 27;
 
@@ -64,6 +66,14 @@ pub enum ImageError {
         path: PathBuf,
         /// What its first bytes look like.
         found: String,
+    },
+    /// It is a video.
+    #[error("{}: expected a PNG, JPEG, PGM or BMP image, found {found} video", .path.display())]
+    Video {
+        /// Which file.
+        path: PathBuf,
+        /// An MP4, an AVI, a Matroska.
+        found: &'static str,
     },
     /// It is larger than a frame may be.
     #[error("{}: image of {found} is too large: expected at most {MAX_SIDE_PX} pixels a side and {MAX_PIXELS} in all", .path.display())]
@@ -119,13 +129,18 @@ impl Kind {
 /// Reads an image file.
 pub fn load(path: &Path) -> Result<GreyImage, ImageError> {
     let read = |source| ImageError::Read { path: path.to_owned(), source };
-    let file = File::open(path).map_err(read)?;
+    let mut file = File::open(path).map_err(read)?;
     let size = file.metadata().map_err(read)?.len();
+    let mut bytes = Vec::new();
+    file.by_ref().take(HEAD_BYTES).read_to_end(&mut bytes).map_err(read)?;
+    // A video may have any size.
+    if let Some(found) = video(&bytes) {
+        return Err(ImageError::Video { path: path.to_owned(), found });
+    }
     if size > MAX_BYTES {
         let found = format!("{size} bytes");
         return Err(ImageError::TooLarge { path: path.to_owned(), found });
     }
-    let mut bytes = Vec::new();
     // A file that grows meanwhile is cut, and then found to be broken.
     file.take(MAX_BYTES).read_to_end(&mut bytes).map_err(read)?;
     decode(&bytes, path)
@@ -140,7 +155,12 @@ pub fn decode(bytes: &[u8], path: &Path) -> Result<GreyImage, ImageError> {
         [0xFF, 0xD8, 0xFF, ..] => Kind::Jpeg,
         [b'P', b'2' | b'5' | b'3' | b'6', b' ' | b'\t' | b'\r' | b'\n', ..] => Kind::Pnm,
         [b'B', b'M', _, _, _, _, _, _, _, _, ..] => Kind::Bmp,
-        _ => return Err(ImageError::Kind { path: path(), found: looks_like(bytes) }),
+        _ => {
+            return Err(match video(bytes) {
+                Some(found) => ImageError::Video { path: path(), found },
+                None => ImageError::Kind { path: path(), found: looks_like(bytes) },
+            });
+        }
     };
     let decoded = match kind {
         Kind::Png => png(bytes),
@@ -152,6 +172,22 @@ pub fn decode(bytes: &[u8], path: &Path) -> Result<GreyImage, ImageError> {
         Fault::TooLarge(found) => ImageError::TooLarge { path: path(), found },
         Fault::Broken(reason) => ImageError::Broken { path: path(), kind: kind.name(), reason },
     })
+}
+
+/// What kind of video begins so.
+fn video(bytes: &[u8]) -> Option<&'static str> {
+    let at = |place: std::ops::Range<usize>| bytes.get(place).unwrap_or_default();
+    match (at(4..8), at(8..12)) {
+        // Pictures are kept in the same boxes.
+        (
+            b"ftyp",
+            b"heic" | b"heix" | b"hevc" | b"heim" | b"heis" | b"mif1" | b"msf1" | b"avif",
+        ) => None,
+        (b"ftyp", b"qt  ") => Some("a QuickTime"),
+        (b"ftyp", _) => Some("an MP4"),
+        (_, b"AVI ") if at(0..4) == b"RIFF" => Some("an AVI"),
+        _ => (at(0..4) == [0x1A, 0x45, 0xDF, 0xA3]).then_some("a Matroska"),
+    }
 }
 
 fn looks_like(bytes: &[u8]) -> String {
@@ -170,10 +206,10 @@ fn looks_like(bytes: &[u8]) -> String {
         return (*name).to_owned();
     }
     if bytes.get(4..8) == Some(b"ftyp") {
-        return "an MP4 or HEIF file".to_owned();
+        return "a HEIF or AVIF image".to_owned();
     }
     if bytes.starts_with(b"RIFF") {
-        return "a RIFF file (WebP, AVI)".to_owned();
+        return "a RIFF file, such as a WebP image".to_owned();
     }
     let start = &bytes[..bytes.len().min(16)];
     if start.iter().all(|byte| byte.is_ascii_graphic() || byte.is_ascii_whitespace()) {
@@ -364,6 +400,12 @@ mod tests {
         for (bytes, expected) in [
             (&b""[..], "frame: expected an image, found an empty file"),
             (b"GIF89a.....", "found a GIF image"),
+            (b"RIFF\x01\0\0\0WEBPVP8 ", "found a RIFF file, such as a WebP image"),
+            (b"RIFF\x01\0\0\0AVI LIST", "image, found an AVI video"),
+            (b"\0\0\0\x20ftypisom", "image, found an MP4 video"),
+            (b"\0\0\0\x20ftypheic", "found a HEIF or AVIF image"),
+            (b"\0\0\0\x14ftypqt  ", "found a QuickTime video"),
+            (b"\x1A\x45\xDF\xA3\x01", "found a Matroska video"),
             (b"name = \"lab\"", "found text that begins with \"name = "),
             (&[0, 1, 2, 3], "found bytes that begin with 00 01 02 03"),
             (&good[..good.len() / 2], "broken or truncated PNG"),

@@ -1,7 +1,9 @@
 //! `roundel calibrate`: lenses, from views of a board; and where all cameras stand, from robots that drive about.
 
+mod files;
 mod lens;
 mod moving;
+mod output;
 mod print;
 mod views;
 

@@ -5,6 +5,7 @@ use std::{fmt::Write as _, io::Write as _, path::PathBuf, process::ExitCode};
 use anyhow::Context;
 use clap::{Args, ValueEnum};
 
+use super::size;
 use crate::{
     convert,
     source::{
@@ -31,12 +32,6 @@ pub struct CamerasArgs {
     /// Size that its pictures are to have
     #[arg(long, value_name = "WIDTHxHEIGHT", value_parser = size, requires = "test")]
     size: Option<(usize, usize)>,
-}
-
-/// Columns and rows.
-fn size(text: &str) -> Result<(usize, usize), String> {
-    let sides = text.split_once('x').and_then(|(w, h)| Some((w.parse().ok()?, h.parse().ok()?)));
-    sides.ok_or_else(|| format!("expected a size such as 1280x720, found `{text}`"))
 }
 
 #[derive(Clone, Copy, Debug, ValueEnum)]

@@ -22,6 +22,7 @@ use std::{
 };
 
 use clap::{Parser, Subcommand};
+use roundel_core::camera::MAX_SIDE_PX;
 use tracing_subscriber::EnvFilter;
 
 /// Async tasks only pass bytes on; detection and fusion have threads of their own.
@@ -99,6 +100,15 @@ fn told(error: &anyhow::Error) -> String {
     })
 }
 
+/// Columns and rows of pictures.
+fn size(text: &str) -> Result<(usize, usize), String> {
+    let side = |side: &str| side.trim().parse().ok().filter(|side| (1..=MAX_SIDE_PX).contains(side));
+    let sides = text.split_once('x').and_then(|(w, h)| Some((side(w)?, side(h)?)));
+    sides.ok_or_else(|| {
+        format!("expected a size such as 1280x720, at most {MAX_SIDE_PX} pixels a side, found `{text}`")
+    })
+}
+
 fn run_async(command: impl Future<Output = anyhow::Result<ExitCode>>) -> anyhow::Result<ExitCode> {
     let runtime = tokio::runtime::Builder::new_multi_thread()
         .worker_threads(ASYNC_THREADS)
@@ -122,6 +132,15 @@ mod tests {
         assert_eq!(told(&cause), "cannot read a.png: no such file");
         let cause = anyhow::anyhow!("no such file").context("a.png");
         assert_eq!(told(&cause), "a.png: no such file");
+    }
+
+    #[test]
+    fn sizes_are_two_sides_within_bounds() {
+        assert_eq!(size("1920x1080"), Ok((1920, 1080)));
+        for wrong in ["1920", "x1080", "1920x0", "0x1080", "1920x99999", "1920x1080x3", "-1x5"] {
+            let error = size(wrong).unwrap_err();
+            assert!(error.contains("such as 1280x720") && error.contains(wrong), "{error}");
+        }
     }
 
     #[test]

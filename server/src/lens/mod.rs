@@ -355,6 +355,20 @@ mod tests {
     }
 
     #[test]
+    fn a_source_of_another_size_than_was_asked_for_says_which() {
+        let folder = tempfile::tempdir().unwrap();
+        let white: Vec<u8> = b"P5\n64 48\n255\n".iter().copied().chain([255; 64 * 48]).collect();
+        std::fs::write(folder.path().join("0.pgm"), white).unwrap();
+        let lenses = calibrator(folder.path(), UNATTENDED);
+        let source = "images:*.pgm?fps=50";
+        let (subject, _) = lenses.source(source, Some((32, 24))).unwrap();
+        lenses.start(Wanted { subject, ..wanted(&lenses, source) }).unwrap();
+        ended(&lenses);
+        let error = lenses.status().error;
+        assert!(error.contains("asked for pictures of 32 x 24 pixels, found 64 x 48"), "{error}");
+    }
+
+    #[test]
     fn a_source_that_cannot_be_looked_at_says_why() {
         let folder = tempfile::tempdir().unwrap();
         let lenses = calibrator(folder.path(), UNATTENDED);

@@ -143,10 +143,20 @@ pub(super) fn of_source(
             Ok(()) => return error.map_or(End::Over, End::Failed),
             Err(SourceError::Stopped) => return End::Over,
             Err(SourceError::Finished) => return End::Finished,
-            Err(SourceError::Size { found, .. }) if !seen && found != size && wanted.is_none() => {
+            Err(SourceError::Size { found, .. }) if !seen && found != size => {
+                if wanted.is_some() {
+                    return End::Failed(other_size(size, found));
+                }
                 size = found;
             }
             Err(error) => return End::Failed(error.to_string()),
         }
     }
+}
+
+fn other_size(wanted: (usize, usize), found: (usize, usize)) -> String {
+    format!(
+        "asked for pictures of {} x {} pixels, found {} x {}: ask for that size, or for none",
+        wanted.0, wanted.1, found.0, found.1
+    )
 }

@@ -1,10 +1,10 @@
 //! The page of a calibration board.
 
-use roundel_core::calib::board::Board;
+use roundel_core::{calib::board::Board, marker::Pattern};
 use thiserror::Error;
 
 use super::{
-    marks, millimetres,
+    codes, marks, millimetres,
     page::{Page, PageSize},
     path::Place,
     roundel::outline,
@@ -53,20 +53,22 @@ pub fn board_page(board: &Board, page: PageSize) -> Result<Page, BoardPageError>
     };
     let window = window(page);
     let middle = Place::new((window.left + window.right) / 2.0, (window.top + window.bottom) / 2.0);
-    let codes = match kind.pattern {
-        roundel_core::marker::Pattern::Coded(layout) => layout.codes().ok(),
+    let layout = match kind.pattern {
+        Pattern::Coded(layout) => Some(layout),
         _ => None,
     };
+    let words = layout.and_then(|layout| layout.codes().ok());
     let prints = board.centers().map(|(number, center)| {
-        let teeth = codes.as_ref().and_then(|codes| codes.teeth(number)).unwrap_or_default();
+        let teeth = words.as_ref().and_then(|codes| codes.teeth(number)).unwrap_or_default();
         outline(&kind, &teeth, middle.moved(center.x * 1e3, -center.y * 1e3), pitch_mm)
     });
     let about = format!(
-        "calibration board: {} x {} roundels of {} mm, {} mm from centre to centre",
+        "calibration board: {} x {} roundels of {} mm, {} mm from centre to centre{}",
         board.columns(),
         board.rows(),
         millimetres(outer_mm),
-        millimetres(pitch_mm)
+        millimetres(pitch_mm),
+        layout.map_or(String::new(), |layout| format!(", {}", codes(layout)))
     );
     Ok(Page { size: page, window, prints: prints.collect(), marks: marks::foot(page, &about) })
 }

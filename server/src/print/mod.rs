@@ -43,6 +43,14 @@ pub fn millimetres(length_mm: f64) -> String {
     text.trim_end_matches('0').trim_end_matches('.').to_owned()
 }
 
+/// Codes in words, as a board's foot has them.
+pub fn codes(CodeLayout { bits, min_distance }: CodeLayout) -> String {
+    match min_distance {
+        1 => format!("codes of {bits} bits"),
+        _ => format!("codes of {bits} bits, distance {min_distance}"),
+    }
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;

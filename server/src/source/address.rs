@@ -27,6 +27,8 @@ const IMAGES_KEYS: [&str; 4] = ["fps", "times", "clock", "loop"];
 const SIM_KEYS: [&str; 4] = ["preset", "seed", "robots", "camera"];
 /// Frames a second that an address may ask for.
 const MAX_FPS: f64 = 1000.0;
+/// What is played where nobody says.
+const USUAL_FPS: f64 = 30.0;
 
 /// A source's URL, read.
 #[derive(Clone, Debug, PartialEq)]
@@ -50,14 +52,26 @@ pub enum SourceAddress {
 pub struct ImagesAddress {
     /// A folder or a glob, absolute or relative to the working directory.
     pub pattern: String,
-    /// Frames a second, where `times` is absent.
-    pub fps: f64,
+    /// Frames a second, where `times` is absent; `None`: nobody says, and it is 30.
+    pub fps: Option<f64>,
     /// A text file of capture times, one a line, ns since the Unix epoch.
     pub times: Option<PathBuf>,
     /// Capture times are those of the file, and the server's clock follows them.
     pub file_clock: bool,
     /// Starts again after the last file.
     pub repeat: bool,
+}
+
+impl ImagesAddress {
+    /// Frames a second, where `times` is absent.
+    pub fn rate_hz(&self) -> f64 {
+        self.fps.unwrap_or(USUAL_FPS)
+    }
+
+    /// Whether it is said when each file is due, so that they follow one another in time.
+    pub fn is_timed(&self) -> bool {
+        self.fps.is_some() || self.times.is_some()
+    }
 }
 
 /// `sim:?preset=r4_lite&seed=1&robots=24&camera=0`.
@@ -197,28 +211,26 @@ fn images(path: &str, query: &str, folder: &Path) -> Result<ImagesAddress, Addre
     }
     let mut address = ImagesAddress {
         pattern: folder.join(path).to_string_lossy().into_owned(),
-        fps: 30.0,
+        fps: None,
         times: None,
         file_clock: false,
         repeat: false,
     };
-    let mut fps = None;
     for option in options("images", &IMAGES_KEYS, query) {
         let (key, value) = option?;
         match key {
-            "fps" => fps = Some(frame_rate(value)?),
+            "fps" => address.fps = Some(frame_rate(value)?),
             "times" => address.times = Some(folder.join(value)),
             "clock" => address.file_clock = choice("clock", value, "server", "file")?,
             _ => address.repeat = choice("loop", value, "false", "true")?,
         }
     }
-    if address.times.is_some() && fps.is_some() {
+    if address.times.is_some() && address.fps.is_some() {
         return Err(AddressError::Options("`fps` and `times` exclude each other: leave one out"));
     }
     if address.file_clock && address.times.is_none() {
         return Err(AddressError::Options("`clock=file` needs `times=FILE`"));
     }
-    address.fps = fps.unwrap_or(address.fps);
     Ok(address)
 }
 

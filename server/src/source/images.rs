@@ -44,7 +44,7 @@ impl Schedule {
     ) -> Result<Self, SourceError> {
         let files = list_files(&address.pattern).map_err(SourceError::Failed)?;
         let timing = match &address.times {
-            None => Timing::Rate { start, fps: address.fps },
+            None => Timing::Rate { start, fps: address.rate_hz() },
             Some(path) => {
                 let mut times =
                     read_times(path).map_err(|error| SourceError::Failed(error.to_string()))?;

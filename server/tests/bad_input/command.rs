@@ -8,11 +8,11 @@ use std::{
 
 use super::{EXAMPLE, lab};
 
-fn run(arguments: &[&str]) -> Output {
+pub(super) fn run(arguments: &[&str]) -> Output {
     Command::new(env!("CARGO_BIN_EXE_roundel")).args(arguments).output().unwrap()
 }
 
-fn stderr(output: &Output) -> String {
+pub(super) fn stderr(output: &Output) -> String {
     String::from_utf8_lossy(&output.stderr).into_owned()
 }
 
@@ -85,7 +85,7 @@ fn a_taken_port_is_named() {
 }
 
 /// A grey PNG of one level.
-fn png(path: &Path, width: u32, height: u32) {
+pub(super) fn png(path: &Path, width: u32, height: u32) {
     let mut encoder = png::Encoder::new(fs::File::create(path).unwrap(), width, height);
     encoder.set_color(png::ColorType::Grayscale);
     let pixels = vec![180; (width * height) as usize];
@@ -163,24 +163,5 @@ fn wrong_arguments_of_detect_are_named() {
         let output = run(&arguments);
         assert_eq!(output.status.code(), Some(code), "{arguments:?}: {}", stderr(&output));
         assert!(stderr(&output).contains(expected), "{arguments:?}: {}", stderr(&output));
-    }
-}
-
-#[test]
-fn boards_that_cannot_be_are_told() {
-    let told = |arguments: &[&str]| {
-        let output = run(&[&["calibrate", "lens"], arguments].concat());
-        assert!(!output.status.success() && output.stdout.is_empty(), "{arguments:?}");
-        stderr(&output)
-    };
-    let short = told(&["--board", "chessboard:9x6", "views"]);
-    assert!(short.contains("such as chessboard:9x6:25"), "{short}");
-    let plain = told(&["--board", "chess:9x6:25", "views"]);
-    assert!(plain.contains("found `chess:9x6:25`; boards of other tools are"), "{plain}");
-    let mixed = told(&["--board", "chessboard:9x6:25", "--pitch", "25", "views"]);
-    assert!(mixed.contains("--pitch and --code describe a board of roundels"), "{mixed}");
-    if cfg!(not(feature = "chessboard")) {
-        let lacking = told(&["--board", "chessboard:9x6:25", "views"]);
-        assert!(lacking.contains("--features chessboard` builds it with them"), "{lacking}");
     }
 }

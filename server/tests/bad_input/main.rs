@@ -1,7 +1,7 @@
 //! Broken, missing and mistyped input: each ends in an error that names file, line or field, and the
 //! remedy. The tables are what people get wrong: `configuration` in the file, `moving` of
-//! it what concerns cameras that ride, `command` on the command line, `plan` of what is
-//! planned.
+//! it what concerns cameras that ride, `command` on the command line, `lens` of
+//! what lenses are calibrated from, `plan` of what is planned.
 
 use std::{fs, path::Path};
 
@@ -10,6 +10,7 @@ use roundel_server::{camera_file, config::Config};
 
 mod command;
 mod configuration;
+mod lens;
 mod moving;
 mod plan;
 

@@ -2,7 +2,6 @@
 
 use std::{
     fmt::Write as _,
-    fs,
     io::Write as _,
     path::{Path, PathBuf},
     process::ExitCode,
@@ -12,24 +11,25 @@ use anyhow::{Context, bail};
 use clap::{Args, ValueEnum};
 use roundel_core::{
     calib::lens::{LensCalibration, Model, calibrate},
-    marker::CodeLayout,
+    marker::{CodeLayout, Pattern},
     plan::precision::LensDoubt,
 };
 use serde_json::json;
 
 use super::{
-    Format, moving,
-    views::{Views, gather},
+    Format, moving, output,
+    views::{Looked, Views, gather},
 };
 use crate::{
     camera_file,
+    cli::size,
     lens::{
         chessboard::{self, Chessboard},
         report::parameters,
-        search::{Gathered, Sought},
+        search::Sought,
     },
     print::{
-        BOARD_LAYOUT, Order,
+        BOARD_LAYOUT, Order, codes,
         spec::{self, Diameters},
     },
 };
@@ -40,6 +40,7 @@ use crate::{
 #[command(after_help = "Examples:\n  \
     roundel print --board 7x5 board.pdf\n  \
     roundel calibrate lens --output north.yaml v4l2:/dev/video0       move the board before the camera\n  \
+    roundel calibrate lens --output north.yaml --size 1920x1080 v4l2:/dev/video0\n  \
     roundel calibrate lens --output north.yaml http://10.0.0.2:81/stream\n  \
     roundel calibrate lens --output north.yaml views/                 a folder, or files\n  \
     roundel calibrate lens --output north.yaml --board chessboard:9x6:25 views/\n  \
@@ -60,7 +61,7 @@ pub(super) struct LensArgs {
         long,
         value_name = "FILE.mcap",
         requires = "camera",
-        conflicts_with_all = ["sources", "board", "marker", "pitch", "code", "views"]
+        conflicts_with_all = ["sources", "board", "marker", "pitch", "code", "views", "size"]
     )]
     from_recording: Option<PathBuf>,
     /// The camera of the recording whose lens is wanted
@@ -85,10 +86,13 @@ pub(super) struct LensArgs {
     /// Most views that are used
     #[arg(long, default_value_t = 40, value_parser = clap::value_parser!(u16).range(5..=500))]
     views: u16,
+    /// Size of the pictures that is asked of a camera [default: 1280x720, or what it gives]
+    #[arg(long, value_name = "WIDTHxHEIGHT", value_parser = size)]
+    size: Option<(usize, usize)>,
     /// The camera's name in the file [default: the file's, or the recorded camera's]
     #[arg(long)]
     name: Option<String>,
-    /// Where the camera_info YAML is written; without it, it is only shown
+    /// Where the camera_info YAML is written, what was there is kept as FILE.previous.yaml; without it, it is only shown
     #[arg(long, short, value_name = "FILE.yaml")]
     output: Option<PathBuf>,
     /// How to print the report
@@ -142,45 +146,48 @@ impl LensArgs {
 
 /// Chooses views, solves, writes the file, and prints the report.
 pub(super) fn run(arguments: &LensArgs) -> anyhow::Result<ExitCode> {
+    if let Some(file) = &arguments.output {
+        output::check(file)?;
+    }
     if let (Some(file), Some(camera)) = (&arguments.from_recording, &arguments.camera) {
         return moving::run(arguments, file, camera);
     }
     let sought = sought(arguments)?;
-    let views = Views { sought: &sought, most: usize::from(arguments.views) };
-    let gathered = gather(&arguments.sources, &views)?;
+    let most = usize::from(arguments.views);
+    let looked =
+        gather(&arguments.sources, &Views { sought: &sought, most, size: arguments.size })?;
+    let gathered = &looked.gathered;
     let taken = gathered.chooser.taken();
     let found = calibrate(gathered.chooser.target(), gathered.size, taken, arguments.model())
         .with_context(|| {
-            format!("no lens was found: {}{}", gathered.told(), hint(&sought, &gathered))
+            format!("no lens was found: {}{}", looked.told(), hint(&sought, &looked))
         })?;
     let text = match arguments.format {
-        Format::Json => format!("{}\n", report_of_views(&found, &gathered)),
-        Format::Table => table(&found, &gathered)?,
+        Format::Json => format!("{}\n", report_of_views(&found, &looked)),
+        Format::Table => table(&found, &looked)?,
     };
     let file = arguments.output.as_deref().map(stem).unwrap_or_default();
     hand_out(arguments, &found, &file, &text)?;
     Ok(ExitCode::SUCCESS)
 }
 
-/// Prints the report, and writes the file if one is wanted.
+/// Writes the file if one is wanted, and prints the report, whatever becomes of the other.
 pub(super) fn hand_out(
     arguments: &LensArgs,
     found: &LensCalibration,
     name: &str,
     report: &str,
 ) -> anyhow::Result<()> {
-    std::io::stdout()
-        .write_all(report.as_bytes())
-        .context("cannot write to the standard output")?;
-    if let Some(file) = &arguments.output {
+    let written = arguments.output.as_ref().map_or(Ok(()), |file| {
         let name = arguments.name.as_deref().unwrap_or(name);
         let doubt =
             LensDoubt { free: found.model.free().to_vec(), covariance: found.covariance.clone() };
-        fs::write(file, camera_file::write_with_doubt(name, &found.camera, Some(&doubt)))
-            .with_context(|| format!("cannot write {}", file.display()))?;
-        eprintln!("wrote {}", file.display());
-    }
-    Ok(())
+        output::write(file, &camera_file::write_with_doubt(name, &found.camera, Some(&doubt)))
+    });
+    std::io::stdout()
+        .write_all(report.as_bytes())
+        .context("cannot write to the standard output")?;
+    written
 }
 
 fn stem(file: &Path) -> String {
@@ -206,17 +213,35 @@ fn sought(arguments: &LensArgs) -> anyhow::Result<Sought> {
     }
 }
 
-/// Of a ChArUco board nothing is found where anything of its description is wrong.
-fn hint(sought: &Sought, gathered: &Gathered) -> &'static str {
-    let has_markers = matches!(sought, Sought::Chessboard(Chessboard { markers: Some(_), .. }));
-    if has_markers && gathered.without_board == gathered.frames {
-        " (are these its counts of squares and its dictionary, and is the square at the top left black?)"
-    } else {
-        ""
+/// What may be wrong where there is no view at all: nothing of a board is found where anything of its description is wrong.
+fn hint(sought: &Sought, Looked { gathered, .. }: &Looked) -> String {
+    let is_nowhere = gathered.without_board == gathered.frames;
+    match sought {
+        Sought::Roundels(board) if is_nowhere => {
+            let codes = match board.kind().pattern {
+                Pattern::Coded(layout) => format!(" with {}", codes(layout)),
+                _ => String::new(),
+            };
+            let (columns, rows) = (board.columns(), board.rows());
+            format!(
+                " (is it the board of {columns} x {rows} roundels{codes} (see its foot), lit, and large enough in the \
+                 picture?)"
+            )
+        }
+        Sought::Chessboard(Chessboard { markers: Some(_), .. }) if is_nowhere => {
+            " (are these its counts of squares and its dictionary, and is the square at the top left black?)".to_owned()
+        }
+        _ if gathered.moving > 0 && gathered.chooser.taken().is_empty() => {
+            " (hold the board still for a moment at each place; photographs that do not follow one another in time are \
+             given as a folder or as files)"
+                .to_owned()
+        }
+        _ => String::new(),
     }
 }
 
-fn report_of_views(found: &LensCalibration, gathered: &Gathered) -> serde_json::Value {
+fn report_of_views(found: &LensCalibration, looked: &Looked) -> serde_json::Value {
+    let Looked { gathered, left_out } = looked;
     let points = gathered.chooser.target().points();
     let views: Vec<_> = found
         .views
@@ -226,6 +251,7 @@ fn report_of_views(found: &LensCalibration, gathered: &Gathered) -> serde_json::
     let mut report = report(found);
     report["views"] = json!(views);
     report["frames"] = json!(gathered.frames);
+    report["files_left_out"] = json!(left_out);
     report["coverage"] = json!(gathered.chooser.coverage().share());
     report
 }
@@ -258,10 +284,10 @@ pub(super) fn report(found: &LensCalibration) -> serde_json::Value {
     })
 }
 
-fn table(found: &LensCalibration, gathered: &Gathered) -> anyhow::Result<String> {
-    let mut text = String::new();
+fn table(found: &LensCalibration, looked: &Looked) -> anyhow::Result<String> {
+    let (mut text, gathered) = (String::new(), &looked.gathered);
     let used = found.views.iter().flatten().count();
-    writeln!(text, "{}", gathered.told())?;
+    writeln!(text, "{}", looked.told())?;
     writeln!(
         text,
         "{used} views used, {} left out, {} {} left out; rms {:.3} px; {} % of the picture covered",

@@ -1,4 +1,4 @@
-//! Views of the board out of a stream, a folder or files.
+//! Views of the board out of a stream; those out of files are in [`super::files`].
 
 use std::{
     path::Path,
@@ -12,14 +12,14 @@ use anyhow::{Context, bail};
 use indicatif::{ProgressBar, ProgressStyle};
 use roundel_core::frame::Frame;
 
+use super::files;
 use crate::{
-    image_file,
     lens::search::{Gathered, Search, Sought},
-    source::{OpenSource, Playback, SourceAddress, SourceError, SourceOpener, image_files},
+    source::{OpenSource, Playback, SourceAddress, SourceError, SourceOpener},
     stop::Stop,
 };
 
-/// Asked of a camera that lets one choose.
+/// Asked of a camera that lets one choose, where nobody says a size.
 const USUAL_SIZE: (usize, usize) = (1280, 720);
 
 /// What is looked for.
@@ -27,14 +27,60 @@ pub(super) struct Views<'a> {
     pub(super) sought: &'a Sought,
     /// No more than so many.
     pub(super) most: usize,
+    /// Columns and rows that are asked of a camera; `None`: the usual ones, or what it gives.
+    pub(super) size: Option<(usize, usize)>,
+}
+
+/// What was looked at.
+pub(super) struct Looked {
+    pub(super) gathered: Gathered,
+    /// Files that could not be looked at.
+    pub(super) left_out: usize,
+}
+
+impl Looked {
+    /// How many pictures were left out, and why.
+    pub(super) fn told(&self) -> String {
+        let pictures = self.gathered.told();
+        match self.left_out {
+            0 => pictures,
+            1 => format!("{pictures}; 1 file left out"),
+            files => format!("{pictures}; {files} files left out"),
+        }
+    }
 }
 
 /// Looks at every picture, or at a stream until it ends, there is enough, or Ctrl-C.
-pub(super) fn gather(sources: &[String], views: &Views<'_>) -> anyhow::Result<Gathered> {
-    match sources {
-        [source] if is_stream(source) => of_stream(source, views),
-        _ => of_files(sources, views),
+pub(super) fn gather(sources: &[String], views: &Views<'_>) -> anyhow::Result<Looked> {
+    let mut patterns = Vec::new();
+    for source in sources {
+        if !is_stream(source) {
+            patterns.push(source.clone());
+            continue;
+        }
+        match SourceAddress::parse(source, Path::new(""))? {
+            // Without a rate nobody says that one was taken right after the other: a board that is elsewhere in the
+            // next one has not moved.
+            SourceAddress::Images(images) if !images.is_timed() => patterns.push(images.pattern),
+            address if sources.len() == 1 => {
+                let gathered = of_stream(source, &address, views)?;
+                return Ok(Looked { gathered, left_out: 0 });
+            }
+            _ => bail!(
+                "one source at a time: {source} is looked at by itself; files and folders may be several"
+            ),
+        }
     }
+    refuse_size(views, "pictures in files")?;
+    files::gather(&patterns, views)
+}
+
+/// What has been taken has its size.
+fn refuse_size(views: &Views<'_>, what: &str) -> anyhow::Result<()> {
+    if views.size.is_some() {
+        bail!("--size is asked of a camera, and {what} have the size that they have: leave it out");
+    }
+    Ok(())
 }
 
 /// Whether it is a source's address; a drive's letter is none.
@@ -43,23 +89,13 @@ fn is_stream(source: &str) -> bool {
         && source.split_once(':').is_some_and(|(scheme, _)| scheme.len() > 1)
 }
 
-fn searched(views: &Views<'_>, still: bool) -> anyhow::Result<Search> {
-    Ok(Search::new(views.sought, still)?)
-}
-
-/// Looks at a picture; whether there is enough. Of files, all that there are.
-fn look(
-    search: &mut Search,
-    frame: &Frame<'_>,
-    views: &Views<'_>,
-    still: bool,
-) -> anyhow::Result<bool> {
+/// Looks at a picture; whether there is enough.
+fn look(search: &mut Search, frame: &Frame<'_>, views: &Views<'_>) -> anyhow::Result<bool> {
     search.look(frame)?;
     if let Some(error) = search.gathered().and_then(|it| it.other_print(false)) {
         return Err(error.into());
     }
-    let enough =
-        |it: &Gathered| it.chooser.taken().len() >= views.most || (still && it.is_complete());
+    let enough = |it: &Gathered| it.chooser.taken().len() >= views.most || it.is_complete();
     Ok(search.gathered().is_some_and(enough))
 }
 
@@ -68,31 +104,22 @@ fn done(search: Search, what: &str) -> anyhow::Result<Gathered> {
     gathered.other_print(true).map_or(Ok(gathered), |error| Err(error.into()))
 }
 
-fn of_files(sources: &[String], views: &Views<'_>) -> anyhow::Result<Gathered> {
-    let mut search = searched(views, false)?;
-    let mut files = Vec::new();
-    for source in sources {
-        files.extend(image_files(source).map_err(anyhow::Error::msg)?);
-    }
-    let bar = ProgressBar::new(files.len() as u64);
-    for file in files {
-        let image = image_file::load(&file)?;
-        let name = file.display().to_string();
-        let frame = image.frame().with_context(|| name.clone())?;
-        bar.inc(1);
-        if look(&mut search, &frame, views, false).context(name)? {
-            break;
+fn of_stream(source: &str, address: &SourceAddress, views: &Views<'_>) -> anyhow::Result<Gathered> {
+    let mut size = match address {
+        SourceAddress::Push(_) => {
+            bail!("a `push:` camera is calibrated where it is: run this there, on its own source")
         }
-    }
-    bar.finish_and_clear();
-    done(search, "no file")
-}
-
-fn of_stream(source: &str, views: &Views<'_>) -> anyhow::Result<Gathered> {
-    let address = SourceAddress::parse(source, Path::new(""))?;
-    if let SourceAddress::Push(_) = address {
-        bail!("a `push:` camera is calibrated where it is: run this there, on its own source");
-    }
+        SourceAddress::Sim(sim) => {
+            refuse_size(views, "simulated pictures")?;
+            let camera = crate::source::simulated_camera(sim)?.camera;
+            (camera.width(), camera.height())
+        }
+        SourceAddress::Images(_) => {
+            refuse_size(views, "pictures in files")?;
+            USUAL_SIZE
+        }
+        _ => views.size.unwrap_or(USUAL_SIZE),
+    };
     let (stop, interrupted) = (Stop::default(), Arc::new(AtomicBool::new(false)));
     let (stopping, noted) = (stop.clone(), interrupted.clone());
     // Ctrl-C takes what there is; a second one ends the process.
@@ -107,24 +134,17 @@ fn of_stream(source: &str, views: &Views<'_>) -> anyhow::Result<Gathered> {
             std::process::exit(130);
         }
     })?;
-    let (clock, playback) = Playback::begin(std::iter::once(&address))?;
-    let mut size = match &address {
-        SourceAddress::Sim(sim) => {
-            let camera = crate::source::simulated_camera(sim)?.camera;
-            (camera.width(), camera.height())
-        }
-        _ => USUAL_SIZE,
-    };
+    let (clock, playback) = Playback::begin(std::iter::once(address))?;
     let bar = ProgressBar::new_spinner();
     bar.set_style(ProgressStyle::with_template("{spinner} {msg}")?);
     bar.enable_steady_tick(Duration::from_millis(200));
-    let mut search = searched(views, true)?;
+    let mut search = Search::new(views.sought, true)?;
     loop {
         let mut opener = SourceOpener::new(address.clone(), size, clock, playback, stop.clone());
         let outcome = opener.open().and_then(|mut stream| {
             loop {
                 let lent = stream.next_frame()?;
-                match look(&mut search, &lent.frame, views, true) {
+                match look(&mut search, &lent.frame, views) {
                     Ok(false) => bar.set_message(search.message()),
                     Ok(true) => return Ok(()),
                     Err(error) => return Err(SourceError::Failed(error.to_string())),
@@ -133,10 +153,11 @@ fn of_stream(source: &str, views: &Views<'_>) -> anyhow::Result<Gathered> {
         });
         match outcome {
             Err(SourceError::Size { found, .. })
-                if search.gathered().is_none() && found != size =>
+                if views.size.is_none() && search.gathered().is_none() && found != size =>
             {
                 size = found;
             }
+            Err(SourceError::Size { found, .. }) => bail!(other_size(source, size, found, views)),
             Ok(()) | Err(SourceError::Finished) => break,
             Err(SourceError::Stopped) if interrupted.load(Ordering::Relaxed) => break,
             Err(error) => bail!("{source}: {error}"),
@@ -144,4 +165,22 @@ fn of_stream(source: &str, views: &Views<'_>) -> anyhow::Result<Gathered> {
     }
     bar.finish_and_clear();
     done(search, source)
+}
+
+fn other_size(
+    source: &str,
+    (width, height): (usize, usize),
+    found: (usize, usize),
+    views: &Views<'_>,
+) -> String {
+    let (as_what, remedy) = match views.size {
+        Some(_) => {
+            ("as --size asks", "give its own size, or leave --size out to take what it gives")
+        }
+        None => ("as before", "a lens is calibrated for one size"),
+    };
+    format!(
+        "{source}: expected pictures of {width} x {height} pixels {as_what}, found {} x {}: {remedy}",
+        found.0, found.1
+    )
 }

@@ -62,7 +62,8 @@ pub(super) fn choose(
     best.map(|(.., choice)| choice).ok_or_else(|| {
         let wish = address.format.map(|code| format!(" as {}", text(code))).unwrap_or_default();
         format!(
-            "gives no {} x {} pixels{wish} that can be used; it has {}; use a camera file for one of these",
+            "gives no {} x {} pixels{wish} that can be used; it has {}; ask for one of these: by the camera file, or \
+             where there is none yet by a size (--size; Size on the dashboard)",
             size.0,
             size.1,
             listed(formats)

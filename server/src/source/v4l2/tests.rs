@@ -290,6 +290,10 @@ fn wrong_wishes_are_told_with_what_there_is() {
         ("auto_exposure=9", "`auto_exposure` must be from 0 to 3 in steps of 1, found 9"),
         ("exposure=40", "has no control `exposure`"),
         ("format=GREY", "gives no 8 x 4 pixels as GREY that can be used; it has NV12 640x480 8x4"),
+        (
+            "format=GREY",
+            "ask for one of these: by the camera file, or where there is none yet by a size (--size",
+        ),
     ] {
         let message = error(camera(&[b"NV12"]), options);
         assert!(message.starts_with("/dev/video0: ") && message.contains(expected), "{message}");
