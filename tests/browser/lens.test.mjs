@@ -109,6 +109,13 @@ describe("the lens of a camera", { skip: lacking }, () => {
       await page.locator("#lens-board").fill("7x5");
       await page.locator("#lens-form summary").click();
       await page.locator("#lens-views").fill("14");
+      await page.locator("#lens-size").fill("wide");
+      await page.locator("#lens-start").click();
+      await page.locator("#lens-size-trouble", { hasText: "such as 1920x1080, found wide" }).waitFor();
+      await page.locator("#lens-size").fill("99999x1");
+      await page.locator("#lens-start").click();
+      await page.locator("#lens-size-trouble", { hasText: "99999 x 1" }).waitFor();
+      await page.locator("#lens-size").fill("");
       await page.locator("#lens-start").click();
       // As many views as were wanted end it.
       await words(page, "Done. Nothing uses it yet.");
@@ -136,6 +143,7 @@ describe("the lens of a camera", { skip: lacking }, () => {
       await withPage(async (page) => {
         await page.getByRole("button", { name: "Find the lens of camera bench" }).click();
         await page.locator("#lens-form summary").click();
+        assert.equal(await page.locator("#lens-size").isVisible(), false);
         await page.locator("#lens-views").fill("1");
         await page.locator("#lens-start").click();
         await page.locator("#lens-views-trouble", { hasText: "5 to 100" }).waitFor();

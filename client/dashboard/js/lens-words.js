@@ -89,6 +89,12 @@ export function reportWords(it) {
   return `${it.distortion_model}, from ${viewsWords(it.views)}${left}; seen and predicted centres differ by ${fixed(it.rms_px, 3)} px rms.`;
 }
 
+/** Columns and rows as somebody writes them, as they go into the request. @param {string} text @returns {{width: number, height: number} | null} */
+export function sizeOf(text) {
+  const [, width, height] = /^(\d+)\s*[x×]\s*(\d+)$/iu.exec(text.trim()) ?? [];
+  return height === undefined ? null : { width: Number(width), height: Number(height) };
+}
+
 /** @param {string} text */
 export function sentence(text) {
   return `${text.charAt(0).toUpperCase()}${text.slice(1)}`.replace(/([^.!?])$/, "$1.");

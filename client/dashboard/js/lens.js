@@ -4,7 +4,7 @@ import { ask } from "./ask.js";
 import { findDialog } from "./dialog.js";
 import { element, find, setText } from "./dom.js";
 import { LensView } from "./lens-view.js";
-import { canFinish, isRunning, missingWords, parameterCells, progressOf, reportWords, sentence, stageWords, subjectOf } from "./lens-words.js";
+import { canFinish, isRunning, missingWords, parameterCells, progressOf, reportWords, sentence, sizeOf, stageWords, subjectOf } from "./lens-words.js";
 import { Troubles } from "./troubles.js";
 
 /** Between two looks while it runs, ms: the server looks ten times a second. */
@@ -35,10 +35,11 @@ class LensDialog {
     this.dialog = findDialog("#lens");
     this.form = /** @type {HTMLFormElement} */ (find("#lens-form"));
     this.bar = /** @type {HTMLProgressElement} */ (find("#lens-bar"));
+    this.size = /** @type {HTMLInputElement} */ (find("#lens-size"));
     this.missing = find("#lens-missing");
     this.results = find("#lens-results");
     this.view = new LensView();
-    this.troubles = new Troubles("lens", Object.keys(FIELDS));
+    this.troubles = new Troubles("lens", [...Object.keys(FIELDS), "size"]);
     this.buttons = Object.fromEntries(
       ["finish", "cancel", "apply"].map((name) => [name, /** @type {HTMLButtonElement} */ (find(`#lens-${name}`))]),
     );
@@ -51,7 +52,7 @@ class LensDialog {
 
     this.form.addEventListener("submit", (event) => {
       event.preventDefault();
-      void this.act("POST", "lens", this.request());
+      void this.start();
     });
     this.buttons.finish.addEventListener("click", () => void this.act("PUT", "lens/finished"));
     this.buttons.cancel.addEventListener("click", () => void this.act("DELETE", "lens"));
@@ -68,8 +69,21 @@ class LensDialog {
     this.kept = kept;
     this.drawn = "";
     setText(find("#lens-title"), `Lens of ${subject.camera || subject.name || subject.source}`);
+    // A camera that is served has the size of its lens file.
+    find("#lens-size-label").hidden = subject.source === "";
     this.dialog.showModal();
     void this.act("GET", "lens");
+  }
+
+  async start() {
+    const text = this.subject.source && this.size.value.trim();
+    const size = sizeOf(text);
+    if (text && !size) {
+      this.troubles.clear();
+      this.troubles.blame("size", `Expected columns × rows, such as 1920x1080, found ${text}.`);
+      return;
+    }
+    await this.act("POST", "lens", { ...this.request(), ...size });
   }
 
   /** What is filled in; what is empty is as usual. */
@@ -91,7 +105,8 @@ class LensDialog {
     const { answer, refusal } = await ask(method, path, body);
     if (!this.dialog.open) return;
     if (refusal) {
-      this.troubles.refuse(refusal);
+      const isOfSize = refusal.field === "width" || refusal.field === "height";
+      this.troubles.refuse(isOfSize ? { ...refusal, field: "size" } : refusal);
       // What runs goes on.
       if (method !== "GET" || refusal.status === 0) this.again(RETRY_MS);
       return;

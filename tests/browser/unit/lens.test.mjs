@@ -4,7 +4,7 @@ import assert from "node:assert/strict";
 import { test } from "node:test";
 
 import { zonesOf } from "../../../client/dashboard/js/lens-view.js";
-import { canFinish, isRunning, missingWords, parameterCells, progressOf, reportWords, stageWords, subjectOf } from "../../../client/dashboard/js/lens-words.js";
+import { canFinish, isRunning, missingWords, parameterCells, progressOf, reportWords, sizeOf, stageWords, subjectOf } from "../../../client/dashboard/js/lens-words.js";
 
 const LENS = {
   stage: "gathering",
@@ -68,4 +68,9 @@ test("zones are thirds of the picture, done from so many roundels on", () => {
   const { left, top, width, height } = zones[5];
   [left - 2560 / 3, top - 240, width - 1280 / 3, height - 240].forEach((off) => assert.ok(Math.abs(off) < 1e-9));
   assert.deepEqual(zonesOf({ ...LENS, coverage: { ...LENS.coverage, zones: [] } }), []);
+});
+
+test("a size is two numbers", () => {
+  for (const text of ["1920x1080", " 1920 x 1080 ", "1920×1080", "1920X1080"]) assert.deepEqual(sizeOf(text), { width: 1920, height: 1080 });
+  for (const text of ["", "1920", "1920x", "x1080", "1920x1080x3", "-1x5", "1e3x5"]) assert.equal(sizeOf(text), null);
 });
