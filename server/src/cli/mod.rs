@@ -102,10 +102,13 @@ fn told(error: &anyhow::Error) -> String {
 
 /// Columns and rows of pictures.
 fn size(text: &str) -> Result<(usize, usize), String> {
-    let side = |side: &str| side.trim().parse().ok().filter(|side| (1..=MAX_SIDE_PX).contains(side));
+    let side =
+        |side: &str| side.trim().parse().ok().filter(|side| (1..=MAX_SIDE_PX).contains(side));
     let sides = text.split_once('x').and_then(|(w, h)| Some((side(w)?, side(h)?)));
     sides.ok_or_else(|| {
-        format!("expected a size such as 1280x720, at most {MAX_SIDE_PX} pixels a side, found `{text}`")
+        format!(
+            "expected a size such as 1280x720, at most {MAX_SIDE_PX} pixels a side, found `{text}`"
+        )
     })
 }
 

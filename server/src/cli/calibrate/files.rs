@@ -1,7 +1,7 @@
 //! Views of the board out of image files. What cannot be looked at is named and left out, and so are pictures of another
 //! size than most, whichever comes first.
 
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 
 use anyhow::bail;
 use indicatif::ProgressBar;
@@ -78,7 +78,7 @@ pub(super) fn gather(patterns: &[String], views: &Views<'_>) -> anyhow::Result<L
 /// Looks at one: whether there is enough, or why it is left out.
 fn look(
     albums: &mut Vec<Album>,
-    file: &PathBuf,
+    file: &Path,
     views: &Views<'_>,
 ) -> anyhow::Result<Result<bool, String>> {
     let image = match image_file::load(file) {
@@ -99,7 +99,7 @@ fn look(
         }
     };
     let album = &mut albums[place];
-    album.files.push(file.clone());
+    album.files.push(file.to_path_buf());
     album.search.look(&frame)?;
     let taken = |gathered: &Gathered| gathered.chooser.taken().len();
     Ok(Ok(album.search.gathered().map_or(0, taken) >= views.most))
