@@ -134,7 +134,7 @@ fn a_camera_of_another_size_than_was_asked_for_is_told() {
     let source = format!("http://{}/snapshot.jpg", listener.local_addr().unwrap());
     let camera = thread::spawn(move || {
         let (mut socket, _) = listener.accept().unwrap();
-        socket.read(&mut [0; 1024]).unwrap();
+        assert!(socket.read(&mut [0; 1024]).unwrap() > 0);
         let head = format!(
             "HTTP/1.1 200 OK\r\nContent-Type: image/jpeg\r\nContent-Length: {}\r\n\r\n",
             jpeg.len()
