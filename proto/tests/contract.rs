@@ -75,14 +75,77 @@ fn a_changed_number_or_type_and_a_lost_field_are_broken_promises() {
     assert_eq!((numbers.len(), count), (17, 17));
 }
 
+/// Endings of names that say the unit of a number.
+const UNITS: [&str; 11] =
+    ["_us", "_ms", "_s", "_hz", "_m", "_mm", "_m_s2", "_rad", "_deg", "_px", "_ppm"];
+/// Words that say what a number without such an ending counts in, or that it has no unit.
+const UNIT_WORDS: [&str; 14] = [
+    "metre",
+    "radian",
+    "second",
+    "pixel",
+    "grey level",
+    "likelihood",
+    "share",
+    "about 1",
+    "axis",
+    "half the angle",
+    "relative",
+    "(position m, rotation rad)",
+    "(m/s)^2",
+    "without a unit",
+];
+
 #[test]
-fn every_public_field_with_a_unit_says_which() {
+fn everything_that_clients_build_on_says_what_it_means() {
     let now = contract(&FileDescriptorSet::decode(roundel_proto::DESCRIPTORS).unwrap());
-    for (name, entry) in &now {
+    let wordless = wordless(&now);
+    assert!(
+        wordless.is_empty(),
+        "a comment above each of these in proto/roundel/v1 has to say what it is, and its unit, frame or time base:\n{}",
+        wordless.join("\n")
+    );
+}
+
+#[test]
+fn a_field_without_words_and_a_number_without_its_unit_are_found() {
+    let entry = |shape: &str, meaning: &str| Entry { shape: shape.into(), meaning: meaning.into() };
+    let told = |name: &str, entry: Entry| wordless(&Contract::from([(name.into(), entry)])).len();
+    assert_eq!(told("Object.name", entry("2 string", "")), 1);
+    assert_eq!(told("Object.name", entry("2 string", "Configured name, or empty.")), 0);
+    // A time says its clock or epoch, and its unit in its name.
+    assert_eq!(told("Event.time_ns", entry("2 int64", "When it happened.")), 1);
+    assert_eq!(told("Event.time_ns", entry("2 int64", "When, ns since the Unix epoch.")), 0);
+    assert_eq!(told("Event.time", entry("2 int64", "When, ns since the Unix epoch.")), 1);
+    // A number says its unit, in its name or in words.
+    assert_eq!(told("Camera.speed", entry("2 double", "How fast it is.")), 1);
+    assert_eq!(told("Camera.speed_px", entry("2 double", "How far it is.")), 0);
+    assert_eq!(told("Camera.noise", entry("2 repeated double", "Its deviation, grey levels.")), 0);
+}
+
+/// What does not say what it means, each with what is missing.
+fn wordless(contract: &Contract) -> Vec<String> {
+    let missing = |(name, Entry { shape, meaning }): (&String, &Entry)| {
         let field = name.rsplit('.').next().unwrap_or_default();
-        let is_time = entry.shape.ends_with("int64") && field.contains("time");
-        assert!(!is_time || field.ends_with("_ns"), "{name}: a time without its unit in its name");
-    }
+        let says = |words: &[&str]| words.iter().any(|word| meaning.to_lowercase().contains(word));
+        let ends = |units: &[&str]| units.iter().any(|unit| field.ends_with(unit));
+        let is_time =
+            shape.ends_with("int64") && (field.contains("time") || field.ends_with("_ns"));
+        let is_number = shape.split(' ').any(|word| word == "double" || word == "float");
+        let what = if meaning.is_empty() {
+            "no words"
+        } else if is_time && !field.ends_with("_ns") {
+            "a time without its unit in its name"
+        } else if is_time && !says(&["unix epoch", "as in", "clock", "time less"]) {
+            "a time without its epoch or clock"
+        } else if is_number && !ends(&UNITS) && !says(&UNIT_WORDS) {
+            "a number without its unit"
+        } else {
+            return None;
+        };
+        Some(format!("{name}: {what}"))
+    };
+    contract.iter().filter_map(missing).collect()
 }
 
 /// What was promised and is not so.
