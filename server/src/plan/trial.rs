@@ -13,7 +13,7 @@ use roundel_core::{
     id::TrackNumber,
     marker::{CodeLayout, Detector, Kind, Mode, Params, Pattern, TrackedRing, Tracker},
     plan::time::Load,
-    pose::Locator,
+    pose::{Located, Locator, PoseError},
     sim::{CameraMount, Renderer, Scenario, ScenarioParams},
 };
 
@@ -152,6 +152,42 @@ pub struct Timed {
     rounds: Rounds,
 }
 
+/// A frame's way through a worker, timed.
+pub struct Way {
+    tracker: Tracker,
+    locator: Locator,
+    located: Vec<Result<Located, PoseError>>,
+    pixels: Vec<u8>,
+    size: (usize, usize),
+}
+
+impl Way {
+    /// For frames of so many columns and rows.
+    pub fn new(tracker: Tracker, locator: Locator, size: (usize, usize)) -> Self {
+        Self { tracker, locator, located: Vec::new(), pixels: vec![0; size.0 * size.1], size }
+    }
+
+    /// The next frame is the first one.
+    pub fn begin(&mut self) {
+        self.tracker.reset();
+        self.locator.reset();
+    }
+
+    /// Follows, locates and seeks what is in a picture of that size: seconds, and how many were followed. As a camera's
+    /// frame it has just been written, so that not all of it is in the nearest cache.
+    pub fn pass(&mut self, picture: &[u8]) -> (f64, usize) {
+        let Self { tracker, locator, located, pixels, size } = self;
+        pixels.copy_from_slice(picture);
+        let frame = frame_of(pixels, *size);
+        let begun = Instant::now();
+        let tracked = tracker.follow(&frame);
+        locator.locate_all(&frame, tracked, located);
+        let followed = tracked.len();
+        tracker.seek(&frame);
+        (begun.elapsed().as_secs_f64(), followed)
+    }
+}
+
 /// A case in all modes: followed, and searched as a whole.
 pub fn time(case: &Case, probe: &mut Probe) -> anyhow::Result<Timed> {
     let scenario = case.scenario()?;
@@ -164,7 +200,6 @@ pub fn time(case: &Case, probe: &mut Probe) -> anyhow::Result<Timed> {
         pictures.push(pixels);
         probe.time_s();
     }
-    let mut pixels = pictures[0].clone();
     let mut seen = [Seen::default(); MODES.len()];
     let mut ways = Vec::new();
     for (mode, seen) in MODES.into_iter().zip(&mut seen) {
@@ -173,26 +208,14 @@ pub fn time(case: &Case, probe: &mut Probe) -> anyhow::Result<Timed> {
         let mut tracker = Tracker::new(detector);
         *seen = look(&mut tracker, &pictures, case.size)?;
         let camera = renderer.camera().camera.clone();
-        ways.push((tracker, Locator::new(camera, kinds.clone(), mode)));
+        ways.push(Way::new(tracker, Locator::new(camera, kinds.clone(), mode), case.size));
     }
-    let mut located = Vec::new();
     let rounds = probe.rounds(|| {
-        let mut times_s = Vec::new();
-        for (tracker, locator) in &mut ways {
-            tracker.reset();
-            locator.reset();
-            times_s.extend(pictures.iter().map(|picture| {
-                // As a camera's frame it has just been written, so that not all of it is in the nearest cache.
-                pixels.copy_from_slice(picture);
-                let frame = frame_of(&pixels, case.size);
-                let begun = Instant::now();
-                let tracked = tracker.follow(&frame);
-                locator.locate_all(&frame, tracked, &mut located);
-                tracker.seek(&frame);
-                begun.elapsed().as_secs_f64()
-            }));
-        }
-        times_s
+        let times = |way: &mut Way| {
+            way.begin();
+            pictures.iter().map(|picture| way.pass(picture).0).collect::<Vec<_>>()
+        };
+        ways.iter_mut().flat_map(times).collect()
     });
     Ok(Timed { image_px: (width * height) as f64, is_coded: case.bits.is_some(), seen, rounds })
 }

@@ -6,16 +6,15 @@
 //! along the same arc, on which the direction changes by a 64th of a turn a frame; a frame is exposed for a quarter of
 //! the time between two.
 
-use std::{f64::consts::TAU, time::Instant};
+use std::f64::consts::TAU;
 
 use nalgebra::{Isometry3, Translation3, UnitQuaternion, Vector2, Vector3};
 use roundel_core::{
-    frame::Frame,
     marker::{Detector, Mode, Params, Tracker},
     plan::time::Load,
     pose::Locator,
 };
-use roundel_server::plan::{machine, quiet::Probe};
+use roundel_server::plan::{machine, quiet::Probe, trial::Way};
 
 use super::Pair;
 use crate::{
@@ -162,30 +161,18 @@ impl Shown {
         let lens = Distortion::PlumbBob([-0.02, 0.0, 0.0, 0.0, 0.0]);
         let camera = Pinhole::centered(self.width, self.height, FOCAL * self.width as f64, lens);
         let images = self.pictures(&camera);
-        let mut pixels = images[0].pixels.clone();
         let mut ways = modes.map(|mode| self.way(&camera, mode));
-        let mut located = Vec::new();
         let rounds = probe.rounds(|| {
-            let mut times_s = Vec::new();
-            for (tracker, locator) in &mut ways {
-                tracker.reset();
-                locator.reset();
-                times_s.extend(images.iter().map(|image| {
-                    // As a camera's frame it has just been written.
-                    pixels.copy_from_slice(&image.pixels);
-                    let frame = Frame::new(&pixels, image.width, image.height, image.width)
-                        .expect("a frame of the renderer's size");
-                    let begun = Instant::now();
-                    let tracked = tracker.follow(&frame);
-                    locator.locate_all(&frame, tracked, &mut located);
-                    let found = tracked.len();
-                    tracker.seek(&frame);
-                    let time_s = begun.elapsed().as_secs_f64();
+            let times = |way: &mut Way| {
+                way.begin();
+                let time = |image: &Image| {
+                    let (time_s, found) = way.pass(&image.pixels);
                     assert!(20 * found >= 19 * self.count, "{self:?}: {found} found");
                     time_s
-                }));
-            }
-            times_s
+                };
+                images.iter().map(time).collect::<Vec<_>>()
+            };
+            ways.iter_mut().flat_map(times).collect()
         });
         if !rounds.were_quiet(probe) {
             eprintln!("{self:?}: others used the machine all the time");
@@ -202,12 +189,13 @@ impl Shown {
         self.bits.map_or_else(Kind::robot, Kind::coded)
     }
 
-    fn way(&self, camera: &Pinhole, mode: Mode) -> (Tracker, Locator) {
+    fn way(&self, camera: &Pinhole, mode: Mode) -> Way {
         let kinds = core_kinds(&[self.kind()]);
         let params = Params { mode, ..Params::default() };
         let detector = Detector::new(kinds.clone(), params).expect("a kind that can be printed");
         let camera = core_camera(camera).expect("a camera as above");
-        (Tracker::new(detector), Locator::new(camera, kinds, mode))
+        let locator = Locator::new(camera, kinds, mode);
+        Way::new(Tracker::new(detector), locator, (self.width, self.height))
     }
 
     /// Roundels in a grid, each tilted to its own side.
