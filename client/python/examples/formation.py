@@ -36,7 +36,7 @@ SETTLED_S = 2.0
 PUSHED_M = 0.3
 """So far the push must take its robot at least: it moves at 1 m/s for a second, and draws back meanwhile."""
 PATIENCE_S = 60.0
-BLIND_S = 1.0
+BLIND_S = 2.0
 """Nobody is driven by what is older, nor waited for longer with an answer."""
 
 
@@ -141,7 +141,9 @@ class Formation:
         wanted = GAIN_HZ * (self.places_m - at_m) + giving_way(at_m)
         speeds = np.linalg.norm(wanted, axis=1, keepdims=True)
         wanted *= np.minimum(1.0, TOP_SPEED_M_S / np.maximum(speeds, 1e-9))
-        self.client.drive(dict(zip(self.ids, wanted.tolist())))
+        # Whoever is not seen may be elsewhere than expected: it is told nothing, and stops if that lasts.
+        seen = snapshot.tracked[places]
+        self.client.drive({robot: v for robot, v, is_seen in zip(self.ids, wanted.tolist(), seen) if is_seen})
         now_m = snapshot.positions_m[places, :2]
         off_m: Floats = np.linalg.norm(now_m - self.places_m, axis=1)
         return off_m

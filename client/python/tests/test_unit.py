@@ -263,6 +263,33 @@ def test_who_was_second_is_told_to_read_again() -> None:
     assert str(error) == "somebody else was first: the configuration has changed"
 
 
+@pytest.mark.parametrize(
+    ("said", "told"),
+    [
+        (
+            "failed to connect to all addresses; last error: UNKNOWN: ipv4:127.0.0.1:9: Failed to connect to remote host: "
+            "Connection refused",
+            "no answer from http://a:9: Connection refused; check the address",
+        ),
+        ("errors resolving a:9: [field:hostname lookup error: …]", "no machine of the name a is known here"),
+        ("server is shutting down", "no answer from http://a:9: server is shutting down; "),
+        (
+            "failed to connect to all addresses; last error: UNAVAILABLE: ipv4:127.0.0.1:80: Failed parsing HTTP/2 (Expected …)",
+            "http://a:9 answers, but is no Roundel server, or an older one: it speaks no HTTP/2",
+        ),
+    ],
+)
+def test_what_the_network_says_is_told_without_its_layers(said: str, told: str) -> None:
+    class Unavailable(grpc.RpcError):
+        def code(self) -> grpc.StatusCode:
+            return grpc.StatusCode.UNAVAILABLE
+
+        def details(self) -> str:
+            return said
+
+    assert told in str(from_rpc("http://a:9", Unavailable()))
+
+
 def test_wrong_arguments_are_told_before_anything_is_sent() -> None:
     with pytest.raises(ValueError, match="corners of three numbers"):
         Subscription(region_m=((0, 0), (1, 1, 1))).request()

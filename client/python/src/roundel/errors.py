@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from typing import TYPE_CHECKING, Any
 
 import grpc
@@ -135,9 +136,19 @@ def from_rpc(address: str, error: grpc.RpcError, call: str = "the call", timeout
         return NotRoundel(address, f"it does not know this call ({message})")
     if code is grpc.StatusCode.DEADLINE_EXCEEDED and timeout_s is not None:
         return TimedOut(address, call, timeout_s)
+    if code is grpc.StatusCode.UNAVAILABLE and "Failed parsing HTTP/2" in message:
+        return NotRoundel(address, "it speaks no HTTP/2")
     if code in (grpc.StatusCode.UNAVAILABLE, grpc.StatusCode.DEADLINE_EXCEEDED):
-        return Unreachable(address, message)
+        return Unreachable(address, _network_reason(message))
     return ServerError(message, code)
+
+
+def _network_reason(message: str) -> str:
+    """What grpc says of the network, without the names of its own layers round it."""
+    lookup = re.match(r"errors resolving ([^\s:]+)", message)
+    if lookup:
+        return f"no machine of the name {lookup[1]} is known here"
+    return re.sub(r"^failed to connect to all addresses; last error: .*: (.+)$", r"\1", message)
 
 
 def _refused(error: grpc.RpcError) -> tuple[str | None, str | None]:
