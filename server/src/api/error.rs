@@ -56,6 +56,9 @@ pub enum ApiError {
     /// Somebody has taken this one's place.
     #[error("{0}")]
     Aborted(String),
+    /// Not for whoever asks.
+    #[error("{0}")]
+    PermissionDenied(String),
     /// The path exists, but not with this method.
     #[error("this path does not answer to this method: /openapi.json says to which it does")]
     MethodNotAllowed,
@@ -120,6 +123,9 @@ impl ApiError {
                 ("failed_precondition", Code::FailedPrecondition, StatusCode::CONFLICT)
             }
             Self::Aborted(_) => ("aborted", Code::Aborted, StatusCode::CONFLICT),
+            Self::PermissionDenied(_) => {
+                ("permission_denied", Code::PermissionDenied, StatusCode::FORBIDDEN)
+            }
             Self::MethodNotAllowed => {
                 ("method_not_allowed", Code::Unimplemented, StatusCode::METHOD_NOT_ALLOWED)
             }

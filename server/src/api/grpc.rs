@@ -30,7 +30,6 @@ pub(super) use answer::{
     objects, removed,
 };
 pub(super) use observer::Observer;
-pub use snapshots::Cut;
 
 /// Largest request; lists of ids are the only large thing in one.
 const MAX_REQUEST_BYTES: usize = 256 * 1024;

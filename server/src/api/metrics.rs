@@ -319,7 +319,7 @@ fn write_clients(page: &mut Page, api: &Api) {
         (
             "roundel_subscribers_cut_total",
             "counter",
-            "Subscribers cut off since they took no snapshots.",
+            "Clients cut off since they took nothing of what there was for them.",
             &counters.subscribers_cut,
         ),
     ] {

@@ -94,7 +94,7 @@ pub struct Limits {
     pub max_clients: usize,
     /// How long clients may take to end after the shutdown's begin, before they are cut off.
     pub grace: Duration,
-    /// How long a subscriber may take no bytes before it is cut off.
+    /// How long a client may take nothing of what there is for it before it is cut off, with its connection.
     pub send_timeout: Duration,
     /// Within this time a client that has connected says what it speaks and sends a request's head, also between two
     /// requests; and so long it may pause within a request's body.
@@ -123,7 +123,7 @@ pub struct Counters {
     pub snapshot_subscribers: AtomicU64,
     /// Snapshots handed to subscribers.
     pub snapshots_sent: AtomicU64,
-    /// Subscribers that were cut off since they took nothing.
+    /// Clients that were cut off since they took nothing of what there was for them.
     pub subscribers_cut: AtomicU64,
     /// Snapshots that subscribers wanted and were too slow for.
     pub snapshots_missed: AtomicU64,
@@ -220,6 +220,8 @@ pub struct Api {
     pub replay: Option<Replay>,
     /// Where objects were, where that is kept.
     pub history: Option<Arc<History>>,
+    /// Whose pages may ask.
+    pub origins: cors::Origins,
     /// Set when the server goes down.
     pub cancel: CancellationToken,
     /// What the port allows.
@@ -242,6 +244,7 @@ pub async fn serve(
     cancel: CancellationToken,
 ) {
     let cors = cors::layer(&served.allow_origins);
+    let origins = cors::Origins::new(served.allow_origins);
     let Served { hub, clock, calibrator, lenses, kinds, fleets, ports, .. } = served;
     let Served { late_window_ms, trier, roster, recorder, replay, history, .. } = served;
     let counters = Counters::default();
@@ -259,6 +262,7 @@ pub async fn serve(
         recorder,
         replay,
         history,
+        origins,
         cancel,
         limits,
         counters,

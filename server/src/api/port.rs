@@ -3,6 +3,7 @@
 
 mod arrival;
 mod gather;
+mod stuck;
 
 use std::{
     convert::Infallible,
@@ -40,8 +41,9 @@ use tower_http::{cors::CorsLayer, timeout::TimeoutBody};
 use self::{
     arrival::{Silent, speaks},
     gather::Gather,
+    stuck::{Answers, stuck},
 };
-use super::{Api, Limits, deadline, error::ApiError, grpc::Cut, push::Peer};
+use super::{Api, Limits, deadline, error::ApiError, push::Peer};
 
 /// Bytes that the kernel may hold unsent for a client. More would be stale snapshots: a slow client
 /// is to find the newest one when it comes back.
@@ -237,12 +239,12 @@ impl Newcomer {
 /// Serves one connection to its end.
 async fn converse(stream: Counted, dispatch: Dispatch, api: Arc<Api>) {
     let peer = stream.stream.peer_addr().ok().map(Peer);
-    let cut = Cut(CancellationToken::new());
-    let given = cut.clone();
+    let answers = Arc::new(Answers::default());
+    let given = answers.clone();
     let service = hyper::service::service_fn(move |mut request: Request<Incoming>| {
         peer.map(|peer| request.extensions_mut().insert(peer));
-        request.extensions_mut().insert(given.clone());
-        dispatch.clone().answer(request)
+        let (answer, answers) = (dispatch.clone().answer(request), given.clone());
+        async move { Ok::<_, Infallible>(answer.await?.map(|body| answers.watched(body))) }
     });
     let protocol = protocol(&api.limits);
     let stream = Gather::new(stream);
@@ -250,7 +252,12 @@ async fn converse(stream: Counted, dispatch: Dispatch, api: Arc<Api>) {
     let mut connection = pin!(protocol.serve_connection_with_upgrades(io, service));
     let ended = tokio::select! {
         ended = poll_fn(|context| stream.poll_through(connection.as_mut(), context)) => ended,
-        () = cut.0.cancelled() => return,
+        () = stuck(&answers, &stream, api.limits.send_timeout) => {
+            let limit = api.limits.send_timeout;
+            tracing::info!(?limit, "cutting off a client that takes nothing of what there is for it");
+            api.counters.subscribers_cut.fetch_add(1, Ordering::Relaxed);
+            return;
+        }
         () = api.cancel.cancelled() => {
             connection.as_mut().graceful_shutdown();
             poll_fn(|context| stream.poll_through(connection.as_mut(), context)).await

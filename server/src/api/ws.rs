@@ -76,7 +76,9 @@ const PROTOCOLS: [&str; 2] = ["roundel.v1.json", "roundel.v1.protobuf"];
         ("include" = Option<String>, Query, description = "any of snapshots,cameras,events,observations; snapshots if left out", example = "snapshots,cameras,events"),
         ("cameras" = Option<String>, Query, description = "observations of these cameras only, commas between", example = "north"),
         ("max_rate_hz" = Option<f64>, Query, description = "at most this many snapshots a second"),
-        ("ids" = Option<String>, Query, description = "only these objects, commas between", example = "1,2"),
+        ("ids" = Option<String>, Query, description = "only these objects, and those of names and codes; commas between. A server that is started anew gives ids anew", example = "1,2"),
+        ("names" = Option<String>, Query, description = "those that have these configured names, commas between", example = "cart"),
+        ("codes" = Option<String>, Query, description = "those that were seen with these codes, commas between; 8:12 for one of 8 bits", example = "12"),
         ("roundels" = Option<String>, Query, description = "only objects of these kinds of roundel, commas between", example = "robot"),
         ("min" = Option<String>, Query, description = "with max: only objects in this box of the world frame; its smallest corner, metres", example = "-1,-1,0"),
         ("max" = Option<String>, Query, description = "the box's largest corner, metres", example = "1,1,2"),
@@ -86,6 +88,7 @@ const PROTOCOLS: [&str; 2] = ["roundel.v1.json", "roundel.v1.protobuf"];
     responses(
         (status = 101, description = "text messages with one key each: {\"snapshot\":Snapshot}, {\"cameras\":[Camera]} twice a second, {\"event\":Event}, {\"observations\":FrameObservations}; {\"error\":{code, message}} if a message of the client is wrong"),
         (status = 400, description = "names the wrong parameter", body = ErrorBody),
+        (status = 403, description = "for pages of origins that [server] allow_origins does not name", body = ErrorBody),
         (status = 426, description = "no WebSocket handshake", body = ErrorBody),
     ),
 )]
@@ -93,6 +96,7 @@ pub async fn stream(
     State(api): State<Arc<Api>>,
     request: Request<Body>,
 ) -> Result<Response<Body>, ApiError> {
+    api.origins.check(request.headers())?;
     let wanted = Wanted::of(&api, request.uri())?;
     let protocols = offered(&request);
     let mut handshake = Handshake::of(request).map_err(ApiError::UpgradeRequired)?;

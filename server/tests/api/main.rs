@@ -16,5 +16,6 @@ mod print;
 mod rig;
 mod service;
 mod simulation;
+mod stuck;
 mod web;
 mod websocket;

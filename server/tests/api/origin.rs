@@ -5,7 +5,15 @@ use axum::{
     http::{Method, Request, StatusCode},
 };
 
-use crate::rig::{Answer, ORIGIN, Rig, objects};
+use tokio_tungstenite::{
+    connect_async,
+    tungstenite::{self, client::IntoClientRequest},
+};
+
+use crate::{
+    rig::{Answer, ORIGIN, Rig, objects},
+    websocket,
+};
 
 async fn ask(rig: &Rig, method: Method, path: &str, origin: &str) -> Answer {
     let request = Request::builder()
@@ -53,5 +61,45 @@ async fn pages_of_allowed_origins_may_ask_and_no_others() {
     // Programs send no origin, and notice nothing.
     let answer = rig.get(rest).await;
     assert_eq!((answer.status, answer.header("access-control-allow-origin")), (StatusCode::OK, ""));
+    rig.stop().await;
+}
+
+#[tokio::test]
+async fn pages_of_allowed_origins_and_its_own_may_open_a_websocket_and_no_others() {
+    let rig = Rig::start().await;
+    rig.publish(objects(1));
+    let open = async |origin: Option<&str>| {
+        let url = format!("ws://{}/api/v1/stream", rig.address);
+        let mut request = url.into_client_request().unwrap();
+        if let Some(origin) = origin {
+            request.headers_mut().insert("origin", origin.parse().unwrap());
+        }
+        connect_async(request).await.map(|(socket, _)| socket)
+    };
+    // Its own, also behind something that speaks TLS; one that is allowed, however it is written; a program.
+    let (own, secure) = (rig.url(), format!("https://{}", rig.address));
+    let spelled = ORIGIN.replace("lab", "Lab");
+    for origin in [Some(own.as_str()), Some(&secure), Some(ORIGIN), Some(&spelled), None] {
+        let mut socket = open(origin).await.unwrap_or_else(|error| panic!("{origin:?}: {error}"));
+        assert_eq!(websocket::next_snapshot(&mut socket).await.objects.len(), 1);
+    }
+    let port = rig.address.rsplit_once(':').unwrap().1;
+    let elsewhere = [
+        "https://elsewhere.example.org".to_owned(),
+        "http://lab.example.org".to_owned(),
+        format!("{ORIGIN}:8443"),
+        format!("http://elsewhere.example.org:{port}"),
+        "null".to_owned(),
+        String::new(),
+    ];
+    for origin in &elsewhere {
+        let refused = open(Some(origin)).await.err().unwrap_or_else(|| panic!("{origin} may ask"));
+        let tungstenite::Error::Http(response) = refused else { panic!("{origin}: {refused}") };
+        assert_eq!(response.status(), StatusCode::FORBIDDEN, "{origin}");
+        let body: serde_json::Value =
+            serde_json::from_slice(response.body().as_ref().unwrap()).unwrap();
+        assert_eq!(body["error"]["code"], "permission_denied");
+        assert!(body["error"]["message"].as_str().unwrap().contains("allow_origins"), "{body}");
+    }
     rig.stop().await;
 }

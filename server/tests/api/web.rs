@@ -1,16 +1,20 @@
-//! What does not come by tonic's client: gRPC as pages speak it, and streams that nobody reads.
+//! What does not come by tonic's client: gRPC as pages speak it, and streams that are given up.
 
-use std::time::Duration;
-
-use axum::{body::Body, http::Request};
+use axum::{
+    body::Body,
+    http::{Request, StatusCode, Version},
+};
+use http_body_util::BodyExt;
+use hyper::body::Incoming;
+use hyper_util::{client::legacy, rt::TokioExecutor};
 use prost::Message;
 use roundel_proto::v1;
-use roundel_server::api::Limits;
-use tokio::time::{sleep, timeout};
+use tokio::time::timeout;
 
 use crate::{
     grpc,
-    rig::{self, HANG, Rig, objects},
+    rig::{HANG, Rig, objects},
+    websocket,
 };
 
 /// gRPC's frame of a message.
@@ -30,7 +34,7 @@ async fn pages_call_over_http1() {
             .body(Body::from(body))
             .unwrap()
     };
-    let answer = rig.request(call("GetSnapshot", framed(&v1::GetSnapshotRequest {}))).await;
+    let answer = rig.request(call("GetSnapshot", framed(&v1::GetSnapshotRequest::default()))).await;
     assert_eq!(answer.header("content-type"), "application/grpc-web+proto");
     let length = u32::from_be_bytes(answer.body[1..5].try_into().unwrap()) as usize;
     let snapshot = v1::Snapshot::decode(&answer.body[5..5 + length]).unwrap();
@@ -71,42 +75,108 @@ async fn a_request_that_is_no_message_is_refused() {
     rig.stop().await;
 }
 
+/// What has come of a body that goes on.
+struct Coming {
+    body: Incoming,
+    bytes: Vec<u8>,
+}
+
+impl Coming {
+    async fn until(&mut self, count: usize) {
+        while self.bytes.len() < count {
+            let frame = timeout(HANG, self.body.frame()).await.expect("nothing comes");
+            let data = frame.expect("it has ended").unwrap().into_data().unwrap();
+            self.bytes.extend(&data);
+        }
+    }
+
+    /// The next of gRPC-Web's frames: whether it is the trailers, and what it holds.
+    async fn next(&mut self) -> (bool, Vec<u8>) {
+        self.until(5).await;
+        let length = u32::from_be_bytes(self.bytes[1..5].try_into().unwrap()) as usize;
+        self.until(5 + length).await;
+        let rest = self.bytes.split_off(5 + length);
+        let frame = std::mem::replace(&mut self.bytes, rest);
+        (frame[0] & 0x80 != 0, frame[5..].to_vec())
+    }
+
+    async fn next_snapshot(&mut self) -> v1::Snapshot {
+        let (is_end, message) = self.next().await;
+        assert!(!is_end, "{}", String::from_utf8_lossy(&message));
+        v1::Snapshot::decode(message.as_slice()).unwrap()
+    }
+}
+
+/// A subscription to all snapshots as pages ask for it, over HTTP/1.1.
+async fn subscribe_as_page(rig: &Rig) -> Coming {
+    let request = Request::post(format!("{}/roundel.v1.Roundel/SubscribeSnapshots", rig.url()))
+        .header("content-type", "application/grpc-web+proto")
+        .header("x-grpc-web", "1")
+        .body(Body::from(framed(&v1::SubscribeSnapshotsRequest::default())))
+        .unwrap();
+    let client = legacy::Client::builder(TokioExecutor::new()).build_http();
+    let answer = timeout(HANG, client.request(request)).await.unwrap().unwrap();
+    assert_eq!((answer.status(), answer.version()), (StatusCode::OK, Version::HTTP_11));
+    assert_eq!(answer.headers()["content-type"], "application/grpc-web+proto");
+    Coming { body: answer.into_body(), bytes: Vec::new() }
+}
+
 #[tokio::test]
-async fn who_takes_no_snapshots_is_cut_off_and_nobody_else() {
-    let limits = Limits { send_timeout: Duration::from_millis(400), ..Limits::default() };
-    let rig = Rig::start_with(rig::hub("run"), limits, "127.0.0.1:0").await;
-    let all = v1::SubscribeSnapshotsRequest::default;
-    let mut stuck = grpc::connect(&rig).await;
-    let mut stuck = stuck.subscribe_snapshots(all()).await.unwrap().into_inner();
-    // One that has nothing to take, since nothing is due for it, is not stuck.
-    let mut idle = grpc::connect(&rig).await;
-    let rare = v1::SubscribeSnapshotsRequest { max_rate_hz: Some(1e-3), ..all() };
-    let mut idle = idle.subscribe_snapshots(rare).await.unwrap().into_inner();
-    let mut reader = grpc::connect(&rig).await;
-    let mut reader = reader.subscribe_snapshots(all()).await.unwrap().into_inner();
-    rig.publish(objects(300));
-    grpc::next(&mut idle).await;
-    let cut = async {
+async fn pages_get_each_message_of_a_stream_as_it_is_made() {
+    let rig = Rig::start().await;
+    rig.publish(objects(1));
+    let mut stream = subscribe_as_page(&rig).await;
+    // The next one is made once the one before has come: nothing waits for the end of the answer.
+    for sequence in 1..=5 {
+        let snapshot = stream.next_snapshot().await;
+        assert_eq!((snapshot.sequence, snapshot.objects.len()), (sequence, sequence as usize));
+        rig.publish(objects(sequence + 1));
+    }
+    rig.cancel.cancel();
+    let end = async {
         loop {
-            rig.publish(objects(300));
-            grpc::next(&mut reader).await;
-            sleep(Duration::from_millis(5)).await;
-            let metrics = rig.get("/metrics").await;
-            if metrics.text().contains("\nroundel_subscribers_cut_total 1\n") {
-                break;
+            if let (true, trailers) = stream.next().await {
+                return String::from_utf8(trailers).unwrap();
             }
         }
     };
-    timeout(HANG, cut).await.expect("a stuck subscriber is still there");
-    // What was under way to it comes, and then the end of its connection.
-    let end = async { while let Ok(Some(_)) = stuck.message().await {} };
-    timeout(HANG, end).await.expect("the stuck one's stream goes on");
-    let gone =
-        async { while !rig.get("/metrics").await.text().contains("\nroundel_subscribers 2\n") {} };
-    timeout(HANG, gone).await.expect("expected two subscribers to be left");
+    let trailers = timeout(HANG, end).await.expect("it goes on");
+    assert!(trailers.contains("grpc-status:14"), "{trailers:?}");
+    assert!(trailers.contains("shutting%20down"), "{trailers:?}");
+    rig.stop().await;
+}
+
+#[tokio::test]
+async fn a_stream_that_its_client_gives_up_is_gone() {
+    let rig = Rig::start().await;
     rig.publish(objects(1));
-    grpc::next(&mut reader).await;
-    let silent = timeout(Duration::from_millis(50), idle.message()).await;
-    assert!(silent.is_err(), "the idle one was given {silent:?}");
+    let subscribers = async |count: usize| {
+        let line = format!("\nroundel_subscribers {count}\n");
+        let come = async { while !rig.get("/metrics").await.text().contains(&line) {} };
+        timeout(HANG, come).await.unwrap_or_else(|_| panic!("expected {count} subscribers"));
+    };
+    let mut client = grpc::connect(&rig).await;
+    let all = v1::SubscribeSnapshotsRequest::default;
+    // Each has its first snapshot, and nothing comes after it: what is given up is not noticed by writing.
+    let mut one = client.subscribe_snapshots(all()).await.unwrap().into_inner();
+    let mut other = client.subscribe_snapshots(all()).await.unwrap().into_inner();
+    grpc::next(&mut one).await;
+    grpc::next(&mut other).await;
+    let mut page = subscribe_as_page(&rig).await;
+    page.next_snapshot().await;
+    let mut socket = websocket::open(&rig, "").await;
+    websocket::next_snapshot(&mut socket).await;
+    subscribers(4).await;
+    // A stream on a connection that goes on, a page's connection, a WebSocket without a goodbye.
+    drop(one);
+    subscribers(3).await;
+    drop(page);
+    subscribers(2).await;
+    drop(socket);
+    subscribers(1).await;
+    rig.publish(objects(2));
+    assert_eq!(grpc::next(&mut other).await.objects.len(), 2);
+    drop((client, other));
+    subscribers(0).await;
     rig.stop().await;
 }

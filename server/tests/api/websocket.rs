@@ -27,7 +27,7 @@ pub async fn open(rig: &Rig, query: &str) -> Socket {
     connect_async(url).await.unwrap().0
 }
 
-async fn next(socket: &mut Socket) -> Value {
+pub async fn next(socket: &mut Socket) -> Value {
     loop {
         let message = timeout(HANG, socket.next()).await.expect("no message comes");
         if let Message::Text(text) = message.unwrap().unwrap() {
@@ -36,7 +36,7 @@ async fn next(socket: &mut Socket) -> Value {
     }
 }
 
-async fn next_snapshot(socket: &mut Socket) -> v1::Snapshot {
+pub async fn next_snapshot(socket: &mut Socket) -> v1::Snapshot {
     let mut message = next(socket).await;
     assert_eq!(message.as_object().unwrap().len(), 1, "{message}");
     serde_json::from_value(message["snapshot"].take()).unwrap()

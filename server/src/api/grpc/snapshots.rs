@@ -4,18 +4,13 @@
 //! pieces a message: some thirty bytes of the subscriber's own (gRPC's header of five, time sent, count missed), and the
 //! shared rest by reference. HTTP/2 asks for the next one when the client has room, and gets the newest there is.
 //!
-//! A client that has room for nothing for [`Limits::send_timeout`](crate::api::Limits) is cut off, with its connection:
-//! HTTP/2 does not let a server give up a stream that it cannot write to.
+//! Who has room for nothing is cut off by the port, as with every answer.
 
 use std::{
     convert::Infallible,
     pin::Pin,
-    sync::{
-        Arc,
-        atomic::{AtomicI64, Ordering},
-    },
+    sync::Arc,
     task::{Context, Poll},
-    time::Duration,
 };
 
 use axum::{
@@ -29,7 +24,6 @@ use http_body_util::{BodyExt, Limited};
 use hyper::body::Frame;
 use prost::Message;
 use roundel_proto::v1;
-use tokio_util::{sync::CancellationToken, task::AbortOnDropHandle};
 use tonic::Status;
 
 use super::MAX_REQUEST_BYTES;
@@ -45,19 +39,12 @@ use crate::api::{
 pub(super) const PATH: &str = "/roundel.v1.Roundel/SubscribeSnapshots";
 /// gRPC's header of a message: whether it is compressed, and its length, big-endian.
 const HEADER_BYTES: usize = 5;
-/// How often a subscriber that was handed a message is looked at, against the time after which it is cut off.
-const LOOKS: u32 = 4;
-
-/// Ends the connection that a request came with.
-#[derive(Clone, Debug)]
-pub struct Cut(pub CancellationToken);
 
 /// Answers the call.
 pub(super) async fn subscribe(api: Arc<Api>, request: Request) -> Result<Response, Infallible> {
-    let cut = request.extensions().get::<Cut>().cloned();
     let response = match selection(&api, request).await {
         Ok(selection) => {
-            let mut response = Response::new(Body::new(Snapshots::new(api, selection, cut)));
+            let mut response = Response::new(Body::new(Snapshots::new(api, selection)));
             let grpc = HeaderValue::from_static("application/grpc");
             response.headers_mut().insert(header::CONTENT_TYPE, grpc);
             response
@@ -108,12 +95,10 @@ struct Snapshots {
     /// The rest of the message that is under way.
     rest: Option<Bytes>,
     is_ended: bool,
-    watch: Option<Watch>,
 }
 
 impl Snapshots {
-    fn new(api: Arc<Api>, selection: Selection, cut: Option<Cut>) -> Self {
-        let watch = cut.map(|cut| Watch::new(&api, cut));
+    fn new(api: Arc<Api>, selection: Selection) -> Self {
         let feed = Feed::new(api.clone(), selection);
         let messages = stream::unfold(feed, |mut feed| async move {
             let due = feed.next(Form::Protobuf).await?;
@@ -124,7 +109,7 @@ impl Snapshots {
             Err(ApiError::Unavailable(SHUTTING_DOWN.into()).into())
         });
         let messages = Box::pin(stream::select(messages, end));
-        Self { messages, rest: None, is_ended: false, watch }
+        Self { messages, rest: None, is_ended: false }
     }
 
     fn trailers(&mut self, status: &Status) -> Frame<Bytes> {
@@ -166,46 +151,6 @@ impl hyper::body::Body for Snapshots {
                 Poll::Pending => Poll::Pending,
             },
         };
-        if let Some(watch) = &self.watch {
-            watch.polled(frame.is_ready());
-        }
         frame.map(|frame| Some(Ok(frame)))
-    }
-}
-
-/// Sees to it that somebody reads.
-struct Watch {
-    /// When the last piece was handed over that was not yet followed by the wish for more; 0: none.
-    handed_ns: Arc<AtomicI64>,
-    api: Arc<Api>,
-    _task: AbortOnDropHandle<()>,
-}
-
-impl Watch {
-    fn new(api: &Arc<Api>, cut: Cut) -> Self {
-        let handed_ns = Arc::new(AtomicI64::new(0));
-        let task = tokio::spawn(watch(api.clone(), handed_ns.clone(), cut));
-        Self { handed_ns, api: api.clone(), _task: AbortOnDropHandle::new(task) }
-    }
-
-    /// HTTP/2 asked for more, and was handed something or not.
-    fn polled(&self, is_handed: bool) {
-        let now_ns = if is_handed { self.api.clock.now().as_ns() } else { 0 };
-        self.handed_ns.store(now_ns, Ordering::Relaxed);
-    }
-}
-
-async fn watch(api: Arc<Api>, handed_ns: Arc<AtomicI64>, cut: Cut) {
-    let limit = api.limits.send_timeout;
-    loop {
-        tokio::time::sleep(limit / LOOKS).await;
-        let handed_ns = handed_ns.load(Ordering::Relaxed);
-        let waiting_ns = api.clock.now().as_ns().saturating_sub(handed_ns);
-        if handed_ns != 0 && Duration::from_nanos(waiting_ns.max(0) as u64) > limit {
-            tracing::info!(?limit, "cutting off a subscriber that takes no snapshots");
-            api.counters.subscribers_cut.fetch_add(1, Ordering::Relaxed);
-            cut.0.cancel();
-            return;
-        }
     }
 }

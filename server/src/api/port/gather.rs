@@ -11,6 +11,7 @@ use std::{
     pin::Pin,
     sync::{Arc, Mutex, MutexGuard, PoisonError},
     task::{Context, Poll, ready},
+    time::{Duration, Instant},
 };
 
 use tokio::io::{AsyncRead, AsyncWrite, ReadBuf};
@@ -35,8 +36,8 @@ struct Inner<S> {
     sent: usize,
     /// Whether the connection is being polled.
     is_gathering: bool,
-    /// The socket had no room: until it has, nothing is held for it that would grow old.
-    is_full: bool,
+    /// Since when the socket has had no room; until it has, nothing is held for it that would grow old.
+    full_since: Option<Instant>,
 }
 
 impl<S> Clone for Gather<S> {
@@ -48,8 +49,13 @@ impl<S> Clone for Gather<S> {
 impl<S: AsyncRead + AsyncWrite + Unpin> Gather<S> {
     pub(super) fn new(stream: S) -> Self {
         let inner =
-            Inner { stream, held: Vec::new(), sent: 0, is_gathering: false, is_full: false };
+            Inner { stream, held: Vec::new(), sent: 0, is_gathering: false, full_since: None };
         Self(Arc::new(Mutex::new(inner)))
+    }
+
+    /// For how long the socket has taken nothing of what there is for it.
+    pub(super) fn full_for(&self) -> Duration {
+        self.inner().full_since.map_or(Duration::ZERO, |since| since.elapsed())
     }
 
     /// Polls the connection that has another handle, and lets out what it wrote.
@@ -82,10 +88,14 @@ impl<S: AsyncWrite + Unpin> Inner<S> {
         parts.iter().for_each(|part| self.held.extend_from_slice(part));
     }
 
+    fn note(&mut self, is_full: bool) {
+        self.full_since = is_full.then(|| self.full_since.unwrap_or_else(Instant::now));
+    }
+
     fn poll_drain(&mut self, context: &mut Context<'_>) -> Poll<io::Result<()>> {
         while self.sent < self.held.len() {
             let written = Pin::new(&mut self.stream).poll_write(context, &self.held[self.sent..]);
-            self.is_full = written.is_pending();
+            self.note(written.is_pending());
             match ready!(written)? {
                 0 => return Poll::Ready(Err(io::ErrorKind::WriteZero.into())),
                 count => self.sent += count,
@@ -129,13 +139,13 @@ impl<S: AsyncRead + AsyncWrite + Unpin> AsyncWrite for Gather<S> {
         let mut inner = self.inner();
         let length = parts.iter().map(|part| part.len()).sum::<usize>();
         let is_room = inner.held.len() + length <= MOST_BYTES;
-        if inner.is_gathering && is_room && !inner.is_full {
+        if inner.is_gathering && is_room && inner.full_since.is_none() {
             inner.hold(parts);
             return Poll::Ready(Ok(length));
         }
         ready!(inner.poll_drain(context))?;
         let written = Pin::new(&mut inner.stream).poll_write_vectored(context, parts);
-        inner.is_full = written.is_pending();
+        inner.note(written.is_pending());
         written
     }
 
@@ -145,7 +155,7 @@ impl<S: AsyncRead + AsyncWrite + Unpin> AsyncWrite for Gather<S> {
 
     fn poll_flush(self: Pin<&mut Self>, context: &mut Context<'_>) -> Poll<io::Result<()>> {
         let mut inner = self.inner();
-        if inner.is_gathering && !inner.is_full {
+        if inner.is_gathering && inner.full_since.is_none() {
             return Poll::Ready(Ok(()));
         }
         ready!(inner.poll_drain(context))?;
