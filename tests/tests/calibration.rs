@@ -238,7 +238,7 @@ async fn what_cannot_be_done_is_refused_in_words() -> anyhow::Result<()> {
     let config = write(&survey, folder.path(), 0.0)?;
     let (server, client) = serve(&config).await?;
     let refused = |answer: Result<v1::Calibration, Error>| match answer {
-        Err(Error::Refused { message }) => message,
+        Err(Error::Refused { message, .. }) => message,
         other => panic!("not refused: {other:?}"),
     };
     let short = StartCalibrationRequest { seconds: Some(0.5), ..Default::default() };

@@ -1,4 +1,4 @@
-//! Follows one robot, by its id, its name or the code on its roundel, and prints where it is.
+//! Follows one robot, by its name, the code on its roundel or its id, and prints where it is.
 //!
 //! ```sh
 //! cargo run --release -- demo                                       # in one terminal
@@ -13,7 +13,7 @@ use roundel_client::{
 };
 
 const USAGE: &str = "usage: follow ROBOT [SERVER]\n\
-    ROBOT is an id, a configured name, or #N for the one with code N; SERVER is http://127.0.0.1:7670 if left out";
+    ROBOT is a configured name, #N for the one with code N, or an id, which lasts until the server is started anew; SERVER is http://127.0.0.1:7670 if left out";
 
 #[tokio::main(flavor = "current_thread")]
 async fn main() -> anyhow::Result<()> {
@@ -22,9 +22,9 @@ async fn main() -> anyhow::Result<()> {
     let server = arguments.next().unwrap_or_else(|| "http://127.0.0.1:7670".to_owned());
 
     let client = Client::connect(&server).await?;
-    let id = find(&client, &robot).await?;
-    let wanted = Subscription::default().ids([id]).max_rate_hz(10.0);
-    let mut snapshots = client.snapshots(wanted);
+    let wanted = Wanted::of(&robot);
+    tell_who_is_there(&client, &wanted).await?;
+    let mut snapshots = client.snapshots(wanted.subscription().max_rate_hz(10.0));
     let mut is_there = true;
     while let Some(update) = snapshots.next().await {
         match update? {
@@ -39,32 +39,66 @@ async fn main() -> anyhow::Result<()> {
             Update::Disconnected { reason, retry_in, .. } => {
                 eprintln!("lost the server ({reason}); next try in {} ms", retry_in.as_millis());
             }
-            Update::Reconnected { missed: Some(missed) } => eprintln!("back, missed {missed}"),
-            // Ids are given anew by a new server, so the same number may be another robot.
-            Update::Reconnected { missed: None } => bail!("the server was started anew"),
+            Update::Reconnected { gap, restarted, missed } => {
+                let missed = missed.map_or("started anew".to_owned(), |it| format!("missed {it}"));
+                eprintln!("back after {gap:.1?}, {missed}");
+                // Ids are given anew then, so the same number may be another robot; names and codes stay.
+                if restarted && matches!(wanted, Wanted::Id(_)) {
+                    bail!(
+                        "which robot {robot} was, nobody knows any more; give its name or its code"
+                    );
+                }
+            }
             _ => {}
         }
     }
     Ok(())
 }
 
-/// The id of the robot of that id, name or code.
-async fn find(client: &Client, robot: &str) -> anyhow::Result<u64> {
-    if let Ok(id) = robot.parse() {
-        return Ok(id);
+/// Which robot.
+enum Wanted {
+    Id(u64),
+    Name(String),
+    Code(u32),
+}
+
+impl Wanted {
+    fn of(robot: &str) -> Self {
+        if let Some(number) = robot.strip_prefix('#').and_then(|number| number.parse().ok()) {
+            return Self::Code(number);
+        }
+        robot.parse().map_or_else(|_| Self::Name(robot.to_owned()), Self::Id)
     }
-    let code_of = |object: &Object| object.code.as_ref().map(|code| format!("#{}", code.number));
-    let objects = client.objects().await?;
-    let is_meant =
-        |object: &&Object| object.name == robot || code_of(object).as_deref() == Some(robot);
-    match objects.iter().find(is_meant) {
-        Some(object) => Ok(object.object_id),
-        None => {
-            let known = objects.iter().map(|object| code_of(object).unwrap_or(object.name.clone()));
-            let known: Vec<String> = known.filter(|name| !name.is_empty()).collect();
-            bail!("no robot has the name or code {robot:?}; there are {known:?}")
+
+    fn subscription(&self) -> Subscription {
+        match self {
+            Self::Id(id) => Subscription::default().ids([*id]),
+            Self::Name(name) => Subscription::default().names([name]),
+            Self::Code(number) => Subscription::default().codes([*number]),
         }
     }
+
+    fn is(&self, object: &Object) -> bool {
+        match self {
+            Self::Id(id) => object.object_id == *id,
+            Self::Name(name) => object.name == *name,
+            Self::Code(number) => object.code.is_some_and(|code| code.number == *number),
+        }
+    }
+}
+
+/// Says who else there is if this one is not there yet; it is followed as soon as it is.
+async fn tell_who_is_there(client: &Client, wanted: &Wanted) -> anyhow::Result<()> {
+    let objects = client.objects().await?;
+    if !objects.iter().any(|object| wanted.is(object)) {
+        let called = |object: &Object| match object.code {
+            _ if !object.name.is_empty() => object.name.clone(),
+            Some(code) => format!("#{}", code.number),
+            None => object.object_id.to_string(),
+        };
+        eprintln!("not seen yet; there are {:?}", objects.iter().map(called).collect::<Vec<_>>());
+    }
+    Ok(())
 }
 
 fn print(state: &ObjectState) {

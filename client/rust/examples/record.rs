@@ -52,7 +52,12 @@ async fn main() -> anyhow::Result<()> {
             Update::Disconnected { reason, retry_in, .. } => {
                 eprintln!("lost the server ({reason}); next try in {} ms", retry_in.as_millis());
             }
-            Update::Reconnected { missed } => eprintln!("back, missed {missed:?}"),
+            Update::Reconnected { gap, restarted: true, .. } => {
+                eprintln!("back after {gap:.1?}: the server was started anew, and gives ids anew");
+            }
+            Update::Reconnected { gap, missed, .. } => {
+                eprintln!("back after {gap:.1?}, missed {}", missed.unwrap_or_default());
+            }
             _ => {}
         }
         if end.is_some_and(|end| Instant::now() >= end) {

@@ -32,7 +32,7 @@ impl Client {
     /// # Errors
     /// Of the connection.
     pub async fn watch_calibration(&self) -> Result<Messages<v1::Calibration>, Error> {
-        let answer = self.service().watch_calibration(v1::WatchCalibrationRequest {}).await;
+        let answer = self.streams().watch_calibration(v1::WatchCalibrationRequest {}).await;
         Ok(self.messages(answer.map_err(|status| self.error(&status))?.into_inner()))
     }
 

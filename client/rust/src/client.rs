@@ -14,6 +14,7 @@ use tonic::{
 
 use crate::{
     Error, Snapshots, Subscription, address,
+    deadline::{Deadline, Service},
     error::chain,
     v1::{self, roundel_client::RoundelClient},
 };
@@ -26,6 +27,8 @@ const KEEP_ALIVE: Duration = Duration::from_secs(5);
 const STREAM_WINDOW_BYTES: u32 = 256 * 1024;
 /// The same for all streams of a connection.
 const CONNECTION_WINDOW_BYTES: u32 = 1024 * 1024;
+/// How long an answer is waited for if nobody says otherwise: the slowest call, trying a source, takes some seconds.
+const ANSWER_TIMEOUT: Duration = Duration::from_secs(15);
 /// Largest message; a snapshot of 10,000 objects with covariances takes 5 MB.
 const MAX_MESSAGE_BYTES: usize = 64 * 1024 * 1024;
 
@@ -33,14 +36,15 @@ const MAX_MESSAGE_BYTES: usize = 64 * 1024 * 1024;
 #[derive(Clone, Debug)]
 pub struct Client {
     address: String,
-    service: RoundelClient<Channel>,
+    channel: Channel,
+    timeout: Duration,
 }
 
 impl Client {
     /// Connects to `http://HOST:PORT`, and makes sure that a Roundel server is there.
     ///
     /// # Errors
-    /// [`Error::InvalidAddress`], [`Error::Unreachable`], [`Error::NotRoundel`], or
+    /// [`Error::InvalidAddress`], [`Error::Unreachable`], [`Error::NotRoundel`], [`Error::TimedOut`], or
     /// [`Error::Server`] when it has no room.
     pub async fn connect(address: &str) -> Result<Self, Error> {
         let (address, endpoint) = address::endpoint(address)?;
@@ -64,14 +68,19 @@ impl Client {
     }
 
     fn over(channel: Channel, address: String) -> Self {
-        let service = RoundelClient::new(channel).max_decoding_message_size(MAX_MESSAGE_BYTES);
-        Self { address, service }
+        Self { address, channel, timeout: ANSWER_TIMEOUT }
+    }
+
+    /// The same connection, on which calls with one answer wait so long for it (15 s if nobody says otherwise), and then
+    /// end with [`Error::TimedOut`]. The server gives up at the same time. Streams go on for as long as they like.
+    pub fn with_timeout(mut self, timeout: Duration) -> Self {
+        self.timeout = timeout;
+        self
     }
 
     /// Asks for the server's name, to tell a wrong port from a server with a bad day.
     async fn greet(&self) -> Result<(), Error> {
-        let mut service = self.service.clone();
-        let Err(status) = service.get_server_info(v1::GetServerInfoRequest {}).await else {
+        let Err(status) = self.service().get_server_info(v1::GetServerInfoRequest {}).await else {
             return Ok(());
         };
         let is_foreign =
@@ -100,7 +109,15 @@ impl Client {
     /// # Errors
     /// [`Error::Server`] before the first one.
     pub async fn snapshot(&self) -> Result<v1::Snapshot, Error> {
-        let answer = self.service().get_snapshot(v1::GetSnapshotRequest {}).await;
+        self.snapshot_of(Subscription::default()).await
+    }
+
+    /// What the newest snapshot holds of what is wanted, once; a rate means nothing here.
+    ///
+    /// # Errors
+    /// [`Error::Server`] before the first one, and [`Error::Refused`] with the field that is wrong.
+    pub async fn snapshot_of(&self, subscription: Subscription) -> Result<v1::Snapshot, Error> {
+        let answer = self.service().get_snapshot(subscription.into_single_request()).await;
         answer.map(tonic::Response::into_inner).map_err(|status| self.error(&status))
     }
 
@@ -162,7 +179,7 @@ impl Client {
     /// [`Error::Refused`] for too long a backlog, and those of the connection.
     pub async fn events(&self, backlog: u32) -> Result<Messages<v1::Event>, Error> {
         let request = v1::SubscribeEventsRequest { backlog };
-        let answer = self.service().subscribe_events(request).await;
+        let answer = self.streams().subscribe_events(request).await;
         Ok(self.messages(answer.map_err(|status| self.error(&status))?.into_inner()))
     }
 
@@ -177,7 +194,7 @@ impl Client {
     ) -> Result<Messages<v1::FrameObservations>, Error> {
         let cameras = cameras.iter().map(|&name| name.to_owned()).collect();
         let request = v1::SubscribeObservationsRequest { cameras };
-        let answer = self.service().subscribe_observations(request).await;
+        let answer = self.streams().subscribe_observations(request).await;
         Ok(self.messages(answer.map_err(|status| self.error(&status))?.into_inner()))
     }
 
@@ -199,13 +216,23 @@ impl Client {
         &self,
         request: v1::SubscribeSnapshotsRequest,
     ) -> Result<Streaming<v1::Snapshot>, Error> {
-        let answer = self.service().subscribe_snapshots(request).await;
+        let answer = self.streams().subscribe_snapshots(request).await;
         answer.map(tonic::Response::into_inner).map_err(|status| self.error(&status))
     }
 
-    /// For one call: a handle on the connection.
-    pub(crate) fn service(&self) -> RoundelClient<Channel> {
-        self.service.clone()
+    /// For one call with one answer: a handle on the connection.
+    pub(crate) fn service(&self) -> Service {
+        self.handle(Deadline(Some(self.timeout)))
+    }
+
+    /// For one call with a stream of answers.
+    pub(crate) fn streams(&self) -> Service {
+        self.handle(Deadline(None))
+    }
+
+    fn handle(&self, deadline: Deadline) -> Service {
+        let service = RoundelClient::with_interceptor(self.channel.clone(), deadline);
+        service.max_decoding_message_size(MAX_MESSAGE_BYTES)
     }
 
     pub(crate) fn error(&self, status: &Status) -> Error {

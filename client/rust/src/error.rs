@@ -1,6 +1,11 @@
 //! What can go wrong, said so that a reader knows what to do.
 
-use tonic::{Code, Status};
+use std::time::Duration;
+
+use tonic::{Code, Status, TimeoutExpired};
+use tonic_types::StatusExt;
+
+use crate::Link;
 
 /// Why a call or a stream failed.
 #[derive(Clone, Debug, PartialEq, thiserror::Error)]
@@ -37,6 +42,10 @@ pub enum Error {
     /// The server refuses the request as it is; asking again will not help.
     #[error("the server refuses the request: {message}")]
     Refused {
+        /// gRPC's word for it: `InvalidArgument`, `NotFound`, `OutOfRange`, `FailedPrecondition` or `PermissionDenied`.
+        code: Code,
+        /// The field that is wrong, as the messages call it, if it is one.
+        field: Option<String>,
         /// Names the field or thing, what was expected, and what was found.
         message: String,
     },
@@ -45,6 +54,25 @@ pub enum Error {
     Conflict {
         /// What has changed.
         message: String,
+    },
+    /// No answer came within the time of [`crate::Client::with_timeout`]. Whether the server has done what it was asked is
+    /// not known.
+    #[error("no answer from {address} in time: {message}")]
+    TimedOut {
+        /// As it was given.
+        address: String,
+        /// Who gave up, and when.
+        message: String,
+    },
+    /// No snapshot is as new as was asked for: who steers by them had better stop.
+    #[error("no snapshot within the last {longest:?}: {}; {link}", told(.age))]
+    Stale {
+        /// How old it might have been.
+        longest: Duration,
+        /// How long ago the newest one came; `None` before the first.
+        age: Option<Duration>,
+        /// What became of the connection.
+        link: Box<Link>,
     },
     /// The server cannot answer now; a later try may succeed.
     #[error("the server cannot answer now ({code:?}): {message}")]
@@ -59,12 +87,20 @@ pub enum Error {
 impl Error {
     /// Whether asking again later can help.
     pub fn is_temporary(&self) -> bool {
-        matches!(self, Self::Unreachable { .. } | Self::Server { .. })
+        match self {
+            Self::Unreachable { .. } | Self::TimedOut { .. } => true,
+            Self::Stale { .. } | Self::Server { .. } => true,
+            Self::InvalidAddress { .. } | Self::NotRoundel { .. } => false,
+            Self::Refused { .. } | Self::Conflict { .. } => false,
+        }
     }
 
     /// What a failed call to `address` means.
     pub(crate) fn from_status(address: &str, status: &Status) -> Self {
         let message = status.message().to_owned();
+        if status.code() == Code::DeadlineExceeded || has_expired(status) {
+            return Self::TimedOut { address: address.to_owned(), message };
+        }
         // A status that came with an error of the transport was never sent by a server.
         if std::error::Error::source(status).is_some() {
             return Self::Unreachable { address: address.to_owned(), reason: chain(status) };
@@ -73,7 +109,10 @@ impl Error {
             Code::InvalidArgument
             | Code::NotFound
             | Code::OutOfRange
-            | Code::FailedPrecondition => Self::Refused { message },
+            | Code::FailedPrecondition
+            | Code::PermissionDenied => {
+                Self::Refused { code: status.code(), field: wrong_field(status), message }
+            }
             Code::Aborted => Self::Conflict { message },
             Code::Unimplemented => Self::NotRoundel {
                 address: address.to_owned(),
@@ -82,6 +121,28 @@ impl Error {
             code => Self::Server { code, message },
         }
     }
+}
+
+fn told(age: &Option<Duration>) -> String {
+    age.map_or("none has come yet".to_owned(), |age| format!("the newest came {age:.1?} ago"))
+}
+
+/// The field that the server's details name.
+fn wrong_field(status: &Status) -> Option<String> {
+    let mut violations = status.get_details_bad_request()?.field_violations;
+    (!violations.is_empty()).then(|| violations.swap_remove(0).field)
+}
+
+/// Whether this side of the connection gave up waiting.
+fn has_expired(status: &Status) -> bool {
+    let mut next = std::error::Error::source(status);
+    while let Some(error) = next {
+        if error.is::<TimeoutExpired>() {
+            return true;
+        }
+        next = error.source();
+    }
+    false
 }
 
 /// An error with all its causes, each said once.
@@ -105,7 +166,34 @@ pub(crate) fn chain(error: &(dyn std::error::Error + 'static)) -> String {
 
 #[cfg(test)]
 mod tests {
+    use tonic_types::ErrorDetails;
+
     use super::*;
+
+    #[test]
+    fn what_is_refused_says_which_field_is_wrong() {
+        let details = ErrorDetails::with_bad_request_violation("horizon_ms", "expected less");
+        let status =
+            Status::with_error_details(Code::InvalidArgument, "horizon_ms: expected less", details);
+        let expected = Error::Refused {
+            code: Code::InvalidArgument,
+            field: Some("horizon_ms".to_owned()),
+            message: "horizon_ms: expected less".to_owned(),
+        };
+        assert_eq!(Error::from_status("http://a", &status), expected);
+        let error = Error::from_status("http://a", &Status::not_found("no camera \"x\""));
+        assert!(matches!(error, Error::Refused { code: Code::NotFound, field: None, .. }));
+    }
+
+    #[test]
+    fn who_waited_in_vain_may_ask_again() {
+        let error = Error::from_status("http://a", &Status::deadline_exceeded("after 1s"));
+        assert!(matches!(&error, Error::TimedOut { message, .. } if message == "after 1s"));
+        assert!(error.is_temporary());
+        let error =
+            Error::from_status("http://a", &Status::from_error(Box::new(TimeoutExpired(()))));
+        assert!(matches!(error, Error::TimedOut { .. }), "{error:?}");
+    }
 
     #[test]
     fn who_was_second_is_told_to_read_again_and_not_to_try_again() {

@@ -6,12 +6,14 @@
 //!
 //! # async fn example() -> Result<(), roundel_client::Error> {
 //! let client = Client::connect("http://127.0.0.1:7670").await?;
-//! let mut snapshots = client.snapshots(Subscription::default().ids([1]));
+//! let mut snapshots = client.snapshots(Subscription::default().names(["cart"]));
 //! while let Some(update) = snapshots.next().await {
 //!     match update? {
 //!         Update::Snapshot(snapshot) => println!("{:?}", snapshot.objects),
 //!         Update::Disconnected { reason, .. } => eprintln!("lost the server: {reason}"),
-//!         Update::Reconnected { missed } => eprintln!("back, {missed:?} snapshots later"),
+//!         Update::Reconnected { gap, restarted, .. } => {
+//!             eprintln!("back after {gap:?}, {}", if restarted { "started anew" } else { "as it was" });
+//!         }
 //!         _ => {} // updates that newer versions may add
 //!     }
 //! }
@@ -26,7 +28,7 @@
 //! | for | use |
 //! | --- | --- |
 //! | every snapshot, and word of gaps | [`Client::snapshots`] |
-//! | the newest one, in a loop with a rate of its own | [`Client::latest`] |
+//! | the newest one, in a loop with a rate of its own, and word of when it is no news | [`Client::latest`], [`Latest::recent`] |
 //! | poses a moment later | [`predicted`], with [`Client::clock_offset`] for the server's now |
 //! | the robots of `roundel demo` | [`Client::drive`], [`Client::push_robot`] |
 
@@ -36,6 +38,7 @@ mod calibration;
 mod client;
 mod clock;
 mod configuration;
+mod deadline;
 mod error;
 mod latest;
 mod object;
@@ -52,11 +55,12 @@ mod subscription;
 pub use client::{Client, Messages};
 pub use clock::ClockOffset;
 pub use error::Error;
-pub use latest::Latest;
+pub use latest::{Latest, Link, LinkState};
 pub use predict::predicted;
 pub use push::{Picture, PushOptions, PushStatus, Pusher};
 pub use riding::camera_pose_at;
 pub use roundel_proto::v1;
 pub use snapshot::{Snapshots, Update};
-pub use state::{position_sigma_m, speed_m_s};
+pub use state::{coded, named, position_m, position_sigma_m, speed_m_s, velocity_m_s, yaw_rad};
 pub use subscription::Subscription;
+pub use tonic::Code;

@@ -7,7 +7,7 @@ use std::{
 };
 
 use futures::{Stream, StreamExt, stream};
-use tokio::time::sleep;
+use tokio::time::{Instant, sleep};
 use tonic::Streaming;
 
 use crate::{Client, Error, Subscription, backoff::Backoff, v1};
@@ -27,10 +27,16 @@ pub enum Update {
         /// Pause before the next try.
         retry_in: Duration,
     },
-    /// The connection is back; the next update is a snapshot.
+    /// The connection is back after a loss, whose length is known: the next update is a snapshot. Not said before the
+    /// first snapshot.
     Reconnected {
-        /// Snapshots that the server made meanwhile (whether they were wanted or not); `None` if it
-        /// was started anew, or had sent none yet.
+        /// From the last snapshot before the loss to the first one after it, by this machine's monotonic clock.
+        gap: Duration,
+        /// It is another run of the server: ids are given anew, so that those of a subscription are other objects', and
+        /// the clock may be another.
+        restarted: bool,
+        /// Snapshots that the server made meanwhile, whether they were wanted or not; `None` if it was started anew, since
+        /// nobody counted then.
         missed: Option<u64>,
     },
 }
@@ -78,7 +84,7 @@ impl Stream for Snapshots {
         if let Poll::Ready(Some(Ok(update))) = &polled {
             self.missed += match update {
                 Update::Snapshot(snapshot) => snapshot.missed,
-                Update::Reconnected { missed } => missed.unwrap_or(0),
+                Update::Reconnected { missed, .. } => missed.unwrap_or(0),
                 Update::Disconnected { .. } => 0,
             };
         }
@@ -93,13 +99,19 @@ enum Phase {
     Ended,
 }
 
+/// What is remembered of the newest snapshot.
+struct Newest {
+    source_id: String,
+    sequence: u64,
+    came: Instant,
+}
+
 struct Follower {
     client: Client,
     request: v1::SubscribeSnapshotsRequest,
     phase: Phase,
     backoff: Backoff,
-    /// Source and sequence of the newest snapshot.
-    newest: Option<(String, u64)>,
+    newest: Option<Newest>,
     /// Came with the reconnection that is being told.
     held: Option<v1::Snapshot>,
     was_lost: bool,
@@ -139,19 +151,18 @@ impl Follower {
 
     fn received(&mut self, snapshot: v1::Snapshot) -> Update {
         self.backoff.reset();
-        let newest = (snapshot.source_id.clone(), snapshot.sequence);
+        let (source_id, sequence) = (snapshot.source_id.clone(), snapshot.sequence);
+        let newest = Newest { source_id, sequence, came: Instant::now() };
         let before = self.newest.replace(newest);
-        if !std::mem::take(&mut self.was_lost) {
+        let was_lost = std::mem::take(&mut self.was_lost);
+        let Some(before) = before.filter(|_| was_lost) else {
             return Update::Snapshot(snapshot);
-        }
-        let missed = match before {
-            Some((source_id, sequence)) if source_id == snapshot.source_id => {
-                Some(snapshot.sequence.saturating_sub(sequence.saturating_add(1)))
-            }
-            _ => None,
         };
+        let restarted = before.source_id != snapshot.source_id;
+        let made = snapshot.sequence.saturating_sub(before.sequence.saturating_add(1));
         self.held = Some(snapshot);
-        Update::Reconnected { missed }
+        let missed = (!restarted).then_some(made);
+        Update::Reconnected { gap: before.came.elapsed(), restarted, missed }
     }
 
     fn lost(&mut self, error: Error) -> Result<Update, Error> {
@@ -165,7 +176,7 @@ impl Follower {
         self.phase = Phase::Pausing(retry_in);
         let reason = match error {
             Error::Unreachable { reason, .. } => reason,
-            Error::Server { message, .. } => message,
+            Error::Server { message, .. } | Error::TimedOut { message, .. } => message,
             other => other.to_string(),
         };
         Ok(Update::Disconnected { reason, tries, retry_in })

@@ -10,7 +10,8 @@ use crate::v1;
 /// use roundel_client::Subscription;
 ///
 /// let wanted = Subscription::default()
-///     .ids([3, 4])
+///     .names(["drone", "cart"])
+///     .codes([12])
 ///     .max_rate_hz(30.0)
 ///     .horizon(std::time::Duration::from_millis(20))
 ///     .without_covariance();
@@ -22,9 +23,28 @@ pub struct Subscription {
 }
 
 impl Subscription {
-    /// Only these objects, by `object_id`.
+    /// Only these objects, by `object_id`, and those of [`names`](Self::names) and [`codes`](Self::codes). A server that
+    /// is started anew gives ids anew: after that they are other objects'.
     pub fn ids(mut self, ids: impl IntoIterator<Item = u64>) -> Self {
-        self.request.object_ids = ids.into_iter().collect();
+        self.request.object_ids.extend(ids);
+        self
+    }
+
+    /// Likewise those of these configured names, as soon and as long as they have them.
+    pub fn names<S: Into<String>>(mut self, names: impl IntoIterator<Item = S>) -> Self {
+        self.request.names.extend(names.into_iter().map(Into::into));
+        self
+    }
+
+    /// Likewise those that were seen with these codes, by their numbers in whatever layout.
+    pub fn codes(self, numbers: impl IntoIterator<Item = u32>) -> Self {
+        self.codes_of(0, numbers)
+    }
+
+    /// The same in an installation with several layouts: codes of so many bits.
+    pub fn codes_of(mut self, bits: u32, numbers: impl IntoIterator<Item = u32>) -> Self {
+        let code = |number| v1::Code { bits, number };
+        self.request.codes.extend(numbers.into_iter().map(code));
         self
     }
 
@@ -58,6 +78,22 @@ impl Subscription {
     pub fn without_covariance(mut self) -> Self {
         self.request.omit_covariance = true;
         self
+    }
+
+    /// The message that asks for it once.
+    pub(crate) fn into_single_request(self) -> v1::GetSnapshotRequest {
+        let v1::SubscribeSnapshotsRequest { object_ids, names, codes, roundels, .. } = self.request;
+        let v1::SubscribeSnapshotsRequest { region, horizon_ms, omit_covariance, .. } =
+            self.request;
+        v1::GetSnapshotRequest {
+            object_ids,
+            region,
+            horizon_ms,
+            omit_covariance,
+            roundels,
+            names,
+            codes,
+        }
     }
 
     /// The message that asks for it.

@@ -21,7 +21,7 @@ use super::{
     Api, calibration, configuration,
     error::{ApiError, SHUTTING_DOWN},
     history, objects as configured, push, recording, replay, rest,
-    selection::Selection,
+    selection::{self, MESSAGE_FIELDS, Selection},
     setup, simulation, trial,
 };
 use crate::convert;
@@ -136,9 +136,12 @@ impl v1::roundel_server::Roundel for Service {
 
     async fn get_snapshot(
         &self,
-        _: Request<v1::GetSnapshotRequest>,
+        request: Request<v1::GetSnapshotRequest>,
     ) -> Result<Response<v1::Snapshot>, Status> {
-        Ok(Response::new(newest_snapshot(&self.api, &Selection::default())?))
+        let request = selection::once(request.into_inner());
+        let kinds = &self.api.hub.installation().kinds;
+        let selection = Selection::new(request, kinds, &MESSAGE_FIELDS)?;
+        Ok(Response::new(newest_snapshot(&self.api, &selection)?))
     }
 
     async fn list_cameras(

@@ -1,6 +1,6 @@
 //! Query parameters of REST and the WebSocket, read with errors that name the parameter.
 
-use std::str::FromStr;
+use std::{num::ParseIntError, str::FromStr};
 
 use axum::{extract::Query, http::Uri};
 use roundel_proto::v1;
@@ -80,12 +80,17 @@ impl Parameters {
         Ok((min.is_some() || max.is_some()).then_some(v1::Box { min, max }))
     }
 
-    /// What a snapshot is to hold: `ids`, `roundels`, `min`, `max`, `horizon_ms`, `omit_covariance`.
+    /// What a snapshot is to hold: `ids`, `names`, `codes`, `roundels`, `min`, `max`, `horizon_ms`, `omit_covariance`.
     pub fn take_selection(&mut self) -> Result<v1::SubscribeSnapshotsRequest, ApiError> {
         let object_ids = self.take_list("ids", "ids with commas between, such as 1,2")?;
+        let names = self.take_list("names", "names of objects")?;
+        let codes = "numbers with commas between, such as 12, or 8:12 for one of 8 bits";
+        let codes = self.take_list::<QueriedCode>("codes", codes)?;
         let region = self.take_region()?;
         Ok(v1::SubscribeSnapshotsRequest {
             object_ids,
+            names,
+            codes: codes.into_iter().map(|code| code.0).collect(),
             region,
             max_rate_hz: None,
             horizon_ms: self.take_parsed("horizon_ms", "a number of milliseconds")?,
@@ -110,6 +115,18 @@ impl Parameters {
             None => "no parameters here".to_owned(),
         };
         Err(ApiError::invalid("query", expected, format!("{name:?}")))
+    }
+}
+
+/// `NUMBER` or `BITS:NUMBER`.
+struct QueriedCode(v1::Code);
+
+impl FromStr for QueriedCode {
+    type Err = ParseIntError;
+
+    fn from_str(text: &str) -> Result<Self, ParseIntError> {
+        let (bits, number) = text.split_once(':').unwrap_or(("0", text));
+        Ok(Self(v1::Code { bits: bits.parse()?, number: number.parse()? }))
     }
 }
 

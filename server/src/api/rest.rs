@@ -50,7 +50,9 @@ pub(super) fn object_number(id: Segment) -> Result<u64, ApiError> {
 #[utoipa::path(
     get, path = "/api/v1/snapshot", tag = "poses",
     params(
-        ("ids" = Option<String>, Query, description = "only these objects, commas between", example = "1,2"),
+        ("ids" = Option<String>, Query, description = "only these objects, and those of names and codes; commas between. A server that is started anew gives ids anew", example = "1,2"),
+        ("names" = Option<String>, Query, description = "those that have these configured names, commas between", example = "cart"),
+        ("codes" = Option<String>, Query, description = "those that were seen with these codes, commas between; 8:12 for one of 8 bits", example = "12"),
         ("roundels" = Option<String>, Query, description = "only objects of these kinds of roundel, commas between", example = "robot"),
         ("min" = Option<String>, Query, description = "with max: only objects in this box of the world frame; its smallest corner, metres", example = "-1,-1,0"),
         ("max" = Option<String>, Query, description = "the box's largest corner, metres", example = "1,1,2"),

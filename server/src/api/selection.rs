@@ -4,16 +4,15 @@
 //! which decides when one is due ([`crate::api::feed`]). Filters compare and hash by value, so that
 //! subscribers with the same one can share what was encoded for it.
 
+mod who;
+
 use std::{
     borrow::Cow,
     hash::{DefaultHasher, Hash, Hasher},
     sync::Arc,
 };
 
-use roundel_core::{
-    id::{KindId, ObjectId},
-    world,
-};
+use roundel_core::{id::KindId, world};
 use roundel_proto::v1;
 
 use crate::{
@@ -21,16 +20,18 @@ use crate::{
     convert,
     hub::{FusedSnapshot, Installation},
 };
+pub use who::MAX_NAMED;
+use who::Who;
 
 /// Longest prediction past the server's pose time, milliseconds.
 pub const MAX_HORIZON_MS: f64 = 1000.0;
-/// Most objects that one subscriber can name.
-pub const MAX_IDS: usize = 10_000;
 
 /// How the fields of a selection are called where the request came from.
 #[derive(Debug)]
 pub struct FieldNames {
     ids: &'static str,
+    names: &'static str,
+    codes: &'static str,
     min: &'static str,
     max: &'static str,
     max_rate_hz: &'static str,
@@ -41,6 +42,8 @@ pub struct FieldNames {
 /// In gRPC messages.
 pub const MESSAGE_FIELDS: FieldNames = FieldNames {
     ids: "object_ids",
+    names: "names",
+    codes: "codes",
     min: "region.min",
     max: "region.max",
     max_rate_hz: "max_rate_hz",
@@ -51,6 +54,8 @@ pub const MESSAGE_FIELDS: FieldNames = FieldNames {
 /// In queries of REST and the WebSocket.
 pub const QUERY_FIELDS: FieldNames = FieldNames {
     ids: "ids",
+    names: "names",
+    codes: "codes",
     min: "min",
     max: "max",
     max_rate_hz: "max_rate_hz",
@@ -69,9 +74,8 @@ pub struct Filter {
 /// What is in a filter.
 #[derive(Clone, Debug, Default)]
 struct Wish {
+    who: Who,
     /// Ascending, each once; empty: all.
-    ids: Vec<ObjectId>,
-    /// Likewise, of the kinds.
     kinds: Vec<KindId>,
     region: Option<Region>,
     horizon_s: f64,
@@ -81,21 +85,25 @@ struct Wish {
 impl Wish {
     /// Everything that takes part in comparing and hashing. Zero has one sign here, and no number
     /// is NaN, so that bits stand for values.
-    fn key(&self) -> (&[ObjectId], &[KindId], Option<[u64; 6]>, u64, bool) {
+    fn key(&self) -> (&Who, &[KindId], Option<[u64; 6]>, u64, bool) {
         let region = self.region.as_ref().map(|region| {
             let (min, max) = (&region.min_m, &region.max_m);
             [min.x, min.y, min.z, max.x, max.y, max.z].map(|side| (side + 0.0).to_bits())
         });
-        (&self.ids, &self.kinds, region, (self.horizon_s + 0.0).to_bits(), self.omit_covariance)
+        (&self.who, &self.kinds, region, (self.horizon_s + 0.0).to_bits(), self.omit_covariance)
     }
 
-    fn choose<'a>(&self, snapshot: &'a world::Snapshot) -> Cow<'a, world::Snapshot> {
+    fn choose<'a>(
+        &self,
+        installation: &Installation,
+        snapshot: &'a world::Snapshot,
+    ) -> Cow<'a, world::Snapshot> {
         let mut chosen = Cow::Borrowed(snapshot);
-        if !self.ids.is_empty() || !self.kinds.is_empty() {
+        if !self.who.is_everybody() || !self.kinds.is_empty() {
             let wanted = |state: &&world::ObjectState| {
-                let is_one = self.ids.is_empty() || self.ids.binary_search(&state.id).is_ok();
                 let is_kind = |kind| self.kinds.binary_search(&kind).is_ok();
-                is_one && (self.kinds.is_empty() || state.kind.is_some_and(is_kind))
+                let of_kind = self.kinds.is_empty() || state.kind.is_some_and(is_kind);
+                of_kind && self.who.includes(installation, state)
             };
             chosen = Cow::Owned(world::Snapshot {
                 objects: snapshot.objects.iter().filter(wanted).cloned().collect(),
@@ -132,7 +140,7 @@ impl Filter {
     /// The message that this filter makes of a snapshot; `sent_time_ns` and `missed` belong to the
     /// subscriber and are left 0.
     pub fn message(&self, installation: &Installation, fused: &FusedSnapshot) -> v1::Snapshot {
-        let chosen = self.wish.choose(&fused.snapshot);
+        let chosen = self.wish.choose(installation, &fused.snapshot);
         convert::snapshot(installation, fused, &chosen, !self.wish.omit_covariance)
     }
 }
@@ -183,7 +191,7 @@ impl Selection {
         }
         Ok(Self {
             filter: Filter::from(Wish {
-                ids: checked_ids(&request.object_ids, names)?,
+                who: Who::checked(&request, names)?,
                 kinds: checked_kinds(&request.roundels, kinds, names)?,
                 region,
                 horizon_s: horizon_ms * 1e-3,
@@ -194,18 +202,20 @@ impl Selection {
     }
 }
 
-fn checked_ids(ids: &[u64], names: &FieldNames) -> Result<Vec<ObjectId>, ApiError> {
-    if ids.contains(&0) {
-        return Err(ApiError::invalid(names.ids, "ids of objects, which count from 1", 0));
+/// The same wish, of which there is one answer.
+pub fn once(request: v1::GetSnapshotRequest) -> v1::SubscribeSnapshotsRequest {
+    let v1::GetSnapshotRequest { object_ids, region, horizon_ms, omit_covariance, .. } = request;
+    let v1::GetSnapshotRequest { roundels, names, codes, .. } = request;
+    v1::SubscribeSnapshotsRequest {
+        object_ids,
+        region,
+        max_rate_hz: None,
+        horizon_ms,
+        omit_covariance,
+        roundels,
+        names,
+        codes,
     }
-    if ids.len() > MAX_IDS {
-        let expected = format!("at most {MAX_IDS} ids (leave them out for all objects)");
-        return Err(ApiError::invalid(names.ids, expected, ids.len()));
-    }
-    let mut ids: Vec<ObjectId> = ids.iter().copied().map(ObjectId).collect();
-    ids.sort_unstable();
-    ids.dedup();
-    Ok(ids)
 }
 
 fn checked_kinds(
@@ -243,6 +253,15 @@ mod tests {
         Selection::new(request, &kinds(), &MESSAGE_FIELDS).unwrap().filter
     }
 
+    fn named(names: &[&str], codes: &[(u32, u32)]) -> Filter {
+        let request = v1::SubscribeSnapshotsRequest {
+            names: names.iter().map(|&name| name.into()).collect(),
+            codes: codes.iter().map(|&(bits, number)| v1::Code { bits, number }).collect(),
+            ..Default::default()
+        };
+        Selection::new(request, &kinds(), &MESSAGE_FIELDS).unwrap().filter
+    }
+
     fn kinds() -> Vec<String> {
         vec!["robot".into(), "cart".into()]
     }
@@ -264,23 +283,15 @@ mod tests {
             Filter::from(Wish { omit_covariance: true, ..wish() }),
             Filter::from(Wish { region: None, ..wish() }),
             Filter::from(Wish { kinds: vec![KindId(1)], ..wish() }),
+            named(&["a"], &[]),
+            named(&["b"], &[]),
+            named(&[], &[(0, 1)]),
+            named(&[], &[(8, 1)]),
         ];
-        assert_eq!(HashSet::from(different).len(), 7);
-    }
-
-    #[test]
-    fn a_longer_list_of_ids_than_any_arena_needs_is_refused() {
-        let request = |count: u64| v1::SubscribeSnapshotsRequest {
-            object_ids: (1..=count).collect(),
-            ..Default::default()
-        };
-        let selection = |count| Selection::new(request(count), &kinds(), &QUERY_FIELDS);
-        assert_eq!(selection(10_000).unwrap().filter.wish.ids.len(), 10_000);
-        let error = selection(10_001).unwrap_err().to_string();
-        assert_eq!(
-            error,
-            "ids: expected at most 10000 ids (leave them out for all objects), found 10001"
-        );
+        assert_eq!(HashSet::from(different).len(), 11);
+        let same =
+            [named(&["b", "a"], &[(8, 2), (0, 1)]), named(&["a", "b", "a"], &[(0, 1), (8, 2)])];
+        assert_eq!(HashSet::from(same).len(), 1);
     }
 
     #[test]

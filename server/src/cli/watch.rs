@@ -25,7 +25,7 @@ const HEADER_ROWS: usize = 3;
 #[derive(Debug, Args)]
 #[command(after_help = "Examples:\n  \
     roundel watch\n  \
-    roundel watch --server http://arena:7670 --id 3 --id 4\n  \
+    roundel watch --server http://arena:7670 --name drone --code 12\n  \
     roundel watch --format json --count 600 > run.jsonl\n\n\
     Columns: id: the server's number for the object; code: that of a coded print; position in metres\n\
     (world frame); speed in m/s; sigma: standard deviation of the position, root mean square over\n\
@@ -41,6 +41,12 @@ pub struct WatchArgs {
     /// Only this object; may be repeated
     #[arg(long = "id", value_name = "N")]
     ids: Vec<u64>,
+    /// Only the object of this configured name; may be repeated
+    #[arg(long = "name", value_name = "NAME")]
+    names: Vec<String>,
+    /// Only the object with the code of this number; may be repeated
+    #[arg(long = "code", value_name = "N")]
+    codes: Vec<u32>,
     /// How to print
     #[arg(long, value_enum, default_value_t = WatchFormat::Table)]
     format: WatchFormat,
@@ -87,7 +93,10 @@ pub(super) async fn run(args: WatchArgs) -> anyhow::Result<ExitCode> {
 }
 
 fn subscription(args: &WatchArgs) -> Subscription {
-    let mut wanted = Subscription::default().ids(args.ids.iter().copied());
+    let mut wanted = Subscription::default()
+        .ids(args.ids.iter().copied())
+        .names(&args.names)
+        .codes(args.codes.iter().copied());
     let default_rate_hz = match args.format {
         WatchFormat::Table => Some(TABLE_RATE_HZ),
         WatchFormat::Json => None,
@@ -126,8 +135,8 @@ impl Watch {
                     self.view.tell_loss(&reason, retry_in);
                     self.screen.tell(&self.view)?;
                 }
-                Update::Reconnected { missed } => {
-                    self.view.tell_return(missed);
+                Update::Reconnected { gap, missed, .. } => {
+                    self.view.tell_return(gap, missed);
                     self.screen.tell(&self.view)?;
                     // A server that was started anew may be another version, or have another name.
                     if let Ok(info) = client.info().await {
@@ -185,10 +194,15 @@ impl View {
             format!("connection lost ({reason}); next try in {:.1} s", retry_in.as_secs_f64());
     }
 
-    fn tell_return(&mut self, missed: Option<u64>) {
+    fn tell_return(&mut self, gap: Duration, missed: Option<u64>) {
+        let gap_s = gap.as_secs_f64();
         self.notice = match missed {
-            Some(missed) => format!("connection is back; {missed} snapshots were made meanwhile"),
-            None => "connection is back; the server was started anew".to_owned(),
+            Some(missed) => {
+                format!(
+                    "connection is back after {gap_s:.1} s; {missed} snapshots were made meanwhile"
+                )
+            }
+            None => format!("connection is back after {gap_s:.1} s; the server was started anew"),
         };
     }
 

@@ -3,7 +3,9 @@
 use std::time::Duration;
 
 use futures::StreamExt;
-use roundel_client::{Client, Error, Snapshots, Subscription, Update, predicted};
+use roundel_client::{
+    Client, Code, Error, LinkState, Snapshots, Subscription, Update, coded, named, predicted,
+};
 use roundel_server::api::Limits;
 use tokio::{
     io::{AsyncReadExt, AsyncWriteExt},
@@ -56,9 +58,23 @@ async fn calls_give_what_the_server_has() {
     assert_eq!(snapshot.objects[0].position.unwrap().x, 2.1);
     assert!(snapshot.objects[0].covariance.is_empty());
 
+    // By name and code, where only the second has a name, and by what is asked for once.
+    let by_name = Subscription::default().names(["cart \"one\""]).codes_of(8, [3]);
+    let once = client.snapshot_of(by_name.clone().without_covariance()).await.unwrap();
+    let Update::Snapshot(snapshot) = next(&mut client.snapshots(by_name)).await else { panic!() };
+    for snapshot in [&snapshot, &once] {
+        assert_eq!(named(snapshot, "cart \"one\"").map(|it| it.object_id), Some(2));
+        assert_eq!((snapshot.objects.len(), coded(snapshot, 2).is_some()), (1, true));
+    }
+    assert!(once.objects[0].covariance.is_empty() && !snapshot.objects[0].covariance.is_empty());
+
     let refused = client.snapshots(Subscription::default().max_rate_hz(-1.0)).next().await;
     let Some(Err(error)) = refused else { panic!("{refused:?}") };
-    assert!(matches!(error, Error::Refused { .. }) && !error.is_temporary());
+    assert!(matches!(
+        &error,
+        Error::Refused { code: Code::InvalidArgument, field: Some(field), .. } if field == "max_rate_hz"
+    ));
+    assert!(!error.is_temporary());
     assert!(error.to_string().contains("max_rate_hz: expected a rate above 0"), "{error}");
     let error = client.observations(&["east"]).await.unwrap_err();
     assert!(error.to_string().contains("no camera \"east\"; there are: north"), "{error}");
@@ -161,9 +177,14 @@ async fn a_lost_connection_comes_back_and_the_gap_is_told() {
     assert!(reason.contains("refused"), "{reason}");
 
     // The same run of the server, as after a broken network: three snapshots were made meanwhile.
+    tokio::time::sleep(Duration::from_millis(30)).await;
     let rig = Rig::start_with(hub, Limits::default(), &address).await;
     (0..4).for_each(|_| rig.publish(objects(1)));
-    assert_eq!(next_but_tries(&mut snapshots).await, Update::Reconnected { missed: Some(3) });
+    let back = next_but_tries(&mut snapshots).await;
+    let Update::Reconnected { gap, restarted: false, missed: Some(3) } = back else {
+        panic!("{back:?}")
+    };
+    assert!(gap >= Duration::from_millis(30), "{gap:?}");
     assert_eq!(sequence(&next(&mut snapshots).await), 6);
     assert_eq!(snapshots.missed(), 3);
     rig.stop().await;
@@ -171,11 +192,96 @@ async fn a_lost_connection_comes_back_and_the_gap_is_told() {
     // Another run: its sequence begins anew, so nobody knows.
     let rig = Rig::start_with(rig::hub("next run"), Limits::default(), &address).await;
     rig.publish(objects(1));
-    assert_eq!(next_but_tries(&mut snapshots).await, Update::Reconnected { missed: None });
+    let back = next_but_tries(&mut snapshots).await;
+    let Update::Reconnected { restarted: true, missed: None, .. } = back else {
+        panic!("{back:?}")
+    };
     assert_eq!(sequence(&next(&mut snapshots).await), 1);
     rig.publish(objects(1));
     assert_eq!(sequence(&next(&mut snapshots).await), 2);
     rig.stop().await;
+}
+
+#[tokio::test]
+async fn a_server_that_comes_up_late_is_no_reconnection() {
+    let (listener, address) = free_port().await;
+    drop(listener);
+    let client = Client::connect_lazily(&address).unwrap();
+    let mut snapshots = client.snapshots(Subscription::default());
+    let early = next(&mut snapshots).await;
+    assert!(matches!(early, Update::Disconnected { tries: 0, .. }), "{early:?}");
+    let rig = Rig::start_with(rig::hub("run"), Limits::default(), &address).await;
+    rig.publish(objects(1));
+    assert_eq!(sequence(&next_but_tries(&mut snapshots).await), 1);
+    rig.stop().await;
+}
+
+#[tokio::test]
+async fn who_steers_by_the_newest_snapshot_is_told_when_it_is_no_news() {
+    let rig = Rig::start().await;
+    let address = rig.address.clone();
+    let client = Client::connect(&address).await.unwrap();
+    let mut latest = client.latest(Subscription::default());
+    let Err(Error::Stale { age: None, link, .. }) = latest.recent(HANG) else { panic!() };
+    assert_eq!((link.state, latest.age()), (LinkState::Connecting, None));
+    rig.publish(objects(2));
+    timeout(HANG, latest.next()).await.unwrap().unwrap();
+    assert_eq!(latest.recent(HANG).unwrap().sequence, 1);
+    while latest.link().state != LinkState::Connected {
+        timeout(HANG, latest.link_changed()).await.unwrap();
+    }
+    // The server goes on and says nothing: there is a connection, and no news.
+    tokio::time::sleep(Duration::from_millis(20)).await;
+    let error = latest.recent(Duration::from_millis(20)).unwrap_err();
+    let Error::Stale { age: Some(age), link, .. } = &error else { panic!("{error:?}") };
+    assert!(*age >= Duration::from_millis(20) && link.state == LinkState::Connected, "{error}");
+    assert!(error.is_temporary());
+
+    rig.stop().await;
+    while latest.link().state != LinkState::Lost {
+        timeout(HANG, latest.link_changed()).await.unwrap();
+    }
+    let error = latest.recent(Duration::ZERO).unwrap_err().to_string();
+    assert!(error.contains("the connection is lost: "), "{error}");
+    assert_eq!(latest.value().unwrap().unwrap().sequence, 1, "what there was is still at hand");
+    let rig = Rig::start_with(rig::hub("next run"), Limits::default(), &address).await;
+    rig.publish(objects(3));
+    let back = timeout(HANG, latest.next()).await.unwrap().unwrap();
+    assert_eq!((back.source_id.as_str(), back.objects.len()), ("next run", 3));
+    while latest.link().state != LinkState::Connected {
+        timeout(HANG, latest.link_changed()).await.unwrap();
+    }
+    let link = latest.link();
+    assert_eq!((link.losses, link.restarts, link.tries), (1, 1, 0));
+    assert!(link.reason.is_some(), "the last reason stays");
+    rig.stop().await;
+}
+
+#[tokio::test]
+async fn nobody_waits_for_ever_for_an_answer() {
+    // Somebody takes the connection and says nothing.
+    let (listener, address) = free_port().await;
+    let client = Client::connect_lazily(&address).unwrap().with_timeout(Duration::from_millis(200));
+    let error = timeout(HANG, client.info()).await.expect("it waits for ever").unwrap_err();
+    assert!(matches!(error, Error::TimedOut { .. }) && error.is_temporary(), "{error:?}");
+    drop(listener);
+    // Streams are not calls: they outlast it.
+    let rig = Rig::start().await;
+    rig.publish(objects(1));
+    let timeout_of_calls = Duration::from_millis(50);
+    let client = Client::connect(&rig.address).await.unwrap().with_timeout(timeout_of_calls);
+    let mut snapshots = client.snapshots(Subscription::default());
+    next(&mut snapshots).await;
+    tokio::time::sleep(3 * timeout_of_calls).await;
+    rig.publish(objects(1));
+    assert_eq!(sequence(&next(&mut snapshots).await), 2);
+    rig.stop().await;
+}
+
+async fn free_port() -> (TcpListener, String) {
+    let listener = TcpListener::bind("127.0.0.1:0").await.unwrap();
+    let address = listener.local_addr().unwrap().to_string();
+    (listener, address)
 }
 
 #[tokio::test]

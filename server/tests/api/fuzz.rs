@@ -21,26 +21,26 @@ use crate::{
 };
 
 /// Xorshift: the same bytes in every run.
-struct Random(u64);
+pub struct Random(pub u64);
 
 impl Random {
-    fn next(&mut self) -> u64 {
+    pub fn next(&mut self) -> u64 {
         self.0 ^= self.0 << 13;
         self.0 ^= self.0 >> 7;
         self.0 ^= self.0 << 17;
         self.0
     }
 
-    fn below(&mut self, bound: usize) -> usize {
+    pub fn below(&mut self, bound: usize) -> usize {
         (self.next() % bound as u64) as usize
     }
 
-    fn bytes(&mut self, count: usize) -> Vec<u8> {
+    pub fn bytes(&mut self, count: usize) -> Vec<u8> {
         (0..count).map(|_| self.next() as u8).collect()
     }
 
     /// Some bytes changed, and the end cut off or something added to it.
-    fn bent(&mut self, bytes: &[u8]) -> Vec<u8> {
+    pub fn bent(&mut self, bytes: &[u8]) -> Vec<u8> {
         let mut bent = bytes.to_vec();
         for _ in 0..=self.below(3) {
             if !bent.is_empty() {
@@ -61,13 +61,13 @@ impl Random {
 }
 
 /// A server, and a subscriber that reads all the time.
-struct Bystander {
-    rig: Rig,
+pub struct Bystander {
+    pub rig: Rig,
     snapshots: Streaming<v1::Snapshot>,
 }
 
 impl Bystander {
-    async fn new(limits: Limits) -> Self {
+    pub async fn new(limits: Limits) -> Self {
         let rig = Rig::start_with(rig::hub("run"), limits, "127.0.0.1:0").await;
         let request = v1::SubscribeSnapshotsRequest::default();
         let mut client = grpc::connect(&rig).await;
@@ -76,13 +76,13 @@ impl Bystander {
     }
 
     /// The subscriber gets its snapshot.
-    async fn is_served(&mut self, after: &str) {
+    pub async fn is_served(&mut self, after: &str) {
         self.rig.publish(objects(3));
         let snapshot = grpc::next(&mut self.snapshots).await;
         assert_eq!((snapshot.objects.len(), snapshot.missed), (3, 0), "after {after}");
     }
 
-    async fn end(mut self) {
+    pub async fn end(mut self) {
         self.is_served("all of it").await;
         assert_eq!(self.rig.get("/healthz").await.status, 200);
         self.rig.stop().await;
@@ -92,15 +92,14 @@ impl Bystander {
         TcpStream::connect(&self.rig.address).await.unwrap()
     }
 
-    /// Sends bytes on a connection of its own and gives the first of what comes back; nothing if the server hangs up or
-    /// waits for more.
+    /// Sends bytes on a connection of its own and gives the first of what comes back; nothing if the server hangs up.
     async fn poke(&self, bytes: &[u8]) -> Vec<u8> {
         let mut stream = self.connect().await;
         // The server may have hung up before it had all.
         let _ = stream.write_all(bytes).await;
         let mut answer = vec![0; 4096];
-        let read = timeout(Duration::from_millis(300), stream.read(&mut answer)).await;
-        answer.truncate(read.map_or(0, Result::unwrap_or_default));
+        let read = timeout(HANG, stream.read(&mut answer)).await.expect("no answer comes");
+        answer.truncate(read.unwrap_or_default());
         answer
     }
 
@@ -144,6 +143,8 @@ fn calls() -> (Vec<String>, Vec<Vec<u8>>) {
         horizon_ms: Some(10.0),
         omit_covariance: true,
         roundels: vec!["robot".into()],
+        names: vec!["cart \"one\"".into()],
+        codes: vec![v1::Code { bits: 8, number: 2 }],
     };
     let camera = v1::CameraSetup { name: "x".into(), source: "sim:".into(), ..Default::default() };
     let requests = vec![
@@ -186,8 +187,9 @@ async fn bent_protobuf_harms_nobody() {
         }
         let pokes = bodies.iter().map(|(call, kind, body)| bystander.post(call, kind, body));
         for (answer, (call, ..)) in join_all(pokes).await.iter().zip(&bodies) {
-            let is_one = answer.is_empty() || answer.starts_with("HTTP/1.1 ");
-            assert!(is_one && !answer.starts_with("HTTP/1.1 5"), "{call}: {answer}");
+            // Each request is whole as HTTP, so that each has an answer.
+            let is_one = answer.starts_with("HTTP/1.1 ") && !answer.starts_with("HTTP/1.1 5");
+            assert!(is_one, "{call}: {answer:?}");
         }
         bystander.is_served("bent protobuf").await;
     }
@@ -223,7 +225,9 @@ async fn bent_json_is_refused_by_name() {
             };
             let answer = bystander.post(path, "application/json", &body).await;
             // Well said and still not done is a 4xx, too: nothing is simulated, and no roster is there.
-            assert!(answer.is_empty() || answer.starts_with("HTTP/1.1 4"), "{path}: {answer}");
+            // Who still sends when the answer to too much comes may not see it.
+            let may_be_lost = round == 1 && answer.is_empty();
+            assert!(may_be_lost || answer.starts_with("HTTP/1.1 4"), "{path}: {answer:?}");
             assert!(round == 1 || answer.contains("\"error\""), "{path}: {answer}");
         }
         bystander.is_served("bent JSON").await;

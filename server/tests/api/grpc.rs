@@ -62,7 +62,7 @@ async fn a_snapshot_arrives_with_every_field() {
 
     rig.publish(objects(1));
     assert_eq!(next(&mut snapshots).await.objects.len(), 1);
-    let once = connect(&rig).await.get_snapshot(v1::GetSnapshotRequest {}).await.unwrap();
+    let once = connect(&rig).await.get_snapshot(v1::GetSnapshotRequest::default()).await.unwrap();
     assert_eq!(once.into_inner().sequence, 2);
     rig.stop().await;
 }
@@ -70,7 +70,8 @@ async fn a_snapshot_arrives_with_every_field() {
 #[tokio::test]
 async fn before_the_first_snapshot_a_call_says_so() {
     let rig = Rig::start().await;
-    let status = connect(&rig).await.get_snapshot(v1::GetSnapshotRequest {}).await.unwrap_err();
+    let status =
+        connect(&rig).await.get_snapshot(v1::GetSnapshotRequest::default()).await.unwrap_err();
     assert_eq!(status.code(), Code::Unavailable);
     assert!(status.message().contains("no snapshot yet"), "{status}");
     rig.stop().await;
@@ -114,7 +115,7 @@ async fn a_selection_chooses_objects_and_fields() {
     let predicted = next(&mut subscribe(&rig, request).await).await;
     assert_eq!(ids(&predicted), [2, 3]);
     assert_eq!(predicted.objects[0].position, corner(2.5, -1.0, 1.0));
-    let now = connect(&rig).await.get_snapshot(v1::GetSnapshotRequest {}).await.unwrap();
+    let now = connect(&rig).await.get_snapshot(v1::GetSnapshotRequest::default()).await.unwrap();
     let now = now.into_inner();
     assert_eq!(predicted.pose_time_ns - now.pose_time_ns, 500_000_000);
     assert!(predicted.objects[0].covariance[0] > now.objects[1].covariance[0]);

@@ -31,7 +31,7 @@ async fn the_snapshot_is_grpcs_in_json() {
     let mut rest: v1::Snapshot = serde_json::from_value(json).unwrap();
     let mut grpc = crate::grpc::connect(&rig)
         .await
-        .get_snapshot(v1::GetSnapshotRequest {})
+        .get_snapshot(v1::GetSnapshotRequest::default())
         .await
         .unwrap()
         .into_inner();

@@ -19,3 +19,4 @@ mod simulation;
 mod stuck;
 mod web;
 mod websocket;
+mod who;
