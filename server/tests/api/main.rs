@@ -3,11 +3,13 @@
 mod client;
 mod deadline;
 mod fuzz;
+mod fuzz_stream;
 mod grpc;
 mod http;
 mod lens;
 mod observation;
 mod origin;
+mod parity;
 mod picture;
 mod place;
 mod plan;
