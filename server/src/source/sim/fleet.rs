@@ -2,9 +2,11 @@
 //!
 //! In: objects, as fusion follows them, and what they are to do. Out: scenarios in which the robots do it. What a robot
 //! is told counts from 50 ms later on ([`ACTUATION_S`]): by then no camera has rendered a frame, so all of them show the
-//! same world. A robot is known by where its object is, since objects are all that clients know of it.
+//! same world. A robot is known by where its object is, since objects are all that clients know of it; by where that was
+//! when it was last seen, if nobody sees it, for while it is expected to go on as it went, its robot may turn.
 
 use std::{
+    borrow::Cow,
     collections::BTreeMap,
     sync::{Arc, Mutex, MutexGuard, PoisonError},
 };
@@ -206,14 +208,23 @@ impl Fleet {
             };
             return Err(FleetError::NoObject { object, known });
         };
-        let off_m = |robot: &RobotTruth| {
-            (robot.world_from_roundel.translation.vector - found.position_m).norm()
+        let (at_m, truth) = match found.stage {
+            LifeStage::Tracked => (found.position_m, Cow::Borrowed(truth)),
+            _ => {
+                let seen_s = found.newest_observation.seconds_since(self.origin);
+                let age_s = snapshot.pose_time.seconds_since(found.newest_observation);
+                // It has been expected to keep its velocity since.
+                let at_m = found.position_m - found.velocity_m_s * age_s;
+                (at_m, Cow::Owned(state.scenario.truth(seen_s)))
+            }
         };
+        let off_m =
+            |robot: &RobotTruth| (robot.world_from_roundel.translation.vector - at_m).norm();
         let nearest = truth.iter().min_by(|a, b| off_m(a).total_cmp(&off_m(b)));
         let nearest = nearest.map(|robot| (robot.index, off_m(robot)));
         let robot = match (nearest, state.robots.get(&order.object)) {
             (Some((robot, distance_m)), _) if distance_m <= SAME_M => robot,
-            // Nobody sees it, and it may be elsewhere than predicted.
+            // Nobody has seen it for long.
             (_, Some(&robot)) if found.stage != LifeStage::Tracked => robot,
             (nearest, _) => {
                 let distance_m = nearest.map_or(f64::INFINITY, |(_, distance_m)| distance_m);
