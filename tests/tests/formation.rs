@@ -2,14 +2,17 @@
 
 use std::{f64::consts::TAU, process::Command};
 
-use anyhow::ensure;
-use roundel_client::Client;
+use anyhow::{Context, ensure};
+use futures::StreamExt;
+use roundel_client::{Client, Subscription, Update, v1::Snapshot};
 use roundel_tests::process::{self, Server};
 
 const ROBOTS: usize = 12;
 const RADIUS_M: f64 = 2.0;
 /// Root mean square distance from the places that a formation may have.
 const GOOD_M: f64 = 0.03;
+/// So far a push of a second at 1 m/s must take its robot.
+const PUSHED_M: f64 = 0.3;
 
 fn run(example: &str, arguments: &[&str]) -> anyhow::Result<String> {
     let output = Command::new(process::example(example)?).args(arguments).output()?;
@@ -18,36 +21,94 @@ fn run(example: &str, arguments: &[&str]) -> anyhow::Result<String> {
     Ok(said)
 }
 
+/// What a subscriber of its own sees of a formation, whatever those who drive it say.
+#[derive(Debug, Default)]
+struct Watch {
+    /// Who stands at each place, once the circle has stood.
+    ids: Vec<u64>,
+    /// Farthest that each was from its place since then, by place.
+    farthest_m: Vec<f64>,
+    /// Of now; infinite until the circle has stood, and where one is not followed.
+    rms_m: f64,
+}
+
+impl Watch {
+    fn see(&mut self, snapshot: &Snapshot) {
+        if self.ids.is_empty() {
+            let at_places = (0..ROBOTS).map(|place| nearest(snapshot, place));
+            let (ids, off_m): (Vec<u64>, Vec<f64>) = at_places.unzip();
+            self.rms_m = f64::INFINITY;
+            if rms(&off_m) <= GOOD_M {
+                (self.ids, self.farthest_m) = (ids, vec![0.0; ROBOTS]);
+            }
+        }
+        if !self.ids.is_empty() {
+            let off_m = |(place, id): (usize, &u64)| {
+                let found = snapshot.objects.iter().find(|state| state.object_id == *id);
+                found.map_or(f64::INFINITY, |state| off_m(state.position, place))
+            };
+            let off_m: Vec<f64> = self.ids.iter().enumerate().map(off_m).collect();
+            self.rms_m = rms(&off_m);
+            // One that is lost is nowhere: that is no push.
+            let seen = self.farthest_m.iter_mut().zip(off_m).filter(|(_, off_m)| off_m.is_finite());
+            seen.for_each(|(farthest_m, off_m)| *farthest_m = farthest_m.max(off_m));
+        }
+    }
+}
+
+/// Who is nearest to a place on the circle, and how far from it, metres.
+fn nearest(snapshot: &Snapshot, place: usize) -> (u64, f64) {
+    let each = snapshot.objects.iter().map(|state| (state.object_id, off_m(state.position, place)));
+    each.min_by(|a, b| a.1.total_cmp(&b.1)).unwrap_or((0, f64::INFINITY))
+}
+
+fn off_m(position: Option<roundel_client::v1::Vector3>, place: usize) -> f64 {
+    let at = position.unwrap_or_default();
+    let (sine, cosine) = (place as f64 / ROBOTS as f64 * TAU).sin_cos();
+    (at.x - RADIUS_M * cosine).hypot(at.y - RADIUS_M * sine)
+}
+
+fn rms(values: &[f64]) -> f64 {
+    (values.iter().map(|value| value * value).sum::<f64>() / values.len() as f64).sqrt()
+}
+
 #[tokio::test(flavor = "multi_thread")]
 async fn robots_form_a_circle_keep_it_while_one_is_pushed_and_are_recorded() -> anyhow::Result<()> {
     let folder = tempfile::tempdir()?;
     let arguments = ["demo", "--listen", "127.0.0.1:0", "--robots", "12", "--seed", "5"];
     let server = Server::start(&arguments, folder.path())?;
-    let said = tokio::task::spawn_blocking({
+    let client = Client::connect(&server.url()).await?;
+    let mut updates = client.snapshots(Subscription::default());
+    let mut driving = tokio::task::spawn_blocking({
         let url = server.url();
         move || run("formation", &[&url])
     });
-    let said = said.await??;
-    ensure!(said.contains("pushing robot") && said.contains("formed in"), "{said}");
-
-    // Robots that hear nothing stop: judged by itself, whatever the example says.
-    let client = Client::connect(&server.url()).await?;
-    let snapshot = client.snapshot().await?;
-    let mut taken = [0_u32; ROBOTS];
-    let mut squares_m2 = 0.0;
-    for state in &snapshot.objects {
-        let at = state.position.unwrap_or_default();
-        let turn = at.y.atan2(at.x).rem_euclid(TAU) / TAU * ROBOTS as f64;
-        let place = turn.round() as usize % ROBOTS;
-        taken[place] += 1;
-        let (sine, cosine) = (place as f64 / ROBOTS as f64 * TAU).sin_cos();
-        squares_m2 += (at.x - RADIUS_M * cosine).powi(2) + (at.y - RADIUS_M * sine).powi(2);
+    let mut watch = Watch::default();
+    let said = loop {
+        tokio::select! {
+            ended = &mut driving => break ended??,
+            update = updates.next() => {
+                if let Update::Snapshot(snapshot) = update.context("the stream has ended")?? {
+                    watch.see(&snapshot);
+                }
+            }
+        }
+    };
+    // Robots that hear nothing stop, so they stand where the example left them.
+    watch.see(&client.snapshot().await?);
+    let pushed = said.lines().find_map(|line| line.strip_prefix("pushing robot "));
+    let pushed = pushed.and_then(|rest| rest.strip_suffix(" away")?.parse::<u64>().ok());
+    let place = watch.ids.iter().position(|id| Some(*id) == pushed);
+    let place = place.with_context(|| format!("expected {pushed:?} in {watch:?}:\n{said}"))?;
+    for (other, farthest_m) in watch.farthest_m.iter().enumerate() {
+        // Away, and nobody else with it.
+        let is_sound =
+            if other == place { *farthest_m >= PUSHED_M } else { *farthest_m <= PUSHED_M / 2.0 };
+        ensure!(is_sound, "expected a push of place {place} alone, found {watch:?}:\n{said}");
     }
-    ensure!(taken == [1; ROBOTS], "expected one robot at each place, found {taken:?}");
-    let rms_m = (squares_m2 / ROBOTS as f64).sqrt();
     ensure!(
-        rms_m <= GOOD_M,
-        "expected at most {GOOD_M} m rms, found {rms_m}; the example said:\n{said}"
+        watch.rms_m <= GOOD_M,
+        "expected at most {GOOD_M} m rms after the push, found {watch:?}; the example said:\n{said}"
     );
 
     let file = folder.path().join("run.csv");

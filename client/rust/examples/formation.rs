@@ -6,16 +6,21 @@
 //! ```
 //!
 //! Every 50 ms: the newest poses are predicted to when the robots will obey, each robot is drawn to its place on the
-//! circle and away from whoever is near, and told so. Ends with an error if the circle is not as wanted.
+//! circle and away from whoever is near, and told so. Ends with an error if the circle is not as wanted, if the push
+//! moved nobody, and as soon as there is no news of where the robots are, or no answer: they stop by themselves when
+//! they are told nothing.
 
-use std::time::{Duration, Instant};
+use std::{
+    future::Future,
+    time::{Duration, Instant},
+};
 
-use anyhow::{Context, bail};
+use anyhow::{Context, bail, ensure};
 use roundel_client::{
     Client, ClockOffset, Latest, Subscription, predicted,
     v1::{LifeStage, Snapshot},
 };
-use tokio::time::{MissedTickBehavior, interval};
+use tokio::time::{MissedTickBehavior, interval, timeout};
 
 const ROBOTS: usize = 12;
 const RADIUS_M: f64 = 2.0;
@@ -33,25 +38,36 @@ const GOOD_M: f64 = 0.03;
 /// … if it does for so long.
 const SETTLED: Duration = Duration::from_secs(2);
 const PATIENCE: Duration = Duration::from_secs(60);
+/// Nobody is driven by what is older, nor is an answer waited for any longer.
+const BLIND: Duration = Duration::from_secs(2);
+/// So far the push must take its robot at least: it moves at 1 m/s for a second, and draws back meanwhile.
+const PUSHED_M: f64 = 0.3;
 
 type Point = [f64; 2];
 
 #[tokio::main(flavor = "current_thread")]
 async fn main() -> anyhow::Result<()> {
     let server = std::env::args().nth(1).unwrap_or_else(|| "http://127.0.0.1:7670".to_owned());
-    let client = Client::connect(&server).await?;
+    let client = soon("connection", Client::connect(&server)).await?;
     let mut latest = client.latest(Subscription::default());
-    let seen = tokio::time::timeout(PATIENCE, enough(&mut latest)).await;
-    let snapshot = seen.with_context(|| format!("expected {ROBOTS} robots to be seen"))??;
-    let clock = client.clock_offset().await?;
+    let seen = timeout(PATIENCE, enough(&mut latest)).await;
+    let snapshot =
+        seen.with_context(|| format!("expected {ROBOTS} robots to be seen within {PATIENCE:?}"))??;
+    let clock = soon("answer about the clock", client.clock_offset()).await?;
     let mut formation = Formation { client, latest, clock, ids: assigned(&snapshot) };
     let formed = formation.hold("forming", Duration::ZERO).await?;
 
     let (pushed, [x, y]) = (formation.ids[0], place(0));
     let outwards = [x / RADIUS_M, y / RADIUS_M, 0.0];
-    formation.client.push_robot(pushed, outwards, Duration::from_secs(1)).await?;
+    let push = formation.client.push_robot(pushed, outwards, Duration::from_secs(1));
+    soon("answer to the push", push).await?;
     println!("pushing robot {pushed} away");
     let again = formation.hold("holding", Duration::from_secs(3)).await?;
+    ensure!(
+        again.worst_m[0] >= PUSHED_M,
+        "expected the push to take robot {pushed} at least {PUSHED_M} m away, found {:.2} m",
+        again.worst_m[0]
+    );
     println!(
         "formed in {:.1} s, again {:.1} s after the push, which took robot {pushed} {:.2} m away; rms {:.1} mm",
         formed.took.as_secs_f64(),
@@ -60,6 +76,15 @@ async fn main() -> anyhow::Result<()> {
         again.rms_m * 1e3
     );
     Ok(())
+}
+
+/// What comes of `future`, if that is soon enough.
+async fn soon<T>(
+    what: &str,
+    future: impl Future<Output = Result<T, roundel_client::Error>>,
+) -> anyhow::Result<T> {
+    let ended = timeout(BLIND, future).await;
+    Ok(ended.with_context(|| format!("no {what} within {BLIND:?}"))??)
 }
 
 /// The first snapshot with enough robots that are seen.
@@ -159,11 +184,15 @@ impl Formation {
 
     /// Tells all robots how to move; how far each one is from its place, metres.
     async fn step(&mut self) -> anyhow::Result<Vec<f64>> {
-        let snapshot = self.latest.next().await?;
+        let snapshot = soon("snapshot", self.latest.next()).await?;
         let ahead_s = (self.clock.server_now_ns() - snapshot.pose_time_ns) as f64 * 1e-9;
         let at = self.places(&predicted(&snapshot, ahead_s + OBEYED_AFTER_S))?;
+        // Whoever is not seen may be elsewhere than expected: it is told nothing, and stops if that lasts.
+        let seen = tracked(&snapshot);
+        let is_seen = |id: u64| seen.iter().any(|robot| robot.0 == id);
         let velocities = (0..ROBOTS).map(|index| (self.ids[index], wanted(index, &at)));
-        self.client.drive(velocities).await?;
+        let velocities = velocities.filter(|(id, _)| is_seen(*id));
+        soon("answer to a command", self.client.drive(velocities)).await?;
         let now = self.places(&snapshot)?;
         Ok(now.into_iter().enumerate().map(|(i, at)| distance_m(at, place(i))).collect())
     }
