@@ -1,0 +1,284 @@
+//! What known values are on the wire: a changed unit, order, sign or meaning where core's types become messages breaks
+//! a file of `proto/golden`. The files are read by the Python client's tests too, so that both ends agree.
+//!
+//! Each has a message as JSON, as REST and the WebSocket give it, and as protobuf in hexadecimal. After adding a field:
+//! `ROUNDEL_GOLDEN=write cargo test -p roundel-server --test wire`, and look at the difference: numbers that were there stay.
+
+use std::{collections::BTreeMap, fmt::Debug, fs, path::PathBuf};
+
+use nalgebra::{Quaternion, Translation3, UnitQuaternion, Vector3};
+use prost::Message;
+use roundel_core::{
+    calib::watch::{CameraHealth, WatchState},
+    camera::{Camera, Intrinsics, Lens, PixelPoint},
+    ellipse::Ellipse,
+    id::{BodyId, CameraId, KindId, ObjectId, TrackNumber},
+    marker::{Code, CodeReading, Ring},
+    pose::{Detection, RoundelPose},
+    rigid::{Covariance6, Rigid},
+    time::Timestamp,
+    world::{
+        CameraPlacement, ClockEstimate, EventKind, FrameObservations, LifeStage, ObjectState,
+        ProcessNoise, Snapshot,
+    },
+};
+use roundel_server::{
+    convert,
+    hub::{
+        CameraInfo, CameraPlace, CameraState, CameraStatus, Event, FusedSnapshot, Happening,
+        Installation, ObjectRecord, PoseStatus,
+    },
+    source::{CaptureClock, TimeBase},
+};
+use serde::Serialize;
+
+/// 2 October 2023, 12:00 UTC, and some ns, so that nothing but whole ns gives it back.
+const POSE_TIME: Timestamp = Timestamp::from_ns(1_696_248_000_000_000_007);
+
+#[test]
+fn a_snapshot_is_in_metres_and_the_world_frame_quaternions_x_y_z_w_triangles_row_by_row() {
+    let chosen = Snapshot {
+        pose_time: POSE_TIME,
+        capture_time: Some(POSE_TIME.plus_ns(-12_500_000)),
+        objects: vec![coded(), plain()],
+    };
+    let fused = FusedSnapshot {
+        sequence: 41,
+        fused_time: POSE_TIME.plus_ns(-3_000_000),
+        snapshot: chosen.clone(),
+    };
+    check("snapshot", &convert::snapshot(&installation(), &fused, &chosen, true));
+    check("lean_snapshot", &convert::snapshot(&installation(), &fused, &chosen, false));
+}
+
+#[test]
+fn observations_are_in_raw_pixels_and_the_camera_frame() {
+    let rim = |half_px: f64| Ellipse {
+        center: PixelPoint { u: 640.25, v: 359.75 },
+        semi_major_px: half_px,
+        semi_minor_px: 0.75 * half_px,
+        angle_rad: -0.5,
+    };
+    let reading = CodeReading {
+        code: Code { bits: 8, number: 12 },
+        word: None,
+        zero: PixelPoint { u: 651.5, v: 352.0 },
+        opposite: PixelPoint { u: 629.0, v: 367.5 },
+        yaw_deviation_rad: 0.01,
+        confidence: 0.9375,
+        corrected: 1,
+    };
+    let ring = Ring {
+        kind: Some(KindId(0)),
+        threshold: 117,
+        black: 31.5,
+        white: 203.25,
+        code: Some(reading),
+        ..Ring::of_rims(rim(20.0), rim(8.0))
+    };
+    let pose = RoundelPose {
+        position_m: Vector3::new(-0.25, 0.5, 3.0),
+        normal: Vector3::new(0.0, 0.6, -0.8),
+        normal_likelihood: 0.75,
+        other_normal: Vector3::new(0.0, -0.6, -0.8),
+        yaw_rad: Some(1.25),
+        yaw_symmetry: 1,
+        covariance: numbered(0.0),
+    };
+    let detection = |pose| Detection {
+        track: TrackNumber(77),
+        ring: ring.clone(),
+        capture_time: POSE_TIME.plus_ns(1_000),
+        pose,
+    };
+    let frame = FrameObservations {
+        camera: CameraId(1),
+        frame: 1234,
+        capture_time: POSE_TIME,
+        received_time: POSE_TIME.plus_ns(33_000_000),
+        calibration_version: 3,
+        detections: vec![detection(Some(pose)), detection(None)],
+    };
+    check("observations", &convert::observations(&installation(), &frame));
+}
+
+#[test]
+fn a_camera_is_told_in_milliseconds_and_parts_per_million() {
+    let camera = Camera::new(Intrinsics {
+        width: 1280,
+        height: 720,
+        fx_px: 1001.0,
+        fy_px: 1002.0,
+        cx_px: 641.5,
+        cy_px: 358.5,
+        lens: Lens::PlumbBob([-0.25, 0.125, 0.001, -0.002, 0.0625]),
+    })
+    .unwrap();
+    let placement = CameraPlacement { world_from_camera: place(), covariance: numbered(0.0) };
+    let state = CameraState {
+        status: CameraStatus::Running,
+        width: 1280,
+        height: 720,
+        place: CameraPlace::standing(PoseStatus::Calibrated, placement),
+        camera: Some(camera),
+        calibration_version: 3,
+        frames: 1000,
+        dropped: 7,
+        broken: 2,
+        restarts: 1,
+        rate_hz: 29.5,
+        detections: 12,
+        detect_ms: 1.5,
+        decode_ms: 0.5,
+        blur_px: 0.75,
+        noise: 2.25,
+        reprojection_px: 0.375,
+        latency_ms: 18.5,
+        capture_clock: Some(CaptureClock { base: TimeBase::Arrival, deviation_s: 0.0625 }),
+        clock: Some(ClockEstimate {
+            offset_s: 0.015625,
+            skew: 2.0_f64.powi(-18),
+            deviation_s: 0.0009765625,
+            skew_deviation: 1.0,
+        }),
+        health: Some(CameraHealth {
+            state: WatchState::Suspected,
+            error_m: 0.01,
+            error_rad: 0.02,
+            deviation_m: 0.003,
+            deviation_rad: 0.004,
+            seen_error_m: 0.05,
+        }),
+        promised_hz: 30.0,
+        ..CameraState::default()
+    };
+    check("camera", &convert::camera(&installation(), CameraId(1), &state));
+}
+
+#[test]
+fn objects_and_events_carry_ids_names_and_unix_times() {
+    let record = ObjectRecord {
+        id: ObjectId(3),
+        kind: Some(KindId(0)),
+        body: Some(BodyId(0)),
+        code: Some(Code { bits: 8, number: 12 }),
+        stage: LifeStage::Lost,
+        first_seen: POSE_TIME.plus_ns(-60_000_000_000),
+        last_seen: POSE_TIME.plus_ns(-5_000_000_000),
+        observations: 4321,
+    };
+    check("object", &convert::object(&installation(), &record));
+    let event = Event {
+        sequence: 99,
+        time: POSE_TIME,
+        happening: Happening::Object(ObjectId(3), EventKind::Recovered),
+        camera: String::new(),
+        message: "carrier is seen again.".to_owned(),
+    };
+    check("event", &convert::event(&event));
+}
+
+/// One of code 12, seen by both cameras, with a heading.
+fn coded() -> ObjectState {
+    ObjectState {
+        id: ObjectId(3),
+        kind: Some(KindId(0)),
+        body: Some(BodyId(0)),
+        code: Some(Code { bits: 8, number: 12 }),
+        stage: LifeStage::Tracked,
+        position_m: Vector3::new(1.5, -2.25, 0.5),
+        orientation: turn(),
+        yaw_observed: true,
+        yaw_symmetry: 1,
+        velocity_m_s: Vector3::new(0.25, -0.5, 0.125),
+        acceleration_m_s2: Vector3::new(-1.0, 0.75, 0.0625),
+        angular_velocity_rad_s: Vector3::new(0.01, -0.02, 0.75),
+        covariance: numbered(0.0),
+        motion_covariance: numbered(100.0),
+        rotation_covariance: numbered(200.0),
+        process_noise: ProcessNoise::default(),
+        cameras: vec![CameraId(0), CameraId(1)],
+        newest_observation: POSE_TIME.plus_ns(-12_500_000),
+        residual: 1.125,
+        first_observation: POSE_TIME.plus_ns(-60_000_000_000),
+        observations: 4321,
+    }
+}
+
+/// One without a name, whose heading is not observed, and that nobody sees.
+fn plain() -> ObjectState {
+    ObjectState {
+        id: ObjectId(7),
+        kind: Some(KindId(1)),
+        body: None,
+        code: None,
+        stage: LifeStage::Predicted,
+        position_m: Vector3::new(-3.0, 4.0, 0.25),
+        orientation: UnitQuaternion::identity(),
+        yaw_observed: false,
+        cameras: Vec::new(),
+        newest_observation: POSE_TIME.plus_ns(-200_000_000),
+        ..coded()
+    }
+}
+
+fn installation() -> Installation {
+    let camera = |name: &str| CameraInfo {
+        name: name.to_owned(),
+        source: "sim:r4_lite".to_owned(),
+        ..CameraInfo::default()
+    };
+    Installation {
+        name: "golden".to_owned(),
+        source_id: "run-1".to_owned(),
+        started: POSE_TIME.plus_ns(-3_600_000_000_000),
+        snapshot_rate_hz: 60.0,
+        cameras: Installation::numbered([camera("north"), camera("south")]),
+        kinds: vec!["coded".to_owned(), "plain".to_owned()],
+        object_names: BTreeMap::new(),
+        body_names: vec!["carrier".to_owned()],
+    }
+}
+
+/// w 0.7, x 0.1, y 0.5, z -0.5: no two parts are alike.
+fn turn() -> UnitQuaternion<f64> {
+    UnitQuaternion::new_unchecked(Quaternion::new(0.7, 0.1, 0.5, -0.5))
+}
+
+fn place() -> Rigid {
+    Rigid::from_parts(Translation3::new(-2.5, 1.25, 5.0), turn())
+}
+
+/// Symmetric, `base` and ten times the row plus the column from 1: each number says where it comes from.
+fn numbered(base: f64) -> Covariance6 {
+    Covariance6::from_fn(|row, column| {
+        base + 10.0 * (row.min(column) + 1) as f64 + (row.max(column) + 1) as f64
+    })
+}
+
+/// Holds a message to the files of its name, or writes them.
+fn check<M: Debug + Message + Default + PartialEq + Serialize>(name: &str, message: &M) {
+    let folder = PathBuf::from(env!("CARGO_MANIFEST_DIR")).join("../proto/golden");
+    let bytes = message.encode_to_vec();
+    assert_eq!(&M::decode(bytes.as_slice()).unwrap(), message);
+    let hex: String = bytes.iter().map(|byte| format!("{byte:02x}")).collect();
+    // Lines that a difference can be seen in.
+    let lines: Vec<&str> =
+        hex.as_bytes().chunks(96).map(|line| std::str::from_utf8(line).unwrap()).collect();
+    let json = serde_json::to_string_pretty(message).unwrap();
+    let write = std::env::var("ROUNDEL_GOLDEN").is_ok_and(|what| what == "write");
+    for (ending, found) in [("json", json), ("hex", lines.join("\n"))] {
+        let (path, found) = (folder.join(format!("{name}.{ending}")), format!("{found}\n"));
+        if write {
+            fs::write(&path, &found).unwrap();
+        }
+        let kept = fs::read_to_string(&path).unwrap_or_default();
+        assert_eq!(
+            found,
+            kept,
+            "{}: known values are something else on the wire than clients were promised; a field that was added: \
+             ROUNDEL_GOLDEN=write cargo test -p roundel-server --test wire",
+            path.display()
+        );
+    }
+}
