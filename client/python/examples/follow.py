@@ -1,7 +1,9 @@
-"""Follows one robot, by its id, its name or the code on its roundel, and prints where it is.
+"""Follows one robot, by its name, the code on its roundel or its id, and prints where it is.
 
     cargo run --release -- demo                      # in one terminal
-    python client/python/examples/follow.py 3        # in another; '#12' for code 12
+    python client/python/examples/follow.py 3        # in another
+
+Names and codes outlast a start of the server; an id is another robot's after that.
 """
 
 from __future__ import annotations
@@ -9,45 +11,55 @@ from __future__ import annotations
 import argparse
 import sys
 
-from roundel import Client, Disconnected, LifeStage, Reconnected, Robot, RoundelError, Subscription
+from roundel import Client, Disconnected, LifeStage, Reconnected, Robot, RoundelError, Subscription, v1
 
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("robot", help="an id, a configured name, or #N for the one with code N")
+    parser.add_argument("robot", help="a configured name, #N for the one with code N, or an id")
     parser.add_argument("server", nargs="?", default="http://127.0.0.1:7670")
     arguments = parser.parse_args()
+    word = arguments.robot
     with Client.connect(arguments.server) as client:
-        object_id = find(client, arguments.robot)
+        tell_who_is_there(client, word)
         is_there = True
-        with client.updates(Subscription(ids=[object_id], max_rate_hz=10.0)) as updates:
+        with client.updates(wanted(word)) as updates:
             for update in updates:
                 if isinstance(update, Disconnected):
                     print(f"lost the server ({update.reason}); next try in {update.retry_in_s:.1f} s", file=sys.stderr)
                 elif isinstance(update, Reconnected):
-                    if update.missed is None:
-                        # Ids are given anew by a new server, so the same number may be another robot.
-                        sys.exit("the server was started anew")
-                    print(f"back, missed {update.missed}", file=sys.stderr)
-                elif robot := update.robot(object_id):
+                    missed = "started anew" if update.restarted else f"missed {update.missed}"
+                    print(f"back after {update.gap_s:.1f} s, {missed}", file=sys.stderr)
+                    if update.restarted and word.isdecimal():
+                        sys.exit(f"which robot {word} was, nobody knows any more; give its name or its code")
+                elif len(update):
                     is_there = True
-                    print(line(robot), flush=True)
+                    print(line(update[0]), flush=True)
                 elif is_there:
                     is_there = False
-                    print(f"{arguments.robot} is not there", flush=True)
+                    print(f"{word} is not there", flush=True)
 
 
-def find(client: Client, word: str) -> int:
-    """The id of the robot of that id, name or code."""
+def wanted(word: str) -> Subscription:
+    """The robot of that name, code or id."""
+    if word.startswith("#") and word[1:].isdecimal():
+        return Subscription(codes=[int(word[1:])], max_rate_hz=10.0)
     if word.isdecimal():
-        return int(word)
-    names = {}
-    for one in client.objects():
-        names[f"#{one.code.number}" if one.HasField("code") else one.name] = one.object_id
-        names[one.name] = one.object_id
-    if word not in names:
-        sys.exit(f"no robot has the name or code {word!r}; there are {sorted(filter(None, names))}")
-    return names[word]
+        return Subscription(ids=[int(word)], max_rate_hz=10.0)
+    return Subscription(names=[word], max_rate_hz=10.0)
+
+
+def tell_who_is_there(client: Client, word: str) -> None:
+    """Says who else there is if this one is not there yet; it is followed as soon as it is."""
+    objects = client.objects()
+    if not any(word in (one.name, code(one), str(one.object_id)) for one in objects):
+        known = [one.name or code(one) or str(one.object_id) for one in objects]
+        print(f"{word} is not seen yet; there are {known}", file=sys.stderr)
+
+
+def code(one: v1.Object) -> str:
+    """As it is asked for; empty without one."""
+    return f"#{one.code.number}" if one.HasField("code") else ""
 
 
 def line(robot: Robot) -> str:

@@ -136,6 +136,25 @@ def test_a_subscription_is_kept_to(server: Server) -> None:
                 next(client.snapshots(wrong))
 
 
+def test_objects_are_chosen_by_name_code_and_id(own_server: list[Server]) -> None:
+    own_server.append(Server("127.0.0.1:0", "--preset", "r4"))
+    with Client.connect(own_server[0].url) as client:
+        parked = {reference.code for reference in client.configuration().references}
+        found = ([r for r in map(s.__getitem__, range(len(s))) if r.code not in {None, *parked}] for s in client.snapshots())
+        first, second = next(robots for robots in found if len(robots) >= 2)[:2]
+        client.name_object(second.object_id, "cart")
+        subscription = Subscription(names=["cart"], codes=[first.code or 0], covariance=False)
+        wanted = {first.object_id, second.object_id}
+        chosen = next(s for s in client.snapshots(subscription) if set(s.ids.tolist()) == wanted)
+        assert chosen.covariances is None
+        for once in (client.snapshot(subscription), client.snapshot(Subscription(ids=[first.object_id], names=["cart"]))):
+            assert set(once.ids.tolist()) <= wanted
+        assert len(client.snapshot(Subscription(names=["nobody"]))) == 0
+        with pytest.raises(Refused, match="names") as refused:
+            client.snapshot(Subscription(names=[""]))
+        assert (refused.value.field or "").startswith("names")
+
+
 def test_prediction_is_the_servers_own(server: Server) -> None:
     horizon_s = 0.2
     with Client.connect(server.url) as client:

@@ -23,11 +23,6 @@ PUSHED_M = 0.3
 """So far a push of a second at 1 m/s must take its robot."""
 
 
-def run(example: str, *arguments: str) -> subprocess.CompletedProcess[str]:
-    command = [sys.executable, str(EXAMPLES / example), *arguments]
-    return subprocess.run(command, capture_output=True, text=True, timeout=PATIENCE_S)
-
-
 class Watch:
     """What a subscriber of its own sees of a formation, whatever those who drive it say."""
 
@@ -158,5 +153,28 @@ def test_one_robot_is_followed(server: Server) -> None:
         lines = [following.stdout.readline() for _ in range(3)]
         following.kill()
     assert all("m/s  sigma" in line and ("seen" in line or "predicted" in line) for line in lines)
-    ended = run("follow.py", "nobody", server.url)
-    assert ended.returncode == 1 and "no robot has the name or code 'nobody'" in ended.stderr
+    command[2] = "nobody"
+    with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True) as waiting:
+        assert waiting.stdout is not None and waiting.stderr is not None
+        assert waiting.stderr.readline().startswith("nobody is not seen yet; there are ['")
+        assert waiting.stdout.readline() == "nobody is not there\n"
+        waiting.kill()
+
+
+def test_a_robot_is_followed_by_its_code_through_a_start_of_the_server(own_server: list[Server]) -> None:
+    own_server.append(Server("127.0.0.1:0", "--preset", "r4"))
+    address = own_server[0].address
+    with Client.connect(own_server[0].url) as client:
+        code = next(number for snapshot in client.snapshots() for number in snapshot.codes if number is not None)
+    command = [sys.executable, str(EXAMPLES / "follow.py"), f"#{code}", own_server[0].url]
+    with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True) as following:
+        assert following.stdout is not None and following.stderr is not None
+        assert "m/s  sigma" in following.stdout.readline()
+        own_server[0].kill()
+        assert following.stderr.readline().startswith("lost the server")
+        own_server.append(Server(address, "--preset", "r4"))
+        while "started anew" not in following.stderr.readline():
+            assert following.poll() is None
+        while "m/s  sigma" not in following.stdout.readline():
+            assert following.poll() is None
+        following.kill()

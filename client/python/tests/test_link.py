@@ -74,12 +74,12 @@ def test_a_control_loop_hears_that_its_newest_value_grows_old(own_server: list[S
         lost = latest.link
         assert isinstance(lost.error, Unreachable) and lost.tries > 0 and lost.losses == 1
         assert latest.value is not None and latest.value.sequence >= first.sequence
-        with pytest.raises(Stale, match="the stream is lost: no answer from"):
+        with pytest.raises(Stale, match="the connection is lost: no answer from"):
             latest.recent(latest.age_s / 2.0)
         own_server.append(Server(address))
         latest.next(PATIENCE_S)
         back = latest.link
-        assert back.is_up and back.losses == 1 and isinstance(back.error, Unreachable)
+        assert back.is_up and back.losses == 1 and back.restarts == 1 and isinstance(back.error, Unreachable)
         assert latest.recent(PATIENCE_S).source_id != first.source_id
 
 

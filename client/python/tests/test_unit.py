@@ -159,7 +159,7 @@ def test_a_link_tells_what_became_of_it_and_the_first_connection_is_none_that_is
     now_s = 10.0
     follower = Follower(lambda: now_s)
     assert follower.link == Link(LinkState.CONNECTING, None, 0, 0) and follower.age_s == float("inf")
-    with pytest.raises(Stale, match="none has come yet; the stream is connecting"):
+    with pytest.raises(Stale, match="none has come yet; the connection is connecting"):
         follower.recent(None, 1.0)
     refused = Unreachable("here", "nobody listens")
     follower.lost(refused)
@@ -172,7 +172,7 @@ def test_a_link_tells_what_became_of_it_and_the_first_connection_is_none_that_is
     reset = Unreachable("here", "reset by peer")
     follower.lost(reset)
     assert follower.link == Link(LinkState.LOST, reset, 1, 1)
-    with pytest.raises(Stale, match="newest came 0.50 s ago; the stream is lost: no answer from here: reset by peer") as stale:
+    with pytest.raises(Stale, match="newest came 0.50 s ago; the connection is lost: no answer from here: reset by peer") as stale:
         follower.recent(snapshot, 0.4)
     assert (stale.value.age_s, stale.value.link) == (0.5, follower.link)
     follower.lost(refused)
@@ -180,6 +180,16 @@ def test_a_link_tells_what_became_of_it_and_the_first_connection_is_none_that_is
     assert isinstance(follower.received(v1.Snapshot(sequence=6, source_id="a"))[0], Reconnected)
     follower.end()
     assert follower.link.state is LinkState.ENDED
+
+
+@pytest.mark.parametrize("logs", [True, False])
+def test_losses_are_logged_where_nobody_else_tells_of_them(logs: bool, caplog: pytest.LogCaptureFixture) -> None:
+    follower = Follower(logs=logs)
+    follower.received(v1.Snapshot(sequence=1, source_id="a"))
+    follower.lost(Unreachable("here", "reset by peer"))
+    follower.received(v1.Snapshot(sequence=4, source_id="a"))
+    said = [record.getMessage().split(";")[0].split(" after")[0] for record in caplog.records]
+    assert said == (["connection lost: reset by peer", "connected again"] if logs else [])
 
 
 def test_the_past_comes_as_arrays() -> None:
@@ -213,6 +223,8 @@ def test_robots_are_found_by_id_name_and_code() -> None:
     assert carrier.speed_m_s == 1.0
     np.testing.assert_array_equal(snapshot.position_m(9), [1.0, 2.0, 3.0])
     assert snapshot.codes == [None, 5] and snapshot.tracked.tolist() == [True, False]
+    # As NumPy has it.
+    assert snapshot.robot(snapshot.ids[1]).object_id == 9  # type: ignore[arg-type]
     # Nobody's name is empty: an object without one is not found by it.
     assert snapshot.robot("") is None
 
@@ -310,3 +322,11 @@ def test_a_subscription_is_the_message_that_asks_for_it() -> None:
     assert (request.region.min.y, request.region.max.z) == (-2.0, float("inf"))
     assert (request.max_rate_hz, request.horizon_ms, request.omit_covariance) == (20.0, 50.0, True)
     assert not Subscription().request().HasField("max_rate_hz")
+    chosen = Subscription(ids=np.array([3]), names=["cart"], codes=[12, v1.Code(bits=8, number=5)], horizon_s=0.1)  # type: ignore[arg-type]
+    for asked in (chosen.request(), chosen.single_request()):
+        assert (list(asked.object_ids), list(asked.names), asked.horizon_ms) == ([3], ["cart"], 100.0)
+        assert [(code.bits, code.number) for code in asked.codes] == [(0, 12), (8, 5)]
+    with pytest.raises(ValueError, match=r"names: expected a list of names, found 'cart'; one is \['cart'\]"):
+        Subscription(names="cart").request()
+    with pytest.raises(ValueError, match="a single snapshot has no rate"):
+        Subscription(max_rate_hz=5.0).single_request()

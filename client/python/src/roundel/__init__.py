@@ -3,8 +3,8 @@
     from roundel import Client, Subscription
 
     with Client.connect("http://127.0.0.1:7670") as client:
-        for snapshot in client.snapshots(Subscription(ids=[3])):
-            print(snapshot.positions_m)
+        for snapshot in client.snapshots(Subscription(names=["cart"])):
+            print(snapshot.position_m("cart"))
 
 :mod:`roundel.aio` has the same for asyncio; :mod:`roundel.v1` the messages of the .proto files.
 """

@@ -27,10 +27,10 @@ class Snapshots(AsyncIterator[Update]):
     such as a refusal, it ends by raising that.
     """
 
-    def __init__(self, client: Client, subscription: Subscription) -> None:
+    def __init__(self, client: Client, subscription: Subscription, logs: bool = False) -> None:
         self._client = client
         self._request = subscription.request()
-        self._follower = Follower()
+        self._follower = Follower(logs=logs)
         self._held: deque[Update] = deque()
         self._messages: Any = None
         self._pause_s = 0.0
@@ -131,7 +131,7 @@ class Latest:
     """
 
     def __init__(self, client: Client, subscription: Subscription) -> None:
-        self._updates = Snapshots(client, subscription)
+        self._updates = Snapshots(client, subscription, logs=True)
         self._value: Snapshot | None = None
         self._is_taken = True
         self._skipped = 0

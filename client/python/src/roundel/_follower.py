@@ -17,9 +17,10 @@ log = logging.getLogger("roundel")
 
 
 class Follower:
-    """Turns messages and errors into updates; it logs, and neither waits nor sends."""
+    """Turns messages and errors into updates; it neither waits nor sends. `logs`, if nobody else tells of losses."""
 
-    def __init__(self, clock_s: Callable[[], float] = time.monotonic) -> None:
+    def __init__(self, clock_s: Callable[[], float] = time.monotonic, logs: bool = False) -> None:
+        self._logs = logs
         self.backoff = Backoff()
         self.missed = 0
         """Snapshots missed so far, by slowness and without a connection."""
@@ -44,15 +45,16 @@ class Follower:
         if was.state is not LinkState.LOST or before is None:
             # The first one there is comes back from nowhere, however many tries it took.
             if was.tries:
-                log.warning("connected after %d tries in vain", was.tries)
+                self._say("connected after %d tries in vain", was.tries)
             return [snapshot]
         restarted = before[0] != message.source_id
+        self.link = dataclasses.replace(self.link, restarts=self.link.restarts + restarted)
         missed: int | None = None
         if not restarted:
             missed = max(message.sequence - before[1] - 1, 0)
             self.missed += missed
         told = "to a server that was started anew" if restarted else f"{missed} missed"
-        log.warning("connected again after %.1f s, %s", gap_s, told)
+        self._say("connected again after %.1f s, %s", gap_s, told)
         return [Reconnected(missed, restarted, gap_s), snapshot]
 
     def lost(self, error: RoundelError) -> Disconnected:
@@ -63,7 +65,7 @@ class Follower:
         tries, retry_in_s = self.backoff.tries, self.backoff.next_pause_s()
         losses = self.link.losses + self.link.is_up
         state = LinkState.CONNECTING if self._newest is None else LinkState.LOST
-        self.link = Link(state, error, tries + 1, losses)
+        self.link = Link(state, error, tries + 1, losses, self.link.restarts)
         if isinstance(error, Unreachable):
             reason = error.reason
         elif isinstance(error, ServerError):
@@ -71,7 +73,7 @@ class Follower:
         else:
             reason = str(error)
         what = "no connection yet" if self._newest is None else "connection lost"
-        log.warning("%s: %s; next try in %.1f s", what, reason, retry_in_s)
+        self._say("%s: %s; next try in %.1f s", what, reason, retry_in_s)
         return Disconnected(reason, tries, retry_in_s)
 
     def end(self, error: RoundelError | None = None) -> None:
@@ -84,3 +86,7 @@ class Follower:
         if newest is None or age_s > longest_s:
             raise Stale(longest_s, age_s, self.link)
         return newest
+
+    def _say(self, text: str, *words: object) -> None:
+        if self._logs:
+            log.warning(text, *words)

@@ -80,7 +80,7 @@ class Client:
 
     async def snapshots(self, subscription: Subscription | None = None) -> AsyncIterator[Snapshot]:
         """The same without the word, which is logged (logger ``roundel``)."""
-        async with self.updates(subscription) as updates:
+        async with Snapshots(self, subscription or Subscription(), logs=True) as updates:
             async for update in updates:
                 if isinstance(update, Snapshot):
                     yield update
@@ -89,9 +89,10 @@ class Client:
         """The newest snapshot at any time, for loops that run at a rate of their own."""
         return Latest(self, subscription or Subscription())
 
-    async def snapshot(self) -> Snapshot:
+    async def snapshot(self, subscription: Subscription | None = None) -> Snapshot:
         """The newest snapshot, once."""
-        return Snapshot(await self._call("GetSnapshot", v1.GetSnapshotRequest()))
+        request = (subscription or Subscription()).single_request()
+        return Snapshot(await self._call("GetSnapshot", request))
 
     async def info(self, timeout_s: float | None = None) -> v1.ServerInfo:
         """What the server says of itself."""

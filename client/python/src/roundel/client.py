@@ -84,7 +84,7 @@ class Client:
 
     def snapshots(self, subscription: Subscription | None = None) -> Iterator[Snapshot]:
         """The same without the word, which is logged (logger ``roundel``)."""
-        with self.updates(subscription) as updates:
+        with Snapshots(self, subscription or Subscription(), logs=True) as updates:
             for update in updates:
                 if isinstance(update, Snapshot):
                     yield update
@@ -93,9 +93,10 @@ class Client:
         """The newest snapshot at any time, for loops that run at a rate of their own."""
         return Latest(self, subscription or Subscription())
 
-    def snapshot(self) -> Snapshot:
+    def snapshot(self, subscription: Subscription | None = None) -> Snapshot:
         """The newest snapshot, once."""
-        return Snapshot(self._call("GetSnapshot", v1.GetSnapshotRequest()))
+        request = (subscription or Subscription()).single_request()
+        return Snapshot(self._call("GetSnapshot", request))
 
     # What else there is
 

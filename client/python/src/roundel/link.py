@@ -32,6 +32,8 @@ class Link:
     """In vain, since the loss or since the first one."""
     losses: int = 0
     """Of connections that had brought snapshots."""
+    restarts: int = 0
+    """Times that the server was found started anew, with ids that begin anew."""
 
     @property
     def is_up(self) -> bool:
@@ -39,6 +41,5 @@ class Link:
         return self.state is LinkState.CONNECTED
 
     def __str__(self) -> str:
-        if self.state is LinkState.CONNECTED or self.error is None:
-            return f"the connection is {self.state.value}" if self.is_up else f"the stream is {self.state.value}"
-        return f"the stream is {self.state.value}: {self.error}"
+        told = f"the connection is {self.state.value}"
+        return told if self.is_up or self.error is None else f"{told}: {self.error}"

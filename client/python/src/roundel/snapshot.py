@@ -230,7 +230,7 @@ class Snapshot:
 
     def robot(self, which: int | str) -> Robot | None:
         """One object, by object_id or by name; None if it is not in this snapshot."""
-        row = self.index(which) if isinstance(which, int) else _place(self.names, which)
+        row = _place(self.names, which) if isinstance(which, str) else self.index(which)
         return None if row is None else self[row]
 
     def coded(self, number: int) -> Robot | None:

@@ -13,7 +13,14 @@ class Subscription:
     """Which snapshots a client wants; all of everything by default."""
 
     ids: Sequence[int] = ()
-    """Only these objects, by object_id; empty: all."""
+    """Only these objects, by object_id, and those of `names` and `codes`; all three empty: all.
+
+    A server that is started anew gives ids anew: after that they are other objects'.
+    """
+    names: Sequence[str] = ()
+    """Likewise those of these configured names, as soon and as long as they have them."""
+    codes: Sequence[int | v1.Code] = ()
+    """Likewise those that were seen with these codes: their numbers, or `v1.Code` where there are several layouts."""
     roundels: Sequence[str] = ()
     """Only objects of these kinds of roundel, by configured name; empty: all."""
     region_m: tuple[Sequence[float], Sequence[float]] | None = None
@@ -27,13 +34,28 @@ class Subscription:
 
     def request(self) -> v1.SubscribeSnapshotsRequest:
         """The message that asks for it."""
-        request = v1.SubscribeSnapshotsRequest(
-            object_ids=list(self.ids), roundels=list(self.roundels), omit_covariance=not self.covariance
-        )
+        request = v1.SubscribeSnapshotsRequest(max_rate_hz=self.max_rate_hz)
+        self._choose(request)
+        return request
+
+    def single_request(self) -> v1.GetSnapshotRequest:
+        """The message that asks for one snapshot of it."""
+        if self.max_rate_hz is not None:
+            raise ValueError(f"max_rate_hz: a single snapshot has no rate, found {self.max_rate_hz}")
+        request = v1.GetSnapshotRequest()
+        self._choose(request)
+        return request
+
+    def _choose(self, request: v1.SubscribeSnapshotsRequest | v1.GetSnapshotRequest) -> None:
+        for field, words in (("names", self.names), ("roundels", self.roundels)):
+            if isinstance(words, str):
+                raise ValueError(f"{field}: expected a list of names, found {words!r}; one is [{words!r}]")
+        request.object_ids.extend(int(one) for one in self.ids)
+        request.names.extend(self.names)
+        request.codes.extend(one if isinstance(one, v1.Code) else v1.Code(number=int(one)) for one in self.codes)
+        request.roundels.extend(self.roundels)
+        request.omit_covariance = not self.covariance
         if self.region_m is not None:
             request.region.CopyFrom(_calls.region(self.region_m))
-        if self.max_rate_hz is not None:
-            request.max_rate_hz = self.max_rate_hz
         if self.horizon_s:
             request.horizon_ms = self.horizon_s * 1e3
-        return request
