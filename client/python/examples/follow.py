@@ -51,7 +51,7 @@ def wanted(word: str) -> Subscription:
 
 def tell_who_is_there(client: Client, word: str) -> None:
     """Says who else there is if this one is not there yet; it is followed as soon as it is."""
-    objects = client.objects()
+    objects = [one for one in client.objects() if one.stage != v1.LIFE_STAGE_LOST]
     if not any(word in (one.name, code(one), str(one.object_id)) for one in objects):
         known = [one.name or code(one) or str(one.object_id) for one in objects]
         print(f"{word} is not seen yet; there are {known}", file=sys.stderr)
