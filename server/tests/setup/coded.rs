@@ -1,6 +1,6 @@
 //! Coded robots of one kind that are named as they are seen: real prints through the real pipeline.
 
-use std::{collections::BTreeMap, fs};
+use std::{collections::BTreeMap, fs, path::Path};
 
 use roundel_client::Client;
 use roundel_core::{
@@ -17,7 +17,7 @@ use roundel_server::{
 
 use crate::rig::PATIENCE;
 
-const TEXT: &str = r#"name = "lab"
+pub const TEXT: &str = r#"name = "lab"
 [server]
 listen = "127.0.0.1:0"
 [[roundel]]
@@ -34,18 +34,23 @@ const NUMBERS: [u16; 2] = [5, 9];
 /// 640 x 480 pixels of a page of 400 x 300 mm.
 const DPI: f64 = 40.64;
 
-/// A sheet with both roundels, as `roundel print` makes it, before a camera.
-fn lab() -> tempfile::TempDir {
+/// A sheet with these roundels, as `roundel print` makes it, as the camera's picture.
+pub fn draw(folder: &Path, numbers: [u16; 2]) {
     let pattern = Pattern::Coded(CodeLayout { bits: 8, min_distance: 2 });
     let kind = Kind { pattern, ..Kind::plain("shuttle", 0.122, 0.122 * CodeLayout::RATIO) };
     let item = |number| Item { kind: kind.clone(), number: Some(number), label: String::new() };
     let page = PageSize { width_mm: 400.0, height_mm: 300.0 };
-    let pages = sheets(&NUMBERS.map(item), page).unwrap();
+    let pages = sheets(&numbers.map(item), page).unwrap();
     assert_eq!(pages.len(), 1);
+    let picture = fs::File::create(folder.join("pictures/0.png")).unwrap();
+    print::png(&pages[0], DPI, picture).unwrap();
+}
+
+/// A sheet with both before a camera.
+pub fn lab() -> tempfile::TempDir {
     let folder = tempfile::tempdir().unwrap();
     fs::create_dir(folder.path().join("pictures")).unwrap();
-    let picture = fs::File::create(folder.path().join("pictures/0.png")).unwrap();
-    print::png(&pages[0], DPI, picture).unwrap();
+    draw(folder.path(), NUMBERS);
     let camera = Camera::new(Intrinsics {
         width: 640,
         height: 480,

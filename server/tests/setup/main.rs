@@ -6,6 +6,7 @@ mod change;
 mod coded;
 mod configuration;
 mod file;
+mod killed;
 mod object;
 mod remove;
 mod rig;
