@@ -8,7 +8,7 @@ use prost::Message;
 const FILES: [&str; 2] = ["roundel/v1/roundel.proto", "roundel/v1/stream.proto"];
 
 /// Nanoseconds exceed what a JSON number holds exactly (2^53), so in JSON they are strings.
-const NANOSECONDS: [&str; 33] = [
+const NANOSECONDS: [&str; 34] = [
     "Snapshot.pose_time_ns",
     "Snapshot.capture_time_ns",
     "Snapshot.fused_time_ns",
@@ -22,6 +22,7 @@ const NANOSECONDS: [&str; 33] = [
     "Object.last_seen_time_ns",
     "ServerInfo.started_time_ns",
     "Camera.pose_time_ns",
+    "CameraPicture.capture_time_ns",
     "GetTimeRequest.sent_time_ns",
     "ServerTime.sent_time_ns",
     "ServerTime.received_time_ns",

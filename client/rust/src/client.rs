@@ -142,6 +142,17 @@ impl Client {
         answer.map(|list| list.into_inner().cameras).map_err(|status| self.error(&status))
     }
 
+    /// What a camera sees, as a JPEG file with what was found drawn in; waits up to a second for a new frame.
+    ///
+    /// # Errors
+    /// [`Error::Refused`] for a camera that does not exist, [`Error::Server`] for one that gave no frame, and those of the
+    /// connection.
+    pub async fn picture(&self, camera: &str) -> Result<v1::CameraPicture, Error> {
+        let request = v1::GetPictureRequest { camera: camera.to_owned() };
+        let answer = self.service().get_picture(request).await;
+        answer.map(tonic::Response::into_inner).map_err(|status| self.error(&status))
+    }
+
     /// Has the server open a source for about two seconds and say what it gives; `error` in the answer says why one
     /// fails. No size: as its pictures come.
     ///

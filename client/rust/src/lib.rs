@@ -64,3 +64,8 @@ pub use snapshot::{Snapshots, Update};
 pub use state::{coded, named, position_m, position_sigma_m, speed_m_s, velocity_m_s, yaw_rad};
 pub use subscription::Subscription;
 pub use tonic::Code;
+
+/// The clients' page, whose Rust is compiled as it stands there.
+#[cfg(doctest)]
+#[doc = include_str!("../../README.md")]
+struct Readme;

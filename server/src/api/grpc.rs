@@ -20,7 +20,7 @@ use tower::service_fn;
 use super::{
     Api, calibration, configuration,
     error::{ApiError, SHUTTING_DOWN},
-    history, objects as configured, push, recording, replay, rest,
+    history, objects as configured, picture, push, recording, replay, rest,
     selection::{self, MESSAGE_FIELDS, Selection},
     setup, simulation, trial,
 };
@@ -149,6 +149,15 @@ impl v1::roundel_server::Roundel for Service {
         _: Request<v1::ListCamerasRequest>,
     ) -> Result<Response<v1::ListCamerasResponse>, Status> {
         Ok(Response::new(v1::ListCamerasResponse { cameras: cameras(&self.api) }))
+    }
+
+    async fn get_picture(
+        &self,
+        request: Request<v1::GetPictureRequest>,
+    ) -> Result<Response<v1::CameraPicture>, Status> {
+        let (jpeg, capture_time) = picture::newest(&self.api, &request.into_inner().camera).await?;
+        let capture_time_ns = capture_time.as_ns();
+        Ok(Response::new(v1::CameraPicture { jpeg: jpeg.to_vec(), capture_time_ns }))
     }
 
     async fn list_objects(

@@ -3,16 +3,54 @@
 //! What the colours mean stands in [`crate::drawing`]. Drawing and encoding take some milliseconds a frame, so they run off the async threads,
 //! and once for all who look at the same frame.
 
-use std::sync::Arc;
+use std::{sync::Arc, time::Duration};
 
 use axum::body::Bytes;
 use jpeg_encoder::{ColorType, Encoder};
-use roundel_core::camera::PixelPoint;
+use roundel_core::{camera::PixelPoint, time::Timestamp};
+use tokio::time::timeout;
 
-use super::error::ApiError;
+use super::{Api, error::ApiError, grpc};
 use crate::{drawing::Canvas, hub::Picture};
 
 const QUALITY: u8 = 80;
+/// How long a picture may take to come: a camera of 1 Hz still makes one.
+const WAIT: Duration = Duration::from_secs(1);
+
+/// The newest picture of the camera of that name as JPEG, and when it was taken: a new one if one comes soon, else the
+/// last there was.
+pub(super) async fn newest(api: &Api, name: &str) -> Result<(Bytes, Timestamp), ApiError> {
+    let id = grpc::camera_id(api, name)?;
+    let Some(mut pictures) = api.hub.request_picture(id) else {
+        return Err(grpc::removed(api, id));
+    };
+    let fresh = timeout(WAIT, pictures.changed());
+    tokio::select! {
+        // Whether it came or not: the newest is taken below.
+        _ = fresh => {}
+        () = api.cancel.cancelled() => {}
+    }
+    let newest = pictures.borrow().clone();
+    let Some(picture) = newest else {
+        let shown = grpc::camera(api, id)?;
+        let status = roundel_proto::json::camera_status::word(shown.status);
+        let link = api.hub.camera(id).and_then(|state| state.link);
+        let why = match &link {
+            _ if !shown.error.is_empty() => &shown.error,
+            Some(link) if !link.no_picture.is_empty() => &link.no_picture,
+            Some(link) if link.received > 0 => {
+                "its frames are searched where they are taken, and who sends what is seen gave none when asked"
+            }
+            _ => "no frame came yet",
+        };
+        return Err(ApiError::Unavailable(format!(
+            "no picture from camera {name:?} within a second: it is {status} ({why})"
+        )));
+    };
+    let info = api.hub.installation().cameras.get(&id).cloned();
+    let jpeg = jpeg(&picture, info.as_ref().map_or(&[], |info| &info.mask)).await?;
+    Ok((jpeg, picture.observations.capture_time))
+}
 
 /// The picture as JPEG, with the edges of its camera's masked regions.
 pub async fn jpeg(picture: &Arc<Picture>, mask: &[Vec<PixelPoint>]) -> Result<Bytes, ApiError> {

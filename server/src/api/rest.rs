@@ -1,6 +1,6 @@
 //! `/api/v1/…`: everything readable, once. The JSON is that of the messages of `proto/roundel/v1`.
 
-use std::{sync::Arc, time::Duration};
+use std::sync::Arc;
 
 use axum::{
     Json,
@@ -11,7 +11,6 @@ use axum::{
 use roundel_core::id::ObjectId;
 use roundel_proto::v1;
 use serde::Serialize;
-use tokio::time::timeout;
 use utoipa::ToSchema;
 
 use super::{
@@ -23,8 +22,6 @@ use super::{
 };
 use crate::convert;
 
-/// How long a picture may take to come: a camera of 1 Hz still makes one.
-const PICTURE_WAIT: Duration = Duration::from_secs(1);
 /// When the picture was taken: middle of the exposure, ns since the Unix epoch.
 const CAPTURE_TIME_HEADER: HeaderName = HeaderName::from_static("roundel-capture-time-ns");
 /// Events given if nobody says how many.
@@ -162,41 +159,11 @@ pub async fn camera(
     ),
 )]
 pub async fn frame(State(api): State<Arc<Api>>, name: Segment) -> Result<Response, ApiError> {
-    let name = text_of(name)?;
-    let id = grpc::camera_id(&api, &name)?;
-    let Some(mut pictures) = api.hub.request_picture(id) else {
-        return Err(grpc::removed(&api, id));
-    };
-    let fresh = timeout(PICTURE_WAIT, pictures.changed());
-    tokio::select! {
-        // Whether it came or not: the newest is taken below.
-        _ = fresh => {}
-        () = api.cancel.cancelled() => {}
-    }
-    let newest = pictures.borrow().clone();
-    let Some(picture) = newest else {
-        let shown = grpc::camera(&api, id)?;
-        let status = roundel_proto::json::camera_status::word(shown.status);
-        let link = api.hub.camera(id).and_then(|state| state.link);
-        let why = match &link {
-            _ if !shown.error.is_empty() => &shown.error,
-            Some(link) if !link.no_picture.is_empty() => &link.no_picture,
-            Some(link) if link.received > 0 => {
-                "its frames are searched where they are taken, and who sends what is seen gave none when asked"
-            }
-            _ => "no frame came yet",
-        };
-        return Err(ApiError::Unavailable(format!(
-            "no picture from camera {name:?} within a second: it is {status} ({why})"
-        )));
-    };
-    let capture_time = picture.observations.capture_time.as_ns();
-    let info = api.hub.installation().cameras.get(&id).cloned();
-    let jpeg = picture::jpeg(&picture, info.as_ref().map_or(&[], |info| &info.mask)).await?;
+    let (jpeg, capture_time) = picture::newest(&api, &text_of(name)?).await?;
     let headers = [
         (header::CONTENT_TYPE, HeaderValue::from_static("image/jpeg")),
         (header::CACHE_CONTROL, HeaderValue::from_static("no-store")),
-        (CAPTURE_TIME_HEADER, HeaderValue::from(capture_time)),
+        (CAPTURE_TIME_HEADER, HeaderValue::from(capture_time.as_ns())),
     ];
     Ok((headers, jpeg).into_response())
 }

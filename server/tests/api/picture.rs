@@ -3,11 +3,12 @@
 use std::{sync::Arc, time::Duration};
 
 use axum::http::StatusCode;
+use roundel_client::{Client, Code, Error};
 use roundel_core::{
     camera::PixelPoint,
     ellipse::Ellipse,
     id::{CameraId, TrackNumber},
-    marker::{Code, CodeReading, Ring},
+    marker::{self, CodeReading, Ring},
     pose::Detection,
     time::Timestamp,
     world::FrameObservations,
@@ -118,10 +119,26 @@ async fn the_picture_shows_frame_and_detections() {
 }
 
 #[tokio::test]
+async fn grpc_gives_the_same_file() {
+    let rig = Rig::start().await;
+    let rest = with_worker(&rig, picture(1, ellipse(60.0, 50.0, 40.0, 20.0))).await;
+    let client = Client::connect(&rig.url()).await.unwrap();
+    // Nobody makes a new one, so it is the last there was.
+    let given = client.picture("north").await.unwrap();
+    assert_eq!((given.capture_time_ns, given.jpeg == rest.body), (CAPTURE_NS, true));
+    let error = client.picture("east").await.unwrap_err();
+    let Error::Refused { code: Code::NotFound, message, .. } = &error else { panic!("{error:?}") };
+    assert!(message.contains("there are: north, south side"), "{message}");
+    let error = client.picture("south side").await.unwrap_err();
+    assert!(error.is_temporary() && error.to_string().contains("no frame came yet"), "{error}");
+    rig.stop().await;
+}
+
+#[tokio::test]
 async fn a_code_stands_above_the_tracks_number() {
     let rig = Rig::start().await;
     let zero = PixelPoint { u: 80.0, v: 50.0 };
-    let code = CodeReading::certain(Code { bits: 8, number: 17 }, zero);
+    let code = CodeReading::certain(marker::Code { bits: 8, number: 17 }, zero);
     let coded = coded_picture(1, ellipse(60.0, 50.0, 40.0, 20.0), Some(code));
     let pixels = decoded(&with_worker(&rig, coded).await);
     // The upper line is white, the lower one yellow; both beside the ring's right end.
