@@ -61,6 +61,10 @@ def test_everything_that_can_be_asked_is_answered(server: Server) -> None:
         assert frames[2].frame > frames[0].frame
         with pytest.raises(Refused, match="no camera \"camera-9\"; there are: camera-0"):
             next(client.observations(["camera-9"]))
+        picture = client.picture("camera-1")
+        assert picture.jpeg[:2] == b"\xff\xd8" and picture.capture_time_ns > 0
+        with pytest.raises(Refused, match="camera-9"):
+            client.picture("camera-9")
         newest = client.newest_observations(["camera-3", "camera-2"])
         assert [frame.camera for frame in newest] == ["camera-2", "camera-3"]
         assert newest[0].frame >= frames[2].frame
@@ -325,6 +329,7 @@ def test_asyncio_gives_the_same(server: Server) -> None:
             with pytest.raises(Refused, match="no object \"nobody\""):
                 await client.object_setup("nobody")
             assert [frame.camera for frame in await client.newest_observations(["camera-1"])] == ["camera-1"]
+            assert (await client.picture("camera-1")).jpeg[:2] == b"\xff\xd8"
             assert (await client.recording()).state == v1.RECORDING_STATE_IDLE
             assert await client.recordings() == []
             with pytest.raises(Refused, match="roundel replay"):

@@ -58,6 +58,7 @@ ANSWERS: dict[str, Any] = {
     "GetSnapshot": v1.Snapshot,
     "ListCameras": v1.ListCamerasResponse,
     "ListObjects": v1.ListObjectsResponse,
+    "GetPicture": v1.CameraPicture,
     "GetServerInfo": v1.ServerInfo,
     "GetTime": v1.ServerTime,
     "DriveRobots": v1.DriveRobotsResponse,

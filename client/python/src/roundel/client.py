@@ -125,6 +125,10 @@ class Client:
         """What these cameras saw in their newest frames, once; no names: all."""
         return list(self._call("GetObservations", v1.GetObservationsRequest(cameras=list(cameras))).frames)
 
+    def picture(self, camera: str) -> v1.CameraPicture:
+        """What a camera sees, as a JPEG file with what was found drawn in; waits up to a second for a new frame."""
+        return self._call("GetPicture", v1.GetPictureRequest(camera=camera))  # type: ignore[no-any-return]
+
     def clock_offset(self, probes: int = clock.PROBES) -> clock.ClockOffset:
         """By how much the server's clock is ahead of this machine's."""
         answers = []
