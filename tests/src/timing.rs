@@ -29,8 +29,10 @@ use crate::{
 const FOCAL: f64 = 1100.0 / 1920.0;
 /// Frames of one round of the circles.
 const FRAMES: usize = 8;
-/// Radius of the circles, pixels: the roundels move by 1.5 px a frame.
+/// Radius of the circles, pixels.
 const CIRCLE_PX: f64 = 2.0;
+/// How far that moves the roundels from frame to frame, pixels.
+pub const MOTION_PX: f64 = 1.5;
 
 /// What is timed.
 #[derive(Clone, Copy, Debug)]

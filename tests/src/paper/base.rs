@@ -9,7 +9,7 @@ use rayon::prelude::*;
 
 use super::{
     Aim, Length, Row, Table, model,
-    range::farthest_m,
+    range::{farthest_m, found_down_to},
     scene::{Finder, MARGIN, PaperCamera, RELIABLE, slanted},
 };
 use crate::normal::Random;
@@ -87,12 +87,22 @@ fn base(index: usize, pictures: usize) -> Vec<Row> {
     let [model_across_m, model_down_m] = pinhole.base_m();
     let here = [farthest_m, across_m, down_m];
     let model = [model_m, model_across_m, model_down_m];
+    let shrunk_px = camera.optics.focal_px[0] * outer_m * shrinking[0].min(shrinking[1]);
+    let further = farthest_m / paper[0];
     let row = |at: usize| {
         let name = ["v_max", "v_y", "v_z"][at];
+        let note = match at {
+            0 => found_down_to([shrunk_px / farthest_m, shrunk_px / paper[0]]),
+            _ => format!(
+                "seen from {further:.2} times as far, through a lens that sees {:.2} times as much as a pinhole",
+                here[at] / (pinhole.base_m()[at - 1] * farthest_m / model_m)
+            ),
+        };
         Row::new(format!("{outer_cm} cm, {name}: m"), here[at])
             .paper(paper[at], Aim::More)
             .paper_model(paper_model[at])
             .model(model[at])
+            .note(note)
     };
     (0..3).map(row).collect()
 }

@@ -15,6 +15,7 @@
 mod base;
 mod contest;
 mod datasets;
+pub mod foretold;
 pub mod hall;
 pub mod lens;
 pub mod model;
@@ -27,6 +28,8 @@ mod sizes;
 mod speed;
 pub mod table;
 
+use std::process::Command;
+
 pub use table::{Aim, Row, Table};
 
 /// What stands above all tables, so that the program's output is the whole of `tests/paper.md`.
@@ -37,15 +40,42 @@ pub const INTRODUCTION: &str = "\
 
 repeats section 6 of Krajník et al., *A Practical Multirobot Localization System*, 2014, before simulated cameras, with
 Roundel's detector, poses and calibration as they are; `-- NAME…` does some of it (table1 to table8, fig6, sizes), `--short`
-less of each. `cargo test -p roundel-tests --test paper` holds the rows of precision and range to be better than the paper's.
+less of each. `cargo test -p roundel-tests --test paper` holds the rows of precision and range to be better than the paper's,
+and this program ends with an error where a row is worse without saying why.
 
 Columns: what the paper measured; what its model predicted; what the sensor model (equations 12 to 20, as corrected in
-[errata.md](../core/docs/errata.md)) predicts for what is measured here; what is measured here; how many times better that
-is than the paper's measurement; and why, or what else there is to say. What the paper does not say of its cameras and halls
+[errata.md](../core/docs/errata.md), or the plan's where a table says so) predicts for what is measured here; what is measured
+here; how many times better that is than the paper's measurement; and how far it is from our model where that is a tenth or
+more, with what makes the difference. What the paper does not say of its cameras and halls
 was chosen, and is told in `tests/src/paper/scene.rs`, `hall.rs`, `moving.rs` and `datasets.rs`. A rendered picture has no
 vignetting, no compression and no lens that differs from its model, so that distances and errors are what a camera as
 good as that would give. Precision is judged with lenses as `roundel calibrate lens` finds them in rendered views.
 ";
+
+/// What was run where, for whoever compares: the commit, and the machine.
+pub fn state() -> String {
+    let git = |arguments: &[&str]| {
+        let output = Command::new("git")
+            .args(["-C", env!("CARGO_MANIFEST_DIR")])
+            .args(arguments)
+            .output()
+            .ok()
+            .filter(|output| output.status.success())?;
+        Some(String::from_utf8_lossy(&output.stdout).trim().to_owned())
+    };
+    let commit =
+        git(&["rev-parse", "--short", "HEAD"]).unwrap_or_else(|| "an unknown commit".to_owned());
+    // The tables themselves are what is being written.
+    let changed =
+        git(&["status", "--porcelain", "--untracked-files=no", "--", ":/", ":/!tests/paper.md"])
+            .is_some_and(|changed| !changed.is_empty());
+    let also = if changed { ", with changes" } else { "" };
+    let threads = std::thread::available_parallelism().map_or(1, usize::from);
+    format!(
+        "State: all at {commit}{also}, on a machine of {threads} threads ({}).\n",
+        speed::processor()
+    )
+}
 
 /// How much is rendered.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]

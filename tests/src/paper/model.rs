@@ -6,7 +6,7 @@
 
 use std::f64::consts::PI;
 
-use roundel_core::plan::paper::{self, Speed, pattern_pixels};
+use roundel_core::plan::paper;
 
 use super::scene::RATIO;
 use crate::{
@@ -56,10 +56,20 @@ pub fn axis_error_px(imaging: &Imaging, semiaxes_px: [f64; 2]) -> f64 {
     (3.0 / (of_length * around_px * (1.0 + RATIO.powi(3)))).sqrt()
 }
 
-/// The constants of equation 20 from the time of one roundel each at two diameters, and that of searching one pixel.
-pub fn speed_between([small, large]: [(f64, f64); 2], searched_pixel_s: f64) -> Speed {
-    let pixel_s = (large.1 - small.1) / (pattern_pixels(large.0) - pattern_pixels(small.0));
-    Speed { pattern_s: small.1 - pixel_s * pattern_pixels(small.0), pixel_s, searched_pixel_s }
+/// The greatest of errors that vary about these means as distances on a plane do (Rayleigh), in the mean: the integral of
+/// 1 - Π (1 - exp(-π x² / 4 m²)) over x.
+pub fn greatest(means: &[f64]) -> f64 {
+    const STEPS: usize = 2000;
+    // Beyond six times the largest there is nothing.
+    let step = 6.0 * means.iter().copied().fold(0.0, f64::max) / STEPS as f64;
+    if step <= 0.0 {
+        return 0.0;
+    }
+    let is_more = |x: f64| {
+        let below = |mean: &f64| 1.0 - (-0.25 * PI * (x / mean.max(1e-300)).powi(2)).exp();
+        1.0 - means.iter().map(below).product::<f64>()
+    };
+    (0..STEPS).map(|number| is_more((number as f64 + 0.5) * step) * step).sum()
 }
 
 #[cfg(test)]
@@ -82,5 +92,13 @@ mod tests {
         let semiaxes_px = [25.0, 25.0 * 0.6f64.cos()];
         let share = axis_error_px(&imaging, semiaxes_px) / semiaxes_px[0];
         assert!((share / exact - 1.0).abs() < 0.15, "{share} {exact}");
+    }
+
+    #[test]
+    fn the_greatest_of_one_is_its_mean_and_of_many_what_maxima_are() {
+        assert!((greatest(&[0.3]) - 0.3).abs() < 1e-4);
+        // Of two alike: m (2 - 1/√2).
+        assert!((greatest(&[0.3, 0.3]) - 0.3 * (2.0 - 0.5f64.sqrt())).abs() < 1e-4);
+        assert!((greatest(&[0.3, 0.0]) - 0.3).abs() < 1e-4 && greatest(&[]) == 0.0);
     }
 }

@@ -12,15 +12,14 @@ use nalgebra::{Matrix3, Point3, Vector2, Vector3};
 use roundel_core::{
     camera::NormalizedPoint,
     marker::Params,
-    plan::paper::{lens_share, range_share},
     world::reference::{Homography, Sighting, align},
 };
 
 use super::{
     Aim, Length, Row, Table,
-    hall::{Hall, OUTER_M, TILES_M, View},
+    foretold::{Predicted, predicted},
+    hall::{Hall, OUTER_M, View},
     lens::{Calibrated, calibrated},
-    model,
     scene::{MARGIN, PaperCamera, RATIO},
 };
 use crate::{
@@ -220,12 +219,8 @@ const PICTURES: [Picture; 5] = [
     (PaperCamera::canon, View::Top, [2.5, 7.4, 0.30, 0.43, 1.46], [0.15, 0.33, 0.03, 0.03, 0.07]),
 ];
 
-/// What the tiles alone leave, metres: the mean length of an error of [`TILES_M`] along both axes, √(π/2) of it, and
-/// beside a roundel's own tile those of the four that define the frame, which between them count 0.48 in squares.
-const TILES_MEAN_M: f64 = 1.253 * 1.216 * TILES_M;
-
-/// Mean errors in one of the pictures, repeated, and the mean share that the model predicts; in space, on the plane.
-type Measured = [(Errors, f64); 2];
+/// Mean errors in one of the pictures, repeated, and what the model predicts; in space, on the plane.
+type Measured = [(Errors, Predicted); 2];
 
 /// Both tables are of the same pictures, which are taken once.
 static MEASURED: Mutex<Vec<(Length, Vec<Measured>)>> = Mutex::new(Vec::new());
@@ -247,7 +242,7 @@ fn repeated(picture: usize, length: Length) -> anyhow::Result<Measured> {
     let (camera, view, ..) = PICTURES[picture];
     let camera = camera();
     let mut errors: [Vec<Errors>; 2] = Default::default();
-    let mut shares = [0.0; 2];
+    let mut foretold: [Vec<Predicted>; 2] = Default::default();
     let repeats = length.pick(1, 5);
     for seed in (0..repeats).map(|index| 100 * picture as u64 + index) {
         let hall = Hall::new(camera, view, seed);
@@ -256,28 +251,11 @@ fn repeated(picture: usize, length: Length) -> anyhow::Result<Measured> {
         let told = || format!("{}, {}: roundels that define the frame", camera.name, view.name());
         errors[0].push(in_space(&hall, &sights).with_context(told)?);
         errors[1].push(on_plane(&hall, &sights).with_context(told)?);
-        shares[0] += predicted(&hall, &lens, false) / repeats as f64;
-        shares[1] += predicted(&hall, &lens, true) / repeats as f64;
+        foretold[0].push(predicted(&hall, &lens, false));
+        foretold[1].push(predicted(&hall, &lens, true));
     }
-    Ok([0, 1].map(|mode: usize| (Errors::mean(&errors[mode]), shares[mode])))
-}
-
-/// Equations 17 to 19, and the tiles, in the mean over what is measured.
-fn predicted(hall: &Hall, lens: &Calibrated, plane: bool) -> f64 {
-    let measured: Vec<usize> =
-        (0..hall.true_m.len()).filter(|&index| !Hall::is_reference(index)).collect();
-    let share = |index: &usize| {
-        let place = hall.pose(*index).translation.vector;
-        let lens_share = lens_share(lens.coefficients, [place.x / place.z, place.y / place.z]);
-        let tiles_share = TILES_MEAN_M / place.norm();
-        if plane {
-            return lens_share.hypot(tiles_share);
-        }
-        let semiaxes_px = hall.semiaxes_px(*index);
-        let axis_error_px = model::axis_error_px(&hall.camera.imaging, semiaxes_px);
-        range_share(lens.focal_share, axis_error_px, semiaxes_px[0], lens_share).hypot(tiles_share)
-    };
-    measured.iter().map(share).sum::<f64>() / measured.len() as f64
+    let mean = |mode: usize| (Errors::mean(&errors[mode]), Predicted::mean(&foretold[mode]));
+    Ok([0, 1].map(mean))
 }
 
 fn rows(length: Length, plane: bool) -> anyhow::Result<Vec<Row>> {
@@ -285,22 +263,35 @@ fn rows(length: Length, plane: bool) -> anyhow::Result<Vec<Row>> {
         let (camera, view, space_told, plane_told) = PICTURES[picture];
         let told = if plane { plane_told } else { space_told };
         let (errors, model) = measured[usize::from(plane)];
-        let row = |what: &str, here: f64, paper: f64| {
+        let row = |what: &str, [here, foretold, paper]: [f64; 3]| {
             Row::new(format!("{}, {}, {what}", camera().name, view.name()), here)
                 .paper(paper, Aim::Less)
+                .model(foretold)
         };
         let missed = match errors.of - errors.found {
             0.0 => String::new(),
             missed => format!("; {missed:.1} of {} not found", errors.of),
         };
         let exactly = format!("{:.3} cm with exact tiles{missed}", 100.0 * errors.exact_m);
+        let of_mean = |most: f64, mean: f64, paper_most: f64, paper_mean: f64| {
+            format!(
+                "{:.1} times the mean, by the paper {:.1}",
+                most / mean,
+                paper_most / paper_mean
+            )
+        };
         [
-            row("mean: cm", 100.0 * errors.mean_m, told[0]).note(exactly),
-            row("greatest: cm", 100.0 * errors.most_m, told[1]),
-            row("mean: % of the distance", 100.0 * errors.mean_share, told[3])
-                .paper_model(told[2])
-                .model(100.0 * model),
-            row("greatest: %", 100.0 * errors.most_share, told[4]),
+            row("mean: cm", [100.0 * errors.mean_m, 100.0 * model.mean_m, told[0]]).note(exactly),
+            row("greatest: cm", [100.0 * errors.most_m, 100.0 * model.most_m, told[1]])
+                .note(of_mean(errors.most_m, errors.mean_m, told[1], told[0])),
+            row(
+                "mean: % of the distance",
+                [100.0 * errors.mean_share, 100.0 * model.mean_share, told[3]],
+            )
+            .paper_model(told[2])
+            .note(model.told(plane)),
+            row("greatest: %", [100.0 * errors.most_share, 100.0 * model.most_share, told[4]])
+                .note(of_mean(errors.most_share, errors.mean_share, told[4], told[3])),
         ]
     };
     Ok(measured(length)?.iter().enumerate().flat_map(of_picture).collect())
@@ -324,7 +315,9 @@ pub fn space(length: Length) -> anyhow::Result<Table> {
         "Model: equation 19 with the deviations that the calibration states and the axis's error that noise leaves. The \
          paper's axis error of 0.15 px is that of moments of thresholded pixels; a fit to the grey levels reaches some \
          thousandths, so that what is left is the lens and the tiles (0.09 cm), and the error of the frame by its four roundels, \
-         which the model leaves out. \"With exact tiles\": if their corners were known exactly. The paper's lenses also differed from their model; a rendered one does not."
+         which the model leaves out. \"With exact tiles\": if their corners were known exactly. Its greatest errors are those of as \
+         many that vary about its means as distances on a plane do (Rayleigh). The paper's lenses also differed from their \
+         model; a rendered one does not. Parts of the model's mean are told in per cent of the distance."
             .to_owned(),
     ];
     let title = "Table 3: precision of 3D position estimation".to_owned();
@@ -337,8 +330,8 @@ pub fn plane(length: Length) -> anyhow::Result<Table> {
         method(length),
         "Model: equations 17 and 18 with the deviations that the calibration states, and the tiles: 0.6 mm along each axis are \
          0.09 cm in the mean, those of the four that define the frame included. They are nearly all that is left: the \
-         column of reasons has the mean that would be left if the tiles' corners were known exactly. The paper's errors \
-         are those of its lenses."
+         column of reasons has the mean that would be left if the tiles' corners were known exactly. The greatest are as in \
+         table 3. The paper's errors are those of its lenses."
             .to_owned(),
     ];
     let title = "Table 4: precision of 2D position estimation".to_owned();

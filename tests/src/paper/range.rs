@@ -75,6 +75,11 @@ pub(super) fn farthest_m(
     }
 }
 
+/// What makes distances differ: the shorter diameters there, pixels, here and in the paper.
+pub(super) fn found_down_to([here_px, paper_px]: [f64; 2]) -> String {
+    format!("found down to {here_px:.1} px across, by the paper to {paper_px:.1}")
+}
+
 /// The paper's table 1.
 pub fn table(length: Length) -> anyhow::Result<Table> {
     let pictures = length.pick(25, 100);
@@ -94,10 +99,13 @@ pub fn table(length: Length) -> anyhow::Result<Table> {
             let axis_rad = random.uniform(0.0, TAU);
             finder.finds(&slanted(place, tilt_rad, axis_rad), &mut random)
         });
+        let across_px =
+            |distance_m: f64| camera.optics.focal_px[0] * outer_m * tilt_rad.cos() / distance_m;
         Row::new(format!("{}, {outer_cm} cm, {tilt_deg}°: m", camera.name), here)
             .paper(paper, Aim::More)
             .paper_model(paper_model)
             .model(model_m)
+            .note(found_down_to([across_px(here), across_px(paper)]))
     };
     let rows = CASES.par_iter().enumerate().map(of_case).collect();
     let remarks = vec![

@@ -27,6 +27,9 @@ const PER_SHEET: usize = 80;
 /// What is found lies at most so far from where it is.
 const NEAR_PX: f64 = 2.0;
 
+/// What makes a smallest size differ, by that here and the paper's.
+type Reason = fn(f64, f64) -> String;
+
 /// Where a marker of this size is in one of the pictures.
 fn pose(camera: &PaperCamera, size_px: u32, number: usize) -> Isometry3<f64> {
     let mut random = Random::new(u64::from(size_px), number as u64);
@@ -113,19 +116,21 @@ fn mosaic(pictures: &[(Image, Vector2<f64>)]) -> Image {
 pub fn table(length: Length) -> anyhow::Result<Table> {
     let pictures = length.pick(20, 100);
     let camera = PaperCamera::logitech();
-    let row = |name: &str, shares: &[(u32, f64)], paper: f64, aim: Aim| {
+    let row = |name: &str, shares: &[(u32, f64)], paper: f64, aim: Aim, reason: Reason| {
         // None of the sizes: the next larger one is the least that can be meant.
         let (size_px, note) = match smallest(shares) {
-            Some(size_px) => (size_px, String::new()),
+            Some(size_px) => (size_px, reason(f64::from(size_px), paper)),
             None => (SIZES_PX.end() + 1, "none of the sizes is reliably found".to_owned()),
         };
         Row::new(name, f64::from(size_px)).paper(paper, aim).note(note)
     };
     let ours = roundels(&camera, pictures);
     let mut rows = vec![
-        row("Roundel, diameter: px", &ours, 12.0, Aim::Less)
-            .paper_model(12.0)
-            .model(model::LEAST_PX),
+        row("Roundel, diameter: px", &ours, 12.0, Aim::Less, |_, _| {
+            "by moments that allow for blur, where the paper compares boxes".to_owned()
+        })
+        .paper_model(12.0)
+        .model(model::LEAST_PX),
     ];
     let mut skipped = Vec::new();
     match Others::ready() {
@@ -134,8 +139,17 @@ pub fn table(length: Length) -> anyhow::Result<Table> {
                 |number: usize| marker(&others.markers[number % others.markers.len()], SIDE_M);
             let aruco = of_other(&camera, &others, Detector::Aruco, pictures, &square)?;
             let blobs = of_other(&camera, &others, Detector::Blob, pictures, &|_| disc(SIDE_M))?;
-            rows.push(row("ArUco, side: px", &aruco, 25.0, Aim::Neither));
-            rows.push(row("SimpleBlobDetector, diameter: px", &blobs, 12.0, Aim::Neither));
+            // With the black border, today's 4x4 ones are 6 cells across, the paper's 5x5 ones 7.
+            rows.push(row("ArUco, side: px", &aruco, 25.0, Aim::Neither, |here_px, paper_px| {
+                format!("{:.1} px a cell, the paper's {:.1}", here_px / 6.0, paper_px / 7.0)
+            }));
+            rows.push(row(
+                "SimpleBlobDetector, diameter: px",
+                &blobs,
+                12.0,
+                Aim::Neither,
+                |_, _| "a single disc, with nothing to tell it from others".to_owned(),
+            ));
         }
         Err(why) => skipped.push(format!("ArUco and SimpleBlobDetector: {why:#}")),
     }

@@ -13,6 +13,9 @@ pub enum Aim {
     Neither,
 }
 
+/// What is measured is told to be off its prediction from this ratio on.
+const NEAR: f64 = 1.1;
+
 /// One figure.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Row {
@@ -24,26 +27,33 @@ pub struct Row {
     pub paper_model: Option<f64>,
     /// As the sensor model predicts what is measured here.
     pub model: Option<f64>,
-    /// As measured here.
-    pub here: f64,
+    /// As measured here; `None` where it cannot be.
+    pub here: Option<f64>,
     /// What counts as better than the paper's measurement.
     pub aim: Aim,
-    /// Why it differs, where the table's remarks do not say.
+    /// What makes it differ.
     pub note: String,
+    /// What makes it worse than the paper's, if it is; without one it must not be.
+    pub excuse: Option<&'static str>,
 }
 
 impl Row {
     /// A figure with nothing to compare yet.
     pub fn new(case: impl Into<String>, here: f64) -> Self {
-        let case = case.into();
+        Self { here: Some(here), ..Self::absent(case) }
+    }
+
+    /// One that only the paper has.
+    pub fn absent(case: impl Into<String>) -> Self {
         Self {
-            case,
+            case: case.into(),
             paper: None,
             paper_model: None,
             model: None,
-            here,
+            here: None,
             aim: Aim::Neither,
             note: String::new(),
+            excuse: None,
         }
     }
 
@@ -65,26 +75,49 @@ impl Row {
         Self { model: Some(model), ..self }
     }
 
-    /// With a reason.
+    /// With what makes it differ.
     #[must_use]
     pub fn note(self, note: impl Into<String>) -> Self {
         Self { note: note.into(), ..self }
     }
 
+    /// With what makes it worse than the paper's, should it be.
+    #[must_use]
+    pub fn excuse(self, excuse: &'static str) -> Self {
+        Self { excuse: Some(excuse), ..self }
+    }
+
     /// How many times better than the paper's measurement it is, where that can be said; below 1 it is worse.
     pub fn factor(&self) -> Option<f64> {
-        let paper = self.paper?;
+        let (paper, here) = (self.paper?, self.here?);
         match self.aim {
-            Aim::Less => Some(paper / self.here),
-            Aim::More => Some(self.here / paper),
+            Aim::Less => Some(paper / here),
+            Aim::More => Some(here / paper),
             Aim::Neither => None,
         }
     }
 
+    /// Whether it is worse than the paper's, or cannot be told, and nothing says why.
+    pub fn is_unexcused(&self) -> bool {
+        self.excuse.is_none() && self.factor().is_some_and(|factor| factor.is_nan() || factor < 1.0)
+    }
+
     /// Whether every number in it is finite.
     pub fn is_finite(&self) -> bool {
-        let others = [self.paper, self.paper_model, self.model];
-        others.into_iter().flatten().chain([self.here]).all(f64::is_finite)
+        let all = [self.paper, self.paper_model, self.model, self.here];
+        all.into_iter().flatten().all(f64::is_finite)
+    }
+
+    /// The sentence beside its figures: how far it is from the model, why it is worse than the paper's if it is, and
+    /// what makes it differ.
+    pub fn why(&self) -> String {
+        let ratio = self.model.zip(self.here).map(|(model, here)| here / model);
+        let far = ratio.filter(|ratio| !(1.0 / NEAR..NEAR).contains(ratio));
+        let of_model = far.map(|ratio| format!("{ratio:.2} times our model"));
+        let is_worse = self.factor().is_some_and(|factor| factor < 1.0);
+        let excuse = self.excuse.filter(|_| is_worse).map(|why| format!("worse: {why}"));
+        let note = Some(self.note.clone()).filter(|note| !note.is_empty());
+        [of_model, excuse, note].into_iter().flatten().collect::<Vec<_>>().join("; ")
     }
 }
 
@@ -122,10 +155,10 @@ impl fmt::Display for Table {
         for row in &self.rows {
             let [paper, paper_model, model] = [row.paper, row.paper_model, row.model].map(optional);
             let better = row.factor().map_or("–".to_owned(), |factor| format!("{factor:.2}"));
-            let (case, here, note) = (&row.case, digits(row.here), &row.note);
+            let (case, here, why) = (&row.case, optional(row.here), row.why());
             writeln!(
                 f,
-                "| {case} | {paper} | {paper_model} | {model} | {here} | {better} | {note} |"
+                "| {case} | {paper} | {paper_model} | {model} | {here} | {better} | {why} |"
             )?;
         }
         for what in &self.skipped {
@@ -153,5 +186,19 @@ mod tests {
         assert_eq!(Row::new("distance", 6.0).paper(4.0, Aim::More).factor(), Some(1.5));
         assert_eq!(Row::new("of another", 6.0).paper(4.0, Aim::Neither).factor(), None);
         assert!(!Row::new("none", f64::NAN).is_finite());
+        assert_eq!(Row::absent("elsewhere").paper(4.0, Aim::Less).factor(), None);
+    }
+
+    #[test]
+    fn what_is_worse_needs_an_excuse_and_what_is_off_the_model_is_told() {
+        let worse = Row::new("error", 5.0).paper(4.0, Aim::Less).note("noise");
+        assert!(worse.is_unexcused());
+        let excused = worse.excuse("a smaller lens");
+        assert!(!excused.is_unexcused());
+        assert_eq!(excused.clone().model(4.9).why(), "worse: a smaller lens; noise");
+        assert_eq!(excused.model(2.0).why(), "2.50 times our model; worse: a smaller lens; noise");
+        let better = Row::new("error", 3.0).paper(4.0, Aim::Less).excuse("a smaller lens");
+        assert!(!better.is_unexcused() && better.why().is_empty());
+        assert!(Row::new("error", f64::NAN).paper(4.0, Aim::Less).is_unexcused());
     }
 }
