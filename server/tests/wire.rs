@@ -87,7 +87,7 @@ fn observations_are_in_raw_pixels_and_the_camera_frame() {
     };
     let detection = |pose| Detection {
         track: TrackNumber(77),
-        ring: ring.clone(),
+        ring,
         capture_time: POSE_TIME.plus_ns(1_000),
         pose,
     };
