@@ -239,7 +239,7 @@ pub fn lens_by(board: Board, pictures: &[Image]) -> Result<LensCalibration, Lens
         .map_init(Scratch::default, |scratch, image| {
             let frame = Frame::new(&image.pixels, image.width, image.height, image.width)
                 .expect("a rendered frame");
-            View::of_rings(&board, detector.detect(&frame, scratch))
+            View::of_rings(&board, &frame, detector.detect(&frame, scratch))
         })
         .collect();
     let size = pictures.first().map_or((0, 0), |image| (image.width, image.height));

@@ -1,5 +1,6 @@
 //! Lenses from chessboards and ChArUco boards: the same as from roundels, found in rendered pictures.
 
+use nalgebra::Point3;
 use roundel_core::{
     calib::lens::{Target, Verdict, calibrate},
     frame::Frame,
@@ -10,8 +11,8 @@ use roundel_server::lens::{
 };
 use roundel_tests::{
     board::{
-        CHARUCO, CHESSBOARD, camera, charuco_print, chessboard_print, imaging, lens_of_chessboard,
-        pictures, poses,
+        CHARUCO, CHESSBOARD, SQUARE_M, SQUARES, camera, charuco_print, chessboard_print, imaging,
+        lens_of_chessboard, pictures, poses,
     },
     normal::Random,
     render::{Image, Print},
@@ -69,13 +70,14 @@ fn a_charuco_board_tells_the_lens() {
 
 #[test]
 fn part_of_a_charuco_board_is_a_view_and_part_of_a_chessboard_is_none() {
-    // What lies to the left of the board's middle is hidden.
+    // The board's left quarter is hidden.
     let truth = camera();
     let pose = poses(&truth, 1, &mut Random::new(3, 0))[0];
-    let middle = truth.project(&pose.translation.vector.into()).unwrap();
+    let left_m = -0.25 * SQUARES.0 as f64 * SQUARE_M;
+    let edge = truth.project(&(pose * Point3::new(left_m, 0.0, 0.0))).unwrap();
     let cut = |print: &Print| {
         let mut image = rendered(print, 1, 3).remove(0);
-        image.pixels.chunks_mut(image.width).for_each(|row| row[..middle.x as usize].fill(120));
+        image.pixels.chunks_mut(image.width).for_each(|row| row[..edge.x as usize].fill(120));
         image
     };
     let verdict = |text: &str, image: &Image| {

@@ -1,10 +1,9 @@
-//! A lens is found from rendered views of the board, with deviations that hold; views that are smeared, cut off or
-//! there twice are left out.
+//! A lens is found from rendered views of the board, with deviations that hold. What becomes of views that are blurred, cut
+//! off, empty or there twice is in `lens_command`, by name.
 
 use roundel_tests::{
     board::{board_of, board_print, camera, imaging, lens, lens_by, pictures, poses},
     normal::Random,
-    render::Imaging,
 };
 
 #[test]
@@ -12,15 +11,10 @@ fn thirty_views_tell_the_lens() {
     let truth = camera();
     let poses = poses(&truth, 30, &mut Random::new(7, 0));
     let print = board_print();
-    let mut views = pictures(&truth, imaging(), &print, &poses, 7);
-    // The same view once more, one out of focus, and an empty picture.
-    views.push(views[0].clone());
-    let blurred = Imaging { blur_px: 6.0, ..imaging() };
-    views.extend(pictures(&truth, blurred, &print, &poses[3..4], 8));
-    views.extend(pictures(&truth, imaging(), &print, &[], 9));
+    let views = pictures(&truth, imaging(), &print, &poses, 7);
     let found = lens(&views).unwrap();
-    assert!(found.views.len() <= 30, "{} views taken", found.views.len());
-    assert!(found.views.iter().flatten().count() >= 25);
+    // Some are like others by chance, and are no views of their own.
+    assert!(found.views.iter().flatten().count() >= 25, "{:?}", found.views);
     let intrinsics = found.camera.intrinsics();
     let deviations = found.deviations();
     println!("{intrinsics:?} ± {deviations:?}, rms {} px, {:?}", found.rms_px, found.model);
@@ -48,7 +42,20 @@ fn views_from_one_side_end_in_what_is_missing() {
     let flat: Vec<_> = poses.into_iter().filter(facing).take(6).collect();
     let views = pictures(&truth, imaging(), &board_print(), &flat, 3);
     let error = lens(&views).unwrap_err().to_string();
-    assert!(error.contains("still missing: a view tilted"), "{error}");
+    assert!(error.contains("6 views are too much alike to tell the focal length"), "{error}");
+    for side in ["right", "left", "lower", "upper"] {
+        let expected =
+            format!("a view tilted by 20° to 45° with the {side} side nearer to the camera");
+        assert!(error.contains(&expected), "no {expected} in {error}");
+    }
+    let few = pictures(&truth, imaging(), &board_print(), &flat[..3], 4);
+    let error = lens(&few).unwrap_err().to_string();
+    assert!(error.contains("at least 5 different views of the board, found 3"), "{error}");
+    assert!(error.contains("still missing: a view tilted by 20° to 45°"), "{error}");
+    // The same view again and again is one.
+    let again = vec![few[0].clone(); 8];
+    let error = lens(&again).unwrap_err().to_string();
+    assert!(error.contains("found 1") && error.contains("corner of the picture"), "{error}");
 }
 
 #[test]

@@ -7,12 +7,15 @@ use std::{
     process::{Command, Output},
 };
 
+use nalgebra::{Isometry3, Translation3, UnitQuaternion, Vector2, Vector3};
 use roundel_server::camera_file;
 use roundel_tests::{
     board::{board_print, camera, imaging, pictures, poses},
     export::write_png,
     normal::Random,
+    optics::Pinhole,
     process::roundel,
+    render::{Image, Imaging},
 };
 use serde_json::Value;
 
@@ -80,6 +83,78 @@ fn a_folder_with_broken_pictures_among_them_gives_a_file_that_is_right() {
     assert!(off_px < 0.5 && (found.width(), found.height()) == (1280, 720), "{off_px} px");
     assert!(doubt.is_some(), "it says how well it is known");
     assert_eq!(fs::read_to_string(at("north.previous.yaml")).unwrap(), "of before");
+}
+
+/// Half of the board beyond the picture's left edge.
+fn cut_off(truth: &Pinhole) -> Isometry3<f64> {
+    let faced = UnitQuaternion::from_scaled_axis(Vector3::x() * std::f64::consts::PI);
+    let left = truth.ray(&Vector2::new(0.0, 0.5 * truth.height as f64)).unwrap();
+    Isometry3::from_parts(Translation3::from(left * (0.3 / left.z)), faced)
+}
+
+#[test]
+fn every_bad_kind_of_view_is_left_out_by_name() {
+    let folder = pictured(VIEWS);
+    let truth = camera();
+    let views = folder.path().join("views");
+    let print = board_print();
+    let write = |name: &str, image: &Image| write_png(&views.join(name), image).unwrap();
+    let others = poses(&truth, VIEWS + 3, &mut Random::new(17, 0)).split_off(VIEWS);
+    let taken = |pose: &Isometry3<f64>, imaging: Imaging, seed: u64| {
+        pictures(&truth, imaging, &print, &[*pose], seed).remove(0)
+    };
+    for (pose, blur_px) in others.iter().zip([2.0, 3.0, 6.0]) {
+        let blurred = Imaging { blur_px, ..imaging() };
+        write(&format!("x-blurred-{blur_px}.png"), &taken(pose, blurred, 31));
+    }
+    write("x-cut.png", &taken(&cut_off(&truth), imaging(), 32));
+    // The same place once more, with other noise.
+    let first = poses(&truth, 1, &mut Random::new(17, 0));
+    write("x-twin.png", &taken(&first[0], imaging(), 33));
+    let (width, height) = (truth.width, truth.height);
+    write("x-empty.png", &Image { width, height, pixels: vec![120; width * height] });
+
+    let output = calibrate(folder.path(), &["--format", "json", "views"]);
+    let text = stderr(&output);
+    assert!(output.status.success(), "{text}");
+    let report: Value = serde_json::from_slice(&output.stdout).unwrap();
+    let why = |name: &str| {
+        let file = format!("views/{name}");
+        let of_file = |it: &&Value| it["file"] == file.as_str();
+        let found = report["left_out"].as_array().unwrap().iter().find(of_file);
+        found.map(|it| it["why"].as_str().unwrap().to_owned())
+    };
+    for (name, expected) in [
+        ("x-blurred-2.png", "blurred beside the others"),
+        ("x-blurred-3.png", "blurred beside the others"),
+        ("x-cut.png", "with less than half of the board, or of another one"),
+        ("x-twin.png", "like views/view-00.png"),
+        ("x-empty.png", "without the board"),
+    ] {
+        assert_eq!(why(name).as_deref(), Some(expected), "{name}: {report:#}");
+        assert!(text.contains(&format!("left out: views/{name}: {expected}")), "{text}");
+    }
+    // So blurred that some codes cannot be read, it may fall out before.
+    assert!(why("x-blurred-6.png").is_some(), "{report:#}");
+    // And none of the good ones but what is like another by chance.
+    for view in 0..VIEWS {
+        let why = why(&format!("view-{view:02}.png"));
+        assert!(why.as_ref().is_none_or(|why| why.starts_with("like ")), "{view}: {why:?}");
+    }
+    let used = report["views"].as_array().unwrap();
+    let used = used.iter().filter(|view| view.get("rms_px").is_some()).count();
+    assert!(used >= VIEWS - 4, "{used} used");
+    let found_px = report["parameters"]["fx"]["value"].as_f64().unwrap();
+    assert!((found_px / truth.focal_px[0] - 1.0).abs() < 5e-4, "{found_px}");
+    assert_eq!(report["parameters"].get("k3"), None, "it is 0: {report:#}");
+
+    // What speaks for the model is told to people as well.
+    let output = calibrate(folder.path(), &["views"]);
+    let text = String::from_utf8(output.stdout).unwrap();
+    assert!(text.contains("Evidence against each model"), "{text}");
+    let taken = text.lines().find(|line| line.ends_with("taken")).unwrap();
+    assert!(taken.contains("plumb_bob (k1 k2 p1 p2)"), "{text}");
+    assert!(text.lines().filter(|line| line.contains("rms") && line.contains('(')).count() >= 4);
 }
 
 #[test]

@@ -1,5 +1,6 @@
 //! `roundel calibrate`: lenses, from views of a board; and where all cameras stand, from robots that drive about.
 
+mod coverage;
 mod files;
 mod lens;
 mod moving;

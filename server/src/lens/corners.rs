@@ -148,7 +148,7 @@ fn view(board: &Checkerboard, corners: &[Corner]) -> View {
         })
         .collect();
     sightings.sort_by_key(|sighting| sighting.number);
-    View { sightings }
+    View { sightings, ..View::default() }
 }
 
 #[cfg(test)]

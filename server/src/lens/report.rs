@@ -199,9 +199,9 @@ fn told(verdict: Verdict) -> &'static str {
     match verdict {
         Verdict::Taken => "taken: on to the next place",
         Verdict::NoBoard => "no roundel of the board is seen",
-        Verdict::TooLittle => "too little of the board is seen, or it is another board",
+        Verdict::TooLittle => "less than half of the board is seen, or it is another board",
         Verdict::OtherBoard(..) => "the board has other columns or rows than were said",
         Verdict::Moving => "the board moves: hold it still for a moment",
-        Verdict::Alike => "such a view is kept already: move the board on",
+        Verdict::Alike(_) => "such a view is kept already: move the board on",
     }
 }

@@ -87,7 +87,7 @@ pub struct Gathered {
     pub frames: usize,
     /// … those without the board …
     pub without_board: usize,
-    /// … with too little of it …
+    /// … with less than half of it, or that is another one …
     pub too_little: usize,
     /// … in motion …
     pub moving: usize,
@@ -121,7 +121,7 @@ impl Gathered {
         let mut text = format!("{frames} pictures, {taken} views taken");
         for (count, why) in [
             (without_board, "without the board"),
-            (too_little, "with too little of it"),
+            (too_little, "with less than half of it"),
             (moving, "in motion"),
             (alike, "like another one"),
             (others, "of a board with other columns or rows"),
@@ -199,7 +199,7 @@ impl Finder {
             Self::Roundels(board, detecting) => {
                 let (detector, scratch) = &mut **detecting;
                 let rings = detector.detect(frame, scratch);
-                Sight::Board(View::of_rings(board, rings), rings)
+                Sight::Board(View::of_rings(board, frame, rings), rings)
             }
             #[cfg(feature = "chessboard")]
             Self::Corners(finder) => match finder.find(frame) {
@@ -240,7 +240,7 @@ impl Search {
             Verdict::NoBoard => gathered.without_board += 1,
             Verdict::TooLittle => gathered.too_little += 1,
             Verdict::Moving => gathered.moving += 1,
-            Verdict::Alike => gathered.alike += 1,
+            Verdict::Alike(_) => gathered.alike += 1,
             Verdict::OtherBoard(..) => gathered.others += 1,
         }
         Ok((verdict, rings))

@@ -65,7 +65,7 @@ fn gather(
     };
     let mut look = |frame: &Frame<'_>| -> Result<bool, String> {
         let (verdict, rings) = search.look(frame).map_err(|error| error.to_string())?;
-        let view = View::of_rings(&wanted.board, rings);
+        let view = View::of_rings(&wanted.board, frame, rings);
         let shown = Shown::of(frame, rings);
         let Some(gathered) = search.gathered() else { return Ok(false) };
         let mut state = shared.lock();

@@ -23,12 +23,12 @@ pub enum Verdict {
     Taken,
     /// No roundel or corner of the board was found.
     NoBoard,
-    /// Fewer roundels than [`LEAST_ROUNDELS`], or they are not where a flat board has them.
+    /// Less than half of the board, which is cut off, covered or too far away, or not where a flat board has it.
     TooLittle,
     /// The board moved, so its picture is smeared.
     Moving,
-    /// One like it is kept already.
-    Alike,
+    /// One like it is kept already: this one of those.
+    Alike(usize),
     /// The print has other columns or rows than is said: these, or more rows.
     OtherBoard(usize, usize),
 }
@@ -79,7 +79,9 @@ impl Chooser {
         if let Some((columns, rows)) = other {
             return Verdict::OtherBoard(columns, rows);
         }
-        if view.sightings.len() < LEAST_ROUNDELS || Flat::of(&self.target, view).is_none() {
+        let half = (self.target.columns() * self.target.rows()).div_ceil(2);
+        if view.sightings.len() < half.max(LEAST_ROUNDELS) || Flat::of(&self.target, view).is_none()
+        {
             return Verdict::TooLittle;
         }
         let moved_px = self.last.as_ref().and_then(|last| last.distance_px(view));
@@ -91,7 +93,7 @@ impl Chooser {
         let (width, height) = self.size;
         let same_px = SAME_SHARE * (width as f64).hypot(height as f64);
         let is_like = |taken: &View| taken.distance_px(view).is_some_and(|px| px < same_px);
-        if self.taken.iter().any(is_like) { Verdict::Alike } else { Verdict::Taken }
+        self.taken.iter().position(is_like).map_or(Verdict::Taken, Verdict::Alike)
     }
 
     /// Why there will be no lens, once it is clear that the print is another one than is described.

@@ -48,16 +48,21 @@ pub enum Side {
 
 const SIDES: [Side; 4] = [Side::Right, Side::Left, Side::Lower, Side::Upper];
 
+impl fmt::Display for Side {
+    fn fmt(&self, out: &mut fmt::Formatter<'_>) -> fmt::Result {
+        out.write_str(match self {
+            Self::Right => "right",
+            Self::Left => "left",
+            Self::Lower => "lower",
+            Self::Upper => "upper",
+        })
+    }
+}
+
 impl fmt::Display for Want {
     fn fmt(&self, out: &mut fmt::Formatter<'_>) -> fmt::Result {
         match *self {
             Self::Tilted(side) => {
-                let side = match side {
-                    Side::Right => "right",
-                    Side::Left => "left",
-                    Side::Lower => "lower",
-                    Side::Upper => "upper",
-                };
                 write!(out, "a view tilted by 20° to 45° with the {side} side nearer to the camera")
             }
             Self::Zone(column, row) => {
@@ -109,6 +114,11 @@ impl Coverage {
         &self.zones
     }
 
+    /// Sides of the board that were nearer to the camera than the other at least once, and those that were not yet.
+    pub fn sides(&self) -> [(Side, bool); 4] {
+        [0, 1, 2, 3].map(|index| (SIDES[index], self.tilted[index] >= TILTED))
+    }
+
     /// How wide and high the picture is.
     pub fn size(&self) -> (usize, usize) {
         self.size
@@ -129,5 +139,46 @@ impl Coverage {
             }
         }
         wants
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use nalgebra::Point2;
+
+    use super::*;
+    use crate::{
+        calib::{
+            checkerboard::Checkerboard,
+            lens::{Chooser, Sighting, Target, Verdict},
+        },
+        camera::PixelPoint,
+    };
+
+    /// A chessboard in the top left of a picture of 900 x 600, its right side nearer.
+    fn view(board: &Checkerboard) -> View {
+        let sighting = |index: usize| {
+            let (column, row) = (index % 9, index / 9);
+            let at = Point2::new(column as f64 - 4.0, row as f64 - 2.5);
+            let depth = 1.0 - 0.012 * at.x;
+            let center =
+                PixelPoint { u: 150.0 + 18.0 * at.x / depth, v: 120.0 + 18.0 * at.y / depth };
+            Sighting { number: board.number(column, row).unwrap(), center, radius_px: 9.0 }
+        };
+        let mut sightings: Vec<_> = (0..54).map(sighting).collect();
+        sightings.sort_by_key(|sighting| sighting.number);
+        View { sightings, ..View::default() }
+    }
+
+    #[test]
+    fn zones_and_sides_are_done_by_a_view_that_shows_them() {
+        let board = Checkerboard::new((9, 6), 0.025).unwrap();
+        let mut chooser = Chooser::new(Target::from(board), (900, 600), false);
+        assert_eq!(chooser.offer(view(&board)), Verdict::Taken);
+        let coverage = chooser.coverage();
+        assert!(coverage.zones()[0] >= VISITED && coverage.zones()[1..].iter().all(|it| *it == 0));
+        let done = coverage.sides().map(|(_, is_done)| is_done);
+        assert_eq!(done, [true, false, false, false], "right, left, lower, upper");
+        assert!(!coverage.wants().contains(&Want::Tilted(Side::Right)));
     }
 }

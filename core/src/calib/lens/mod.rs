@@ -8,12 +8,14 @@
 //! where they should be. The image of a circle's centre is not its ellipse's centre, and a lens bends the ellipse as
 //! well; so what is predicted is the centroid of the circle's image under the whole camera model
 //! ([`rim`]), exact to a thousandth of a pixel. Which distortion model is right is decided by its evidence, Schwarz's
-//! criterion ([`choice`]). Roundels whose code was misread, and views that were blurred, fall out by their errors.
+//! criterion ([`choice`]). Views that are blurred beside the others are left out ([`blur`]); roundels whose code was misread, and
+//! views that were smeared, fall out by their errors.
 //!
 //! With 30 rendered views of 35 roundels (noise 2/255, blur 0.8 px) see `tests/tests/lens.rs` for what is
 //! reached. Limits: the board is flat, and the shutter's time from row to row is not modelled, so the board should be
 //! held still under a rolling shutter.
 
+mod blur;
 mod bundle;
 mod candidate;
 mod choice;
@@ -31,13 +33,15 @@ mod target;
 pub mod view;
 mod weighing;
 
+use std::fmt;
+
 use nalgebra::{DMatrix, Isometry3};
 use thiserror::Error;
 
 pub use self::{
-    choice::Evidence,
+    choice::{Evidence, STRONG},
     chooser::{Chooser, Verdict},
-    coverage::{Coverage, VISITED, Want, ZONES},
+    coverage::{Coverage, Side, VISITED, Want, ZONES},
     model::Model,
     target::Target,
     view::{Sighting, View},
@@ -59,11 +63,11 @@ pub struct LensCalibration {
     pub covariance: DMatrix<f64>,
     /// Rms distance between seen and predicted centres, pixels.
     pub rms_px: f64,
-    /// Each view as given, in order; `None`: it was left out since it contradicts the others.
-    pub views: Vec<Option<ViewFit>>,
+    /// Each view as given, in order, or why it was left out.
+    pub views: Vec<Result<ViewFit, LeftOut>>,
     /// Roundels, or corners, that were left out of the views that were used.
     pub outliers: usize,
-    /// What speaks for each model, best first.
+    /// What speaks for each model, the likeliest first; a simpler one may have been taken ([`STRONG`]).
     pub evidence: Vec<Evidence>,
 }
 
@@ -76,6 +80,24 @@ pub struct ViewFit {
     pub rms_px: f64,
     /// Roundels, or corners, that were used.
     pub roundels: usize,
+}
+
+/// Why a view was left out.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum LeftOut {
+    /// It is blurred beside the others.
+    Blurred,
+    /// It contradicts the others: smeared, bent, or of something else.
+    Contradicts,
+}
+
+impl fmt::Display for LeftOut {
+    fn fmt(&self, out: &mut fmt::Formatter<'_>) -> fmt::Result {
+        out.write_str(match self {
+            Self::Blurred => "blurred beside the others",
+            Self::Contradicts => "it contradicts the others",
+        })
+    }
 }
 
 impl LensCalibration {
@@ -180,7 +202,8 @@ pub fn calibrate(
     if let Some(other) = target.board().and_then(|board| other_board(board, views)) {
         return Err(other);
     }
-    let started = start::start(target, size, views)?;
+    let blurred = blur::blurred(views);
+    let started = start::start(target, size, views, &blurred)?;
     let models = model.map_or_else(|| Model::ALL.to_vec(), |model| vec![model]);
     let outcome = choice::best(target, size, &started, &models).ok_or_else(|| {
         LensCalibrationError::Unexplained {
@@ -189,7 +212,7 @@ pub fn calibrate(
             pitch_mm: target.pitch_m() * 1e3,
         }
     })?;
-    Ok(outcome.told(views.len(), &started))
+    Ok(outcome.told(&blurred, &started))
 }
 
 #[cfg(test)]
@@ -267,7 +290,7 @@ mod tests {
                 }
             }
             if sightings.len() >= 20 {
-                views.push(View { sightings });
+                views.push(View { sightings, ..View::default() });
             }
         }
         views
@@ -298,7 +321,10 @@ mod tests {
             assert!(deviation < 0.3, "{:?}", found.deviations());
         }
         let views = (found.views[3], found.views[7]);
-        assert!(views.0.is_some_and(|view| view.rms_px < 0.1) && views.1.is_none(), "{views:?}");
+        assert!(
+            views.0.is_ok_and(|view| view.rms_px < 0.1) && views.1 == Err(LeftOut::Contradicts),
+            "{views:?}"
+        );
         assert!((found.rms_px / (NOISE_PX * 2.0_f64.sqrt()) - 1.0).abs() < 0.1, "{}", found.rms_px);
     }
 
@@ -379,10 +405,10 @@ mod tests {
         assert_eq!(chooser.offer(View::default()), Verdict::NoBoard);
         assert_eq!(chooser.offer(views[0].clone()), Verdict::Moving);
         assert_eq!(chooser.offer(views[0].clone()), Verdict::Taken);
-        assert_eq!(chooser.offer(views[0].clone()), Verdict::Alike);
+        assert_eq!(chooser.offer(views[0].clone()), Verdict::Alike(0));
         assert_eq!(chooser.offer(views[1].clone()), Verdict::Moving);
-        let cut = View { sightings: views[1].sightings[..5].to_vec() };
-        assert_eq!(chooser.offer(cut), Verdict::TooLittle);
+        let cut = View { sightings: views[1].sightings[..17].to_vec(), ..View::default() };
+        assert_eq!(chooser.offer(cut), Verdict::TooLittle, "17 of 35");
         assert_eq!(chooser.taken().len(), 1);
         let mut photographs = Chooser::new(board(), SIZE, false);
         assert_eq!(photographs.offer(views[0].clone()), Verdict::Taken);

@@ -73,7 +73,8 @@ mod tests {
             };
             (number >= from).then_some(Sighting { number, center, radius_px: 36.0 })
         };
-        View { sightings: board(sides).centers().filter_map(sighting).collect() }
+        let sightings = board(sides).centers().filter_map(sighting).collect();
+        View { sightings, ..View::default() }
     }
 
     #[test]
@@ -89,7 +90,7 @@ mod tests {
         let mut misread = print.clone();
         (misread.sightings[3].number, misread.sightings[4].number) = (5, 4);
         assert_eq!(other_sides(&board((7, 5)), &misread), None);
-        let few = View { sightings: print.sightings[..10].to_vec() };
+        let few = View { sightings: print.sightings[..10].to_vec(), ..View::default() };
         assert_eq!(other_sides(&board((6, 5)), &few), None);
     }
 

@@ -30,15 +30,17 @@ pub(super) struct StartedView {
     pub(super) sightings: Vec<(Point2<f64>, Sighting)>,
 }
 
-/// Focal length and the board's places.
+/// Focal length and the board's places, by the views that are not blurred.
 pub(super) fn start(
     target: &Target,
     size: (usize, usize),
     views: &[View],
+    blurred: &[bool],
 ) -> Result<Started, LensCalibrationError> {
     let flats: Vec<(usize, Flat)> = views
         .iter()
         .enumerate()
+        .filter(|(index, _)| !blurred[*index])
         .filter_map(|(index, view)| Some((index, Flat::of(target, view)?)))
         .collect();
     let mut coverage = Coverage::new(size);

@@ -1,8 +1,9 @@
 //! Views: which of the board's roundels are where in a picture.
 
-use super::super::board::Board;
+use super::{super::board::Board, blur::blur_px};
 use crate::{
     camera::PixelPoint,
+    frame::Frame,
     marker::{Code, Ring},
 };
 
@@ -25,12 +26,16 @@ pub struct Sighting {
 pub struct View {
     /// Roundels with codes as the board's are, each once. Numbers that the board does not have tell that it is another one.
     pub sightings: Vec<Sighting>,
+    /// Deviation of the blur across the roundels' rims, pixels (`calib::lens::blur`); `None` where nobody has looked.
+    pub blur_px: Option<f64>,
 }
 
 impl View {
-    /// What may be the board's roundels among rings that were found; a number that was read twice is left out, since one of them
-    /// is wrong.
-    pub fn of_rings(board: &Board, rings: &[Ring]) -> Self {
+    /// What may be the board's roundels among rings that were found in a picture; a number that was read twice is left out, since
+    /// one of them is wrong.
+    pub fn of_rings(board: &Board, frame: &Frame<'_>, rings: &[Ring]) -> Self {
+        let is_it = |ring: &&Ring| ring.code.is_some_and(|read| board.may_have(read.code));
+        let blur_px = blur_px(frame, rings.iter().filter(is_it));
         let mut sightings: Vec<Sighting> = rings
             .iter()
             .filter_map(|ring| {
@@ -49,7 +54,7 @@ impl View {
             .map(|pair| pair[0].number)
             .collect();
         sightings.retain(|sighting| !twice.contains(&sighting.number));
-        Self { sightings }
+        Self { sightings, blur_px }
     }
 
     /// Corners of the convex outline round the roundels' centres, raw pixels; empty of fewer than three.
@@ -115,6 +120,7 @@ mod tests {
         };
         let view = |places: &[(f64, f64)]| View {
             sightings: places.iter().copied().enumerate().map(sighting).collect(),
+            ..View::default()
         };
         // A lattice of three by three, leaning; those on its sides are no corners.
         let places: Vec<(f64, f64)> = (0..9)

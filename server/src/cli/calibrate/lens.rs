@@ -10,7 +10,7 @@ use std::{
 use anyhow::{Context, bail};
 use clap::{Args, ValueEnum};
 use roundel_core::{
-    calib::lens::{LensCalibration, Model, calibrate},
+    calib::lens::{LensCalibration, Model, STRONG, calibrate},
     marker::{CodeLayout, Pattern},
     plan::precision::LensDoubt,
 };
@@ -154,7 +154,7 @@ pub(super) fn run(arguments: &LensArgs) -> anyhow::Result<ExitCode> {
     }
     let sought = sought(arguments)?;
     let most = usize::from(arguments.views);
-    let looked =
+    let mut looked =
         gather(&arguments.sources, &Views { sought: &sought, most, size: arguments.size })?;
     let gathered = &looked.gathered;
     let taken = gathered.chooser.taken();
@@ -162,6 +162,7 @@ pub(super) fn run(arguments: &LensArgs) -> anyhow::Result<ExitCode> {
         .with_context(|| {
             format!("no lens was found: {}{}", looked.told(), hint(&sought, &looked))
         })?;
+    looked.add_left_out(&found);
     let text = match arguments.format {
         Format::Json => format!("{}\n", report_of_views(&found, &looked)),
         Format::Table => table(&found, &looked)?,
@@ -241,17 +242,29 @@ fn hint(sought: &Sought, Looked { gathered, .. }: &Looked) -> String {
 }
 
 fn report_of_views(found: &LensCalibration, looked: &Looked) -> serde_json::Value {
-    let Looked { gathered, left_out } = looked;
+    let Looked { gathered, left_out, taken, out } = looked;
     let points = gathered.chooser.target().points();
     let views: Vec<_> = found
         .views
         .iter()
-        .map(|view| view.map(|view| json!({"rms_px": view.rms_px, points: view.roundels})))
+        .enumerate()
+        .map(|(index, view)| {
+            let mut told = match view {
+                Ok(view) => json!({"rms_px": view.rms_px, points: view.roundels}),
+                Err(why) => json!({"left_out": why.to_string()}),
+            };
+            if let Some(file) = taken.get(index) {
+                told["file"] = json!(file);
+            }
+            told
+        })
         .collect();
     let mut report = report(found);
     report["views"] = json!(views);
     report["frames"] = json!(gathered.frames);
     report["files_left_out"] = json!(left_out);
+    let of_file = |(file, why): &(PathBuf, String)| json!({"file": file, "why": why});
+    report["left_out"] = json!(out.iter().map(of_file).collect::<Vec<_>>());
     report["coverage"] = json!(gathered.chooser.coverage().share());
     report
 }
@@ -279,7 +292,7 @@ pub(super) fn report(found: &LensCalibration) -> serde_json::Value {
             "model": evidence.model.ros_name(),
             "coefficients": evidence.model.names(),
             "rms_px": evidence.rms_px,
-            "criterion": evidence.criterion,
+            "against": evidence.against,
         })).collect::<Vec<_>>(),
     })
 }
@@ -298,6 +311,7 @@ fn table(found: &LensCalibration, looked: &Looked) -> anyhow::Result<String> {
         (gathered.chooser.coverage().share() * 100.0).round()
     )?;
     write_parameters(&mut text, found)?;
+    write_evidence(&mut text, found)?;
     let wants = gathered.chooser.coverage().wants();
     if !wants.is_empty() {
         writeln!(text, "It would be known better with:")?;
@@ -306,6 +320,28 @@ fn table(found: &LensCalibration, looked: &Looked) -> anyhow::Result<String> {
         }
     }
     Ok(text)
+}
+
+/// What speaks against each model, a line a model.
+pub(super) fn write_evidence(text: &mut String, found: &LensCalibration) -> std::fmt::Result {
+    if found.evidence.len() < 2 {
+        return Ok(());
+    }
+    writeln!(
+        text,
+        "Evidence against each model (Schwarz's criterion less the least; {STRONG} is strong, and of those below the simplest \
+         is taken):"
+    )?;
+    for evidence in &found.evidence {
+        let model = format!("{} ({})", evidence.model.ros_name(), evidence.model.names().join(" "));
+        let taken = if evidence.model == found.model { "  taken" } else { "" };
+        writeln!(
+            text,
+            "  {model:45} {:>9.1}  rms {:.3} px{taken}",
+            evidence.against, evidence.rms_px
+        )?;
+    }
+    Ok(())
 }
 
 /// The lens, a line a parameter.

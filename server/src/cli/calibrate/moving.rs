@@ -83,6 +83,7 @@ fn table(found: &MovingLens, told: &str) -> anyhow::Result<String> {
         (found.coverage() * 100.0).round()
     )?;
     lens::write_parameters(&mut text, &found.lens)?;
+    lens::write_evidence(&mut text, &found.lens)?;
     let place = found.world_from_camera.translation.vector;
     let deviation = |first: usize| {
         let variances = found.pose_covariance.diagonal();

@@ -1,7 +1,7 @@
 //! Views of the board out of a stream; those out of files are in [`super::files`].
 
 use std::{
-    path::Path,
+    path::{Path, PathBuf},
     sync::Arc,
     sync::atomic::{AtomicBool, Ordering},
     thread,
@@ -10,9 +10,9 @@ use std::{
 
 use anyhow::{Context, bail};
 use indicatif::{ProgressBar, ProgressStyle};
-use roundel_core::frame::Frame;
+use roundel_core::{calib::lens::LensCalibration, frame::Frame};
 
-use super::files;
+use super::{coverage, files};
 use crate::{
     lens::search::{Gathered, Search, Sought},
     source::{OpenSource, Playback, SourceAddress, SourceError, SourceOpener},
@@ -36,9 +36,23 @@ pub(super) struct Looked {
     pub(super) gathered: Gathered,
     /// Files that could not be looked at.
     pub(super) left_out: usize,
+    /// Files of the views that were taken, in their order; a stream has none.
+    pub(super) taken: Vec<PathBuf>,
+    /// Files that were left out, and why.
+    pub(super) out: Vec<(PathBuf, String)>,
 }
 
 impl Looked {
+    /// Tells which views the calibration has left out, and why; those of a stream have no names.
+    pub(super) fn add_left_out(&mut self, found: &LensCalibration) {
+        for (file, view) in self.taken.iter().zip(&found.views) {
+            if let Err(why) = view {
+                eprintln!("left out: {}: {why}", file.display());
+                self.out.push((file.clone(), why.to_string()));
+            }
+        }
+    }
+
     /// How many pictures were left out, and why.
     pub(super) fn told(&self) -> String {
         let pictures = self.gathered.told();
@@ -64,7 +78,7 @@ pub(super) fn gather(sources: &[String], views: &Views<'_>) -> anyhow::Result<Lo
             SourceAddress::Images(images) if !images.is_timed() => patterns.push(images.pattern),
             address if sources.len() == 1 => {
                 let gathered = of_stream(source, &address, views)?;
-                return Ok(Looked { gathered, left_out: 0 });
+                return Ok(Looked { gathered, left_out: 0, taken: Vec::new(), out: Vec::new() });
             }
             _ => bail!(
                 "one source at a time: {source} is looked at by itself; files and folders may be several"
@@ -97,6 +111,12 @@ fn look(search: &mut Search, frame: &Frame<'_>, views: &Views<'_>) -> anyhow::Re
     }
     let enough = |it: &Gathered| it.chooser.taken().len() >= views.most || it.is_complete();
     Ok(search.gathered().is_some_and(enough))
+}
+
+/// How far it is, with a small map of where the board has been.
+fn message(search: &Search) -> String {
+    let map = search.gathered().map(|it| coverage::drawn(it.chooser.coverage()));
+    [Some(search.message()), map].into_iter().flatten().collect::<Vec<_>>().join("\n")
 }
 
 fn done(search: Search, what: &str) -> anyhow::Result<Gathered> {
@@ -145,7 +165,7 @@ fn of_stream(source: &str, address: &SourceAddress, views: &Views<'_>) -> anyhow
             loop {
                 let lent = stream.next_frame()?;
                 match look(&mut search, &lent.frame, views) {
-                    Ok(false) => bar.set_message(search.message()),
+                    Ok(false) => bar.set_message(message(&search)),
                     Ok(true) => return Ok(()),
                     Err(error) => return Err(SourceError::Failed(error.to_string())),
                 }

@@ -32,7 +32,12 @@ pub use self::{
     error::{Missing, MovingLensError},
     way::{Way, Waypoint},
 };
-use super::{LensCalibration, candidate::Candidate, choice::Evidence, model::Model};
+use super::{
+    LensCalibration,
+    candidate::Candidate,
+    choice::{Evidence, Judged, taken},
+    model::Model,
+};
 use crate::{
     camera::PixelPoint,
     rigid::{Covariance6, Rigid},
@@ -233,7 +238,7 @@ fn begin<'a>(seen: &Seen<'a>, pairs: &[Pair]) -> Option<Bundle<'a>> {
     best.map(|(_, bundle)| bundle)
 }
 
-/// The fit of the model for which most speaks, and what speaks for each.
+/// The fit of the model that is taken, and what speaks against each.
 fn best<'a>(
     begun: &Bundle<'a>,
     pairs: &[Pair],
@@ -263,18 +268,10 @@ fn best<'a>(
         let count = 2.0 * fit.bundle.pairs.len() as f64;
         let criterion = (fit.squares / count).max(1e-300).ln() * count / inflation
             + parameters * (count / inflation).max(1.0).ln();
-        let evidence = Evidence { model, rms_px: fit.rms_px, criterion };
-        Some((evidence, fit))
+        Some(Judged { model, rms_px: fit.rms_px, criterion, count, fit })
     };
-    let mut fits: Vec<(Evidence, Fit<'_>)> = fits.into_iter().filter_map(judged).collect();
-    // Only among those that explain as much: a model that leaves out half explains the rest well.
-    let most = fits.iter().map(|(_, fit)| fit.bundle.pairs.len()).max()?;
-    fits.retain(|(_, fit)| fit.bundle.pairs.len() * 10 >= most * 9);
-    let per_number =
-        |(evidence, fit): &(Evidence, Fit<'_>)| evidence.criterion / fit.bundle.pairs.len() as f64;
-    fits.sort_by(|one, other| per_number(one).total_cmp(&per_number(other)));
-    let evidence = fits.iter().map(|(evidence, _)| *evidence).collect();
-    Some((fits.into_iter().next()?.1, evidence))
+    let (_, fit, evidence) = taken(fits.into_iter().filter_map(judged).collect())?;
+    Some((fit, evidence))
 }
 
 fn told(

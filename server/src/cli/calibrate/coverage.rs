@@ -1,0 +1,75 @@
+//! Where the board has been, as a few lines of text below the spinner.
+
+use roundel_core::calib::lens::{Coverage, Side, VISITED, ZONES};
+
+/// A zone of the picture where the board has been often enough, where it was seen, and where it was not.
+const ZONE: [&str; 3] = ["███", "▒▒▒", "···"];
+
+/// The picture's zones, and beside them which sides of the board were nearer to the camera than the other.
+pub(super) fn drawn(coverage: &Coverage) -> String {
+    let side = |wanted: Side| {
+        let is_done = coverage.sides().iter().any(|&(side, is_done)| side == wanted && is_done);
+        format!("{} {wanted}", if is_done { "█" } else { "·" })
+    };
+    let nearer = [
+        format!("nearer side: {}", side(Side::Upper)),
+        format!("             {}   {}", side(Side::Left), side(Side::Right)),
+        format!("             {}", side(Side::Lower)),
+    ];
+    let rows = coverage.zones().chunks(ZONES.0).zip(nearer);
+    let row = |(zones, nearer): (&[usize], String)| {
+        let zone = |&count: &usize| match count {
+            0 => ZONE[2],
+            1..VISITED => ZONE[1],
+            _ => ZONE[0],
+        };
+        let zones: Vec<&str> = zones.iter().map(zone).collect();
+        format!("  {}   {nearer}", zones.join(" "))
+    };
+    rows.map(row).collect::<Vec<_>>().join("\n")
+}
+
+#[cfg(test)]
+mod tests {
+    use nalgebra::Point2;
+    use roundel_core::{
+        calib::{
+            checkerboard::Checkerboard,
+            lens::{Chooser, Sighting, Target, Verdict, View},
+        },
+        camera::PixelPoint,
+    };
+
+    use super::*;
+
+    /// A chessboard in the top left of a picture of 900 x 600, its right side nearer.
+    fn view() -> View {
+        let board = Checkerboard::new((9, 6), 0.025).unwrap();
+        let sightings = (0..54).map(|index| {
+            let (column, row) = (index % 9, index / 9);
+            let at = Point2::new(column as f64 - 4.0, row as f64 - 2.5);
+            let depth = 1.0 - 0.012 * at.x;
+            let center =
+                PixelPoint { u: 150.0 + 18.0 * at.x / depth, v: 120.0 + 18.0 * at.y / depth };
+            Sighting { number: board.number(column, row).unwrap(), center, radius_px: 9.0 }
+        });
+        let mut sightings: Vec<_> = sightings.collect();
+        sightings.sort_by_key(|sighting| sighting.number);
+        View { sightings, ..View::default() }
+    }
+
+    #[test]
+    fn zones_and_sides_that_are_done_are_filled() {
+        let target = Target::from(Checkerboard::new((9, 6), 0.025).unwrap());
+        let mut chooser = Chooser::new(target, (900, 600), false);
+        let empty = drawn(chooser.coverage());
+        assert_eq!(empty.lines().count(), 3);
+        assert!(!empty.contains('█') && empty.contains("· right"), "{empty}");
+        assert_eq!(chooser.offer(view()), Verdict::Taken);
+        let text = drawn(chooser.coverage());
+        let lines: Vec<&str> = text.lines().collect();
+        assert!(lines[0].starts_with("  ███ ··· ···"), "{text}");
+        assert!(lines[2].starts_with("  ··· ··· ···"), "{text}");
+        assert!(text.contains("█ right") && text.contains("· left"), "{text}");
+    }
+}
