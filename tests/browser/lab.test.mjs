@@ -232,6 +232,11 @@ describe("prints", { skip: lacking }, () => {
       await page.locator("#print-page").fill("A3");
       await page.locator("#print-kind").selectOption("coded");
       assert.equal(await page.locator("#print-code").inputValue(), "8:2");
+      await page.locator("#print-codes > summary", { hasText: "codes with their Hamming distances" }).click();
+      assert.match(await page.locator("#print-code-rows tr").first().innerText(), /^1\s+00000001\s+\d\s+\d$/);
+      await page.locator("#print-copies").fill("2");
+      await page.waitForFunction(() => document.querySelector("#print-png").getAttribute("href").includes("copies=2"));
+      assert.equal(await page.locator("#print-png").innerText(), "PNG, page 1");
       await page.locator("#print-ids").fill("1-3");
       await page.waitForFunction(() => document.querySelector("#print-pdf").getAttribute("href").includes("ids=1-3"));
       const [download] = await Promise.all([page.waitForEvent("download"), page.locator("#print-pdf").click()]);

@@ -7,7 +7,9 @@ import { Troubles } from "./troubles.js";
 
 /** After the last key, before a new preview is asked for, ms. */
 const PAUSE_MS = 300;
-const FIELDS = ["marker", "code", "ids", "polarity", "board", "pitch", "page", "sheet"];
+const FIELDS = ["marker", "code", "ids", "copies", "polarity", "board", "pitch", "page", "sheet"];
+/** Codes beyond this are not listed: nobody looks through thousands of rows. */
+const MOST_LISTED = 500;
 /** The choice of a roundel that is none of the configuration's. */
 const OWN = "";
 
@@ -34,6 +36,8 @@ class PrintForm {
     this.timer = 0;
     this.asked = 0;
     this.shown = "";
+    /** The code whose list is shown. */
+    this.listed = "";
     this.form.addEventListener("submit", (event) => {
       event.preventDefault();
       void this.preview();
@@ -88,7 +92,7 @@ class PrintForm {
 
   query() {
     const query = new URLSearchParams();
-    for (const name of this.isBoard ? ["board", "pitch", "page"] : ["marker", "code", "ids", "polarity", "page"]) {
+    for (const name of this.isBoard ? ["board", "pitch", "page"] : ["marker", "code", "ids", "copies", "polarity", "page"]) {
       const input = this.field(name);
       if (input.value.trim() !== "" && !input.disabled) query.set(name, input.value.trim());
     }
@@ -114,10 +118,31 @@ class PrintForm {
     this.shown = URL.createObjectURL(answer);
     this.picture.src = this.shown;
     this.picture.alt = `Page ${sheet}, as it is printed`;
-    for (const [id, parameters] of [["pdf", ""], ["svg", `&format=svg&sheet=${encodeURIComponent(sheet)}`]]) {
-      find(`#print-${id}`).setAttribute("href", `api/v1/print?${query}${parameters}`);
+    find("#print-pdf").setAttribute("href", `api/v1/print?${query}`);
+    for (const format of ["svg", "png"]) {
+      find(`#print-${format}`).setAttribute("href", `api/v1/print?${query}&format=${format}&sheet=${encodeURIComponent(sheet)}`);
+      setText(find(`#print-${format}`), `${format.toUpperCase()}, page ${sheet}`);
     }
-    setText(find("#print-svg"), `SVG, page ${sheet}`);
+    await this.listCodes(mine);
+  }
+
+  /** What there is of the code that was asked for; a wrong one has been told already.
+   * @param {number} mine */
+  async listCodes(mine) {
+    const code = this.field("code").value.trim();
+    const list = find("#print-codes");
+    if (code === this.listed) return;
+    list.hidden = true;
+    this.listed = "";
+    if (code === "") return;
+    const { answer } = await ask("GET", `codes?${new URLSearchParams({ code })}`);
+    if (mine !== this.asked || !Array.isArray(answer)) return;
+    const rows = answer.slice(0, MOST_LISTED).map((one) => element("tr", {}, [one.number, one.word, one.distance, one.own_distance].map((cell) => element("td", {}, [String(cell)]))));
+    find("#print-code-rows").replaceChildren(...rows);
+    const more = answer.length > MOST_LISTED ? `, of which the first ${MOST_LISTED} are listed` : "";
+    setText(find("#print-codes > summary"), `${answer.length} codes with their Hamming distances${more}`);
+    list.hidden = false;
+    this.listed = code;
   }
 
   /** Lets go of the picture that is shown. */

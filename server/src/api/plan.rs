@@ -46,6 +46,7 @@ const HEIGHT_M: f64 = 0.3;
         ("show" = Option<String>, Query, description = "of pictures: precision or cameras [precision]"),
         ("roundel" = Option<String>, Query, description = "name of a kind of the configuration [the first one]", example = "robot"),
         ("marker" = Option<String>, Query, description = "another roundel instead: OUTER_MM:INNER_MM", example = "160:64"),
+        ("code" = Option<String>, Query, description = "with marker: BITS[:DISTANCE]", example = "8:2"),
         ("height" = Option<f64>, Query, description = "of the roundels, metres [0.3]"),
         ("min" = Option<String>, Query, description = "x,y where the map begins, metres [what the cameras see]", example = "-5,-4"),
         ("max" = Option<String>, Query, description = "x,y where it ends, metres", example = "5,4"),
@@ -107,14 +108,26 @@ fn cameras(api: &Api) -> Vec<Named> {
 fn kind(api: &Api, parameters: &mut Parameters) -> Result<Kind, ApiError> {
     let name = parameters.take("roundel")?;
     let marker = parameters.take("marker")?;
+    let code = match parameters.take("code")? {
+        Some(_) if marker.is_none() => {
+            let expected =
+                "a `marker` beside it, since kinds of the configuration have their codes";
+            return Err(ApiError::invalid("code", expected, "none"));
+        }
+        Some(text) => Some(
+            spec::code(&text).map_err(|message| ApiError::Invalid { field: "code", message })?,
+        ),
+        None => None,
+    };
     if let Some(text) = marker {
         if name.is_some() {
             return Err(ApiError::invalid("marker", "no `roundel` beside it", "both"));
         }
         let wrong = |message| ApiError::Invalid { field: "marker", message };
         let diameters = spec::diameters(&text).map_err(wrong)?;
-        let print = Print { diameters: Some(diameters), code: None, polarity: Polarity::BlackRing };
-        let expected = || ApiError::invalid("marker", "OUTER_MM:INNER_MM, such as 160:64", text);
+        let print = Print { diameters: Some(diameters), code, polarity: Polarity::BlackRing };
+        let expected =
+            || ApiError::invalid("marker", "OUTER_MM:INNER_MM, such as 160:64, or a `code`", text);
         return Ok(Kind { name: "the roundel".to_owned(), ..print.kind().ok_or_else(expected)? });
     }
     let known = || -> Vec<&str> { api.kinds.iter().map(|kind| kind.name.as_str()).collect() };

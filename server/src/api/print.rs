@@ -17,18 +17,22 @@ use super::{
     query::Parameters,
 };
 use crate::print::{
-    self, BOARD_LAYOUT, Listed, Order, PageSize,
+    self, BOARD_LAYOUT, Listed, Order, Page, PageSize,
     spec::{self, PolarityWord, Print},
 };
 
 /// Most pages that are made for a request.
 const MAX_PAGES: usize = 100;
+/// Most copies of each roundel.
+const MAX_COPIES: usize = 1000;
+/// Dots an inch of a picture, if nobody says how many.
+const DPI: f64 = 300.0;
 
 /// Roundels or the calibration board, true to scale: print them at 100 %.
 #[utoipa::path(
     get, path = "/api/v1/print", tag = "print",
     params(
-        ("format" = Option<String>, Query, description = "pdf, or svg, which has one page [pdf]", example = "pdf"),
+        ("format" = Option<String>, Query, description = "pdf, or svg or png, which have one page [pdf]", example = "pdf"),
         ("marker" = Option<String>, Query, description = "OUTER_MM[:INNER_MM[:MINOR_MM]]", example = "160"),
         ("code" = Option<String>, Query, description = "BITS[:DISTANCE]", example = "8:2"),
         ("ids" = Option<String>, Query, description = "numbers of codes; all, if left out", example = "1-24,30"),
@@ -36,7 +40,9 @@ const MAX_PAGES: usize = 100;
         ("board" = Option<String>, Query, description = "COLUMNSxROWS of a calibration board instead", example = "7x5"),
         ("pitch" = Option<f64>, Query, description = "with board: from centre to centre, millimetres"),
         ("page" = Option<String>, Query, description = "A2, A3, A4, A5, Letter, Legal or WIDTHxHEIGHT in millimetres [A4]"),
-        ("sheet" = Option<usize>, Query, description = "with svg: which page, from 1 [1]"),
+        ("copies" = Option<usize>, Query, description = "how many of each roundel [1]"),
+        ("sheet" = Option<usize>, Query, description = "with svg and png: which page, from 1 [1]"),
+        ("dpi" = Option<f64>, Query, description = "with png: dots an inch [300]"),
     ),
     responses(
         (status = 200, description = "the file", content_type = "application/pdf"),
@@ -50,7 +56,9 @@ pub async fn file(State(_): State<Arc<Api>>, uri: Uri) -> Result<Response, ApiEr
     let page = read(&mut parameters, "page", |text| {
         PageSize::parse(text).map_err(|error| error.to_string())
     })?;
-    let order = order(&mut parameters)?;
+    let copies = parameters.take_parsed::<usize>("copies", "how many of each, from 1")?;
+    let dpi = parameters.take_parsed::<f64>("dpi", "dots an inch")?.unwrap_or(DPI);
+    let order = order(&mut parameters)?.copies(counted(copies)?);
     parameters.finish()?;
     let work = move || -> Result<Response, ApiError> {
         let a4 = PageSize { width_mm: 210.0, height_mm: 297.0 };
@@ -64,19 +72,40 @@ pub async fn file(State(_): State<Arc<Api>>, uri: Uri) -> Result<Response, ApiEr
         match format.as_str() {
             "pdf" => Ok(sent("application/pdf", "roundels.pdf", print::pdf(&pages, "Roundels"))),
             "svg" => {
-                let page = sheet.checked_sub(1).and_then(|index| pages.get(index));
-                let page = page.ok_or_else(|| {
-                    let expected = format!("a page from 1 to {}", pages.len());
-                    ApiError::invalid("sheet", expected, sheet)
-                })?;
-                Ok(sent("image/svg+xml", "roundels.svg", print::svg(page).into_bytes()))
+                let svg = print::svg(page_of(&pages, sheet)?);
+                Ok(sent("image/svg+xml", "roundels.svg", svg.into_bytes()))
             }
-            other => Err(ApiError::invalid("format", "pdf or svg", format!("{other:?}"))),
+            "png" => {
+                let mut bytes = Vec::new();
+                let drawn = print::png(page_of(&pages, sheet)?, dpi, &mut bytes);
+                drawn.map_err(|error| ApiError::Invalid {
+                    field: "dpi",
+                    message: error.to_string(),
+                })?;
+                Ok(sent("image/png", "roundels.png", bytes))
+            }
+            other => Err(ApiError::invalid("format", "pdf, svg or png", format!("{other:?}"))),
         }
     };
     tokio::task::spawn_blocking(work)
         .await
         .map_err(|error| ApiError::Internal(format!("laying out the pages ended early: {error}")))?
+}
+
+/// The page of that number, from 1.
+fn page_of(pages: &[Page], sheet: usize) -> Result<&Page, ApiError> {
+    sheet.checked_sub(1).and_then(|index| pages.get(index)).ok_or_else(|| {
+        let expected = format!("a page from 1 to {}", pages.len());
+        ApiError::invalid("sheet", expected, sheet)
+    })
+}
+
+fn counted(copies: Option<usize>) -> Result<usize, ApiError> {
+    let copies = copies.unwrap_or(1);
+    let is_some = (1..=MAX_COPIES).contains(&copies);
+    is_some
+        .then_some(copies)
+        .ok_or_else(|| ApiError::invalid("copies", format!("1 to {MAX_COPIES}"), copies))
 }
 
 /// Every code of a kind, with its Hamming distances.

@@ -1,5 +1,7 @@
 //! What is printed round the roundels: cut marks, the ruler that checks the printer, small print.
 
+use roundel_core::marker::Polarity;
+
 use super::{
     page::{Anchor, PageSize, Shape},
     path::{Area, Place},
@@ -15,6 +17,10 @@ const LONGEST_RULER_MM: f64 = 100.0;
 const TICKS_MM: (f64, f64) = (1.5, 3.0);
 /// Height of capitals of the small print, millimetres.
 const SMALL_MM: f64 = 1.8;
+/// Below this it cannot be read, millimetres.
+const LEAST_MM: f64 = 0.8;
+/// Width of a character over the height of capitals, about.
+const CHARACTER: f64 = 0.8;
 /// Length of a mark where sheets meet, and how far it stays from the window, millimetres.
 const JOIN_MM: f64 = 1.5;
 const JOIN_GAP_MM: f64 = 0.3;
@@ -33,16 +39,16 @@ pub(super) fn cut(square: &Area) -> Vec<Shape> {
     marks
 }
 
-/// Label and size in the square's lower corners, where they stay after cutting and no rim is near; none
-/// on black, and none where they would be too small to be read.
+/// Label and size in the square's lower corners, where they stay after cutting and no rim is near. Where they cannot be, on
+/// black or too small to be read, they stand below the square, and tell what is what until it is cut out.
 pub(super) fn corner(item: &Item, square: &Area) -> Vec<Shape> {
     let outer_mm = item.kind.outer_diameter_m * 1e3;
     let height_mm = (outer_mm * 0.04).min(SMALL_MM * 1.5);
-    if height_mm < 0.8 || item.kind.polarity == roundel_core::marker::Polarity::WhiteRing {
-        return Vec::new();
+    let size = format!("{} mm", super::millimetres(outer_mm));
+    if height_mm < LEAST_MM || item.kind.polarity == Polarity::WhiteRing {
+        return below(&item.label, &size, square).into_iter().collect();
     }
     let inset = 0.6 * height_mm;
-    let size = format!("{} mm", super::millimetres(outer_mm));
     let text = |x, anchor, text| Shape::Text {
         at: Place::new(x, square.bottom - inset),
         anchor,
@@ -53,6 +59,25 @@ pub(super) fn corner(item: &Item, square: &Area) -> Vec<Shape> {
         text(square.left + inset, Anchor::Begin, item.label.clone()),
         text(square.right - inset, Anchor::End, size),
     ]
+}
+
+/// Both in the middle of the gap between the cut marks, or what has room there: the label counts.
+fn below(label: &str, size: &str, square: &Area) -> Option<Shape> {
+    let both =
+        [label, size].into_iter().filter(|text| !text.is_empty()).collect::<Vec<_>>().join(" ");
+    // Neighbours have as much of a gap, of which each may take half.
+    let room_mm = square.width() + CUT_MM;
+    let fits = |text: &str| room_mm / (CHARACTER * text.chars().count() as f64);
+    let texts = [both.as_str(), label, size].into_iter().filter(|text| !text.is_empty());
+    let (text, height_mm) = texts
+        .map(|text| (text, fits(text).min(SMALL_MM)))
+        .find(|(_, height_mm)| *height_mm >= LEAST_MM)?;
+    Some(Shape::Text {
+        at: Place::new((square.left + square.right) / 2.0, square.bottom + CUT_GAP_MM + height_mm),
+        anchor: Anchor::Middle,
+        height_mm,
+        text: text.to_owned(),
+    })
 }
 
 /// The small print at the foot of a page, and a ruler along the foot and one up the right.
@@ -130,5 +155,43 @@ pub(super) fn is_inside(shape: &Shape, area: &Area) -> bool {
     match shape {
         Shape::Line { from, to } => holds(from) && holds(to),
         Shape::Text { at, .. } => holds(at),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use roundel_core::marker::Kind;
+
+    use super::*;
+
+    fn texts(outer_mm: f64, polarity: Polarity, label: &str) -> Vec<(String, Place)> {
+        let kind = Kind { polarity, ..Kind::plain("", outer_mm * 1e-3, 0.4e-3 * outer_mm) };
+        let item = Item { kind, number: None, label: label.to_owned() };
+        let square = Area::square(Place::new(50.0, 50.0), 1.35 * outer_mm);
+        let text = |shape: Shape| match shape {
+            Shape::Text { at, height_mm, text, .. } => {
+                assert!((LEAST_MM..=1.5 * SMALL_MM).contains(&height_mm), "{text}: {height_mm}");
+                (text, at)
+            }
+            Shape::Line { .. } => panic!("a line"),
+        };
+        corner(&item, &square).into_iter().map(text).collect()
+    }
+
+    #[test]
+    fn every_print_says_what_it_is() {
+        let words = |outer_mm: f64, polarity: Polarity, label: &str| -> Vec<String> {
+            texts(outer_mm, polarity, label).into_iter().map(|(text, _)| text).collect()
+        };
+        let (black, white) = (Polarity::BlackRing, Polarity::WhiteRing);
+        assert_eq!(words(50.0, black, "#17"), ["#17", "50 mm"]);
+        assert_eq!(words(50.0, white, "#17"), ["#17 50 mm"]);
+        assert_eq!(words(12.0, black, "robot #17"), ["robot #17 12 mm"]);
+        assert_eq!(words(2.0, black, "#1017"), ["#1017"]);
+        assert_eq!(words(12.0, white, ""), ["12 mm"]);
+        // Outside of what is black.
+        for (_, at) in texts(50.0, white, "#17") {
+            assert!(at.y > 50.0 + 1.35 * 25.0 && at.x == 50.0);
+        }
     }
 }

@@ -99,6 +99,17 @@ impl Order {
         of_kind(&kind, numbers)
     }
 
+    /// So many of each roundel, one after the other; of the board there is one.
+    #[must_use]
+    pub fn copies(self, copies: usize) -> Self {
+        match self {
+            Self::Roundels(items) => Self::Roundels(
+                items.iter().flat_map(|item| std::iter::repeat_n(item, copies)).cloned().collect(),
+            ),
+            Self::Board(board) => Self::Board(board),
+        }
+    }
+
     /// The pages that it takes.
     pub fn pages(&self, page: PageSize) -> Result<Vec<Page>, OrderError> {
         Ok(match self {

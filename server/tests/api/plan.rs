@@ -68,6 +68,13 @@ async fn a_map_comes_as_numbers_and_as_pictures() {
     assert_eq!(png.header("content-type"), "image/png");
     assert!(png.body.starts_with(b"\x89PNG"));
 
+    // A coded one counts where its code is read, which is nowhere with so many bits.
+    for (code, is_seen) in [("5", true), ("16", false)] {
+        let map = rig.get(&format!("{query}&marker=220&code={code}")).await.json();
+        let share = map["summary"]["seen_share"].as_f64().unwrap();
+        assert_eq!(share > 0.5, is_seen, "{code}: {}", map["summary"]);
+    }
+
     // Where neither lens is known well, the map says so.
     let installation = rig.hub.installation();
     for (id, info) in &installation.cameras {
@@ -94,6 +101,8 @@ async fn what_cannot_be_mapped_says_why() {
         ("show=everything", "show: expected precision or cameras"),
         ("marker=160", "marker: expected OUTER_MM:INNER_MM"),
         ("marker=160:10", "expected an inner diameter of 0.2 to 0.8"),
+        ("marker=160&code=40", "code: expected codes of 5 to 16 bits"),
+        ("code=8:2", "code: expected a `marker` beside it"),
         ("marker=160:64&roundel=robot", "marker: expected no `roundel`"),
         ("min=1", "min: expected x,y in metres"),
         ("min=1,1&max=0,0", "arena along x: expected a side"),

@@ -16,6 +16,16 @@ async fn files_to_print_come_over_rest() {
     assert!(svg.text().contains("width=\"215.9mm\""), "{}", svg.text());
     let board = rig.get("/api/v1/print?board=7x5&format=svg").await;
     assert!(board.text().contains("viewBox=\"0 0 297 210\""), "{}", board.text());
+    let png = rig.get("/api/v1/print?marker=50:20&copies=3&format=png&dpi=72").await;
+    assert_eq!((png.status, png.header("content-type")), (StatusCode::OK, "image/png"));
+    assert!(png.body.starts_with(b"\x89PNG"));
+    assert!(png.header("content-disposition").contains("roundels.png"));
+    // Six of 80 mm, of which two fit side by side and three below each other, and one more.
+    for (copies, last, is_there) in [(6, 1, true), (6, 2, false), (7, 2, true)] {
+        let query = format!("marker=60:24&copies={copies}&format=svg&sheet={last}");
+        let page = rig.get(&format!("/api/v1/print?{query}")).await;
+        assert_eq!(page.status == StatusCode::OK, is_there, "{query}: {}", page.text());
+    }
     let codes = rig.get("/api/v1/codes?code=8:2").await.json();
     assert_eq!((&codes[0]["number"], &codes[0]["word"]), (&1.into(), &"00000001".into()));
     rig.stop().await;
@@ -34,8 +44,10 @@ async fn what_cannot_be_printed_names_the_parameter() {
         ("marker=160:64&ids=1", "this kind has none"),
         ("marker=160&code=40", "code: expected codes of 5 to 16 bits"),
         ("marker=160:64&page=A9", "page: expected a page of A2"),
-        ("marker=160:64&format=doc", "format: expected pdf or svg"),
+        ("marker=160:64&format=doc", "format: expected pdf, svg or png"),
         ("marker=50:20&format=svg&sheet=2", "sheet: expected a page from 1 to 1"),
+        ("marker=160:64&copies=0", "copies: expected 1 to 1000"),
+        ("marker=160:64&format=png&dpi=5", "dpi: "),
         ("marker=160:64&colour=red", "query: expected one of"),
         ("marker=160:64&polarity=grey", "polarity: "),
         ("board=2x2", "board: expected a board of 3 to 40"),

@@ -35,9 +35,7 @@ pub(super) fn order(arguments: &PrintArgs) -> anyhow::Result<Order> {
              uses, or --board COLUMNSxROWS"
         ),
     };
-    let copies = usize::from(arguments.copies);
-    let each = items.iter().flat_map(|item| std::iter::repeat_n(item, copies)).cloned();
-    Ok(Order::Roundels(each.collect()))
+    Ok(Order::Roundels(items).copies(arguments.copies.into()))
 }
 
 /// What was printed, in words; `prints`: outlines on all pages.
