@@ -156,7 +156,7 @@ mod tests {
         map::{Field, Station, map},
         precision::LensDoubt,
         reach::reach,
-        search::{Wish, fewest, scaled, smallest_m},
+        search::{Wish, fewest, fewest_of_any_size, scaled, smallest_m},
         *,
     };
     use crate::{
@@ -253,6 +253,22 @@ mod tests {
         assert!(refused.contains("is not found and its code read 3.00 m"), "{refused}");
         let refused = smallest_m(&sensor(), None, &coded(8), (1e4, 0.0), None).unwrap_err();
         assert!(refused.to_string().contains("found and its code read at 10000 m"), "{refused}");
+    }
+
+    #[test]
+    fn the_roundel_that_an_arena_asks_for_does_it_with_the_fewest_cameras() {
+        let field = Field { low_m: [-1.2, -0.9], high_m: [1.2, 0.9], height_m: 0.0, step_m: 0.1 };
+        let most_m = Some(1.5e-3);
+        let wish = Wish { field, mount_m: [2.0, 3.5], views: 1, share: 0.95, most_m };
+        let (outer_m, grid) = fewest_of_any_size(&sensor(), None, &kind(), &wish).unwrap();
+        // It does what is wished, and so many cameras do it with it.
+        let own = fewest(&sensor(), None, &scaled(&kind(), outer_m), &wish).unwrap();
+        assert_eq!(own.stations.len(), grid.stations.len(), "{outer_m}");
+        // Fewer do not, however large it is.
+        for larger in [1.0, 1.5, 2.5, 4.0] {
+            let found = fewest(&sensor(), None, &scaled(&kind(), larger * outer_m), &wish);
+            assert!(found.map_or(usize::MAX, |it| it.stations.len()) >= grid.stations.len());
+        }
     }
 
     #[test]

@@ -1,7 +1,9 @@
 //! The reverse questions: which roundel does it, how many cameras, and where.
 //!
 //! Both are plain searches over what the forward model says, so that what they give is what it holds: the diameter by
-//! bisection, the cameras by trying every grid of downward cameras, fewer before more, at a number of heights.
+//! bisection, the cameras by trying every grid of downward cameras, fewer before more, at a number of heights. Where both are
+//! asked for, the fewest cameras count first, then the smallest roundel that one of them would locate so exactly straight
+//! below and that does it with so many; what several that overlap know together might let a smaller one do.
 
 use nalgebra::{Translation3, UnitQuaternion, Vector3};
 
@@ -30,6 +32,11 @@ pub const MOST_CAMERAS: usize = 64;
 const HEIGHTS: usize = 10;
 /// Spots of a map that a grid of cameras is judged by.
 const SPOTS: f64 = 300.0;
+/// Diameters that are tried below a grid, of the smallest that would do straight below a camera: larger ones reach further
+/// out, until they no longer fit into the picture.
+const LADDER: [f64; 7] = [1.0, 1.3, 1.7, 2.2, 3.0, 4.5, 7.0];
+/// A diameter below a grid is found to this share.
+const GRID_SHARE: f64 = 0.01;
 
 /// The kind with another outer diameter and the same proportions.
 pub fn scaled(kind: &Kind, outer_m: f64) -> Kind {
@@ -158,6 +165,70 @@ pub fn fewest(
             let p95_m = |grid: &Grid| grid.map.summary().p95_m;
             if share >= wish.share && done.as_ref().is_none_or(|done| p95_m(&grid) < p95_m(done)) {
                 done = Some(grid);
+            }
+        }
+        if let Some(done) = done {
+            return Ok(done);
+        }
+    }
+    Err(wish.missed(best))
+}
+
+/// The fewest cameras that do what is wished with roundels like this one of some diameter, and such a diameter, metres: the
+/// smallest but for what several cameras know together.
+pub fn fewest_of_any_size(
+    sensor: &Sensor,
+    doubt: Option<&LensDoubt>,
+    kind: &Kind,
+    wish: &Wish,
+) -> Result<(f64, Grid), PlanError> {
+    sensor.check(kind)?;
+    let field = wish.check()?;
+    // Also says why if nothing would do, and how well the best does.
+    let lowest_m = wish.mount_m[0] - field.height_m;
+    smallest_m(sensor, doubt, kind, (lowest_m, 0.0), wish.most_m)?;
+    let mut best: Option<(f64, Grid)> = None;
+    for count in 1..=MOST_CAMERAS {
+        let mut done: Option<(f64, Grid)> = None;
+        for grid in tried(count, wish, sensor, doubt) {
+            let straight_m = grid.mount_m - field.height_m;
+            let Ok(least_m) = smallest_m(sensor, doubt, kind, (straight_m, 0.0), wish.most_m)
+            else {
+                continue;
+            };
+            if done.as_ref().is_some_and(|(outer_m, _)| *outer_m <= least_m) {
+                continue;
+            }
+            let mapped = |outer_m: f64| -> Result<(f64, Grid), PlanError> {
+                let map = map(&grid.stations, &scaled(kind, outer_m), field)?;
+                Ok((wish.fulfilled(&map), Grid { map, ..grid.clone() }))
+            };
+            let mut bad_m = least_m;
+            for step in LADDER {
+                let outer_m = least_m * step;
+                if done.as_ref().is_some_and(|(smallest_m, _)| *smallest_m <= outer_m) {
+                    break;
+                }
+                let (share, found) = mapped(outer_m)?;
+                if best.as_ref().is_none_or(|(most, _)| share > *most) {
+                    best = Some((share, found.clone()));
+                }
+                if share < wish.share {
+                    bad_m = outer_m;
+                    continue;
+                }
+                let (mut good_m, mut good) = (outer_m, found);
+                while (good_m / bad_m).ln() > GRID_SHARE {
+                    let middle_m = (good_m * bad_m).sqrt();
+                    let (share, found) = mapped(middle_m)?;
+                    if share >= wish.share {
+                        (good_m, good) = (middle_m, found);
+                    } else {
+                        bad_m = middle_m;
+                    }
+                }
+                done = Some((good_m, good));
+                break;
             }
         }
         if let Some(done) = done {

@@ -1,6 +1,8 @@
 //! `roundel plan`: what cameras and roundels would reach, and which ones it takes.
 
 mod arena;
+mod ignored;
+mod load;
 mod measure;
 mod optics;
 mod roundel;
@@ -38,6 +40,7 @@ const RATIO: f64 = 0.4;
     roundel plan --camera north.yaml --distance 8 --precision 2         which roundel is located to 2 mm at 8 m?\n  \
     roundel plan --camera north.yaml --marker 160:64 --arena 10x8 --mount 3:5 --precision 1 --map grid.svg\n  \
                                                                       how many cameras, and where?\n  \
+    roundel plan --camera north.yaml --arena 10x8 --mount 3:5 --precision 1     and which roundel?\n  \
     roundel plan --config lab.toml --map lab.png                      what the installation sees\n  \
     roundel plan --measure                                            how fast this machine is\n\n\
     Precision is that of one frame (of one set of frames, over an arena): rms of the distance from the truth. Beside\n\
@@ -52,7 +55,7 @@ pub struct PlanArgs {
     /// Its horizontal field of view, degrees
     #[arg(long, value_name = "DEGREES", requires = "resolution")]
     fov: Option<f64>,
-    /// Diameters in millimetres [default: 160]
+    /// Diameters in millimetres [default: 160; with --precision it is searched for]
     #[arg(long, value_name = "OUTER_MM[:INNER_MM[:MINOR_MM]]", value_parser = spec::diameters)]
     marker: Option<Diameters>,
     /// Codes: bits, and the least Hamming distance
@@ -67,9 +70,9 @@ pub struct PlanArgs {
     /// Distance along the optical axis, metres [default: half of the farthest]
     #[arg(long, value_name = "M")]
     distance: Option<f64>,
-    /// Tilt of the roundel against the picture, degrees
-    #[arg(long, value_name = "DEGREES", default_value_t = 0.0)]
-    tilt: f64,
+    /// Tilt of the roundel against the picture, degrees [default: 0]
+    #[arg(long, value_name = "DEGREES")]
+    tilt: Option<f64>,
     /// Deviation of the noise, grey levels of 255
     #[arg(long, default_value_t = Imaging::default().noise)]
     noise: f64,
@@ -82,27 +85,27 @@ pub struct PlanArgs {
     /// Grey level of white paper
     #[arg(long, default_value_t = Imaging::default().white)]
     white: f64,
-    /// Roundels in the picture
-    #[arg(long, default_value_t = 10)]
-    count: u32,
-    /// How fast they move across the line of sight, metres a second
-    #[arg(long, value_name = "M_S", default_value_t = 0.5)]
-    speed: f64,
-    /// Frames a second that the camera takes
-    #[arg(long, value_name = "HZ", default_value_t = 30.0)]
-    rate: f64,
-    /// Share of frames in which they are lost and the whole picture is searched, 0 to 1
-    #[arg(long, value_name = "SHARE", default_value_t = 0.0)]
-    lost: f64,
+    /// Roundels in the picture, over an arena in every one [default: 10]
+    #[arg(long)]
+    count: Option<u32>,
+    /// How fast they move across the line of sight, metres a second [default: 0.5]
+    #[arg(long, value_name = "M_S")]
+    speed: Option<f64>,
+    /// Frames a second that the camera takes [default: 30]
+    #[arg(long, value_name = "HZ")]
+    rate: Option<f64>,
+    /// Share of frames in which they are lost and the whole picture is searched, 0 to 1 [default: 0]
+    #[arg(long, value_name = "SHARE")]
+    lost: Option<f64>,
     /// Wanted: rms of the distance from the truth, millimetres
     #[arg(long, value_name = "MM")]
     precision: Option<f64>,
     /// How many such cameras, looking straight down, cover an arena of these sides, metres?
     #[arg(long, value_name = "WIDTHxDEPTH", value_parser = sides_m, conflicts_with = "config")]
     arena: Option<[f64; 2]>,
-    /// Height of the roundels in the arena, metres
-    #[arg(long, value_name = "M", default_value_t = 0.3)]
-    height: f64,
+    /// Height of the roundels in the arena, metres [default: 0.3]
+    #[arg(long, value_name = "M")]
+    height: Option<f64>,
     /// With --arena: the height that cameras hang at, or LOWEST:HIGHEST, metres
     #[arg(long, value_name = "M[:M]", value_parser = heights_m, requires = "arena")]
     mount: Option<[f64; 2]>,
@@ -121,9 +124,9 @@ pub struct PlanArgs {
     /// With --config or --arena: write the map, as .svg, .png or .json
     #[arg(long, value_name = "FILE")]
     map: Option<PathBuf>,
-    /// What the map shows
-    #[arg(long, value_enum, default_value_t)]
-    show: Show,
+    /// What the map shows [default: precision]
+    #[arg(long, value_enum)]
+    show: Option<Show>,
     /// From spot to spot of the map, metres [default: about 2400 spots]
     #[arg(long, value_name = "M")]
     step: Option<f64>,
@@ -159,6 +162,9 @@ enum Format {
 
 /// Answers, and writes the map if one is wanted.
 pub(super) fn run(arguments: &PlanArgs) -> anyhow::Result<ExitCode> {
+    for line in ignored::told(arguments) {
+        eprintln!("{line}");
+    }
     if arguments.measure {
         measure::run(arguments)?;
     } else if let Some(config) = &arguments.config {
@@ -179,6 +185,30 @@ impl PlanArgs {
     fn imaging(&self) -> Imaging {
         let Self { noise, blur, black, white, .. } = *self;
         Imaging { noise, blur_px: blur, black, white }
+    }
+
+    fn tilt(&self) -> f64 {
+        self.tilt.unwrap_or(0.0)
+    }
+
+    fn count(&self) -> u32 {
+        self.count.unwrap_or(10)
+    }
+
+    fn speed(&self) -> f64 {
+        self.speed.unwrap_or(0.5)
+    }
+
+    fn rate(&self) -> f64 {
+        self.rate.unwrap_or(30.0)
+    }
+
+    fn lost(&self) -> f64 {
+        self.lost.unwrap_or(0.0)
+    }
+
+    fn height(&self) -> f64 {
+        self.height.unwrap_or(0.3)
     }
 
     fn mode(&self) -> Mode {
@@ -221,8 +251,8 @@ impl PlanArgs {
         let ending = path.extension().unwrap_or_default().to_string_lossy().to_lowercase();
         let failed = || format!("cannot write {}", path.display());
         let bytes = match ending.as_str() {
-            "svg" => picture::svg(map, self.show).into_bytes(),
-            "png" => picture::png(map, self.show).with_context(failed)?,
+            "svg" => picture::svg(map, self.show.unwrap_or_default()).into_bytes(),
+            "png" => picture::png(map, self.show.unwrap_or_default()).with_context(failed)?,
             "json" => serde_json::to_vec_pretty(map).with_context(failed)?,
             _ => bail!("{}: expected a name that ends in .svg, .png or .json", path.display()),
         };

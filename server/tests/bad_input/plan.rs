@@ -182,6 +182,61 @@ fn a_coded_plan_reaches_as_far_as_the_code_is_read() {
 }
 
 #[test]
+fn the_roundel_for_an_arena_and_a_precision_is_searched_for() {
+    let arena = ["--arena", "4x3", "--mount", "2:4", "--precision", "2", "--format", "json"];
+    let json = |arguments: &[&str]| {
+        let told = plan(&[&PINHOLE[..], &arena, arguments].concat());
+        assert!(told.status.success(), "{}", stderr(&told));
+        serde_json::from_slice::<serde_json::Value>(&told.stdout).unwrap()
+    };
+    let found = json(&[]);
+    assert_eq!(found["outer_was_searched"], true);
+    assert_eq!(found["size_is_assumed"], false);
+    let outer_mm = found["outer_m"].as_f64().unwrap() * 1e3;
+    let cameras = |told: &serde_json::Value| told["stations"].as_array().unwrap().len();
+    // It does it with so many, and a tenth smaller it does not.
+    let same = json(&["--marker", &format!("{outer_mm}:{}", 0.4 * outer_mm)]);
+    assert_eq!(cameras(&same), cameras(&found), "{outer_mm}");
+    let less_mm = 0.9 * outer_mm;
+    let marker = format!("{less_mm}:{}", 0.4 * less_mm);
+    let less = plan(&[&PINHOLE[..], &arena, &["--marker", &marker]].concat());
+    let less: Option<serde_json::Value> = serde_json::from_slice(&less.stdout).ok();
+    assert!(less.is_none_or(|less| cameras(&less) > cameras(&found)), "{outer_mm}");
+    // What a frame takes there is told, and where that comes from.
+    assert!(found["longest_frame_s"].as_f64().unwrap() > 0.0, "{found}");
+    assert!(found["times"].as_str().unwrap().starts_with("not measured"), "{found}");
+    let table = plan(&[&PINHOLE[..], &arena[..6], &["--count", "24"]].concat());
+    let table = String::from_utf8(table.stdout).unwrap();
+    assert!(table.contains("searched for: so few cameras do it"), "{table}");
+    assert!(table.contains("a frame with 24 of them straight below"), "{table}");
+}
+
+#[test]
+fn options_that_do_not_count_are_told() {
+    let arena = ["--arena", "2x1", "--mount", "3", "--marker", "160:64"];
+    for (arguments, expected) in [
+        (vec!["--tilt", "30"], "--tilt does not count over an arena: roundels lie face up"),
+        (vec!["--distance", "3"], "--distance does not count over an arena"),
+        (vec!["--show", "cameras"], "--show does not count without --map"),
+    ] {
+        let told = plan(&[&PINHOLE[..], &arena, &arguments].concat());
+        assert!(told.status.success(), "{}", stderr(&told));
+        assert!(stderr(&told).contains(expected), "{arguments:?}: {}", stderr(&told));
+    }
+    let quiet = plan(&[&PINHOLE[..], &arena].concat());
+    assert_eq!(stderr(&quiet), "");
+    let single = plan(&[&PINHOLE[..], &["--height", "1", "--marker", "160:64"]].concat());
+    assert!(
+        stderr(&single).contains("--height does not count of one camera"),
+        "{}",
+        stderr(&single)
+    );
+    let reached = ["--precision", "1", "--marker", "160:64"];
+    let reached = plan(&[&PINHOLE[..], &reached].concat());
+    assert!(stderr(&reached).contains("--precision does not count"), "{}", stderr(&reached));
+}
+
+#[test]
 fn faster_and_coded_roundels_take_longer() {
     let frame_s = |arguments: &[&str]| {
         let all = [&PINHOLE[..], &["--distance", "1", "--format", "json"], arguments].concat();

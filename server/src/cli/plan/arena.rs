@@ -7,12 +7,16 @@ use roundel_core::{
     marker::Kind,
     plan::{
         map::{Field, Map, map},
-        search::{Grid, Wish, fewest as search},
+        search::{Grid, Wish, fewest as search, fewest_of_any_size as search_with_size, scaled},
     },
 };
 use serde_json::json;
 
-use super::{Format, ModeWord, PlanArgs, optics, roundel};
+use super::{
+    Format, ModeWord, PlanArgs,
+    load::{Seen, load},
+    optics, roundel,
+};
 use crate::{
     calibration::file::CalibrationFile,
     config::Config,
@@ -53,12 +57,13 @@ pub(super) fn configured(arguments: &PlanArgs, path: &Path) -> anyhow::Result<()
             .collect();
         bail!("expected a camera that stands at a known place, found none; {}", reasons.join("; "));
     }
-    let seen = Field::seen_by(&stations, arguments.height, SPOTS).with_context(|| {
-        format!("no camera looks down on the plane --height {} m", arguments.height)
+    let seen = Field::seen_by(&stations, arguments.height(), SPOTS).with_context(|| {
+        format!("no camera looks down on the plane --height {} m", arguments.height())
     })?;
     let field = Field { step_m: arguments.step.unwrap_or(seen.step_m), ..seen };
     let map = PlanMap::of(&map(&stations, &kind, field)?, &kind.name, &cameras);
-    told(arguments, &kind, &map, None)
+    let times = times(arguments, &kind, &cameras)?;
+    told(arguments, &Plan { kind, size: Size::Said, map, grid: None, times })
 }
 
 fn configured_kind(arguments: &PlanArgs, config: &Config) -> anyhow::Result<Kind> {
@@ -93,12 +98,22 @@ pub(super) fn fewest(arguments: &PlanArgs, arena_m: [f64; 2]) -> anyhow::Result<
     let field = Field {
         low_m: half_m.map(|half| -half),
         high_m: half_m,
-        height_m: arguments.height,
+        height_m: arguments.height(),
         step_m,
     };
     let most_m = arguments.precision.map(|mm| mm * 1e-3);
     let wish = Wish { field, mount_m, views: arguments.views, share: arguments.share, most_m };
-    let grid = search(&sensor, doubt.as_ref(), &kind, &wish)?;
+    let (kind, size, grid) = match (arguments.marker, most_m) {
+        (None, Some(_)) => {
+            let (outer_m, grid) = search_with_size(&sensor, doubt.as_ref(), &kind, &wish)?;
+            (scaled(&kind, outer_m), Size::Searched, grid)
+        }
+        (marker, _) => {
+            let size = if marker.is_some() { Size::Said } else { Size::Assumed };
+            let grid = search(&sensor, doubt.as_ref(), &kind, &wish)?;
+            (kind, size, grid)
+        }
+    };
     let cameras: Vec<Named> = (1..)
         .zip(&grid.stations)
         .map(|(number, station)| Named {
@@ -108,20 +123,65 @@ pub(super) fn fewest(arguments: &PlanArgs, arena_m: [f64; 2]) -> anyhow::Result<
         .collect();
     let fine: Map = map(&grid.stations, &kind, field)?;
     let map = PlanMap::of(&fine, &kind.name, &cameras);
-    told(arguments, &kind, &map, Some(&grid))
+    let times = times(arguments, &kind, &cameras)?;
+    told(arguments, &Plan { kind, size, map, grid: Some(grid), times })
 }
 
-fn told(
-    arguments: &PlanArgs,
-    kind: &Kind,
-    map: &PlanMap,
-    grid: Option<&Grid>,
-) -> anyhow::Result<()> {
-    // Of an arena whose roundels nobody has described the usual ones are assumed; of an installation never.
-    let is_assumed = grid.is_some() && arguments.marker.is_none();
+/// Where the roundel's size comes from.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+enum Size {
+    Said,
+    /// Of an arena whose roundels nobody has described the usual ones; of an installation never.
+    Assumed,
+    /// Searched for, since only what it has to do is said.
+    Searched,
+}
+
+/// Everything that is told.
+struct Plan {
+    kind: Kind,
+    size: Size,
+    map: PlanMap,
+    grid: Option<Grid>,
+    times: Times,
+}
+
+/// What frames take.
+struct Times {
+    /// Of the camera that takes longest, its name, and of all together, seconds.
+    longest_s: f64,
+    longest: String,
+    together_s: f64,
+    /// Where the constants come from.
+    machine: String,
+}
+
+/// Of frames in which as many roundels as are said lie straight below each camera, where they are largest.
+fn times(arguments: &PlanArgs, kind: &Kind, cameras: &[Named]) -> anyhow::Result<Times> {
+    let (machine, from) = arguments.machine()?;
+    let mut times =
+        Times { longest_s: 0.0, longest: String::new(), together_s: 0.0, machine: from };
+    for camera in cameras {
+        let Ok(station) = &camera.station else { continue };
+        let lens = station.sensor.camera.intrinsics();
+        let above_m = station.place.world_from_camera.translation.vector.z - arguments.height();
+        let per_m = 0.5 * (lens.fx_px + lens.fy_px) / above_m.abs().max(kind.outer_diameter_m);
+        let seen = Seen { diameter_px: per_m * kind.outer_diameter_m, per_m };
+        let load = load(arguments, &station.sensor, kind, seen)?;
+        let frame_s = machine.of(station.sensor.mode).frame_s(&load);
+        times.together_s += frame_s;
+        if frame_s > times.longest_s {
+            (times.longest_s, times.longest) = (frame_s, camera.name.clone());
+        }
+    }
+    Ok(times)
+}
+
+fn told(arguments: &PlanArgs, plan: &Plan) -> anyhow::Result<()> {
+    let Plan { kind, size, map, grid, times } = plan;
     let text = match arguments.format {
         Format::Json => {
-            let grid = grid.map(|grid| {
+            let grid = grid.as_ref().map(|grid| {
                 json!({"counts": grid.counts, "mount_m": grid.mount_m, "turned": grid.is_turned})
             });
             format!(
@@ -131,25 +191,33 @@ fn told(
                     "outer_m": kind.outer_diameter_m,
                     "inner_m": kind.inner_diameter_m,
                     "code": roundel::code(kind),
-                    "size_is_assumed": is_assumed,
+                    "size_is_assumed": *size == Size::Assumed,
+                    "outer_was_searched": *size == Size::Searched,
                     "height_m": map.height_m,
                     "min_m": map.min_m,
                     "max_m": map.max_m,
                     "summary": map.summary,
                     "stations": map.stations,
                     "grid": grid,
+                    "longest_frame_s": times.longest_s,
+                    "frames_together_s": times.together_s,
+                    "times": times.machine,
                 })
             )
         }
-        Format::Table => table((kind, is_assumed), map, grid),
+        Format::Table => table(arguments, plan),
     };
     std::io::stdout().write_all(text.as_bytes()).context("cannot write to the standard output")?;
     arguments.write_map(map)
 }
 
-fn table((kind, is_assumed): (&Kind, bool), map: &PlanMap, grid: Option<&Grid>) -> String {
-    let assumed = if is_assumed { ", assumed since --marker says none" } else { "" };
-    let mut lines = vec![format!("{}: {}{assumed}", map.roundel, roundel::words(kind))];
+fn table(arguments: &PlanArgs, Plan { kind, size, map, grid, times }: &Plan) -> String {
+    let size = match size {
+        Size::Said => "",
+        Size::Assumed => ", assumed since --marker says none",
+        Size::Searched => ", searched for: so few cameras do it",
+    };
+    let mut lines = vec![format!("{}: {}{size}", map.roundel, roundel::words(kind))];
     if let Some(grid) = grid {
         let [columns, rows] = grid.counts;
         lines.push(format!(
@@ -181,6 +249,15 @@ fn table((kind, is_assumed): (&Kind, bool), map: &PlanMap, grid: Option<&Grid>) 
         millimetres(median_m),
         millimetres(p95_m)
     ));
+    let Times { longest_s, longest, together_s, machine } = times;
+    lines.push(format!(
+        "a frame with {} of them straight below: at most {:.3} ms (camera {longest}); all cameras at {} Hz keep {:.2} of a core busy",
+        arguments.count(),
+        longest_s * 1e3,
+        arguments.rate(),
+        together_s * arguments.rate()
+    ));
+    lines.push(format!("Times are {machine}."));
     lines.push(String::new());
     lines.join("\n")
 }

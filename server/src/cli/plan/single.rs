@@ -6,18 +6,21 @@ use std::io::Write as _;
 use anyhow::{Context, bail};
 use roundel_core::{
     camera::{Intrinsics, Lens, NormalizedPoint},
-    marker::{Kind, Pattern},
+    marker::Kind,
     plan::{
         Sensor, paper,
         precision::{Expected, LensDoubt, expect},
         reach::{Reach, before, reach},
         search::{scaled, smallest_m},
-        time::Load,
     },
 };
 use serde_json::{Value, json};
 
-use super::{Format, PlanArgs, optics, roundel};
+use super::{
+    Format, PlanArgs,
+    load::{Seen, load},
+    optics, roundel,
+};
 
 /// Everything that is told.
 struct Told {
@@ -48,7 +51,7 @@ pub(super) fn run(arguments: &PlanArgs) -> anyhow::Result<()> {
 fn told(arguments: &PlanArgs) -> anyhow::Result<Told> {
     let (sensor, doubt, name) = optics::sensor(arguments)?;
     let mut kind = arguments.kind()?;
-    let tilt_rad = arguments.tilt.to_radians();
+    let tilt_rad = arguments.tilt().to_radians();
     let was_searched = arguments.precision.is_some() && arguments.marker.is_none();
     if was_searched {
         let Some(distance_m) = arguments.distance else {
@@ -61,7 +64,11 @@ fn told(arguments: &PlanArgs) -> anyhow::Result<Told> {
     let reach = reach(&sensor, &kind, tilt_rad)?;
     let distance_m = arguments.distance.unwrap_or(0.5 * (reach.least_m + reach.most_m));
     let expected = expected(&sensor, doubt.as_ref(), &kind, (distance_m, tilt_rad), &reach)?;
-    let load = load(arguments, &sensor, &kind, &expected)?;
+    let ring = &expected.sighting.ring.outer;
+    // The longer diameter is the one that tilt leaves.
+    let per_m = 2.0 * ring.semi_major_px / kind.outer_diameter_m;
+    let seen = Seen { diameter_px: 2.0 * ring.mean_radius_px(), per_m };
+    let load = load(arguments, &sensor, &kind, seen)?;
     let (machine, from) = arguments.machine()?;
     let frame_s = machine.of(sensor.mode).frame_s(&load);
     let paper = papers(&sensor, &kind, tilt_rad);
@@ -102,46 +109,6 @@ fn expected(
             reach.unread.map_or(reach.most_m, |ring| ring.most_m)
         )
     })
-}
-
-/// What is done in a frame.
-fn load(
-    arguments: &PlanArgs,
-    sensor: &Sensor,
-    kind: &Kind,
-    expected: &Expected,
-) -> anyhow::Result<Load> {
-    let PlanArgs { count, speed, rate, lost, .. } = *arguments;
-    if !(0.0..=1.0).contains(&lost) {
-        bail!("--lost: expected a share of 0 to 1, found {lost}");
-    }
-    if !(0.0..=1e3).contains(&speed) {
-        bail!("--speed: expected 0 to 1000 m/s, found {speed}");
-    }
-    if !(0.01..=1e5).contains(&rate) {
-        bail!("--rate: expected 0.01 to 100000 frames a second, found {rate}");
-    }
-    let diameter_px = 2.0 * expected.sighting.ring.outer.mean_radius_px();
-    // The longer diameter is the one that tilt leaves.
-    let per_m = 2.0 * expected.sighting.ring.outer.semi_major_px / kind.outer_diameter_m;
-    let motion_px = speed / rate * per_m;
-    let (width, height) = (sensor.camera.width(), sensor.camera.height());
-    if motion_px > width as f64 {
-        bail!(
-            "--speed: at {speed} m/s and {rate} frames a second a roundel moves by {motion_px:.0} px a frame, \
-             farther than the picture is wide: say less, or a higher --rate"
-        );
-    }
-    let load = Load {
-        image_px: (width * height) as f64,
-        roundels: f64::from(count),
-        diameter_px,
-        motion_px,
-        is_coded: matches!(kind.pattern, Pattern::Coded(_)),
-        searched_share: lost,
-    };
-    load.check()?;
-    Ok(load)
 }
 
 /// What the paper's model is told of the same camera.
@@ -190,7 +157,7 @@ impl Told {
                 "roundel    {}{}, tilted by {}°",
                 if self.was_searched { "at least " } else { "" },
                 roundel::words(kind),
-                arguments.tilt
+                arguments.tilt()
             ),
             String::new(),
             format!("{:36} {:>12} {:>12}", "", "plan", "paper"),
@@ -245,7 +212,7 @@ impl Told {
         let normal_deg = expected.normal_rad().to_degrees();
         row("  its normal to", format!("{normal_deg:.2}°"), String::new());
         let time = format!("{:.3} ms", self.frame_s * 1e3);
-        row(&format!("a frame with {} of them", arguments.count), time, String::new());
+        row(&format!("a frame with {} of them", arguments.count()), time, String::new());
         row("  each moving by", format!("{:.1} px", self.motion_px), String::new());
         row("  frames a second, one core", format!("{:.0}", 1.0 / self.frame_s), String::new());
         lines.push(String::new());
@@ -267,7 +234,7 @@ impl Told {
             "inner_m": kind.inner_diameter_m,
             "code": roundel::code(kind),
             "outer_was_searched": self.was_searched,
-            "tilt_deg": arguments.tilt,
+            "tilt_deg": arguments.tilt(),
             "least_distance_m": reach.least_m,
             "most_distance_m": reach.most_m,
             "most_corner_distance_m": reach.most_corner_m,
