@@ -350,10 +350,13 @@ pub fn others(length: Length) -> anyhow::Result<Table> {
             rows.extend(methods.map(|(method, ms)| {
                 Row::absent(format!("{name}, {method}, {machine}: ms"))
                     .paper(*ms, Aim::Neither)
-                    .note(format!(
-                        "no such machine is here; {:.0} times WhyCon there",
-                        ms / whycon_ms
-                    ))
+                    .note(match method {
+                        "WhyCon" => "no such machine is here".to_owned(),
+                        _ => format!(
+                            "no such machine is here; {:.0} times WhyCon there",
+                            ms / whycon_ms
+                        ),
+                    })
             }));
         }
     }
