@@ -1,4 +1,4 @@
-//! Letters of three by five dots: enough to read a number or a word in a picture.
+//! Letters of three by five dots: enough to read a number, with its sign and its point, or a word in a picture.
 
 /// Dots across a character, without the gap to the next.
 pub(crate) const COLUMNS: i64 = 3;
@@ -45,6 +45,18 @@ pub(crate) fn rows(character: char) -> [u8; ROWS as usize] {
         'Y' => [0b101, 0b101, 0b010, 0b010, 0b010],
         'Z' => [0b111, 0b001, 0b010, 0b100, 0b111],
         '#' => [0b101, 0b111, 0b101, 0b111, 0b101],
+        '.' => [0b000, 0b000, 0b000, 0b000, 0b010],
+        ',' => [0b000, 0b000, 0b000, 0b010, 0b100],
+        ':' => [0b000, 0b010, 0b000, 0b010, 0b000],
+        ';' => [0b000, 0b010, 0b000, 0b010, 0b100],
+        '-' => [0b000, 0b000, 0b111, 0b000, 0b000],
+        '_' => [0b000, 0b000, 0b000, 0b000, 0b111],
+        '+' => [0b000, 0b010, 0b111, 0b010, 0b000],
+        '=' => [0b000, 0b111, 0b000, 0b111, 0b000],
+        '/' => [0b001, 0b001, 0b010, 0b100, 0b100],
+        '%' => [0b101, 0b001, 0b010, 0b100, 0b101],
+        '(' => [0b001, 0b010, 0b010, 0b010, 0b001],
+        ')' => [0b100, 0b010, 0b010, 0b010, 0b100],
         _ => [0; ROWS as usize],
     }
 }
@@ -58,7 +70,7 @@ mod tests {
     #[test]
     fn characters_are_told_apart() {
         let mut known = HashMap::new();
-        for character in ('0'..='9').chain('A'..='Z').chain(['#', ' ']) {
+        for character in ('0'..='9').chain('A'..='Z').chain("# .,:;-_+=/%()".chars()) {
             if let Some(other) = known.insert(rows(character), character) {
                 assert_eq!((other, character), ('0', 'O'), "these look the same");
             }

@@ -37,7 +37,7 @@ enum Shape {
     Area { at: [f64; 2], size: [f64; 2], colour: [u8; 3] },
     Line { from: [f64; 2], to: [f64; 2] },
     Dot { at: [f64; 2] },
-    Text { at: [f64; 2], text: String },
+    Text { at: [f64; 2], text: String, has_halo: bool },
 }
 
 struct Drawing {
@@ -64,7 +64,9 @@ pub fn svg(map: &PlanMap, show: Show) -> String {
                     .set("y", rounded(at[1]))
                     .set("width", rounded(size[0]))
                     .set("height", rounded(size[1]))
-                    .set("fill", format!("#{red:02x}{green:02x}{blue:02x}")),
+                    .set("fill", format!("#{red:02x}{green:02x}{blue:02x}"))
+                    // No seams between areas, as in the PNG.
+                    .set("shape-rendering", "crispEdges"),
             ),
             Shape::Line { from, to } => document.add(
                 Line::new()
@@ -82,8 +84,13 @@ pub fn svg(map: &PlanMap, show: Show) -> String {
                     .set("fill", "white")
                     .set("stroke", "black"),
             ),
-            Shape::Text { at, text } => {
-                document.add(Text::new(text).set("x", rounded(at[0])).set("y", rounded(at[1])))
+            Shape::Text { at, text, has_halo } => {
+                let text = Text::new(text).set("x", rounded(at[0])).set("y", rounded(at[1]));
+                document.add(if has_halo {
+                    text.set("stroke", "white").set("stroke-width", 3).set("paint-order", "stroke")
+                } else {
+                    text
+                })
             }
         };
     }
@@ -128,10 +135,17 @@ fn paint(pixmap: &mut PixmapMut<'_>, shape: &Shape) {
             let ends = [0, 1].map(|axis| (at[axis] + size[axis]).round() as f32);
             fill(Rect::from_ltrb(left, top, ends[0], ends[1]), &ink(*colour, false));
         }
-        Shape::Text { at, text } => {
+        Shape::Text { at, text, has_halo } => {
             let dot = 0.2 * LETTER_PX;
+            let advance = (glyph::COLUMNS + 1) as f64 * dot;
+            if *has_halo {
+                let [x, y] = [at[0] - dot, at[1] - LETTER_PX - dot].map(|edge| edge as f32);
+                let wide = (text.chars().count() as f64 * advance + dot) as f32;
+                let high = (LETTER_PX + 2.0 * dot) as f32;
+                fill(Rect::from_xywh(x, y, wide, high), &ink([255; 3], false));
+            }
             for (place, character) in text.chars().enumerate() {
-                let left = at[0] + place as f64 * (glyph::COLUMNS + 1) as f64 * dot;
+                let left = at[0] + place as f64 * advance;
                 for (row, bits) in glyph::rows(character).into_iter().enumerate() {
                     for column in 0..glyph::COLUMNS {
                         if bits >> (glyph::COLUMNS - 1 - column) & 1 == 1 {
@@ -193,7 +207,7 @@ impl Drawing {
     }
 
     fn add_text(&mut self, at: [f64; 2], text: impl Into<String>) {
-        self.shapes.push(Shape::Text { at, text: text.into() });
+        self.shapes.push(Shape::Text { at, text: text.into(), has_halo: false });
     }
 
     fn add_spots(&mut self, map: &PlanMap, show: Show, colours: &Scale, extent: [f64; 2]) {
@@ -247,7 +261,7 @@ impl Drawing {
         let [x, y] = place([high[0], low[1]]);
         self.add_text([x - 20.0, y + 40.0], "x, m");
         let [x, y] = place([low[0], high[1]]);
-        self.add_text([x - 60.0, y - 6.0], "y, m");
+        self.add_text([x - 60.0, y - 18.0], "y, m");
     }
 
     fn add_cameras(&mut self, map: &PlanMap, place: &impl Fn([f64; 2]) -> [f64; 2]) {
@@ -258,7 +272,8 @@ impl Drawing {
             if is_inside {
                 let at = place([x, y]);
                 self.shapes.push(Shape::Dot { at });
-                self.add_text([at[0] + 8.0, at[1] + 4.0], station.name.clone());
+                let at = [at[0] + 8.0, at[1] + 4.0];
+                self.shapes.push(Shape::Text { at, text: station.name.clone(), has_halo: true });
             }
         }
     }
