@@ -52,22 +52,27 @@ const DPI: f64 = 300.0;
 pub async fn file(State(_): State<Arc<Api>>, uri: Uri) -> Result<Response, ApiError> {
     let mut parameters = Parameters::of(&uri)?;
     let format = parameters.take("format")?.unwrap_or_else(|| "pdf".to_owned());
-    let sheet = parameters.take_parsed::<usize>("sheet", "a page's number from 1")?.unwrap_or(1);
+    let sheet = parameters.take_parsed::<usize>("sheet", "a page's number from 1")?;
     let page = read(&mut parameters, "page", |text| {
         PageSize::parse(text).map_err(|error| error.to_string())
     })?;
     let copies = parameters.take_parsed::<usize>("copies", "how many of each, from 1")?;
-    let dpi = parameters.take_parsed::<f64>("dpi", "dots an inch")?.unwrap_or(DPI);
-    let order = order(&mut parameters)?.copies(counted(copies)?);
+    let dpi = parameters.take_parsed::<f64>("dpi", "dots an inch")?;
+    let order = order(&mut parameters, copies)?;
     parameters.finish()?;
+    alone("sheet", sheet, "it with `format` svg or png alone", matches!(&*format, "svg" | "png"))?;
+    alone("dpi", dpi, "it with `format` png alone", format == "png")?;
+    let (sheet, dpi) = (sheet.unwrap_or(1), dpi.unwrap_or(DPI));
     let work = move || -> Result<Response, ApiError> {
         let a4 = PageSize { width_mm: 210.0, height_mm: 297.0 };
         let pages = order
             .pages(page.unwrap_or(a4))
             .map_err(|error| ApiError::Invalid { field: "query", message: error.to_string() })?;
         if pages.len() > MAX_PAGES {
-            let found = format!("{} pages", pages.len());
-            return Err(ApiError::invalid("ids", format!("at most {MAX_PAGES} pages"), found));
+            let expected = format!(
+                "at most {MAX_PAGES} pages: fewer `ids` or `copies` at a time, or a larger `page`"
+            );
+            return Err(ApiError::invalid("query", expected, format!("{} pages", pages.len())));
         }
         match format.as_str() {
             "pdf" => Ok(sent("application/pdf", "roundels.pdf", print::pdf(&pages, "Roundels"))),
@@ -111,7 +116,7 @@ fn counted(copies: Option<usize>) -> Result<usize, ApiError> {
 /// Every code of a kind, with its Hamming distances.
 #[utoipa::path(
     get, path = "/api/v1/codes", tag = "print",
-    params(("code" = String, Query, description = "BITS[:DISTANCE]", example = "8:2")),
+    params(("code" = Option<String>, Query, description = "BITS[:DISTANCE] [8:2]", example = "8:2")),
     responses(
         (status = 200, description = "the codes by number", body = Vec<Listed>),
         (status = 400, description = "names the wrong parameter", body = ErrorBody),
@@ -129,7 +134,7 @@ pub async fn codes(State(_): State<Arc<Api>>, uri: Uri) -> Result<Json<Vec<Liste
         .map_err(|error| ApiError::Invalid { field: "code", message: error.to_string() })
 }
 
-fn order(parameters: &mut Parameters) -> Result<Order, ApiError> {
+fn order(parameters: &mut Parameters, copies: Option<usize>) -> Result<Order, ApiError> {
     let marker = read(parameters, "marker", spec::diameters)?;
     let code = read(parameters, "code", spec::code)?;
     let numbers = read(parameters, "ids", spec::numbers)?;
@@ -140,16 +145,36 @@ fn order(parameters: &mut Parameters) -> Result<Order, ApiError> {
         move |error: print::OrderError| ApiError::Invalid { field, message: error.to_string() }
     };
     if let Some(sides) = board {
+        const NO_BOARD: &str = "nothing: a board is one of its kind";
+        alone("ids", numbers.as_ref().map(|_| "some"), NO_BOARD, false)?;
+        alone("polarity", polarity.map(|_| "one"), NO_BOARD, false)?;
+        alone("copies", copies, NO_BOARD, false)?;
         let layout = code.unwrap_or(BOARD_LAYOUT);
         return Order::board(sides, marker, pitch_mm, layout)
             .map(Order::Board)
             .map_err(wrong("board"));
     }
+    alone("pitch", pitch_mm, "it with `board` alone", false)?;
     if marker.is_none() {
         return Err(ApiError::invalid("marker", "OUTER_MM[:INNER_MM], or a board", "neither"));
     }
     let print = Print { diameters: marker, code, polarity: polarity.unwrap_or_default().into() };
-    Order::roundels(&print, numbers.as_ref()).map(Order::Roundels).map_err(wrong("marker"))
+    Order::roundels(&print, numbers.as_ref())
+        .map_err(wrong("marker"))
+        .and_then(|items| Ok(Order::Roundels(items).copies(counted(copies)?)))
+}
+
+/// Refuses a parameter that is there and would change nothing.
+fn alone<T: std::fmt::Display>(
+    name: &'static str,
+    found: Option<T>,
+    expected: &str,
+    counts: bool,
+) -> Result<(), ApiError> {
+    match found {
+        Some(found) if !counts => Err(ApiError::invalid(name, expected, found)),
+        _ => Ok(()),
+    }
 }
 
 /// A parameter that `reader` understands; what it says is wrong is told with the parameter's name.

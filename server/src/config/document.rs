@@ -52,6 +52,8 @@ pub(super) struct Purpose<'a> {
     pub(super) is_node: bool,
     /// Lenses in place of those in files.
     pub(super) lenses: Option<&'a Lenses>,
+    /// For what is carried alone: cameras are not read.
+    pub(super) is_without_cameras: bool,
 }
 
 pub(super) fn parse(
@@ -84,7 +86,7 @@ fn root(
     document: &Spanned<DeTable<'_>>,
     (text, folder): (&str, &Path),
     problems: &Problems<'_>,
-    Purpose { is_node, lenses }: Purpose<'_>,
+    Purpose { is_node, lenses, is_without_cameras }: Purpose<'_>,
 ) -> Option<Config> {
     // What concerns the whole file points to its first line.
     let root = Table::new("", 0..0, document.get_ref(), &ROOT_KEYS, problems);
@@ -98,7 +100,8 @@ fn root(
     let mode = mode(&root);
     let known =
         Known { kinds: &kinds, references: &references, objects: &objects, lenses, is_node };
-    let cameras = cameras(&root, folder, &known, mode);
+    let cameras =
+        if is_without_cameras { Vec::new() } else { cameras(&root, folder, &known, mode) };
     let fusion = fusion(&root);
     let limits = limits(&root);
     Some(Config {

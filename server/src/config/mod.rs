@@ -245,21 +245,26 @@ impl Config {
     ///
     /// Errors name every problem with its line, and the remedy.
     pub fn load(path: &Path) -> Result<Self, ConfigError> {
-        Self::load_as(path, false)
+        Self::load_as(path, Purpose::default())
     }
 
     /// The same of a node, whose cameras need no poses whether it says `[node]` or not.
     pub fn load_node(path: &Path) -> Result<Self, ConfigError> {
-        Self::load_as(path, true)
+        Self::load_as(path, Purpose { is_node: true, ..Purpose::default() })
     }
 
-    fn load_as(path: &Path, is_node: bool) -> Result<Self, ConfigError> {
+    /// The same without its cameras, for what is printed before their lenses and places are known.
+    pub fn load_without_cameras(path: &Path) -> Result<Self, ConfigError> {
+        Self::load_as(path, Purpose { is_without_cameras: true, ..Purpose::default() })
+    }
+
+    fn load_as(path: &Path, purpose: Purpose<'_>) -> Result<Self, ConfigError> {
         let text = read(path).map_err(|(message, help)| ConfigError {
             path: path.to_owned(),
             problems: vec![Problem { message, help: Some(help.to_owned()), place: None }],
         })?;
         let folder = path.parent().unwrap_or(Path::new(""));
-        let mut config = document::parse(&text, folder, Purpose { is_node, lenses: None })
+        let mut config = document::parse(&text, folder, purpose)
             .map_err(|problems| ConfigError { path: path.to_owned(), problems })?;
         config.keep_in(ConfigFile::new(Some(path.to_owned()), text));
         Ok(config)
@@ -281,7 +286,7 @@ impl Config {
 
     /// The same of a recording, whose cameras had these lenses; camera files are not read.
     pub fn parse_recorded(text: &str, lenses: &Lenses) -> Result<Self, Vec<Problem>> {
-        document::parse(text, Path::new(""), Purpose { is_node: false, lenses: Some(lenses) })
+        document::parse(text, Path::new(""), Purpose { lenses: Some(lenses), ..Purpose::default() })
     }
 }
 

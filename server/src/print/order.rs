@@ -2,7 +2,7 @@
 
 use roundel_core::{
     calib::board::{Board, BoardError},
-    marker::{CodeError, CodeLayout, Kind, Pattern, Polarity, RATIO_LIMITS},
+    marker::{AXIS_RATIO_LIMIT, CodeError, CodeLayout, Kind, Pattern, Polarity, RATIO_LIMITS},
 };
 use thiserror::Error;
 
@@ -36,6 +36,15 @@ pub enum OrderError {
         RATIO_LIMITS.0, RATIO_LIMITS.1
     )]
     Ratio {
+        /// As asked for.
+        found: f64,
+    },
+    /// Nearly a circle.
+    #[error(
+        "expected the disc's shorter diameter to be at most {AXIS_RATIO_LIMIT} of its longer one, found {found:.3}: \
+         of a rounder disc nobody could tell how it is turned; leave it out for a round one"
+    )]
+    Axes {
         /// As asked for.
         found: f64,
     },
@@ -96,6 +105,10 @@ impl Order {
                 return Err(OrderError::Ratio { found });
             }
         }
+        let roundness = minor_m.map_or(0.0, |minor_m| minor_m / kind.inner_diameter_m);
+        if roundness > AXIS_RATIO_LIMIT {
+            return Err(OrderError::Axes { found: roundness });
+        }
         of_kind(&kind, numbers)
     }
 
@@ -154,6 +167,9 @@ pub fn configured(kind: &Kind) -> Vec<String> {
             lines.push(format!("inner_minor_mm = {}", millimetres(minor_diameter_m * 1e3)));
         }
         Pattern::Coded(CodeLayout { bits, min_distance }) => {
+            if !has_usual_ratio(kind) {
+                lines.push(format!("inner_mm = {}", millimetres(inner)));
+            }
             lines.push(format!("code = {{ bits = {bits}, min_distance = {min_distance} }}"));
         }
     }
@@ -161,4 +177,39 @@ pub fn configured(kind: &Kind) -> Vec<String> {
         lines.push("polarity = \"white_ring\"".to_owned());
     }
     lines
+}
+
+/// Whether the inner diameter follows from the outer one, as it does of coded prints unless they were asked for otherwise.
+pub(super) fn has_usual_ratio(kind: &Kind) -> bool {
+    (kind.ratio() - CodeLayout::RATIO).abs() < 1e-6
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::print::spec::{code, diameters};
+
+    fn printed(marker: &str, layout: Option<&str>) -> Result<Vec<Item>, OrderError> {
+        let code = layout.map(|layout| code(layout).unwrap());
+        let diameters = Some(diameters(marker).unwrap());
+        let polarity = Polarity::BlackRing;
+        Order::roundels(&Print { diameters, code, polarity }, None)
+    }
+
+    #[test]
+    fn the_lines_to_configure_say_what_was_printed() {
+        let lines =
+            |marker, layout| configured(&printed(marker, layout).unwrap()[0].kind).join("; ");
+        assert!(!lines("160", Some("8:2")).contains("inner_mm"));
+        assert!(!lines("160:96", Some("8:2")).contains("inner_mm"));
+        assert!(lines("160:64", Some("8:2")).contains("inner_mm = 64; code = { bits = 8"));
+        assert!(lines("160:64", None).contains("inner_mm = 64"));
+    }
+
+    #[test]
+    fn a_disc_that_is_nearly_round_is_not_printed_as_an_ellipse() {
+        assert!(printed("160:96:86", None).is_ok());
+        let error = printed("160:96:95", None).unwrap_err().to_string();
+        assert!(error.contains("at most 0.9") && error.contains("found 0.990"), "{error}");
+    }
 }

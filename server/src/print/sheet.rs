@@ -318,10 +318,15 @@ fn footing(item: &Item) -> String {
         Pattern::Elliptical { minor_diameter_m } => {
             format!("outer {outer} mm, inner {inner} x {} mm", mm(minor_diameter_m))
         }
-        Pattern::Coded(layout) => format!(
-            "outer {outer} mm, code of {} bits at distance {}",
-            layout.bits, layout.min_distance
-        ),
+        Pattern::Coded(layout) => {
+            let CodeLayout { bits, min_distance } = layout;
+            let inner = if super::order::has_usual_ratio(kind) {
+                String::new()
+            } else {
+                format!(", inner {inner} mm")
+            };
+            format!("outer {outer} mm{inner}, code of {bits} bits at distance {min_distance}")
+        }
     };
     if kind.name.is_empty() { size } else { format!("{}: {size}", kind.name) }
 }

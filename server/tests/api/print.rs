@@ -50,6 +50,12 @@ async fn what_cannot_be_printed_names_the_parameter() {
         ("marker=160:64&format=png&dpi=5", "dpi: "),
         ("marker=160:64&colour=red", "query: expected one of"),
         ("marker=160:64&polarity=grey", "polarity: "),
+        ("board=7x5&copies=3", "copies: expected nothing: a board is one of its kind"),
+        ("board=7x5&ids=3", "ids: expected nothing"),
+        ("marker=160:64&pitch=200", "pitch: expected it with `board` alone"),
+        ("marker=160:64&dpi=300", "dpi: expected it with `format` png alone"),
+        ("marker=160:64&sheet=2", "sheet: expected it with `format` svg or png alone"),
+        ("marker=160:64&copies=500", "query: expected at most 100 pages"),
         ("board=2x2", "board: expected a board of 3 to 40"),
         ("board=7x5&page=A5", "has room for"),
     ] {

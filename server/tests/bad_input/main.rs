@@ -1,7 +1,7 @@
 //! Broken, missing and mistyped input: each ends in an error that names file, line or field, and the
 //! remedy. The tables are what people get wrong: `configuration` in the file, `moving` of
 //! it what concerns cameras that ride, `command` on the command line, `lens` of
-//! what lenses are calibrated from, `plan` of what is planned.
+//! what lenses are calibrated from, `plan` of what is planned, `print` of what is printed.
 
 use std::{fs, path::Path};
 
@@ -13,6 +13,7 @@ mod configuration;
 mod lens;
 mod moving;
 mod plan;
+mod print;
 
 const EXAMPLE: &str = include_str!("../../../deploy/roundel.example.toml");
 

@@ -24,7 +24,9 @@ pub(super) fn order(arguments: &PrintArgs) -> anyhow::Result<Order> {
     }
     let numbers = arguments.ids.as_ref();
     let items = match (&arguments.config, arguments.marker) {
-        (Some(file), _) => of_config(&Config::load(file)?, arguments.kind.as_deref(), numbers)?,
+        (Some(file), _) => {
+            of_config(&Config::load_without_cameras(file)?, arguments.kind.as_deref(), numbers)?
+        }
         (None, Some(_)) => {
             let polarity = arguments.polarity.unwrap_or_default().into();
             let (diameters, code) = (arguments.marker, arguments.code);
@@ -35,7 +37,7 @@ pub(super) fn order(arguments: &PrintArgs) -> anyhow::Result<Order> {
              uses, or --board COLUMNSxROWS"
         ),
     };
-    Ok(Order::Roundels(items).copies(arguments.copies.into()))
+    Ok(Order::Roundels(items).copies(arguments.copies.unwrap_or(1).into()))
 }
 
 /// What was printed, in words; `prints`: outlines on all pages.
