@@ -130,7 +130,7 @@ impl Field {
             within(field, side, [1e-3, 1e4], "a side of 0.001 to 10000 m")?;
         }
         within("height", self.height_m, [-1e3, 1e3], "-1000 to 1000 m")?;
-        within("step", self.step_m, [1e-6, 1e4], "a distance above 0 m")?;
+        within("step", self.step_m, [1e-6, 1e4], "0.000001 to 10000 m")?;
         let counts = sides.map(|side| (side / self.step_m).round().max(1.0) + 1.0);
         let all = counts[0] * counts[1];
         within(

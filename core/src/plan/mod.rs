@@ -250,7 +250,8 @@ mod tests {
         let grid = fewest(&sensor(), None, &coded(8), &wish).unwrap();
         assert!(grid.mount_m < 3.2, "{}", grid.mount_m);
         let refused = fewest(&sensor(), None, &coded(12), &wish).unwrap_err().to_string();
-        assert!(refused.contains("is not found and its code read 3.00 m"), "{refused}");
+        assert!(refused.contains("is found and its code read from"), "{refused}");
+        assert!(refused.contains("hang 3.00 to 3.50 m above it"), "{refused}");
         let refused = smallest_m(&sensor(), None, &coded(8), (1e4, 0.0), None).unwrap_err();
         assert!(refused.to_string().contains("found and its code read at 10000 m"), "{refused}");
     }
@@ -386,8 +387,18 @@ mod tests {
         let twice = fewest(&sensor(), None, &kind(), &Wish { views: 2, ..wish }).unwrap();
         assert!(twice.stations.len() > 2 && twice.map.summary().twice_share >= 0.98);
         let refused = fewest(&sensor(), None, &scaled(&kind(), 0.008), &wish).unwrap_err();
-        assert!(refused.to_string().contains("not even straight below"), "{refused}");
+        assert!(refused.to_string().contains("hang 3.00 to 3.00 m above it"), "{refused}");
         let low = fewest(&sensor(), None, &kind(), &Wish { mount_m: [-1.0, 2.0], ..wish });
-        assert!(low.unwrap_err().to_string().starts_with("mount: expected above"));
+        assert!(low.unwrap_err().to_string().starts_with("mount: expected metres, 0.05"));
+        // Where the lowest mount is too near, a higher one does it.
+        let wide = Wish { mount_m: [0.1, 3.0], share: 0.6, ..wish };
+        assert!(fewest(&sensor(), None, &kind(), &wide).unwrap().mount_m > 1.0);
+        // An arena that all cameras together are too few for.
+        let field = Field { low_m: [-400.0; 2], high_m: [400.0; 2], ..wish.field };
+        let refused = fewest(&sensor(), None, &kind(), &Wish { field, ..wish }).unwrap_err();
+        assert!(
+            refused.to_string().contains("64 times the 6 m² that one sees from 3 m"),
+            "{refused}"
+        );
     }
 }

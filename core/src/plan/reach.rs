@@ -54,7 +54,9 @@ pub struct Unread {
 pub fn reach(sensor: &Sensor, kind: &Kind, tilt_rad: f64) -> Result<Reach, PlanError> {
     sensor.check(kind)?;
     let most_tilt_deg = Params::default().min_axis_ratio.acos().to_degrees();
-    within("tilt", tilt_rad.to_degrees(), [0.0, most_tilt_deg], "0 to 75 degrees")?;
+    // As whoever said it in degrees knows it.
+    let tilt_deg = (tilt_rad.to_degrees() * 1e9).round() * 1e-9;
+    within("tilt", tilt_deg, [0.0, most_tilt_deg], "0 to 75 degrees")?;
     let middle = middle(sensor);
     let needed_px = least_needed_px(sensor, kind, tilt_rad);
     let farthest =
@@ -63,7 +65,7 @@ pub fn reach(sensor: &Sensor, kind: &Kind, tilt_rad: f64) -> Result<Reach, PlanE
         outer_mm: kind.outer_diameter_m * 1e3,
         tilt_deg: tilt_rad.to_degrees(),
         wanted: wanted(kind),
-        most_px: sensor.camera.width().min(sensor.camera.height()) as f64,
+        most_px: sensor.camera.width().min(sensor.camera.height()) as f64 - 2.0 * EDGE_PX,
         least_px: needed_px,
     })?;
     let whole = |distance_m: f64| {

@@ -11,7 +11,7 @@ use super::{
     PlanError, Sensor,
     map::{Field, Map, Station, Summary, map},
     precision::{LensDoubt, expect},
-    reach::before,
+    reach::{before, reach},
     sight::wanted,
     within,
 };
@@ -142,14 +142,23 @@ pub fn fewest(
 ) -> Result<Grid, PlanError> {
     sensor.check(kind)?;
     let field = wish.check()?;
-    let below_m = wish.mount_m[0] - field.height_m;
-    let straight = before(NormalizedPoint::default(), below_m, 0.0);
-    if !expect(sensor, doubt, kind, &straight).is_some_and(|expected| expected.is_read) {
+    let does = |mount_m: f64| {
+        let straight = before(NormalizedPoint::default(), mount_m - field.height_m, 0.0);
+        expect(sensor, doubt, kind, &straight).is_some_and(|expected| expected.is_read)
+    };
+    if !heights(wish.mount_m).any(does) {
+        let reach = reach(sensor, kind, 0.0)?;
+        let [nearest_m, farthest_m] = wish.mount_m.map(|mount_m| mount_m - field.height_m);
         return Err(PlanError::Unreachable(format!(
-            "a roundel of {:.0} mm is not {} {below_m:.2} m before this camera, not even straight below the lowest \
-             mount; take larger roundels, another height, or more pixels",
+            "a roundel of {:.0} mm is {} from {:.2} to {:.2} m before this camera, and cameras at {} to {} m hang \
+             {nearest_m:.2} to {farthest_m:.2} m above it: take other heights, another size of roundels, or another \
+             camera",
             kind.outer_diameter_m * 1e3,
-            wanted(kind)
+            wanted(kind),
+            reach.least_m,
+            reach.most_m,
+            wish.mount_m[0],
+            wish.mount_m[1],
         )));
     }
     let mut best: Option<(f64, Grid)> = None;
@@ -171,7 +180,7 @@ pub fn fewest(
             return Ok(done);
         }
     }
-    Err(wish.missed(best))
+    Err(wish.missed(sensor, best))
 }
 
 /// The fewest cameras that do what is wished with roundels like this one of some diameter, and such a diameter, metres: the
@@ -235,14 +244,19 @@ pub fn fewest_of_any_size(
             return Ok(done);
         }
     }
-    Err(wish.missed(best))
+    Err(wish.missed(sensor, best))
 }
 
 impl Wish {
     /// The field with the spots that are judged.
     fn check(&self) -> Result<Field, PlanError> {
         let [low_m, high_m] = self.mount_m;
-        within("mount", low_m, [self.field.height_m + 0.05, 1e3], "above the roundels' height")?;
+        within(
+            "mount",
+            low_m,
+            [self.field.height_m + 0.05, 1e3],
+            "metres, 0.05 or more above the roundels",
+        )?;
         within("highest mount", high_m, [low_m, 1e3], "not below the lowest one")?;
         within("views", self.views as f64, [1.0, 16.0], "1 to 16 cameras")?;
         within("share", self.share, [0.01, 1.0], "0.01 to 1")?;
@@ -267,24 +281,42 @@ impl Wish {
         good.count() as f64 / map.spots.len() as f64
     }
 
-    fn missed(&self, best: Option<(f64, Grid)>) -> PlanError {
-        let tried = match best {
+    fn missed(&self, sensor: &Sensor, best: Option<(f64, Grid)>) -> PlanError {
+        let most = "take larger roundels, other heights, or more pixels";
+        let (tried, remedy) = match best {
             Some((share, grid)) if share > 0.0 => {
                 let Summary { median_m, .. } = grid.map.summary();
-                format!(
+                let told = format!(
                     "the best, {} x {} at {:.2} m, does it for {:.0} % (median {:.2} mm)",
                     grid.counts[0],
                     grid.counts[1],
                     grid.mount_m,
                     share * 100.0,
                     median_m * 1e3
+                );
+                (told, most)
+            }
+            Some(_) => ("none of them sees a spot well enough".to_owned(), most),
+            // Not one was worth a map.
+            None => {
+                let sides_m = [0, 1].map(|axis| self.field.high_m[axis] - self.field.low_m[axis]);
+                let each_m2 = seen_m2(sensor, self.mount_m[1] - self.field.height_m);
+                let told = format!(
+                    "{MOST_CAMERAS} times the {each_m2:.0} m² that one sees from {} m, {} on every place, are less \
+                     than its {:.0} m²",
+                    self.mount_m[1],
+                    self.views,
+                    sides_m[0] * sides_m[1]
+                );
+                (
+                    told,
+                    "hang them higher, take a wider lens, or plan parts of the arena by themselves",
                 )
             }
-            _ => "none of them sees a spot well enough".to_owned(),
         };
         PlanError::Unreachable(format!(
-            "no grid of up to {MOST_CAMERAS} such cameras at {} to {} m does it for {:.0} % of the arena: {tried}; take \
-             larger roundels, other heights, or more pixels",
+            "no grid of up to {MOST_CAMERAS} such cameras at {} to {} m does it for {:.0} % of the arena: {tried}; \
+             {remedy}",
             self.mount_m[0],
             self.mount_m[1],
             self.share * 100.0
@@ -299,18 +331,14 @@ fn tried<'a>(
     sensor: &'a Sensor,
     doubt: Option<&'a LensDoubt>,
 ) -> impl Iterator<Item = Grid> + 'a {
-    let [low_m, high_m] = wish.mount_m;
-    let heights = if high_m > low_m { HEIGHTS } else { 1 };
     let pairs = (1..=count).filter(move |columns| count.is_multiple_of(*columns));
     let grids = pairs.flat_map(move |columns| {
-        (0..2 * heights).map(move |number| {
-            let share = (number / 2) as f64 / (heights - 1).max(1) as f64;
-            let mount_m = high_m + share * (low_m - high_m);
-            ([columns, count / columns], mount_m, number % 2 == 1)
-        })
+        let counts = [columns, count / columns];
+        heights(wish.mount_m)
+            .flat_map(move |mount_m| [false, true].map(|is_turned| (counts, mount_m, is_turned)))
     });
     grids.filter_map(move |(counts, mount_m, is_turned)| {
-        if !could_cover(wish, sensor, counts, mount_m, is_turned) {
+        if !could_cover(wish, sensor, counts, mount_m) {
             return None;
         }
         let stations = hung(wish, sensor, doubt, (counts, mount_m, is_turned));
@@ -319,27 +347,28 @@ fn tried<'a>(
     })
 }
 
-/// Whether the pictures are wide enough together, by half again for what the lens adds at the corners.
-fn could_cover(
-    wish: &Wish,
-    sensor: &Sensor,
-    counts: [usize; 2],
-    mount_m: f64,
-    is_turned: bool,
-) -> bool {
+/// The heights that are tried, from the highest on.
+fn heights([low_m, high_m]: [f64; 2]) -> impl Iterator<Item = f64> {
+    let count = if high_m > low_m { HEIGHTS } else { 1 };
+    (0..count).map(move |number| {
+        let share = number as f64 / (count - 1).max(1) as f64;
+        high_m + share * (low_m - high_m)
+    })
+}
+
+/// What one camera sees from above, by its focal length, square metres.
+fn seen_m2(sensor: &Sensor, above_m: f64) -> f64 {
     let camera = sensor.camera.intrinsics();
-    let above_m = mount_m - wish.field.height_m;
-    let mut seen_m = [
-        camera.width as f64 / camera.fx_px * above_m,
-        camera.height as f64 / camera.fy_px * above_m,
-    ];
-    if is_turned {
-        seen_m.reverse();
-    }
-    let area_m2 = |sides: [f64; 2]| sides[0] * sides[1];
+    let [wide, high] = [camera.width as f64 / camera.fx_px, camera.height as f64 / camera.fy_px];
+    wide * high * above_m * above_m
+}
+
+/// Whether the pictures are wide enough together, by half again for what the lens adds at the corners.
+fn could_cover(wish: &Wish, sensor: &Sensor, counts: [usize; 2], mount_m: f64) -> bool {
     let arena_m = [0, 1].map(|axis| wish.field.high_m[axis] - wish.field.low_m[axis]);
-    let together = area_m2(seen_m) * (counts[0] * counts[1]) as f64 * 1.5;
-    together >= wish.share * wish.views as f64 * area_m2(arena_m)
+    let each_m2 = seen_m2(sensor, mount_m - wish.field.height_m);
+    let together_m2 = each_m2 * (counts[0] * counts[1]) as f64 * 1.5;
+    together_m2 >= wish.share * wish.views as f64 * arena_m[0] * arena_m[1]
 }
 
 /// Cameras over the middles of a grid's cells, looking straight down.

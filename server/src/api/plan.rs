@@ -34,6 +34,8 @@ use crate::{
 
 /// Most spots that are computed for a request.
 const MOST_SPOTS: usize = 20_000;
+/// Heights of roundels, metres.
+const HEIGHTS_M: std::ops::RangeInclusive<f64> = -1e3..=1e3;
 /// Roundels lie so high, if nobody says how high, metres.
 const HEIGHT_M: f64 = 0.3;
 
@@ -68,6 +70,10 @@ pub async fn show(State(api): State<Arc<Api>>, uri: Uri) -> Result<Response, Api
     };
     let kind = kind(&api, &mut parameters)?;
     let height_m = parameters.take_parsed("height", "metres")?.unwrap_or(HEIGHT_M);
+    if !HEIGHTS_M.contains(&height_m) {
+        let expected = format!("{} to {} metres", HEIGHTS_M.start(), HEIGHTS_M.end());
+        return Err(ApiError::invalid("height", expected, height_m));
+    }
     let corners = [corner(&mut parameters, "min")?, corner(&mut parameters, "max")?];
     let step_m = parameters.take_parsed::<f64>("step", "metres")?;
     parameters.finish()?;

@@ -29,34 +29,47 @@ use crate::{
     print::spec::{self, Diameters, PolarityWord, Print},
 };
 
+/// Heights of roundels, metres.
+const HEIGHTS_M: std::ops::RangeInclusive<f64> = -1e3..=1e3;
+/// Cameras hang so far above them at least, metres.
+const LEAST_ABOVE_M: f64 = 0.05;
+/// Precision that may be wanted, millimetres.
+const PRECISIONS_MM: std::ops::RangeInclusive<f64> = 1e-4..=1e6;
 /// Ratio of the diameters of a plain roundel, if nobody says another.
 const RATIO: f64 = 0.4;
 
 /// Foretell range, precision and time, and what it takes.
 #[derive(Debug, Args)]
-#[command(after_help = "Examples:\n  \
+#[command(
+    allow_negative_numbers = true,
+    after_help = "Examples:\n  \
     roundel plan --resolution 1280x720 --fov 80 --marker 160:64 --distance 5\n  \
     roundel plan --camera north.yaml --marker 160 --code 8:2 --distance 5 --tilt 30 --count 24\n  \
-    roundel plan --camera north.yaml --distance 8 --precision 2         which roundel is located to 2 mm at 8 m?\n  \
-    roundel plan --camera north.yaml --marker 160:64 --arena 10x8 --mount 3:5 --precision 1 --map grid.svg\n  \
-                                                                      how many cameras, and where?\n  \
-    roundel plan --camera north.yaml --arena 10x8 --mount 3:5 --precision 1     and which roundel?\n  \
-    roundel plan --config lab.toml --map lab.png                      what the installation sees\n  \
-    roundel plan --measure                                            how fast this machine is\n\n\
-    Precision is that of one frame (of one set of frames, over an arena): rms of the distance from the truth. Beside\n\
-    each figure stands what the model of the WhyCon paper says (section 5).")]
+    roundel plan --camera north.yaml --distance 8 --precision 2\n      \
+    which roundel is located to 2 mm at 8 m?\n  \
+    roundel plan --camera north.yaml --marker 160:64 --arena 10x8 --mount 3:5 --map grid.svg\n      \
+    how many cameras see it all, and where?\n  \
+    roundel plan --camera north.yaml --arena 10x8 --mount 3:5 --precision 1\n      \
+    the same, to 1 mm, and with which roundel?\n  \
+    roundel plan --config lab.toml --map lab.png\n      \
+    what does the installation see?\n  \
+    roundel plan --measure\n      \
+    how fast is this machine?\n\n\
+    Precision is that of one frame (of one set of frames, over an arena): rms of the distance from the truth. Beside \
+    each figure of one camera stands what the model of the WhyCon paper says (section 5)."
+)]
 pub struct PlanArgs {
     /// ROS camera_info YAML of the camera
     #[arg(long, value_name = "FILE", conflicts_with_all = ["resolution", "fov", "config"])]
     camera: Option<PathBuf>,
     /// Columns and rows of the camera's picture, instead of a camera file
-    #[arg(long, value_name = "WIDTHxHEIGHT", value_parser = spec::sides, requires = "fov")]
+    #[arg(long, value_name = "WIDTHxHEIGHT", value_parser = spec::sides, requires = "fov", allow_hyphen_values = true)]
     resolution: Option<(usize, usize)>,
     /// Its horizontal field of view, degrees
     #[arg(long, value_name = "DEGREES", requires = "resolution")]
     fov: Option<f64>,
     /// Diameters in millimetres [default: 160; with --precision it is searched for]
-    #[arg(long, value_name = "OUTER_MM[:INNER_MM[:MINOR_MM]]", value_parser = spec::diameters)]
+    #[arg(long, value_name = "OUTER_MM[:INNER_MM[:MINOR_MM]]", value_parser = spec::diameters, allow_hyphen_values = true)]
     marker: Option<Diameters>,
     /// Codes: bits, and the least Hamming distance
     #[arg(long, value_name = "BITS[:DISTANCE]", value_parser = spec::code)]
@@ -67,7 +80,7 @@ pub struct PlanArgs {
     /// What is worth more [default: precise; with --config: as configured]
     #[arg(long, value_enum)]
     mode: Option<ModeWord>,
-    /// Distance along the optical axis, metres [default: half of the farthest]
+    /// Distance along the optical axis, metres [default: midway from the nearest to the farthest]
     #[arg(long, value_name = "M")]
     distance: Option<f64>,
     /// Tilt of the roundel against the picture, degrees [default: 0]
@@ -101,19 +114,19 @@ pub struct PlanArgs {
     #[arg(long, value_name = "MM")]
     precision: Option<f64>,
     /// How many such cameras, looking straight down, cover an arena of these sides, metres?
-    #[arg(long, value_name = "WIDTHxDEPTH", value_parser = sides_m, conflicts_with = "config")]
+    #[arg(long, value_name = "WIDTHxDEPTH", value_parser = sides_m, conflicts_with = "config", allow_hyphen_values = true)]
     arena: Option<[f64; 2]>,
     /// Height of the roundels in the arena, metres [default: 0.3]
     #[arg(long, value_name = "M")]
     height: Option<f64>,
     /// With --arena: the height that cameras hang at, or LOWEST:HIGHEST, metres
-    #[arg(long, value_name = "M[:M]", value_parser = heights_m, requires = "arena")]
+    #[arg(long, value_name = "M[:M]", value_parser = heights_m, requires = "arena", conflicts_with = "config", allow_hyphen_values = true)]
     mount: Option<[f64; 2]>,
     /// With --arena: cameras that have to see every place
-    #[arg(long, default_value_t = 1, requires = "arena")]
+    #[arg(long, default_value_t = 1, requires = "arena", conflicts_with = "config")]
     views: usize,
     /// With --arena: share of it in which all this has to hold
-    #[arg(long, default_value_t = 0.98, requires = "arena")]
+    #[arg(long, default_value_t = 0.98, requires = "arena", conflicts_with = "config")]
     share: f64,
     /// The cameras of this installation
     #[arg(long, value_name = "FILE")]
@@ -165,6 +178,7 @@ pub(super) fn run(arguments: &PlanArgs) -> anyhow::Result<ExitCode> {
     for line in ignored::told(arguments) {
         eprintln!("{line}");
     }
+    arguments.check()?;
     if arguments.measure {
         measure::run(arguments)?;
     } else if let Some(config) = &arguments.config {
@@ -182,6 +196,37 @@ pub(super) fn run(arguments: &PlanArgs) -> anyhow::Result<ExitCode> {
 }
 
 impl PlanArgs {
+    /// What can be told before anything is searched for, in the words and units of the options.
+    fn check(&self) -> anyhow::Result<()> {
+        if let Some(path) = &self.map {
+            map_ending(path)?;
+        }
+        let height = self.height();
+        if !HEIGHTS_M.contains(&height) {
+            let (least, most) = (HEIGHTS_M.start(), HEIGHTS_M.end());
+            bail!("--height: expected {least} to {most} m, found {height}");
+        }
+        match self.mount {
+            Some([low, _]) if self.arena.is_some() && low < height + LEAST_ABOVE_M => bail!(
+                "--mount: expected cameras that hang {LEAST_ABOVE_M} m or more above the roundels, which are {height} m \
+                 high (--height), found {low} m"
+            ),
+            _ => {}
+        }
+        match self.precision {
+            Some(precision) if !PRECISIONS_MM.contains(&precision) => {
+                let (least, most) = (PRECISIONS_MM.start(), PRECISIONS_MM.end());
+                bail!("--precision: expected {least} to {most} mm, found {precision}")
+            }
+            _ => Ok(()),
+        }
+    }
+
+    /// The wanted rms, metres.
+    fn most_m(&self) -> Option<f64> {
+        self.precision.map(|precision| precision * 1e-3)
+    }
+
     fn imaging(&self) -> Imaging {
         let Self { noise, blur, black, white, .. } = *self;
         Imaging { noise, blur_px: blur, black, white }
@@ -248,17 +293,35 @@ impl PlanArgs {
     /// Writes the map, if that is wanted.
     fn write_map(&self, map: &PlanMap) -> anyhow::Result<()> {
         let Some(path) = &self.map else { return Ok(()) };
-        let ending = path.extension().unwrap_or_default().to_string_lossy().to_lowercase();
         let failed = || format!("cannot write {}", path.display());
-        let bytes = match ending.as_str() {
-            "svg" => picture::svg(map, self.show.unwrap_or_default()).into_bytes(),
-            "png" => picture::png(map, self.show.unwrap_or_default()).with_context(failed)?,
-            "json" => serde_json::to_vec_pretty(map).with_context(failed)?,
-            _ => bail!("{}: expected a name that ends in .svg, .png or .json", path.display()),
+        let bytes = match map_ending(path)? {
+            MapEnding::Svg => picture::svg(map, self.show.unwrap_or_default()).into_bytes(),
+            MapEnding::Png => {
+                picture::png(map, self.show.unwrap_or_default()).with_context(failed)?
+            }
+            MapEnding::Json => serde_json::to_vec_pretty(map).with_context(failed)?,
         };
         std::fs::write(path, bytes).with_context(failed)?;
         eprintln!("wrote {}", path.display());
         Ok(())
+    }
+}
+
+/// What a map is written as.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+enum MapEnding {
+    Svg,
+    Png,
+    Json,
+}
+
+fn map_ending(path: &Path) -> anyhow::Result<MapEnding> {
+    let ending = path.extension().unwrap_or_default().to_string_lossy().to_lowercase();
+    match ending.as_str() {
+        "svg" => Ok(MapEnding::Svg),
+        "png" => Ok(MapEnding::Png),
+        "json" => Ok(MapEnding::Json),
+        _ => bail!("--map {}: expected a name that ends in .svg, .png or .json", path.display()),
     }
 }
 

@@ -108,9 +108,10 @@ async fn what_cannot_be_mapped_says_why() {
         ("min=1,1&max=0,0", "arena along x: expected a side"),
         ("step=0.001", "spots of the map: expected at most 1000000"),
         ("step=0.02", "step: expected so long a step"),
-        ("step=0", "step: expected a distance above 0"),
+        ("step=0", "step: expected 0.000001 to 10000 m, found 0"),
         ("height=high", "height: expected metres"),
         ("height=9", "height: no camera looks down"),
+        ("height=NaN", "height: expected -1000 to 1000 metres, found NaN"),
         ("colour=red", "query: expected one of"),
     ] {
         let answer = rig.get(&format!("/api/v1/plan?{query}")).await;

@@ -42,6 +42,8 @@ fn what_cannot_be_planned_is_named() {
         (vec!["--config", text], 1, "text.toml:1"),
         (vec!["--config", lab, "--code", "8:2"], 1, "--code: expected --marker beside it"),
         (vec!["--config", "/no/such.toml"], 1, "cannot read the configuration"),
+        (vec!["--config", lab, "--views", "2"], 2, "cannot be used with '--views <VIEWS>'"),
+        (vec!["--config", lab, "--mount", "2"], 2, "cannot be used with '--mount <M[:M]>'"),
     ] {
         let output = plan(&arguments);
         assert_eq!(output.status.code(), Some(code), "{arguments:?}: {}", stderr(&output));
@@ -72,17 +74,27 @@ fn what_is_wrong_about_a_pinhole_and_its_roundel_is_named() {
         (vec!["--rate", "inf"], 1, "--rate: expected 0.01 to 100000 frames a second, found inf"),
         (vec!["--speed", "900", "--rate", "0.1"], 1, "farther than the picture is wide"),
         (vec!["--precision", "1"], 1, "say --distance M"),
-        (vec!["--precision", "0.00001", "--distance", "5"], 1, "precision: expected 0.0000001"),
+        (vec!["--precision", "0.00001", "--distance", "5"], 1, "--precision: expected 0.0001"),
         (vec!["--precision", "0.001", "--distance", "5"], 1, "the best of this camera is"),
         (vec!["--arena", "10"], 2, "expected WIDTHxDEPTH in metres"),
         (vec!["--arena", "4x3"], 1, "how high can the cameras hang?"),
         (vec!["--arena", "4x3", "--mount", "5:3"], 2, "LOWEST:HIGHEST"),
-        (vec!["--arena", "4x3", "--mount", "0.1"], 1, "mount: expected above"),
-        (vec!["--arena", "4x3", "--mount", "50"], 1, "not even straight below"),
+        (vec!["--arena", "4x3", "--mount", "0.1"], 1, "which are 0.3 m high (--height)"),
+        (vec!["--arena", "4x3", "--mount", "-1"], 1, "--mount: expected cameras that hang"),
+        (vec!["--arena", "800x800", "--mount", "4"], 1, "or plan parts of the arena"),
+        (
+            vec!["--arena", "4x3", "--mount", "4", "--map", "a.gif"],
+            1,
+            "--map a.gif: expected a name",
+        ),
+        (vec!["--height", "NaN"], 1, "--height: expected -1000 to 1000 m, found NaN"),
+        (vec!["--distance", "-1"], 1, "--distance: expected metres above 0, found -1"),
+        (vec!["--marker", "-5:2"], 2, "expected a diameter above 0 mm"),
+        (vec!["--arena", "4x3", "--mount", "50"], 1, "hang 49.70 to 49.70 m above it"),
         (
             vec!["--arena", "4x3", "--mount", "4", "--code", "8:2"],
             1,
-            "found and its code read 3.70 m",
+            "is found and its code read from",
         ),
         (vec!["--machine", "/no/machine.toml"], 1, "`roundel plan --measure` writes such a file"),
     ] {

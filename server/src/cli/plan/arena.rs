@@ -101,7 +101,7 @@ pub(super) fn fewest(arguments: &PlanArgs, arena_m: [f64; 2]) -> anyhow::Result<
         height_m: arguments.height(),
         step_m,
     };
-    let most_m = arguments.precision.map(|mm| mm * 1e-3);
+    let most_m = arguments.most_m();
     let wish = Wish { field, mount_m, views: arguments.views, share: arguments.share, most_m };
     let (kind, size, grid) = match (arguments.marker, most_m) {
         (None, Some(_)) => {
@@ -249,6 +249,14 @@ fn table(arguments: &PlanArgs, Plan { kind, size, map, grid, times }: &Plan) -> 
         millimetres(median_m),
         millimetres(p95_m)
     ));
+    if map.summary.seen_share == 0.0 {
+        lines.push(
+            "No spot there is seen well enough, so that there is nothing to tell of times."
+                .to_owned(),
+        );
+        lines.push(String::new());
+        return lines.join("\n");
+    }
     let Times { longest_s, longest, together_s, machine } = times;
     lines.push(format!(
         "a frame with {} of them straight below: at most {:.3} ms (camera {longest}); all cameras at {} Hz keep {:.2} of a core busy",

@@ -1,6 +1,6 @@
 //! `roundel plan --measure`: what this machine takes for a frame.
 
-use std::io::Write as _;
+use std::{fs, io::Write as _, path::Path};
 
 use anyhow::Context;
 use indicatif::{ProgressBar, ProgressStyle};
@@ -18,6 +18,8 @@ pub(super) fn run(arguments: &PlanArgs) -> anyhow::Result<()> {
     let path = arguments.machine.clone().or_else(usual).context(
         "where to keep it? There is neither HOME nor XDG_CONFIG_HOME: say --machine FILE",
     )?;
+    make_room(&path).with_context(|| format!("--machine {} cannot be written", path.display()))?;
+    eprintln!("Measuring for about a minute: let nothing else run meanwhile.");
     let style = ProgressStyle::with_template("measuring {bar:30} {pos}/{len} {eta}")
         .context("a template of our own")?;
     let bar = ProgressBar::new(0).with_style(style);
@@ -34,6 +36,18 @@ pub(super) fn run(arguments: &PlanArgs) -> anyhow::Result<()> {
     std::io::stdout().write_all(text.as_bytes()).context("cannot write to the standard output")?;
     eprintln!("wrote {}", path.display());
     Ok(())
+}
+
+/// Whether the times can be kept there, before a minute is spent on them; makes the folder that they are kept in.
+fn make_room(path: &Path) -> std::io::Result<()> {
+    if path.exists() {
+        return fs::File::options().append(true).open(path).map(drop);
+    }
+    if let Some(folder) = path.parent().filter(|folder| !folder.as_os_str().is_empty()) {
+        fs::create_dir_all(folder)?;
+    }
+    fs::File::options().write(true).create_new(true).open(path)?;
+    fs::remove_file(path)
 }
 
 fn report(machine: &Machine, measured: &[Measured]) -> serde_json::Value {

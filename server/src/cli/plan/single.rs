@@ -6,7 +6,7 @@ use std::io::Write as _;
 use anyhow::{Context, bail};
 use roundel_core::{
     camera::{Intrinsics, Lens, NormalizedPoint},
-    marker::Kind,
+    marker::{Kind, Mode},
     plan::{
         Sensor, paper,
         precision::{Expected, LensDoubt, expect},
@@ -57,7 +57,7 @@ fn told(arguments: &PlanArgs) -> anyhow::Result<Told> {
         let Some(distance_m) = arguments.distance else {
             bail!("which roundel is located so exactly depends on how far it is: say --distance M");
         };
-        let most_m = arguments.precision.map(|mm| mm * 1e-3);
+        let most_m = arguments.most_m();
         let at = (distance_m, tilt_rad);
         kind = scaled(&kind, smallest_m(&sensor, doubt.as_ref(), &kind, at, most_m)?);
     }
@@ -145,13 +145,16 @@ impl Told {
         let [wide, high] = optics::fields_deg(camera).map(field);
         let mut lines = vec![
             format!(
-                "camera     {}, {} x {} px, {wide} x {high}, noise {} levels, blur {} px, {:?} mode",
+                "camera     {}, {} x {} px, {wide} x {high}, noise {} levels, blur {} px, {} mode",
                 self.name,
                 camera.width(),
                 camera.height(),
                 sensor.imaging.noise,
                 sensor.imaging.blur_px,
-                sensor.mode
+                match sensor.mode {
+                    Mode::Precise => "precise",
+                    Mode::Fast => "fast",
+                }
             ),
             format!(
                 "roundel    {}{}, tilted by {}°",
