@@ -42,7 +42,7 @@ pub enum BoardError {
     /// Neighbours touch.
     #[error(
         "expected a pitch (from centre to centre) of at least {} of the outer diameter, {least_mm:.2} mm, \
-         found {found_mm} mm",
+         found {found_mm:.2} mm",
         Board::LEAST_PITCH
     )]
     Pitch {

@@ -118,7 +118,11 @@ impl Gathered {
     pub fn told(&self) -> String {
         let Self { frames, without_board, too_little, moving, alike, others, .. } = self;
         let taken = self.chooser.taken().len();
-        let mut text = format!("{frames} pictures, {taken} views taken");
+        let counted = |count: usize, one: &str| match count {
+            1 => format!("1 {one}"),
+            _ => format!("{count} {one}s"),
+        };
+        let mut text = format!("{}, {} taken", counted(*frames, "picture"), counted(taken, "view"));
         for (count, why) in [
             (without_board, "without the board"),
             (too_little, "with less than half of it"),

@@ -32,6 +32,7 @@ mod start;
 mod target;
 pub mod view;
 mod weighing;
+mod width;
 
 use std::fmt;
 
@@ -141,6 +142,22 @@ pub enum LensCalibrationError {
         /// As it looks; there may be more beyond the pictures.
         found_rows: usize,
     },
+    /// The print's roundels are wider or narrower, beside their pitch, than is said.
+    #[error(
+        "the roundels look {found_outer_mm:.1} mm wide, not {outer_mm:.1}, if they are {pitch_mm:.1} mm from one to the \
+         next (or those {found_pitch_mm:.1} mm apart if {outer_mm:.1} mm wide): measure both on the print, and say them \
+         (`--marker`, `--pitch`)"
+    )]
+    OtherWidth {
+        /// Diameter, as described.
+        outer_mm: f64,
+        /// From centre to centre, as described.
+        pitch_mm: f64,
+        /// Diameter as it looks, beside the pitch.
+        found_outer_mm: f64,
+        /// From centre to centre as it looks, beside the diameter.
+        found_pitch_mm: f64,
+    },
     /// The picture has no such size.
     #[error("expected pictures of 16 to 16384 pixels a side, found {width} x {height}")]
     Size {
@@ -212,7 +229,9 @@ pub fn calibrate(
             pitch_mm: target.pitch_m() * 1e3,
         }
     })?;
-    Ok(outcome.told(&blurred, &started))
+    let found = outcome.told(&blurred, &started);
+    width::check(target, views, &found)?;
+    Ok(found)
 }
 
 #[cfg(test)]
@@ -274,7 +293,8 @@ mod tests {
             let mut sightings = Vec::new();
             for number in 1..=(target.columns() * target.rows()) as u16 {
                 let Some(center) = target.at(number) else { continue };
-                let at = pose * Point3::new(center.x, center.y, 0.0);
+                let at_board = Point3::new(center.x, center.y, 0.0);
+                let at = pose * at_board;
                 let Ok(pixel) = camera.project(&at.coords) else { continue };
                 let offset = target.rim_m().map(|it| rim::offset_px(camera, &pose, &center, it));
                 let Ok((u, v)) = offset.unwrap_or(Ok((0.0, 0.0))) else { continue };
@@ -286,6 +306,9 @@ mod tests {
                         u: pixel.u + u + noise.sample(rng),
                         v: pixel.v + v + noise.sample(rng),
                     };
+                    let radius_px = target.rim_m().map_or(radius_px, |rim_m| {
+                        width::radius_px(camera, &pose, at_board, rim_m).unwrap_or(radius_px)
+                    });
                     sightings.push(Sighting { number, center, radius_px });
                 }
             }
@@ -394,6 +417,23 @@ mod tests {
             error.contains("too much alike") && error.contains("nearer to the camera"),
             "{error}"
         );
+    }
+
+    #[test]
+    fn a_board_with_another_pitch_than_is_said_is_told() {
+        let truth = camera(Lens::PlumbBob([-0.1, 0.02, 0.0, 0.0, 0.0]));
+        let mut rng = ChaCha8Rng::seed_from_u64(6);
+        let views = views(&truth, 12, 0.7, &mut rng);
+        let layout = CodeLayout { bits: 9, min_distance: 1 };
+        let said = |pitch_m: f64| Target::from(Board::new((7, 5), pitch_m, 0.03, layout).unwrap());
+        // What a ruler may be off by is none.
+        assert!(calibrate(&said(0.0365), SIZE, &views, None).is_ok());
+        for pitch_m in [0.06, 0.0385] {
+            let error = calibrate(&said(pitch_m), SIZE, &views, None).unwrap_err().to_string();
+            assert!(error.contains("(or those 36.0 mm apart"), "{error}");
+            let found_mm = format!("look {:.1} mm wide, not 30.0", 30.0 * pitch_m / 0.036);
+            assert!(error.contains(&found_mm), "{error}");
+        }
     }
 
     #[test]

@@ -39,19 +39,21 @@ use crate::{
 #[derive(Debug, Args)]
 #[command(after_help = "Examples:\n  \
     roundel print --board 7x5 board.pdf\n  \
-    roundel calibrate lens --output north.yaml v4l2:/dev/video0       move the board before the camera\n  \
+    roundel calibrate lens --output north.yaml v4l2:/dev/video0\n      \
+    move the board before the camera\n  \
     roundel calibrate lens --output north.yaml --size 1920x1080 v4l2:/dev/video0\n  \
     roundel calibrate lens --output north.yaml http://10.0.0.2:81/stream\n  \
-    roundel calibrate lens --output north.yaml views/                 a folder, or files\n  \
+    roundel calibrate lens --output north.yaml views/\n      \
+    a folder, or files\n  \
     roundel calibrate lens --output north.yaml --board chessboard:9x6:25 views/\n  \
     roundel calibrate lens --output north.yaml --board charuco:10x7:25:18:DICT_4X4_50 views/\n  \
     roundel calibrate lens --output north.yaml --from-recording run.mcap --camera north\n\n\
-    Good views are chosen by themselves: the board held still for a moment, near and far, in the middle and in\n\
-    every corner, tilted to each side by 20° to 45°. Fix the print to something flat. It ends when nothing is\n\
-    missing, after --views views, or with Ctrl-C, which takes what there is.\n\n\
-    From a recording that a server has made (`roundel record`), without a board: where the other cameras had the\n\
-    coded roundels of moving robots is held against where this one saw them. The arena must be calibrated, and\n\
-    the camera must stand still; its own file and pose are not asked.")]
+    Good views are chosen by themselves: the board held still for a moment, near and far, in the middle and in every \
+    corner, tilted to each side by 20° to 45°. Fix the print to something flat. It ends when nothing is missing, after \
+    --views views, or with Ctrl-C, which takes what there is.\n\n\
+    From a recording that a server has made (`roundel record`), without a board: where the other cameras had the coded \
+    roundels of moving robots is held against where this one saw them. The arena must be calibrated, and the camera must \
+    stand still; its own file and pose are not asked.")]
 pub(super) struct LensArgs {
     /// A source as in a configuration (images:, http:, v4l2:, rtsp:, file:, …), a folder, or image files
     #[arg(required_unless_present = "from_recording", value_name = "SOURCE")]
@@ -65,17 +67,17 @@ pub(super) struct LensArgs {
     )]
     from_recording: Option<PathBuf>,
     /// The camera of the recording whose lens is wanted
-    #[arg(long, value_name = "NAME", requires = "from_recording")]
+    #[arg(long, value_name = "NAME", requires = "from_recording", conflicts_with = "sources")]
     camera: Option<String>,
     /// The printed board: columns and rows of roundels; or chessboard:COLUMNSxROWS:SQUARE_MM by its inner corners, or
     /// charuco:COLUMNSxROWS:SQUARE_MM:MARKER_MM:DICTIONARY by its squares
     #[arg(long, value_name = "COLUMNSxROWS", value_parser = board_word, default_value = "7x5")]
     board: BoardWord,
     /// Its roundels' outer diameter, millimetres, as measured on the print [default: 30]
-    #[arg(long, value_name = "OUTER_MM", value_parser = spec::diameters)]
+    #[arg(long, value_name = "OUTER_MM", value_parser = spec::diameters, allow_hyphen_values = true)]
     marker: Option<Diameters>,
     /// From centre to centre, millimetres, as measured on the print [default: 1.2 of the outer diameter]
-    #[arg(long, value_name = "MM")]
+    #[arg(long, value_name = "MM", allow_negative_numbers = true)]
     pitch: Option<f64>,
     /// Its codes [default: 9]
     #[arg(long, value_name = "BITS[:DISTANCE]", value_parser = spec::code)]
