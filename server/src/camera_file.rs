@@ -234,7 +234,8 @@ fn lens(
     Ok((lens, line))
 }
 
-/// The text of a camera file that reads as this camera, every number exactly.
+/// The text of a camera file that reads as this camera, every number exactly. What is rectified by it keeps its focal
+/// lengths and its centre.
 pub fn write(name: &str, camera: &Camera) -> String {
     write_with_doubt(name, camera, None)
 }
@@ -251,7 +252,10 @@ pub fn write_with_doubt(name: &str, camera: &Camera, doubt: Option<&LensDoubt>) 
          camera_matrix:\n  rows: 3\n  cols: 3\n  \
          data: [{fx_px:?}, 0.0, {cx_px:?}, 0.0, {fy_px:?}, {cy_px:?}, 0.0, 0.0, 1.0]\n\
          distortion_model: {}\n\
-         distortion_coefficients:\n  rows: 1\n  cols: {}\n  data: {coefficients:?}\n",
+         distortion_coefficients:\n  rows: 1\n  cols: {}\n  data: {coefficients:?}\n\
+         rectification_matrix:\n  rows: 3\n  cols: 3\n  data: [1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0]\n\
+         projection_matrix:\n  rows: 3\n  cols: 4\n  \
+         data: [{fx_px:?}, 0.0, {cx_px:?}, 0.0, 0.0, {fy_px:?}, {cy_px:?}, 0.0, 0.0, 0.0, 1.0, 0.0]\n",
         lens.name(),
         coefficients.len(),
     );
@@ -313,6 +317,14 @@ binning_x: 0
             };
             let camera = Camera::new(intrinsics).unwrap();
             let text = write("a \"quoted\" name", &camera);
+            // ROS' own reader (camera_calibration_parsers) refuses a file without either.
+            assert!(text.contains("rectification_matrix:\n  rows: 3\n"), "{text}");
+            let p =
+                "[333.3333333333333, 0.0, 320.1, 0.0, 0.0, 333.25, 100.0, 0.0, 0.0, 0.0, 1.0, 0.0]";
+            assert!(
+                text.contains(&format!("projection_matrix:\n  rows: 3\n  cols: 4\n  data: {p}")),
+                "{text}"
+            );
             assert_eq!(
                 parse(&text).map_err(|wrong| wrong.message).unwrap(),
                 (camera.clone(), None)
