@@ -60,6 +60,8 @@ pub struct Witnessed {
     pub frames: u64,
     /// Of these, sightings of codes that no other camera saw.
     pub unwitnessed: usize,
+    /// What of the recording could not be read, in sentences.
+    pub damage: Vec<String>,
 }
 
 /// Why there is nothing to judge a camera by.
@@ -171,7 +173,8 @@ pub fn witness(
     if sightings == 0 {
         return Err(WitnessError::SawNothing { path, camera: name, frames, others });
     }
-    let witnessed = gathered.sorted(size, clock, config);
+    let mut witnessed = gathered.sorted(size, clock, config);
+    witnessed.damage = scene.script.reader().damage().sentences.clone();
     if witnessed.glimpses.is_empty() {
         return Err(WitnessError::Alone { path, camera: name, sightings });
     }
@@ -313,7 +316,8 @@ impl Gathered {
             [-slack_s, 0.0, slack_s].iter().any(|by_s| way.at(glimpse.stamp_s + by_s).is_some())
         };
         let glimpses: Vec<Glimpse> = glimpses.filter(is_witnessed).collect();
-        Witnessed { size, unwitnessed: all - glimpses.len(), ways, glimpses, clock, frames }
+        let unwitnessed = all - glimpses.len();
+        Witnessed { size, unwitnessed, ways, glimpses, clock, frames, damage: Vec::new() }
     }
 }
 

@@ -1,6 +1,6 @@
 //! A lens out of a recording: what one camera saw of robots, held against where the others had them.
 
-use std::{fmt::Write as _, path::Path, process::ExitCode};
+use std::{fmt::Write as _, path::Path, process::ExitCode, time::Duration};
 
 use anyhow::Context;
 use indicatif::{ProgressBar, ProgressStyle};
@@ -13,6 +13,9 @@ use super::{
 };
 use crate::replay::witness::{Witnessed, witness};
 
+/// The spinner turns so often while all is solved together.
+const TICK: Duration = Duration::from_millis(200);
+
 /// Solves, writes the file, and prints the report.
 pub(super) fn run(arguments: &LensArgs, file: &Path, camera: &str) -> anyhow::Result<ExitCode> {
     let bar = ProgressBar::new_spinner();
@@ -21,11 +24,17 @@ pub(super) fn run(arguments: &LensArgs, file: &Path, camera: &str) -> anyhow::Re
         bar.set_message(format!("fusing what the others saw: {seconds:.1} s"));
         bar.tick();
     })?;
-    bar.finish_and_clear();
-    let Witnessed { size, ways, glimpses, clock, .. } = &witnessed;
+    let Witnessed { size, ways, glimpses, clock, damage, .. } = &witnessed;
+    for sentence in damage {
+        bar.suspend(|| eprintln!("{}: not whole: {sentence}", file.display()));
+    }
+    bar.set_message(format!("solving: {} sightings", glimpses.len()));
+    bar.enable_steady_tick(TICK);
     let seen = Seen { size: *size, ways, glimpses, clock: *clock };
-    let found = calibrate(&seen, arguments.model())
-        .with_context(|| format!("no lens was found: {}", told(camera, &witnessed)))?;
+    let found = calibrate(&seen, arguments.model());
+    bar.finish_and_clear();
+    let found =
+        found.with_context(|| format!("no lens was found: {}", told(camera, &witnessed)))?;
     let text = match arguments.format() {
         Format::Json => format!("{}\n", report(&found, &witnessed)),
         Format::Table => table(&found, &told(camera, &witnessed))?,

@@ -5,7 +5,7 @@ use std::{
     sync::Arc,
     sync::atomic::{AtomicBool, Ordering},
     thread,
-    time::Duration,
+    time::{Duration, Instant},
 };
 
 use anyhow::{Context, bail};
@@ -21,6 +21,9 @@ use crate::{
 
 /// Asked of a camera that lets one choose, where nobody says a size.
 const USUAL_SIZE: (usize, usize) = (1280, 720);
+
+/// Where no spinner turns, so often a line says how far it is.
+const LOGGED: Duration = Duration::from_secs(10);
 
 /// What is looked for.
 pub(super) struct Views<'a> {
@@ -159,13 +162,19 @@ fn of_stream(source: &str, address: &SourceAddress, views: &Views<'_>) -> anyhow
     bar.set_style(ProgressStyle::with_template("{spinner} {msg}")?);
     bar.enable_steady_tick(Duration::from_millis(200));
     let mut search = Search::new(views.sought, true)?;
+    let mut logged = Instant::now();
     loop {
         let mut opener = SourceOpener::new(address.clone(), size, clock, playback, stop.clone());
         let outcome = opener.open().and_then(|mut stream| {
             loop {
                 let lent = stream.next_frame()?;
                 match look(&mut search, &lent.frame, views) {
-                    Ok(false) => bar.set_message(message(&search)),
+                    Ok(false) if !bar.is_hidden() => bar.set_message(message(&search)),
+                    Ok(false) if logged.elapsed() >= LOGGED => {
+                        logged = Instant::now();
+                        eprintln!("{}", search.message());
+                    }
+                    Ok(false) => {}
                     Ok(true) => return Ok(()),
                     Err(error) => return Err(SourceError::Failed(error.to_string())),
                 }
@@ -180,7 +189,10 @@ fn of_stream(source: &str, address: &SourceAddress, views: &Views<'_>) -> anyhow
             Err(SourceError::Size { found, .. }) => bail!(other_size(source, size, found, views)),
             Ok(()) | Err(SourceError::Finished) => break,
             Err(SourceError::Stopped) if interrupted.load(Ordering::Relaxed) => break,
-            Err(error) => bail!("{source}: {error}"),
+            Err(error) => {
+                let why = error.to_string();
+                bail!(if why.starts_with(source) { why } else { format!("{source}: {why}") })
+            }
         }
     }
     bar.finish_and_clear();
