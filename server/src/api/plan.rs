@@ -88,7 +88,7 @@ pub async fn show(State(api): State<Arc<Api>>, uri: Uri) -> Result<Response, Api
             message: error.to_string(),
         };
         let map = map(&used(&cameras), &kind, field).map_err(wrong)?;
-        let map = PlanMap::of(&map, &kind.name, &cameras);
+        let map = PlanMap::of(&map, &kind, &cameras).map_err(wrong)?;
         match format.as_str() {
             "svg" => Ok(sent("image/svg+xml", picture::svg(&map, show).into_bytes())),
             "png" => picture::png(&map, show)

@@ -334,6 +334,7 @@ mod tests {
             stations: vec![PlanStation {
                 name: "north".into(),
                 position_m: Some([0.0, 0.2, 3.0]),
+                seen_share: Some(0.8),
                 reason: String::new(),
             }],
         }

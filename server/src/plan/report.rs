@@ -1,6 +1,12 @@
 //! A map as numbers.
 
-use roundel_core::plan::map::{Map, Spot, Station};
+use roundel_core::{
+    marker::Kind,
+    plan::{
+        PlanError,
+        map::{Field, Map, Spot, Station, map as map_of},
+    },
+};
 use serde::Serialize;
 use utoipa::ToSchema;
 
@@ -56,6 +62,8 @@ pub struct PlanStation {
     pub name: String,
     /// Where it stands, metres; null if it is left out.
     pub position_m: Option<[f64; 3]>,
+    /// Share of spots that it sees, and reads the code at, whatever the others do; null if it is left out.
+    pub seen_share: Option<f64>,
     /// Why it is left out; empty if it is not.
     pub reason: String,
 }
@@ -66,15 +74,16 @@ pub fn used(cameras: &[Named]) -> Vec<Station> {
 }
 
 impl PlanMap {
-    /// Of a map of these cameras.
-    pub fn of(map: &Map, roundel: &str, cameras: &[Named]) -> Self {
+    /// Of a map of these cameras for this kind of roundel.
+    pub fn of(map: &Map, kind: &Kind, cameras: &[Named]) -> Result<Self, PlanError> {
         let each = |value: fn(&roundel_core::plan::map::Deviation) -> f64| {
             map.spots.iter().map(|spot: &Spot| spot.deviation.as_ref().map(value)).collect()
         };
         let summary = map.summary();
         let finite = |value: f64| Some(value).filter(|value| value.is_finite());
-        Self {
-            roundel: roundel.to_owned(),
+        let stations = cameras.iter().map(|camera| PlanStation::of(camera, kind, map.field));
+        Ok(Self {
+            roundel: kind.name.clone(),
             height_m: map.field.height_m,
             min_m: map.field.low_m,
             max_m: map.field.high_m,
@@ -90,20 +99,24 @@ impl PlanMap {
                 median_m: finite(summary.median_m),
                 p95_m: finite(summary.p95_m),
             },
-            stations: cameras.iter().map(PlanStation::of).collect(),
-        }
+            stations: stations.collect::<Result<_, _>>()?,
+        })
     }
 }
 
 impl PlanStation {
-    fn of(camera: &Named) -> Self {
+    fn of(camera: &Named, kind: &Kind, field: Field) -> Result<Self, PlanError> {
         let name = camera.name.clone();
-        match &camera.station {
+        Ok(match &camera.station {
             Ok(station) => {
                 let position_m = station.place.world_from_camera.translation.vector.into();
-                Self { name, position_m: Some(position_m), reason: String::new() }
+                let alone = map_of(std::slice::from_ref(station.as_ref()), kind, field)?;
+                let seen_share = Some(alone.summary().seen_share);
+                Self { name, position_m: Some(position_m), seen_share, reason: String::new() }
             }
-            Err(reason) => Self { name, position_m: None, reason: reason.clone() },
-        }
+            Err(reason) => {
+                Self { name, position_m: None, seen_share: None, reason: reason.clone() }
+            }
+        })
     }
 }

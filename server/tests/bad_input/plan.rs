@@ -138,6 +138,8 @@ fn a_camera_is_planned_and_the_cameras_for_an_arena_are_found() {
     assert!(seen.status.success(), "{}", stderr(&seen));
     let text = String::from_utf8(seen.stdout).unwrap();
     assert!(text.contains("north") && text.contains("south        left out: its pose"), "{text}");
+    let north = text.lines().find(|line| line.contains("north")).unwrap();
+    assert!(north.ends_with("% of the map"), "{text}");
     assert!(fs::read(map).unwrap().starts_with(b"\x89PNG"));
     let unknown = plan(&["--config", lab, "--kind", "plate"]);
     assert!(stderr(&unknown).contains("no roundel \"plate\""), "{}", stderr(&unknown));

@@ -61,7 +61,7 @@ pub(super) fn configured(arguments: &PlanArgs, path: &Path) -> anyhow::Result<()
         format!("no camera looks down on the plane --height {} m", arguments.height())
     })?;
     let field = Field { step_m: arguments.step.unwrap_or(seen.step_m), ..seen };
-    let map = PlanMap::of(&map(&stations, &kind, field)?, &kind.name, &cameras);
+    let map = PlanMap::of(&map(&stations, &kind, field)?, &kind, &cameras)?;
     let times = times(arguments, &kind, &cameras)?;
     told(arguments, &Plan { kind, size: Size::Said, map, grid: None, times })
 }
@@ -122,7 +122,7 @@ pub(super) fn fewest(arguments: &PlanArgs, arena_m: [f64; 2]) -> anyhow::Result<
         })
         .collect();
     let fine: Map = map(&grid.stations, &kind, field)?;
-    let map = PlanMap::of(&fine, &kind.name, &cameras);
+    let map = PlanMap::of(&fine, &kind, &cameras)?;
     let times = times(arguments, &kind, &cameras)?;
     told(arguments, &Plan { kind, size, map, grid: Some(grid), times })
 }
@@ -221,15 +221,24 @@ fn table(arguments: &PlanArgs, Plan { kind, size, map, grid, times }: &Plan) -> 
     if let Some(grid) = grid {
         let [columns, rows] = grid.counts;
         lines.push(format!(
-            "{} cameras: {columns} along x, {rows} along y, {:.2} m high, straight down, the picture's top towards {}",
-            columns * rows,
+            "{}, {:.2} m high, straight down, the picture's top towards {}",
+            match columns * rows {
+                1 => "1 camera in the middle".to_owned(),
+                count => format!("{count} cameras: {columns} along x, {rows} along y"),
+            },
             grid.mount_m,
             if grid.is_turned { "-x" } else { "+y" }
         ));
     }
     for station in &map.stations {
         lines.push(match station.position_m {
-            Some([x, y, z]) => format!("  {:12} at {x:7.2} {y:7.2} {z:6.2} m", station.name),
+            Some([x, y, z]) => {
+                let share = match station.seen_share {
+                    Some(share) if share > 0.0 => format!("sees {:.1} % of the map", share * 100.0),
+                    _ => "sees nothing of the map".to_owned(),
+                };
+                format!("  {:12} at {x:7.2} {y:7.2} {z:6.2} m, {share}", station.name)
+            }
             None => format!("  {:12} left out: {}", station.name, station.reason),
         });
     }
