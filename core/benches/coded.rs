@@ -3,11 +3,13 @@
 //!
 //! Each camera's frames are gone through again and again; the first ones, in which all rings are searched, do not
 //! count. Told is a frame's time in detection and in its poses, least, median and 99th percentile, and how many rings it
-//! has, how many of them are read, and why others are not found where they are expected. For counts of instructions there
+//! has, how many of them are read, and why others are not found where they are expected. With `--threads N` the fits of a
+//! frame are shared among so many threads; `--pause MS` lets the machine sleep before each frame, as it does where
+//! cameras give them. For counts of instructions there
 //! is `--once`, which goes through the frames a single time: `valgrind --tool=callgrind` with it, then without frames
 //! (`--frames 0`), which is what drawing takes.
 
-use std::time::Instant;
+use std::time::{Duration, Instant};
 
 use roundel_core::{
     frame::Frame,
@@ -29,6 +31,15 @@ const ROUNDS: usize = 12;
 struct Film {
     frames: Vec<Vec<u8>>,
     camera: usize,
+}
+
+/// Which frames are gone through, and how.
+#[derive(Clone, Copy)]
+struct Way {
+    mode: Mode,
+    frames: usize,
+    /// Before each frame.
+    pause: Duration,
 }
 
 /// Of all frames that count.
@@ -59,7 +70,8 @@ fn film(scenario: &Scenario, camera: usize) -> Film {
     Film { frames: (0..FRAMES).map(frame).collect(), camera }
 }
 
-fn go_through(scenario: &Scenario, film: &Film, mode: Mode, frames: usize, tally: &mut Tally) {
+fn go_through(scenario: &Scenario, film: &Film, way: Way, tally: &mut Tally) {
+    let Way { mode, frames, pause } = way;
     let params = scenario.params();
     let (width, height) = (params.optics.width, params.optics.height);
     let detector = Detector::new(params.kinds.clone(), Params { mode, ..Params::default() });
@@ -71,6 +83,7 @@ fn go_through(scenario: &Scenario, film: &Film, mode: Mode, frames: usize, tally
     for (index, pixels) in film.frames[..frames].iter().enumerate() {
         let frame = Frame::new(pixels, width, height, width).expect("as many pixels as it says");
         let time = Timestamp::default().plus_seconds(index as f64 / RATE_HZ);
+        std::thread::sleep(pause);
         let begun = Instant::now();
         let rings = tracker.process(&frame);
         let detected = begun.elapsed();
@@ -95,6 +108,7 @@ fn told(mut times_us: Vec<f64>) -> String {
 
 fn main() {
     let (mut wanted, mut rounds, mut frames) = (None, ROUNDS, FRAMES);
+    let (mut threads, mut pause) = (1, Duration::ZERO);
     let mut arguments = std::env::args().skip(1);
     while let Some(argument) = arguments.next() {
         match argument.as_str() {
@@ -102,6 +116,14 @@ fn main() {
             "--frames" => {
                 let number = arguments.next().and_then(|number| number.parse().ok());
                 frames = number.filter(|&number| number <= FRAMES).expect("--frames 0 to 20");
+            }
+            "--threads" => {
+                let number = arguments.next().and_then(|number| number.parse().ok());
+                threads = number.expect("--threads takes a number");
+            }
+            "--pause" => {
+                let number = arguments.next().and_then(|number| number.parse().ok());
+                pause = Duration::from_millis(number.expect("--pause takes milliseconds"));
             }
             // Cargo's own.
             "--bench" => {}
@@ -116,10 +138,17 @@ fn main() {
             continue;
         }
         let mut tally = Tally::default();
-        for _ in 0..rounds {
-            for film in &films {
-                go_through(&scenario, film, mode, frames, &mut tally);
+        let way = Way { mode, frames, pause };
+        let mut go = || {
+            for film in (0..rounds).flat_map(|_| &films) {
+                go_through(&scenario, film, way, &mut tally);
             }
+        };
+        if threads > 1 {
+            let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build();
+            pool.expect("threads").install(go);
+        } else {
+            go();
         }
         let count = tally.detection_us.len();
         if count == 0 {

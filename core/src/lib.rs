@@ -8,6 +8,7 @@
 //! | --- | --- |
 //! | [`time`], [`id`], [`rigid`] | instants, names, rigid transforms with covariance |
 //! | `lanes` | numbers side by side, one case in each lane of a vector |
+//! | `share` | work on a frame's rings, shared among threads |
 //! | [`camera`] | lens models |
 //! | [`frame`] | a view of 8-bit grey pixels |
 //! | [`segment`] | windows, and moments of runs of pixels |
@@ -39,6 +40,7 @@ pub mod pose;
 pub mod rigid;
 mod room;
 pub mod segment;
+mod share;
 pub mod sim;
 pub mod time;
 pub mod track;

@@ -7,9 +7,9 @@
 use std::collections::BTreeMap;
 
 /// Modules of core from the bottom up: each may use only those before it.
-pub const CORE_ORDER: [&str; 14] = [
-    "time", "id", "rigid", "lanes", "room", "camera", "frame", "segment", "ellipse", "marker",
-    "pose", "track", "world", "sim",
+pub const CORE_ORDER: [&str; 15] = [
+    "time", "id", "rigid", "lanes", "share", "room", "camera", "frame", "segment", "ellipse",
+    "marker", "pose", "track", "world", "sim",
 ];
 
 /// Modules of core that stand beside the stack: they use it, and nothing uses them.

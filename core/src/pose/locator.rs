@@ -13,6 +13,9 @@
 //! ([`Locator::locate_all_at`]), so that what moves is located as it is at one instant (`shutter`); of all others
 //! they say nothing.
 //!
+//! On a thread of a [`rayon`] pool the fits of a frame are shared among all of its threads that are idle (`share`), with
+//! the same result.
+//!
 //! Memory of tracks is bounded without being told of their end (`recall`).
 
 use super::{
@@ -30,6 +33,7 @@ use crate::{
     frame::Frame,
     id::KindId,
     marker::{Kind, Mode, Ring, TrackedRing},
+    share::Shares,
     time::Timestamp,
 };
 
@@ -62,10 +66,20 @@ pub struct Locator {
     kinds: Vec<Kind>,
     mode: Mode,
     noise: RimNoise,
-    scratch: FitScratch,
+    shares: Shares<FitScratch>,
     memories: Recall<Memory>,
+    /// Rings of the newest frame that are followed.
+    following: Vec<Following>,
     /// If it is a rolling one.
     shutter: Option<Shutter>,
+}
+
+/// A ring on its way to what its mode makes of it.
+#[derive(Clone, Debug)]
+struct Following {
+    located: Result<Located, PoseError>,
+    /// What is to be kept of it.
+    memory: Option<Memory>,
 }
 
 /// From this confidence of a track's code on a frame that does not read it has the teeth of those before.
@@ -75,8 +89,8 @@ impl Locator {
     /// For rings of these kinds, in the order that [`KindId`] counts them.
     pub fn new(camera: Camera, kinds: Vec<Kind>, mode: Mode) -> Self {
         let noise = RimNoise::default();
-        let scratch = FitScratch::default();
-        Self { camera, kinds, mode, noise, scratch, memories: Recall::new(), shutter: None }
+        let (shares, memories) = (Shares::default(), Recall::new());
+        Self { camera, kinds, mode, noise, shares, memories, following: Vec::new(), shutter: None }
     }
 
     /// With a shutter that exposes each row so much later than the one above it; 0: all rows at once.
@@ -143,6 +157,7 @@ impl Locator {
     ) {
         located.clear();
         self.expose(frame, time, tracked);
+        self.following.clear();
         let skews = self.shutter.as_ref().map(Shutter::skews);
         let mut poses = [const { Err(PoseError::NoCircle) }; LANES];
         for (chunk, tracked) in tracked.chunks(LANES).enumerate() {
@@ -156,16 +171,13 @@ impl Locator {
                 Ok((kind_of(&self.kinds, ring.kind)?, ring))
             });
             locate_each(&self.camera, rings, &self.noise, &mut poses);
-            located.extend(tracked.iter().zip(&mut poses).map(|(one, pose)| {
+            self.following.extend(tracked.iter().zip(&mut poses).map(|(one, pose)| {
                 let pose = std::mem::replace(pose, Err(PoseError::NoCircle));
-                pose.map(|pose| Located::by_rims(&one.ring, pose))
+                Following::new(pose.map(|pose| Located::by_rims(&one.ring, pose)))
             }));
         }
-        for (index, (tracked, located)) in tracked.iter().zip(located).enumerate() {
-            if let Ok(located) = located {
-                self.follow(frame, tracked, index, located);
-            }
-        }
+        self.follow(frame, tracked);
+        located.extend(self.following.drain(..).map(|one| one.located));
     }
 
     /// The pose of a ring that a tracker follows, in the frame that it was found in.
@@ -175,9 +187,10 @@ impl Locator {
         let straight = self.skew(0).map(|skew| skew.ring(&tracked.ring));
         let ring = straight.as_ref().unwrap_or(&tracked.ring);
         let pose = locate(&self.camera, kind, ring, &self.noise)?;
-        let mut located = Located::by_rims(&tracked.ring, pose);
-        self.follow(frame, tracked, 0, &mut located);
-        Ok(located)
+        self.following.clear();
+        self.following.push(Following::new(Ok(Located::by_rims(&tracked.ring, pose))));
+        self.follow(frame, std::slice::from_ref(tracked));
+        self.following.pop().map_or(Err(PoseError::NoCircle), |one| one.located)
     }
 
     /// The pose of a ring of a picture that stands alone, of a kind that need not be one of this
@@ -191,7 +204,7 @@ impl Locator {
         let pose = locate(&self.camera, kind, ring, &self.noise)?;
         let mut located = Located::by_rims(ring, pose);
         let with = (&self.camera, kind, self.mode);
-        located.improve(with, frame, (None, None), &mut self.scratch);
+        located.improve(with, frame, (None, None), self.shares.own());
         Ok(located)
     }
 
@@ -207,26 +220,49 @@ impl Locator {
         self.shutter.as_ref().map(|shutter| shutter.skews()[index])
     }
 
-    /// From the straightened rims of a followed ring to what its mode makes of it.
-    fn follow(
-        &mut self,
-        frame: &Frame,
-        tracked: &TrackedRing,
-        index: usize,
-        located: &mut Located,
-    ) {
-        let Ok(kind) = kind_of(&self.kinds, tracked.ring.kind) else { return };
-        let skew = self.skew(index);
-        let with = (&self.camera, kind, self.mode);
-        let is_certain = tracked.code.is_some_and(|code| code.confidence >= CERTAIN);
-        self.memories.renew(tracked.track, |before| {
-            let before = if is_certain { before } else { before.map(Memory::without_teeth) };
-            let memory = located.improve(with, frame, (before, skew), &mut self.scratch);
-            if let Some(skew) = skew {
-                skew.widen(&mut located.pose, &self.camera, kind);
+    /// From the straightened rims of the frame's rings to what the mode makes of them.
+    fn follow(&mut self, frame: &Frame, tracked: &[TrackedRing]) {
+        let Self { camera, kinds, mode, shares, memories, following, shutter, .. } = self;
+        let skews = shutter.as_ref().map(Shutter::skews);
+        let (camera, kinds, mode) = (&*camera, &*kinds, *mode);
+        // Without a fit there is hardly anything to do.
+        let at_a_time = if mode == Mode::Precise { 1 } else { usize::MAX };
+        shares.work(
+            following,
+            at_a_time,
+            |_| {},
+            |scratch, first, following| {
+                for (place, one) in following.iter_mut().enumerate() {
+                    let tracked = &tracked[first + place];
+                    let (Ok(located), Ok(kind)) =
+                        (&mut one.located, kind_of(kinds, tracked.ring.kind))
+                    else {
+                        continue;
+                    };
+                    let skew = skews.map(|skews| skews[first + place]);
+                    let is_certain = tracked.code.is_some_and(|code| code.confidence >= CERTAIN);
+                    let before = memories.of(tracked.track).copied();
+                    let before =
+                        if is_certain { before } else { before.map(Memory::without_teeth) };
+                    one.memory =
+                        located.improve((camera, kind, mode), frame, (before, skew), scratch);
+                    if let Some(skew) = skew {
+                        skew.widen(&mut located.pose, camera, kind);
+                    }
+                }
+            },
+        );
+        for (tracked, one) in tracked.iter().zip(following) {
+            if one.located.is_ok() {
+                memories.renew(tracked.track, one.memory.take());
             }
-            memory
-        });
+        }
+    }
+}
+
+impl Following {
+    fn new(located: Result<Located, PoseError>) -> Self {
+        Self { located, memory: None }
     }
 }
 

@@ -24,23 +24,30 @@ struct Kept<T> {
     what: T,
 }
 
-impl<T: Copy> Recall<T> {
+impl<T> Recall<T> {
     /// With room for all that it may come to keep.
     pub fn new() -> Self {
         Self { kept: Vec::with_capacity(2 * REMEMBERED), calls: 0 }
     }
 
-    /// What is kept of a track becomes what `next` makes of it, if that is something.
-    pub fn renew(&mut self, track: TrackNumber, next: impl FnOnce(Option<T>) -> Option<T>) {
+    /// What is kept of a track.
+    pub fn of(&self, track: TrackNumber) -> Option<&T> {
+        self.place(track).ok().map(|index| &self.kept[index].what)
+    }
+
+    /// What is kept of a track becomes this, if it is something.
+    pub fn renew(&mut self, track: TrackNumber, next: Option<T>) {
         self.calls += 1;
-        let place = self.kept.binary_search_by_key(&track, |kept| kept.track);
-        let before = place.ok().map(|index| self.kept[index].what);
-        let Some(what) = next(before) else { return };
+        let Some(what) = next else { return };
         let kept = Kept { track, call: self.calls, what };
-        match place {
+        match self.place(track) {
             Ok(index) => self.kept[index] = kept,
             Err(index) => self.insert(index, kept),
         }
+    }
+
+    fn place(&self, track: TrackNumber) -> Result<usize, usize> {
+        self.kept.binary_search_by_key(&track, |kept| kept.track)
     }
 
     /// Forgets all of them.
@@ -69,22 +76,16 @@ mod tests {
         let most = 4 * REMEMBERED as u64;
         for number in 1..most {
             for track in [0, number] {
-                recall.renew(TrackNumber(track), |before| {
-                    assert_eq!(before, (track == 0 && number > 1).then(|| number - 1), "{track}");
-                    Some(number)
-                });
+                let before = (track == 0 && number > 1).then(|| number - 1);
+                assert_eq!(recall.of(TrackNumber(track)), before.as_ref(), "{track}");
+                recall.renew(TrackNumber(track), Some(number));
+                // Nothing new does not make it forgotten.
+                recall.renew(TrackNumber(track), None);
+                assert_eq!(recall.of(TrackNumber(track)), Some(&number));
             }
             assert!(recall.kept.len() < 2 * REMEMBERED);
         }
-        let mut of = |track| {
-            let mut found = None;
-            recall.renew(TrackNumber(track), |before| {
-                found = before;
-                None
-            });
-            found
-        };
-        assert_eq!(of(1), None);
-        assert_eq!(of(most - 1), Some(most - 1));
+        assert_eq!(recall.of(TrackNumber(1)), None);
+        assert_eq!(recall.of(TrackNumber(most - 1)), Some(&(most - 1)));
     }
 }

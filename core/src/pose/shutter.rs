@@ -165,13 +165,11 @@ impl Shutter {
             };
             let mut course = Course::begin(&seen);
             if time.is_some() {
-                self.courses.renew(*track, |before| {
-                    if let Some(before) = before {
-                        course = before;
-                        course.follow(&seen);
-                    }
-                    Some(course)
-                });
+                if let Some(before) = self.courses.of(*track) {
+                    course = *before;
+                    course.follow(&seen);
+                }
+                self.courses.renew(*track, Some(course));
             }
             let size = (outer.semi_major_px, 0.5 * diameter_m);
             self.skews.push(self.skew(&course, outer.center.v, size));

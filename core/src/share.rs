@@ -1,0 +1,132 @@
+//! Work on the rings of one frame, shared among the threads of the caller's pool.
+//!
+//! A caller on a thread of a [`rayon`] pool (`ThreadPool::install`) has its work shared with the others there that are
+//! idle; on any other thread all is done there. The results are the same. Memory is kept for each thread, so that
+//! nothing is allocated frame after frame.
+
+use std::sync::{Mutex, PoisonError};
+
+use rayon::prelude::*;
+
+/// Memory of each thread that may take part; what a panic has left is overwritten by who uses it next.
+#[derive(Debug)]
+pub(crate) struct Shares<S> {
+    each: Vec<Mutex<S>>,
+}
+
+impl<S> Default for Shares<S> {
+    fn default() -> Self {
+        Self { each: Vec::new() }
+    }
+}
+
+/// There is nothing to tell: memory of its own.
+impl<S> Clone for Shares<S> {
+    fn clone(&self) -> Self {
+        Self::default()
+    }
+}
+
+impl<S: Default + Send> Shares<S> {
+    /// Memory of the caller's thread.
+    pub fn own(&mut self) -> &mut S {
+        if self.each.is_empty() {
+            self.each.push(Mutex::default());
+        }
+        self.each[0].get_mut().unwrap_or_else(PoisonError::into_inner)
+    }
+
+    /// `work` on all items, so many of them at a time at most: with memory of the thread that it runs on, which `prepare`
+    /// has seen, and the first one's place among all.
+    pub fn work<T: Send>(
+        &mut self,
+        items: &mut [T],
+        at_a_time: usize,
+        prepare: impl Fn(&mut S),
+        work: impl Fn(&mut S, usize, &mut [T]) + Sync,
+    ) {
+        let at_a_time = at_a_time.max(1);
+        let is_alone = items.len() <= at_a_time || rayon::current_thread_index().is_none();
+        let threads = if is_alone { 1 } else { rayon::current_num_threads() };
+        if self.each.len() < threads {
+            self.each.resize_with(threads, Mutex::default);
+        }
+        self.each
+            .iter_mut()
+            .for_each(|one| prepare(one.get_mut().unwrap_or_else(PoisonError::into_inner)));
+        if threads == 1 {
+            let memory = self.each[0].get_mut().unwrap_or_else(PoisonError::into_inner);
+            for (number, items) in items.chunks_mut(at_a_time).enumerate() {
+                work(memory, number * at_a_time, items);
+            }
+            return;
+        }
+        let each = &self.each;
+        let pieces = items.par_chunks_mut(at_a_time).with_max_len(1).enumerate();
+        pieces.for_each(|(number, items)| {
+            // No other works on this thread until this returns.
+            let thread = rayon::current_thread_index().unwrap_or_default();
+            let mut memory = each[thread].lock().unwrap_or_else(PoisonError::into_inner);
+            work(&mut memory, number * at_a_time, items);
+        });
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use std::sync::atomic::{AtomicUsize, Ordering};
+
+    use super::*;
+
+    /// Each item becomes its place, and counts how often its thread's memory was used before.
+    fn places(shares: &mut Shares<usize>, count: usize, at_a_time: usize) -> Vec<usize> {
+        let mut items = vec![usize::MAX; count];
+        let most = AtomicUsize::new(0);
+        shares.work(
+            &mut items,
+            at_a_time,
+            |used| *used = 0,
+            |used, first, items| {
+                *used += items.len();
+                most.fetch_max(items.len(), Ordering::Relaxed);
+                items.iter_mut().enumerate().for_each(|(place, item)| *item = first + place);
+            },
+        );
+        assert!(most.into_inner() <= at_a_time);
+        let used: usize = shares.each.iter_mut().map(|used| *used.get_mut().unwrap()).sum();
+        assert_eq!(used, count);
+        items
+    }
+
+    #[test]
+    fn each_item_is_worked_on_once_in_a_pool_and_outside() {
+        let pool = rayon::ThreadPoolBuilder::new().num_threads(3).build().unwrap();
+        let mut shares = Shares::default();
+        for (count, at_a_time) in [(0, 1), (1, 1), (7, 2), (40, 3), (16, 8), (8, 8)] {
+            let expected: Vec<usize> = (0..count).collect();
+            assert_eq!(places(&mut shares, count, at_a_time), expected);
+            assert_eq!(pool.install(|| places(&mut shares, count, at_a_time)), expected);
+        }
+        assert_eq!(shares.each.len(), 3);
+    }
+
+    #[test]
+    fn two_threads_of_a_pool_work_at_once() {
+        let pool = rayon::ThreadPoolBuilder::new().num_threads(2).build().unwrap();
+        let (barrier, mut items) = (std::sync::Barrier::new(2), [0; 2]);
+        // Each waits for the other: one after the other they never got past it.
+        pool.install(|| {
+            let mut shares = Shares::<()>::default();
+            shares.work(
+                &mut items,
+                1,
+                |()| {},
+                |(), first, items| {
+                    barrier.wait();
+                    items[0] = first + 1;
+                },
+            );
+        });
+        assert_eq!(items, [1, 2]);
+    }
+}

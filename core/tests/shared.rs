@@ -1,0 +1,58 @@
+//! Rings that the threads of a pool share come out as those that one thread fits.
+
+mod drawing;
+
+use drawing::{Drawing, Roundel, ellipse, frame};
+use roundel_core::{
+    camera::{Camera, Intrinsics, Lens},
+    marker::{Detector, Kind, Mode, Params, Tracker},
+    pose::{Located, Locator, PoseError},
+};
+
+const SIDE: usize = 300;
+const FRAMES: u64 = 6;
+
+/// Nine roundels, moved by `shift` pixels.
+fn picture(shift: f64, seed: u64) -> Vec<u8> {
+    let mut drawing = Drawing::new(SIDE, SIDE, 90.0, 0.7);
+    for place in 0..9u32 {
+        let at = (
+            50.0 + 95.0 * f64::from(place % 3) + shift,
+            50.0 + 95.0 * f64::from(place / 3) - shift,
+        );
+        let outer = ellipse(at, (12.0 + f64::from(place), 11.0), 0.3);
+        let roundel = Roundel { outer, ratio: 0.5, margin: 1.4, black: 40.0, white: 200.0 };
+        drawing.add(&roundel, 90.0);
+    }
+    drawing.picture(2.0, seed)
+}
+
+/// All rings of some frames that follow one another.
+fn located() -> Vec<Result<Located, PoseError>> {
+    let kinds = vec![Kind::plain("robot", 0.16, 0.08)];
+    let lens = Lens::PlumbBob([0.0; 5]);
+    let (width, height) = (SIDE, SIDE);
+    let (cx_px, cy_px) = (149.5, 149.5);
+    let intrinsics = Intrinsics { width, height, fx_px: 500.0, fy_px: 500.0, cx_px, cy_px, lens };
+    let mut locator = Locator::new(Camera::new(intrinsics).unwrap(), kinds.clone(), Mode::Precise);
+    let mut tracker = Tracker::new(Detector::new(kinds, Params::default()).unwrap());
+    let (mut newest, mut all) = (Vec::new(), Vec::new());
+    for number in 0..FRAMES {
+        let picture = picture(number as f64, number);
+        let frame = frame(&picture, SIDE);
+        locator.locate_all(&frame, tracker.process(&frame), &mut newest);
+        all.append(&mut newest);
+    }
+    all
+}
+
+#[test]
+fn a_pool_locates_just_what_a_thread_does() {
+    let alone = located();
+    assert_eq!(alone.len(), 9 * FRAMES as usize);
+    assert!(alone.iter().flatten().filter(|one| one.by == Mode::Precise).count() >= 50);
+    for threads in [2, 3] {
+        let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().unwrap();
+        assert_eq!(pool.install(located), alone, "{threads} threads");
+    }
+}
