@@ -3,6 +3,7 @@
 //! | module | what it does |
 //! | --- | --- |
 //! | `supervisor` | runs the worker again after a failure, with growing pauses |
+//! | `helpers` | threads that fit a part of a frame's rings |
 //! | [`pipeline`] | pixels → detections with poses and times |
 //! | `remote` | what was seen elsewhere, and only passes through |
 //! | `place`, `placing` | where the camera stands, and what finds that where it is unknown |
@@ -14,6 +15,7 @@
 //! fusion has no room for is dropped and counted.
 
 pub mod adoption;
+mod helpers;
 pub mod meter;
 mod pace;
 pub mod pipeline;

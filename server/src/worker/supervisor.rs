@@ -9,7 +9,7 @@ use std::{
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 
-use super::{End, Totals, Worker};
+use super::{End, Totals, Worker, helpers::with_helpers};
 use crate::{
     hub::{CameraStatus, Happening},
     stop::Stop,
@@ -51,7 +51,12 @@ impl Pauses {
 
 /// Runs a worker until its source is finished or the signal comes; every failure, panics included,
 /// is shown as the camera's state and tried again. Gives what it has counted.
-pub fn run(mut worker: Worker, stop: &Stop) -> Totals {
+pub fn run(worker: Worker, stop: &Stop) -> Totals {
+    let name = worker.parts.name.clone();
+    with_helpers(&name, || keep_running(worker, stop))
+}
+
+fn keep_running(mut worker: Worker, stop: &Stop) -> Totals {
     let mut pauses = Pauses::new(u64::from(worker.parts.id.0));
     while !stop.is_stopped() {
         // A worker begins each play by putting its state in order, so a panic leaves nothing behind
