@@ -12,7 +12,7 @@
 
 use fearless_simd::{Level, Simd, SimdFrom, dispatch, f64x8};
 use fearless_simd_macros::simd;
-use nalgebra::Matrix6;
+use nalgebra::{Matrix6, Vector3};
 
 use super::{
     PoseError, RoundelPose,
@@ -117,6 +117,14 @@ fn fit_alone(carried: &Carried<f64>) -> Result<RoundelPose, PoseError> {
 fn fit_with<S: Simd>(simd: S, carried: &Carried<f64>) -> Result<RoundelPose, PoseError> {
     let _ = simd;
     fit(carried)
+}
+
+/// From where the likelier normal puts the centre to where the other one does, camera frame, metres.
+pub fn apart_m(camera: &Camera, found: &RingFound) -> Result<Vector3<f64>, PoseError> {
+    let carried = rim::carry(camera, &found.seen())?;
+    let Estimates { first, other, .. } = estimate(&carried.rims)?;
+    let apart = other.circle.position_m() - first.circle.position_m();
+    Ok((carried.local_from_camera.transpose() * apart).into())
 }
 
 /// From rims carried through the lens.

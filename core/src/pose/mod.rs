@@ -184,6 +184,20 @@ pub fn locate(
     }
 }
 
+/// From where the likelier of both normals puts the centre to where the other one does, camera frame, metres; nothing of
+/// an elliptical disc, whose heading tells them apart.
+pub(crate) fn apart_m(
+    camera: &Camera,
+    kind: &Kind,
+    ring: &Ring,
+    noise: &RimNoise,
+) -> Result<Vector3<f64>, PoseError> {
+    match found(kind, ring, noise)? {
+        Some(found) => closed::apart_m(camera, &found),
+        None => Ok(Vector3::zeros()),
+    }
+}
+
 /// As [`locate`], of up to [`closed::LANES`] rings of one camera at once, each in its place.
 fn locate_each<'a>(
     camera: &Camera,
