@@ -2,7 +2,7 @@
 
 mod drawing;
 
-use drawing::{Drawing, Roundel, ellipse, frame};
+use drawing::{Drawing, Roundel, SIDE, ellipse, frame};
 use roundel_core::{
     camera::{Camera, Intrinsics, Lens},
     marker::{
@@ -11,30 +11,15 @@ use roundel_core::{
     pose::{Located, Locator},
 };
 
-const SIDE: usize = 300;
-
-/// Nine roundels, moved by `shift` pixels, one of them missing in each third frame.
-fn picture(shift: f64, frame: u64) -> Vec<u8> {
-    let mut drawing = Drawing::new(SIDE, SIDE, 90.0, 0.7);
-    for place in 0..9u32 {
-        if u64::from(place) == frame % 3 * 4 {
-            continue;
-        }
-        let at = (
-            50.0 + 95.0 * f64::from(place % 3) + shift,
-            50.0 + 95.0 * f64::from(place / 3) - shift,
-        );
-        let outer = ellipse(at, (12.0 + f64::from(place), 11.0), 0.3);
-        let roundel = Roundel { outer, ratio: 0.5, margin: 1.4, black: 40.0, white: 200.0 };
-        drawing.add(&roundel, 90.0);
-    }
-    drawing.picture(2.0, frame)
+/// Nine roundels that move, one of them missing in each third frame.
+fn picture(frame: u32) -> Vec<u8> {
+    drawing::nine(f64::from(frame), Some(frame % 3 * 4), frame.into())
 }
 
 #[test]
 fn a_warm_detector_allocates_nothing() {
     let detector = Detector::new(Vec::new(), Params::default()).unwrap();
-    let pictures: Vec<Vec<u8>> = (0..6).map(|i| picture(i as f64, i)).collect();
+    let pictures: Vec<Vec<u8>> = (0..6).map(picture).collect();
     let mut scratch = Scratch::default();
     for picture in &pictures {
         assert_eq!(detector.detect(&frame(picture, SIDE), &mut scratch).len(), 8);
@@ -50,7 +35,7 @@ fn a_warm_detector_allocates_nothing() {
 #[test]
 fn a_warm_tracker_allocates_nothing() {
     let detector = Detector::new(Vec::new(), Params::default()).unwrap();
-    let pictures: Vec<Vec<u8>> = (0..12).map(|i| picture(i as f64, i)).collect();
+    let pictures: Vec<Vec<u8>> = (0..12).map(picture).collect();
     let mut tracker = Tracker::new(detector);
     for picture in &pictures {
         tracker.process(&frame(picture, SIDE));
@@ -146,7 +131,7 @@ fn camera() -> Camera {
 #[test]
 fn all_rings_of_a_frame_are_located_without_allocation() {
     let kinds = vec![Kind::plain("robot", 0.16, 0.08)];
-    let pictures: Vec<Vec<u8>> = (0..12).map(|i| picture(i as f64, i)).collect();
+    let pictures: Vec<Vec<u8>> = (0..12).map(picture).collect();
     for mode in [Mode::Fast, Mode::Precise] {
         let params = Params { mode, ..Params::default() };
         let mut locator = Locator::new(camera(), kinds.clone(), mode);

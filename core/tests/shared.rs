@@ -2,30 +2,14 @@
 
 mod drawing;
 
-use drawing::{Drawing, Roundel, ellipse, frame};
+use drawing::{SIDE, frame, nine};
 use roundel_core::{
     camera::{Camera, Intrinsics, Lens},
     marker::{Detector, Kind, Mode, Params, Tracker},
     pose::{Located, Locator, PoseError},
 };
 
-const SIDE: usize = 300;
 const FRAMES: u64 = 6;
-
-/// Nine roundels, moved by `shift` pixels.
-fn picture(shift: f64, seed: u64) -> Vec<u8> {
-    let mut drawing = Drawing::new(SIDE, SIDE, 90.0, 0.7);
-    for place in 0..9u32 {
-        let at = (
-            50.0 + 95.0 * f64::from(place % 3) + shift,
-            50.0 + 95.0 * f64::from(place / 3) - shift,
-        );
-        let outer = ellipse(at, (12.0 + f64::from(place), 11.0), 0.3);
-        let roundel = Roundel { outer, ratio: 0.5, margin: 1.4, black: 40.0, white: 200.0 };
-        drawing.add(&roundel, 90.0);
-    }
-    drawing.picture(2.0, seed)
-}
 
 /// All rings of some frames that follow one another.
 fn located() -> Vec<Result<Located, PoseError>> {
@@ -38,7 +22,7 @@ fn located() -> Vec<Result<Located, PoseError>> {
     let mut tracker = Tracker::new(Detector::new(kinds, Params::default()).unwrap());
     let (mut newest, mut all) = (Vec::new(), Vec::new());
     for number in 0..FRAMES {
-        let picture = picture(number as f64, number);
+        let picture = nine(number as f64, None, number);
         let frame = frame(&picture, SIDE);
         locator.locate_all(&frame, tracker.process(&frame), &mut newest);
         all.append(&mut newest);

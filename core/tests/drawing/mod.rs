@@ -177,6 +177,24 @@ impl Drawing {
     }
 }
 
+/// Sides of [`nine`], pixels.
+pub const SIDE: usize = 300;
+
+/// Nine roundels, moved by `shift` pixels, one of them `missing`.
+pub fn nine(shift: f64, missing: Option<u32>, seed: u64) -> Vec<u8> {
+    let mut drawing = Drawing::new(SIDE, SIDE, 90.0, 0.7);
+    for place in (0..9).filter(|&place| Some(place) != missing) {
+        let at = (
+            50.0 + 95.0 * f64::from(place % 3) + shift,
+            50.0 + 95.0 * f64::from(place / 3) - shift,
+        );
+        let outer = ellipse(at, (12.0 + f64::from(place), 11.0), 0.3);
+        let roundel = Roundel { outer, ratio: 0.5, margin: 1.4, black: 40.0, white: 200.0 };
+        drawing.add(&roundel, 90.0);
+    }
+    drawing.picture(2.0, seed)
+}
+
 /// A picture as a frame.
 pub fn frame(picture: &[u8], width: usize) -> Frame<'_> {
     Frame::new(picture, width, picture.len() / width, width).unwrap()
