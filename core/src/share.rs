@@ -36,13 +36,12 @@ impl<S: Default + Send> Shares<S> {
         self.each[0].get_mut().unwrap_or_else(PoisonError::into_inner)
     }
 
-    /// `work` on all items, so many of them at a time at most: with memory of the thread that it runs on, which `prepare`
-    /// has seen, and the first one's place among all.
+    /// `work` on all items, so many of them at a time at most: with memory of the thread that it runs on, and the first
+    /// one's place among all.
     pub fn work<T: Send>(
         &mut self,
         items: &mut [T],
         at_a_time: usize,
-        prepare: impl Fn(&mut S),
         work: impl Fn(&mut S, usize, &mut [T]) + Sync,
     ) {
         let at_a_time = at_a_time.max(1);
@@ -51,11 +50,8 @@ impl<S: Default + Send> Shares<S> {
         if self.each.len() < threads {
             self.each.resize_with(threads, Mutex::default);
         }
-        self.each
-            .iter_mut()
-            .for_each(|one| prepare(one.get_mut().unwrap_or_else(PoisonError::into_inner)));
         if threads == 1 {
-            let memory = self.each[0].get_mut().unwrap_or_else(PoisonError::into_inner);
+            let memory = self.own();
             for (number, items) in items.chunks_mut(at_a_time).enumerate() {
                 work(memory, number * at_a_time, items);
             }
@@ -78,23 +74,21 @@ mod tests {
 
     use super::*;
 
-    /// Each item becomes its place, and counts how often its thread's memory was used before.
+    /// Each item becomes its place, and its thread's memory counts it.
     fn places(shares: &mut Shares<usize>, count: usize, at_a_time: usize) -> Vec<usize> {
         let mut items = vec![usize::MAX; count];
         let most = AtomicUsize::new(0);
-        shares.work(
-            &mut items,
-            at_a_time,
-            |used| *used = 0,
-            |used, first, items| {
-                *used += items.len();
-                most.fetch_max(items.len(), Ordering::Relaxed);
-                items.iter_mut().enumerate().for_each(|(place, item)| *item = first + place);
-            },
-        );
+        let used = |shares: &mut Shares<usize>| -> usize {
+            shares.each.iter_mut().map(|used| *used.get_mut().unwrap()).sum()
+        };
+        let before = used(shares);
+        shares.work(&mut items, at_a_time, |used, first, items| {
+            *used += items.len();
+            most.fetch_max(items.len(), Ordering::Relaxed);
+            items.iter_mut().enumerate().for_each(|(place, item)| *item = first + place);
+        });
         assert!(most.into_inner() <= at_a_time);
-        let used: usize = shares.each.iter_mut().map(|used| *used.get_mut().unwrap()).sum();
-        assert_eq!(used, count);
+        assert_eq!(used(shares) - before, count);
         items
     }
 
@@ -117,15 +111,10 @@ mod tests {
         // Each waits for the other: one after the other they never got past it.
         pool.install(|| {
             let mut shares = Shares::<()>::default();
-            shares.work(
-                &mut items,
-                1,
-                |()| {},
-                |(), first, items| {
-                    barrier.wait();
-                    items[0] = first + 1;
-                },
-            );
+            shares.work(&mut items, 1, |(), first, items| {
+                barrier.wait();
+                items[0] = first + 1;
+            });
         });
         assert_eq!(items, [1, 2]);
     }

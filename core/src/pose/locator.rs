@@ -227,31 +227,23 @@ impl Locator {
         let (camera, kinds, mode) = (&*camera, &*kinds, *mode);
         // Without a fit there is hardly anything to do.
         let at_a_time = if mode == Mode::Precise { 1 } else { usize::MAX };
-        shares.work(
-            following,
-            at_a_time,
-            |_| {},
-            |scratch, first, following| {
-                for (place, one) in following.iter_mut().enumerate() {
-                    let tracked = &tracked[first + place];
-                    let (Ok(located), Ok(kind)) =
-                        (&mut one.located, kind_of(kinds, tracked.ring.kind))
-                    else {
-                        continue;
-                    };
-                    let skew = skews.map(|skews| skews[first + place]);
-                    let is_certain = tracked.code.is_some_and(|code| code.confidence >= CERTAIN);
-                    let before = memories.of(tracked.track).copied();
-                    let before =
-                        if is_certain { before } else { before.map(Memory::without_teeth) };
-                    one.memory =
-                        located.improve((camera, kind, mode), frame, (before, skew), scratch);
-                    if let Some(skew) = skew {
-                        skew.widen(&mut located.pose, camera, kind);
-                    }
+        shares.work(following, at_a_time, |scratch, first, following| {
+            for (place, one) in following.iter_mut().enumerate() {
+                let tracked = &tracked[first + place];
+                let (Ok(located), Ok(kind)) = (&mut one.located, kind_of(kinds, tracked.ring.kind))
+                else {
+                    continue;
+                };
+                let skew = skews.map(|skews| skews[first + place]);
+                let is_certain = tracked.code.is_some_and(|code| code.confidence >= CERTAIN);
+                let before = memories.of(tracked.track).copied();
+                let before = if is_certain { before } else { before.map(Memory::without_teeth) };
+                one.memory = located.improve((camera, kind, mode), frame, (before, skew), scratch);
+                if let Some(skew) = skew {
+                    skew.widen(&mut located.pose, camera, kind);
                 }
-            },
-        );
+            }
+        });
         for (tracked, one) in tracked.iter().zip(following) {
             if one.located.is_ok() {
                 memories.renew(tracked.track, one.memory.take());
