@@ -9,6 +9,8 @@
 //! than each place. A camera that finds a coded ring and does not read it is left out, though fusion takes what it sees
 //! of one that another camera has read.
 
+use std::sync::atomic::{AtomicUsize, Ordering};
+
 use nalgebra::{Matrix3, Translation3, UnitQuaternion, Vector3};
 use rayon::prelude::*;
 
@@ -88,6 +90,8 @@ pub struct Map {
     pub rows: usize,
     /// Row by row from the least y on, each from the least x on.
     pub spots: Vec<Spot>,
+    /// Share of the spots that each camera sees, and reads the code at, whatever the others do; in their order.
+    pub seen_shares: Vec<f64>,
 }
 
 /// A map in a few numbers.
@@ -104,6 +108,9 @@ pub struct Summary {
 }
 
 impl Field {
+    /// Heights that roundels may have, metres.
+    pub const HEIGHTS_M: [f64; 2] = [-1e3, 1e3];
+
     /// What the cameras look at in the plane of this height, with about `spots` spots; `None` if none looks there.
     pub fn seen_by(stations: &[Station], height_m: f64, spots: usize) -> Option<Self> {
         let (mut low, mut high) = ([f64::INFINITY; 2], [f64::NEG_INFINITY; 2]);
@@ -129,7 +136,7 @@ impl Field {
         for (field, side) in ["arena along x", "arena along y"].into_iter().zip(sides) {
             within(field, side, [1e-3, 1e4], "a side of 0.001 to 10000 m")?;
         }
-        within("height", self.height_m, [-1e3, 1e3], "-1000 to 1000 m")?;
+        within("height", self.height_m, Self::HEIGHTS_M, "-1000 to 1000 m")?;
         within("step", self.step_m, [1e-6, 1e4], "0.000001 to 10000 m")?;
         let counts = sides.map(|side| (side / self.step_m).round().max(1.0) + 1.0);
         let all = counts[0] * counts[1];
@@ -184,19 +191,22 @@ impl Station {
     }
 }
 
-/// What is known of a roundel that lies face up at a place of the world.
-pub fn spot(
+/// What is known of a roundel that lies face up at a place of the world; the cameras that see it are counted in `seen`.
+fn spot(
     stations: &[Station],
     kind: &Kind,
     position_m: Vector3<f64>,
     params: &FusionParams,
+    seen: &[AtomicUsize],
 ) -> Spot {
     let pose = Rigid::from_parts(Translation3::from(position_m), UnitQuaternion::identity());
     let mut sum = Matrix3::zeros();
     let mut cameras = 0;
-    for information in stations.iter().filter_map(|one| one.information(kind, &pose, params)) {
+    for (station, count) in stations.iter().zip(seen) {
+        let Some(information) = station.information(kind, &pose, params) else { continue };
         sum += information;
         cameras += 1;
+        count.fetch_add(1, Ordering::Relaxed);
     }
     let covariance = if cameras > 0 { sum.try_inverse() } else { None };
     let deviation = covariance.map(|covariance| {
@@ -219,14 +229,17 @@ pub fn map(stations: &[Station], kind: &Kind, field: Field) -> Result<Map, PlanE
         let share = index as f64 / (count - 1) as f64;
         field.low_m[axis] + share * (field.high_m[axis] - field.low_m[axis])
     };
+    let seen: Vec<AtomicUsize> = stations.iter().map(|_| AtomicUsize::new(0)).collect();
     let spots = (0..columns * rows)
         .into_par_iter()
         .map(|index| {
             let (x, y) = (at(index % columns, columns, 0), at(index / columns, rows, 1));
-            spot(stations, kind, Vector3::new(x, y, field.height_m), &params)
+            spot(stations, kind, Vector3::new(x, y, field.height_m), &params, &seen)
         })
         .collect();
-    Ok(Map { field, columns, rows, spots })
+    let all = (columns * rows) as f64;
+    let seen_shares = seen.into_iter().map(|count| count.into_inner() as f64 / all).collect();
+    Ok(Map { field, columns, rows, spots, seen_shares })
 }
 
 impl Map {

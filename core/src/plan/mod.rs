@@ -352,6 +352,13 @@ mod tests {
         let far = Field { low_m: [5.0, 5.0], high_m: [6.0, 6.0], ..field };
         let unseen = map(&row(&[0.0]), &kind(), far).unwrap();
         assert!(unseen.summary().seen_share == 0.0 && unseen.summary().median_m.is_nan());
+        // What each sees is what it would see alone.
+        let wide = Field { low_m: [-3.0, -1.0], high_m: [2.0, 1.0], ..field };
+        let places_m = [1.5, -1.0];
+        let both = map(&row(&places_m), &kind(), wide).unwrap();
+        let alone = places_m.map(|x| map(&row(&[x]), &kind(), wide).unwrap().summary().seen_share);
+        assert_eq!(both.seen_shares, alone);
+        assert!(0.0 < alone[0] && alone[0] < alone[1] && alone[1] < 1.0, "{alone:?}");
         let seen = Field::seen_by(&row(&[0.0]), 0.2, 100).unwrap();
         assert!((seen.high_m[0] - 2.8 * 320.0 / 700.0).abs() < 0.01, "{seen:?}");
     }

@@ -248,13 +248,16 @@ pub fn fewest_of_any_size(
 }
 
 impl Wish {
+    /// Cameras hang so far above the roundels at least, metres.
+    pub const LEAST_ABOVE_M: f64 = 0.05;
+
     /// The field with the spots that are judged.
     fn check(&self) -> Result<Field, PlanError> {
         let [low_m, high_m] = self.mount_m;
         within(
             "mount",
             low_m,
-            [self.field.height_m + 0.05, 1e3],
+            [self.field.height_m + Self::LEAST_ABOVE_M, 1e3],
             "metres, 0.05 or more above the roundels",
         )?;
         within("highest mount", high_m, [low_m, 1e3], "not below the lowest one")?;
@@ -342,7 +345,8 @@ fn tried<'a>(
             return None;
         }
         let stations = hung(wish, sensor, doubt, (counts, mount_m, is_turned));
-        let map = Map { field: wish.field, columns: 0, rows: 0, spots: Vec::new() };
+        let (field, spots, seen_shares) = (wish.field, Vec::new(), Vec::new());
+        let map = Map { field, columns: 0, rows: 0, spots, seen_shares };
         Some(Grid { counts, mount_m, is_turned, stations, map })
     })
 }

@@ -34,8 +34,6 @@ use crate::{
 
 /// Most spots that are computed for a request.
 const MOST_SPOTS: usize = 20_000;
-/// Heights of roundels, metres.
-const HEIGHTS_M: std::ops::RangeInclusive<f64> = -1e3..=1e3;
 /// Roundels lie so high, if nobody says how high, metres.
 const HEIGHT_M: f64 = 0.3;
 
@@ -70,8 +68,9 @@ pub async fn show(State(api): State<Arc<Api>>, uri: Uri) -> Result<Response, Api
     };
     let kind = kind(&api, &mut parameters)?;
     let height_m = parameters.take_parsed("height", "metres")?.unwrap_or(HEIGHT_M);
-    if !HEIGHTS_M.contains(&height_m) {
-        let expected = format!("{} to {} metres", HEIGHTS_M.start(), HEIGHTS_M.end());
+    let [least_m, most_m] = Field::HEIGHTS_M;
+    if !(least_m..=most_m).contains(&height_m) {
+        let expected = format!("{least_m} to {most_m} metres");
         return Err(ApiError::invalid("height", expected, height_m));
     }
     let corners = [corner(&mut parameters, "min")?, corner(&mut parameters, "max")?];
@@ -88,7 +87,7 @@ pub async fn show(State(api): State<Arc<Api>>, uri: Uri) -> Result<Response, Api
             message: error.to_string(),
         };
         let map = map(&used(&cameras), &kind, field).map_err(wrong)?;
-        let map = PlanMap::of(&map, &kind, &cameras).map_err(wrong)?;
+        let map = PlanMap::of(&map, &kind.name, &cameras);
         match format.as_str() {
             "svg" => Ok(sent("image/svg+xml", picture::svg(&map, show).into_bytes())),
             "png" => picture::png(&map, show)

@@ -17,7 +17,7 @@ use anyhow::{Context, bail};
 use clap::{Args, ValueEnum};
 use roundel_core::{
     marker::{CodeLayout, Kind, Mode},
-    plan::Imaging,
+    plan::{Imaging, map::Field, search::Wish},
 };
 
 use crate::{
@@ -29,10 +29,6 @@ use crate::{
     print::spec::{self, Diameters, PolarityWord, Print},
 };
 
-/// Heights of roundels, metres.
-const HEIGHTS_M: std::ops::RangeInclusive<f64> = -1e3..=1e3;
-/// Cameras hang so far above them at least, metres.
-const LEAST_ABOVE_M: f64 = 0.05;
 /// Precision that may be wanted, millimetres.
 const PRECISIONS_MM: std::ops::RangeInclusive<f64> = 1e-4..=1e6;
 /// Ratio of the diameters of a plain roundel, if nobody says another.
@@ -202,13 +198,14 @@ impl PlanArgs {
             map_ending(path)?;
         }
         let height = self.height();
-        if !HEIGHTS_M.contains(&height) {
-            let (least, most) = (HEIGHTS_M.start(), HEIGHTS_M.end());
+        let [least, most] = Field::HEIGHTS_M;
+        if !(least..=most).contains(&height) {
             bail!("--height: expected {least} to {most} m, found {height}");
         }
+        let least_above = Wish::LEAST_ABOVE_M;
         match self.mount {
-            Some([low, _]) if self.arena.is_some() && low < height + LEAST_ABOVE_M => bail!(
-                "--mount: expected cameras that hang {LEAST_ABOVE_M} m or more above the roundels, which are {height} m \
+            Some([low, _]) if self.arena.is_some() && low < height + least_above => bail!(
+                "--mount: expected cameras that hang {least_above} m or more above the roundels, which are {height} m \
                  high (--height), found {low} m"
             ),
             _ => {}

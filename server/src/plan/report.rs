@@ -1,12 +1,6 @@
 //! A map as numbers.
 
-use roundel_core::{
-    marker::Kind,
-    plan::{
-        PlanError,
-        map::{Field, Map, Spot, Station, map as map_of},
-    },
-};
+use roundel_core::plan::map::{Map, Spot, Station};
 use serde::Serialize;
 use utoipa::ToSchema;
 
@@ -74,16 +68,16 @@ pub fn used(cameras: &[Named]) -> Vec<Station> {
 }
 
 impl PlanMap {
-    /// Of a map of these cameras for this kind of roundel.
-    pub fn of(map: &Map, kind: &Kind, cameras: &[Named]) -> Result<Self, PlanError> {
+    /// Of a map of those of these cameras that are not left out.
+    pub fn of(map: &Map, roundel: &str, cameras: &[Named]) -> Self {
         let each = |value: fn(&roundel_core::plan::map::Deviation) -> f64| {
             map.spots.iter().map(|spot: &Spot| spot.deviation.as_ref().map(value)).collect()
         };
         let summary = map.summary();
         let finite = |value: f64| Some(value).filter(|value| value.is_finite());
-        let stations = cameras.iter().map(|camera| PlanStation::of(camera, kind, map.field));
-        Ok(Self {
-            roundel: kind.name.clone(),
+        let mut seen_shares = map.seen_shares.iter().copied();
+        Self {
+            roundel: roundel.to_owned(),
             height_m: map.field.height_m,
             min_m: map.field.low_m,
             max_m: map.field.high_m,
@@ -99,24 +93,23 @@ impl PlanMap {
                 median_m: finite(summary.median_m),
                 p95_m: finite(summary.p95_m),
             },
-            stations: stations.collect::<Result<_, _>>()?,
-        })
+            stations: cameras.iter().map(|one| PlanStation::of(one, &mut seen_shares)).collect(),
+        }
     }
 }
 
 impl PlanStation {
-    fn of(camera: &Named, kind: &Kind, field: Field) -> Result<Self, PlanError> {
+    /// `seen_shares`: of those that are not left out, from this one on.
+    fn of(camera: &Named, seen_shares: &mut impl Iterator<Item = f64>) -> Self {
         let name = camera.name.clone();
-        Ok(match &camera.station {
+        match &camera.station {
             Ok(station) => {
-                let position_m = station.place.world_from_camera.translation.vector.into();
-                let alone = map_of(std::slice::from_ref(station.as_ref()), kind, field)?;
-                let seen_share = Some(alone.summary().seen_share);
-                Self { name, position_m: Some(position_m), seen_share, reason: String::new() }
+                let position_m = Some(station.place.world_from_camera.translation.vector.into());
+                Self { name, position_m, seen_share: seen_shares.next(), reason: String::new() }
             }
             Err(reason) => {
                 Self { name, position_m: None, seen_share: None, reason: reason.clone() }
             }
-        })
+        }
     }
 }

@@ -61,7 +61,7 @@ pub(super) fn configured(arguments: &PlanArgs, path: &Path) -> anyhow::Result<()
         format!("no camera looks down on the plane --height {} m", arguments.height())
     })?;
     let field = Field { step_m: arguments.step.unwrap_or(seen.step_m), ..seen };
-    let map = PlanMap::of(&map(&stations, &kind, field)?, &kind, &cameras)?;
+    let map = PlanMap::of(&map(&stations, &kind, field)?, &kind.name, &cameras);
     let times = times(arguments, &kind, &cameras)?;
     told(arguments, &Plan { kind, size: Size::Said, map, grid: None, times })
 }
@@ -122,7 +122,7 @@ pub(super) fn fewest(arguments: &PlanArgs, arena_m: [f64; 2]) -> anyhow::Result<
         })
         .collect();
     let fine: Map = map(&grid.stations, &kind, field)?;
-    let map = PlanMap::of(&fine, &kind, &cameras)?;
+    let map = PlanMap::of(&fine, &kind.name, &cameras);
     let times = times(arguments, &kind, &cameras)?;
     told(arguments, &Plan { kind, size, map, grid: Some(grid), times })
 }
