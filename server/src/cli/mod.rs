@@ -17,7 +17,9 @@ mod truth;
 mod watch;
 
 use std::{
-    io::{IsTerminal, stderr},
+    fs::{self, File},
+    io::{self, IsTerminal, stderr},
+    path::Path,
     process::ExitCode,
 };
 
@@ -100,6 +102,17 @@ fn told(error: &anyhow::Error) -> String {
     })
 }
 
+/// Whether a file can be written there, before long work is done for it; leaves everything as it is.
+fn probed(path: &Path) -> io::Result<()> {
+    match File::options().write(true).create_new(true).open(path) {
+        Ok(_) => fs::remove_file(path),
+        Err(error) if error.kind() != io::ErrorKind::AlreadyExists => Err(error),
+        // A pipe is not opened: that would wait for who reads it.
+        Err(_) if !path.is_file() && !path.is_dir() => Ok(()),
+        Err(_) => File::options().write(true).open(path).map(drop),
+    }
+}
+
 /// Columns and rows of pictures.
 fn size(text: &str) -> Result<(usize, usize), String> {
     let side =
@@ -135,6 +148,18 @@ mod tests {
         assert_eq!(told(&cause), "cannot read a.png: no such file");
         let cause = anyhow::anyhow!("no such file").context("a.png");
         assert_eq!(told(&cause), "a.png: no such file");
+    }
+
+    #[test]
+    fn where_a_file_may_go_is_told_without_leaving_one() {
+        let folder = tempfile::tempdir().unwrap();
+        let file = folder.path().join("a.toml");
+        probed(&file).unwrap();
+        assert!(!file.exists());
+        fs::write(&file, "kept").unwrap();
+        probed(&file).unwrap();
+        assert_eq!(fs::read(&file).unwrap(), b"kept");
+        assert!(probed(folder.path()).is_err() && probed(&file.join("b")).is_err());
     }
 
     #[test]

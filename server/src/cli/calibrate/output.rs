@@ -3,12 +3,13 @@
 
 use std::{
     ffi::OsString,
-    fs::{self, File},
-    io,
+    fs,
     path::{Path, PathBuf},
 };
 
 use anyhow::{Context, bail};
+
+use crate::cli::probed;
 
 /// Whether a file can be written there; leaves everything as it is.
 pub(super) fn check(path: &Path) -> anyhow::Result<()> {
@@ -25,7 +26,7 @@ pub(super) fn check(path: &Path) -> anyhow::Result<()> {
         );
     }
     let kept = path.is_file().then(|| beside(path));
-    let writable = probe(path).and_then(|()| kept.as_deref().map_or(Ok(()), probe));
+    let writable = probed(path).and_then(|()| kept.as_deref().map_or(Ok(()), probed));
     writable.with_context(|| format!("--output {shown} cannot be written"))
 }
 
@@ -45,16 +46,6 @@ pub(super) fn write(path: &Path, text: &str) -> anyhow::Result<()> {
         None => eprintln!("wrote {}", path.display()),
     }
     Ok(())
-}
-
-fn probe(path: &Path) -> io::Result<()> {
-    match File::options().write(true).create_new(true).open(path) {
-        Ok(_) => fs::remove_file(path),
-        Err(error) if error.kind() != io::ErrorKind::AlreadyExists => Err(error),
-        // A pipe is not opened: that would wait for who reads it.
-        Err(_) if !path.is_file() => Ok(()),
-        Err(_) => File::options().write(true).open(path).map(drop),
-    }
 }
 
 /// `north.yaml` → `north.previous.yaml`, as calibrations of arenas are kept.

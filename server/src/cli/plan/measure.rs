@@ -8,9 +8,12 @@ use roundel_core::plan::time::{Constants, TERM_NAMES, TERMS};
 use serde_json::{Map, Value, json};
 
 use super::{Format, PlanArgs};
-use crate::plan::{
-    machine::{Machine, measure, usual_path},
-    trial::Measured,
+use crate::{
+    cli::probed,
+    plan::{
+        machine::{Machine, measure, usual_path},
+        trial::Measured,
+    },
 };
 
 pub(super) fn run(arguments: &PlanArgs) -> anyhow::Result<()> {
@@ -40,14 +43,10 @@ pub(super) fn run(arguments: &PlanArgs) -> anyhow::Result<()> {
 
 /// Whether the times can be kept there, before a minute is spent on them; makes the folder that they are kept in.
 fn make_room(path: &Path) -> std::io::Result<()> {
-    if path.exists() {
-        return fs::File::options().append(true).open(path).map(drop);
-    }
     if let Some(folder) = path.parent().filter(|folder| !folder.as_os_str().is_empty()) {
         fs::create_dir_all(folder)?;
     }
-    fs::File::options().write(true).create_new(true).open(path)?;
-    fs::remove_file(path)
+    probed(path)
 }
 
 fn report(machine: &Machine, measured: &[Measured]) -> serde_json::Value {
