@@ -5,6 +5,7 @@ use crate::{
     id::KindId,
     marker::{
         code::CodeLayout,
+        elliptical::AXIS_RATIO_LIMIT,
         rim::{compensated, rim_shift_px},
     },
 };
@@ -12,6 +13,20 @@ use crate::{
 /// Ratios of inner to outer diameter that a roundel may have: outside of them either the disc or the
 /// ring is too thin to be measured.
 pub const RATIO_LIMITS: (f64, f64) = (0.2, 0.8);
+
+/// Of ratios: diameters that are said to be at a limit are there, whatever rounding does to them (no printer comes near).
+const RATIO_ROUNDING: f64 = 1e-6;
+
+/// Whether a disc may have this share of the outer diameter ([`RATIO_LIMITS`], both included).
+pub fn is_measurable(ratio: f64) -> bool {
+    let (least, most) = RATIO_LIMITS;
+    (least - RATIO_ROUNDING..=most + RATIO_ROUNDING).contains(&ratio)
+}
+
+/// Whether an elliptical disc's shorter diameter may be this share of its longer one ([`AXIS_RATIO_LIMIT`] included).
+pub fn tells_heading(axis_ratio: f64) -> bool {
+    axis_ratio <= AXIS_RATIO_LIMIT + RATIO_ROUNDING
+}
 
 /// Rims may be off by this share of the outer radius …
 pub(crate) const SHIFT_SHARE: f64 = 0.02;

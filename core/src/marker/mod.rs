@@ -78,7 +78,7 @@ pub use code::{
 };
 pub use detector::{Detector, Scratch};
 pub use elliptical::AXIS_RATIO_LIMIT;
-pub use kind::{Kind, Pattern, Polarity, RATIO_LIMITS};
+pub use kind::{Kind, Pattern, Polarity, RATIO_LIMITS, is_measurable, tells_heading};
 pub use mask::{Mask, MaskError};
 pub use param::{DetectorError, Mode, Params};
 pub use reject::{MAX_REJECTED, Reject, RejectCounts, Rejected};

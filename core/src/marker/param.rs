@@ -5,7 +5,7 @@ use thiserror::Error;
 use crate::marker::{
     code::CodeError,
     elliptical::AXIS_RATIO_LIMIT,
-    kind::{Kind, Pattern, RATIO_LIMITS},
+    kind::{Kind, Pattern, RATIO_LIMITS, is_measurable, tells_heading},
 };
 
 /// Ratios of diameters that differ by less are the same to a camera.
@@ -136,16 +136,15 @@ pub(crate) fn check(kinds: &[Kind], params: &Params) -> Result<(), DetectorError
     for kind in kinds {
         let (outer_m, inner_m) = (kind.outer_diameter_m, kind.inner_diameter_m);
         let positive = outer_m.is_finite() && outer_m > 0.0 && inner_m > 0.0;
-        if !positive || kind.ratio() < RATIO_LIMITS.0 || kind.ratio() > RATIO_LIMITS.1 {
+        if !(positive && is_measurable(kind.ratio())) {
             let name = kind.name.clone();
             return Err(DetectorError::Diameters { name, inner_m, outer_m });
         }
-        if let Pattern::Elliptical { minor_diameter_m: minor_m } = kind.pattern {
-            let wide = minor_m >= RATIO_LIMITS.0 * outer_m;
-            if !(wide && minor_m <= AXIS_RATIO_LIMIT * inner_m) {
-                let (name, major_m) = (kind.name.clone(), inner_m);
-                return Err(DetectorError::Elliptical { name, minor_m, major_m, outer_m });
-            }
+        if let Pattern::Elliptical { minor_diameter_m: minor_m } = kind.pattern
+            && !(is_measurable(minor_m / outer_m) && tells_heading(minor_m / inner_m))
+        {
+            let (name, major_m) = (kind.name.clone(), inner_m);
+            return Err(DetectorError::Elliptical { name, minor_m, major_m, outer_m });
         }
     }
     for (index, one) in kinds.iter().enumerate() {
@@ -202,6 +201,27 @@ mod tests {
             let error = check(&[kind(outer, inner)], &Params::default()).unwrap_err();
             assert!(error.to_string().contains("roundel \"robot\": expected an inner diameter"));
         }
+    }
+
+    /// As prints are said in millimetres, whose quotients are not quite 0.2, 0.8 and 0.9.
+    #[test]
+    fn the_limits_of_diameters_are_among_them() {
+        let said = |outer_mm: f64, inner_mm: f64| kind(outer_mm * 1e-3, inner_mm * 1e-3);
+        let elliptical = |outer_mm, inner_mm, minor_mm: f64| Kind {
+            pattern: Pattern::Elliptical { minor_diameter_m: minor_mm * 1e-3 },
+            ..said(outer_mm, inner_mm)
+        };
+        let is_taken = |kind: Kind| check(&[kind], &Params::default()).is_ok();
+        assert!(
+            [50.0, 7.0, 30.0, 15.0].into_iter().all(|outer| is_taken(said(outer, 0.2 * outer)))
+        );
+        assert!([25.0, 50.0, 35.0].into_iter().all(|outer| is_taken(said(outer, 0.8 * outer))));
+        assert!(is_taken(elliptical(50.0, 20.0, 10.0)) && is_taken(elliptical(100.0, 70.0, 63.0)));
+        // A hundredth of a millimetre beyond is beyond.
+        assert!(!is_taken(said(50.0, 9.99)) && !is_taken(said(25.0, 20.01)));
+        assert!(
+            !is_taken(elliptical(50.0, 20.0, 9.99)) && !is_taken(elliptical(100.0, 70.0, 63.01))
+        );
     }
 
     #[test]

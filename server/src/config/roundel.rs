@@ -2,7 +2,10 @@
 
 use roundel_core::{
     id::KindId,
-    marker::{AXIS_RATIO_LIMIT, CodeLayout, Kind, Pattern, Polarity, RATIO_LIMITS},
+    marker::{
+        AXIS_RATIO_LIMIT, CodeLayout, Kind, Pattern, Polarity, RATIO_LIMITS, is_measurable,
+        tells_heading,
+    },
     world::MotionClass,
 };
 
@@ -109,8 +112,8 @@ fn kind(table: &Table<'_, '_>) -> Option<Kind> {
         return None;
     }
     let kind = Kind { pattern, polarity, ..Kind::plain(name, outer_mm * 1e-3, inner_mm * 1e-3) };
-    let (least, most) = RATIO_LIMITS;
-    if !(least..=most).contains(&kind.ratio()) {
+    if !is_measurable(kind.ratio()) {
+        let (least, most) = RATIO_LIMITS;
         table.fail_with_help(
             &table.span_of("inner_mm"),
             format!(
@@ -141,16 +144,15 @@ fn with_ellipse(table: &Table<'_, '_>, kind: Kind) -> Option<Kind> {
     let size = Allowed::PositiveUpTo(MAX_DIAMETER_MM);
     let minor_mm = table.required_number("inner_minor_mm", size, "64.0")?;
     let minor_diameter_m = minor_mm * 1e-3;
-    let least_m = RATIO_LIMITS.0 * kind.outer_diameter_m;
-    let most_m = AXIS_RATIO_LIMIT * kind.inner_diameter_m;
-    if !(least_m..=most_m).contains(&minor_diameter_m) {
+    let (outer_m, inner_m) = (kind.outer_diameter_m, kind.inner_diameter_m);
+    if !(is_measurable(minor_diameter_m / outer_m) && tells_heading(minor_diameter_m / inner_m)) {
         table.fail_with_help(
             &span,
             format!(
                 "`inner_minor_mm` must be {:.1} to {:.1} here ({} of `outer_mm` to {AXIS_RATIO_LIMIT} \
                  of `inner_mm`), found {minor_mm}",
-                least_m * 1e3,
-                most_m * 1e3,
+                RATIO_LIMITS.0 * outer_m * 1e3,
+                AXIS_RATIO_LIMIT * inner_m * 1e3,
                 RATIO_LIMITS.0
             ),
             "`inner_mm` is the disc's longer diameter; of a round disc leave out `inner_minor_mm`",

@@ -2,7 +2,10 @@
 
 use roundel_core::{
     calib::board::{Board, BoardError},
-    marker::{AXIS_RATIO_LIMIT, CodeError, CodeLayout, Kind, Pattern, Polarity, RATIO_LIMITS},
+    marker::{
+        AXIS_RATIO_LIMIT, CodeError, CodeLayout, Kind, Pattern, Polarity, RATIO_LIMITS,
+        is_measurable, tells_heading,
+    },
 };
 use thiserror::Error;
 
@@ -98,16 +101,15 @@ impl Order {
         }
         let kind = print.kind().ok_or(OrderError::Inner)?;
         let kind = Kind { name: String::new(), ..kind };
-        let (least, most) = RATIO_LIMITS;
         let minor_ratio = minor_m.map(|minor_m| minor_m / kind.outer_diameter_m);
         for found in [Some(kind.ratio()), minor_ratio].into_iter().flatten() {
-            if !(least..=most).contains(&found) {
+            if !is_measurable(found) {
                 return Err(OrderError::Ratio { found });
             }
         }
-        let roundness = minor_m.map_or(0.0, |minor_m| minor_m / kind.inner_diameter_m);
-        if roundness > AXIS_RATIO_LIMIT {
-            return Err(OrderError::Axes { found: roundness });
+        let roundness = minor_m.map(|minor_m| minor_m / kind.inner_diameter_m);
+        if let Some(found) = roundness.filter(|&found| !tells_heading(found)) {
+            return Err(OrderError::Axes { found });
         }
         of_kind(&kind, numbers)
     }
@@ -204,6 +206,16 @@ mod tests {
         assert!(!lines("160:96", Some("8:2")).contains("inner_mm"));
         assert!(lines("160:64", Some("8:2")).contains("inner_mm = 64; code = { bits = 8"));
         assert!(lines("160:64", None).contains("inner_mm = 64"));
+    }
+
+    #[test]
+    fn diameters_at_the_limits_are_printed() {
+        for marker in ["50:10", "30:6", "25:20", "7:1.4", "50:20:10", "100:70:63"] {
+            assert!(printed(marker, None).is_ok(), "{marker}");
+        }
+        for marker in ["50:9.99", "25:20.01", "50:20:9.99", "100:70:63.01"] {
+            assert!(printed(marker, None).is_err(), "{marker}");
+        }
     }
 
     #[test]
