@@ -321,6 +321,7 @@ describe("what the cameras cover", () => {
     await withWorld(new World(), {}, async (page) => {
       const asked = [];
       await page.route("**/openapi.json", (route) => route.fulfill({ json: { paths: { "/api/v1/plan": { get: {} } } } }));
+      await page.route("**/api/v1/configuration", (route) => route.fulfill({ json: { roundels: [{ name: "robot" }, { name: "cart" }] } }));
       await page.route("**/api/v1/plan?*", (route) => {
         const query = new URL(route.request().url()).searchParams;
         asked.push(Object.fromEntries(query));
@@ -333,17 +334,18 @@ describe("what the cameras cover", () => {
       await page.locator("#plan-open").click();
       const isThere = () => page.waitForFunction(() => document.querySelector("#plan-picture").naturalWidth === 40);
       await isThere();
-      assert.deepEqual(asked[0], { format: "svg", show: "precision" });
-      await page.locator("#plan-roundel").fill("cart");
+      assert.deepEqual(asked[0], { format: "svg", show: "precision", roundel: "robot" });
+      assert.deepEqual(await page.locator("#plan-roundel option").allInnerTexts(), ["robot", "cart"]);
+      await page.locator("#plan-roundel").selectOption("cart");
       await page.locator("#plan-roundel-trouble", { hasText: "the kinds here are robot" }).waitFor();
       assert.equal(await page.locator("#plan-picture").isVisible(), false);
-      await page.locator("#plan-roundel").fill("");
+      await page.locator("#plan-roundel").selectOption("robot");
       await page.locator("#plan-height").fill("1.5");
       const last = page.waitForRequest((request) => request.url().includes("show=cameras"));
       await page.locator("#plan-show").selectOption("cameras");
       await last;
       await page.locator("#plan-picture").waitFor();
-      assert.deepEqual(asked.at(-1), { format: "svg", show: "cameras", height: "1.5" });
+      assert.deepEqual(asked.at(-1), { format: "svg", show: "cameras", roundel: "robot", height: "1.5" });
       await page.keyboard.press("Escape");
       await page.waitForFunction(() => !document.querySelector("#plan-picture").src);
     });

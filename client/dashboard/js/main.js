@@ -44,7 +44,7 @@ showEvents(store);
 const timeline = showTimeline(store);
 showCourses(store, arena);
 showObjects(store);
-showPlan();
+showPlan(store);
 showPrint(store);
 showRecording(store);
 const replay = showReplay(store);

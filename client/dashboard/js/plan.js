@@ -2,15 +2,18 @@
 
 import { askFile } from "./ask.js";
 import { findDialog } from "./dialog.js";
-import { find } from "./dom.js";
+import { element, find } from "./dom.js";
+import { askKinds } from "./kinds.js";
 import { Troubles } from "./troubles.js";
 
 /** After the last key, before the map is asked for anew, ms. */
 const PAUSE_MS = 400;
 
-export function showPlan() {
+/** @param {import("./store.js").Store} store */
+export function showPlan(store) {
   const dialog = findDialog("#plan");
   const form = /** @type {HTMLFormElement} */ (find("#plan-form"));
+  const roundel = /** @type {HTMLSelectElement} */ (find("#plan-roundel"));
   const picture = /** @type {HTMLImageElement} */ (find("#plan-picture"));
   const words = find("#plan-words");
   const troubles = new Troubles("plan", ["show", "roundel", "height"]);
@@ -45,10 +48,17 @@ export function showPlan() {
     picture.src = shown;
   };
 
-  find("#plan-open").addEventListener("click", () => {
+  const open = async () => {
     dialog.showModal();
-    void look();
-  });
+    const kinds = await askKinds(store);
+    const before = roundel.value;
+    const options = kinds.map(({ name }) => element("option", { value: name }, [name]));
+    roundel.replaceChildren(...(options.length > 0 ? options : [element("option", { value: "" }, ["the first one"])]));
+    if (kinds.some(({ name }) => name === before)) roundel.value = before;
+    if (dialog.open) await look();
+  };
+
+  find("#plan-open").addEventListener("click", () => void open());
   form.addEventListener("submit", (event) => {
     event.preventDefault();
     void look();

@@ -3,6 +3,7 @@
 import { ask, askFile } from "./ask.js";
 import { findDialog } from "./dialog.js";
 import { element, find, setText } from "./dom.js";
+import { askKinds } from "./kinds.js";
 import { Troubles } from "./troubles.js";
 
 /** After the last key, before a new preview is asked for, ms. */
@@ -12,8 +13,6 @@ const FIELDS = ["marker", "code", "ids", "copies", "polarity", "board", "pitch",
 const MOST_LISTED = 500;
 /** The choice of a roundel that is none of the configuration's. */
 const OWN = "";
-
-/** @typedef {{name: string, outer_mm: number, inner_mm: number, inner_minor_mm: number | null, code_bits: number | null, code_min_distance: number | null, polarity: string}} Kind */
 
 /** @param {import("./store.js").Store} store */
 export function showPrint(store) {
@@ -31,7 +30,7 @@ class PrintForm {
     this.picture = /** @type {HTMLImageElement} */ (find("#print-picture"));
     this.files = find("#print-files");
     this.troubles = new Troubles("print", FIELDS);
-    /** @type {Kind[]} */
+    /** @type {import("./kinds.js").Kind[]} */
     this.kinds = [];
     this.timer = 0;
     this.asked = 0;
@@ -58,9 +57,8 @@ class PrintForm {
 
   async open() {
     this.dialog.showModal();
-    // Without the right to see the configuration all can be printed, but no kind is known beforehand.
-    const { answer } = this.store.info?.allowsSetup ? await ask("GET", "configuration") : { answer: null };
-    this.kinds = answer?.roundels ?? [];
+    // All can be printed where no kind is known beforehand.
+    this.kinds = await askKinds(this.store);
     const options = this.kinds.map(({ name }) => element("option", { value: name }, [name]));
     const board = element("option", { value: "/board" }, ["Calibration board, for lenses"]);
     this.kind.replaceChildren(...options, element("option", { value: OWN }, ["Another roundel"]), board);
