@@ -112,7 +112,7 @@ pub fn sheets(items: &[Item], page: PageSize) -> Result<Vec<Page>, SheetError> {
         let codes = Codes::of(&alike[0].kind)?;
         match Grid::best(page, side_mm).or_else(|| Grid::narrow(page, outer_mm)) {
             Some(grid) => pages.extend(grid.fill(alike, &codes)?),
-            None => spread((alike, &codes), page, side_mm, &mut pages)?,
+            None => spread((alike, &codes), page, outer_mm, &mut pages)?,
         }
         if pages.len() > MAX_PAGES {
             return Err(SheetError::Pages { found: pages.len() });
@@ -201,10 +201,10 @@ impl Grid {
 fn spread(
     (items, codes): (&[Item], &Codes),
     page: PageSize,
-    side_mm: f64,
+    outer_mm: f64,
     pages: &mut Vec<Page>,
 ) -> Result<(), SheetError> {
-    let ways = [page, page.turned()].map(|page| Mosaic::of(page, side_mm));
+    let ways = [page, page.turned()].map(|page| Mosaic::of(page, outer_mm));
     let fewest = ways.into_iter().flatten().min_by_key(Mosaic::count);
     let Some(mosaic) = fewest else {
         let PageSize { width_mm, height_mm } = page;
@@ -231,18 +231,25 @@ struct Mosaic {
 }
 
 impl Mosaic {
-    /// `None` if a page holds little more than the overlap.
-    fn of(page: PageSize, side_mm: f64) -> Option<Self> {
+    /// With the usual margin, or, where that takes fewer sheets, with as much as they have, if that is enough; `None` if a
+    /// page holds little more than the overlap.
+    fn of(page: PageSize, outer_mm: f64) -> Option<Self> {
         let window = window(page);
         if window.width() < 3.0 * OVERLAP_MM || window.height() < 3.0 * OVERLAP_MM {
             return None;
         }
         // Cut marks lie outside of the square.
-        let whole_mm = side_mm + GAP_MM;
-        let along = |room_mm: f64| {
-            ((whole_mm - OVERLAP_MM) / (room_mm - OVERLAP_MM)).ceil().max(1.0) as usize
+        let steps_mm = [window.width(), window.height()].map(|room_mm| room_mm - OVERLAP_MM);
+        let counts = |side_share: f64| {
+            let more_mm = side_share * outer_mm + GAP_MM - OVERLAP_MM;
+            steps_mm.map(|step_mm| (more_mm / step_mm - ROUNDING).ceil().max(1.0) as usize)
         };
-        let (columns, rows) = (along(window.width()), along(window.height()));
+        let (usual, least) = (counts(SIDE_SHARE), counts(LEAST_SIDE_SHARE));
+        let all = |[columns, rows]: [usize; 2]| columns.saturating_mul(rows);
+        let [columns, rows] = if all(least) < all(usual) { least } else { usual };
+        let has_mm = |step_mm: f64, count: usize| step_mm * count as f64 + OVERLAP_MM - GAP_MM;
+        let room_mm = has_mm(steps_mm[0], columns).min(has_mm(steps_mm[1], rows));
+        let side_mm = room_mm.min(SIDE_SHARE * outer_mm);
         Some(Self { page, window, side_mm, columns, rows })
     }
 
@@ -335,13 +342,21 @@ fn footing(item: &Item) -> String {
 mod tests {
     use roundel_core::marker::CodeLayout;
 
-    use super::*;
+    use super::{super::path::Step, *};
 
     const A4: PageSize = PageSize { width_mm: 210.0, height_mm: 297.0 };
 
     fn plain(outer_mm: f64) -> Item {
         let kind = Kind::plain("robot", outer_mm * 1e-3, outer_mm * 0.4e-3);
         Item { kind, number: None, label: String::new() }
+    }
+
+    /// Where the ring's outline begins: at its right.
+    fn first(page: &Page) -> Place {
+        match page.prints[0].steps[0] {
+            Step::Move(place) => place,
+            step => panic!("{step:?}"),
+        }
     }
 
     #[test]
@@ -360,19 +375,35 @@ mod tests {
 
     #[test]
     fn a_large_roundel_goes_over_pages_that_overlap() {
-        let pages = sheets(&[plain(300.0)], A4).unwrap();
+        let pages = sheets(&[plain(330.0)], A4).unwrap();
         assert_eq!(pages.len(), 6);
         // The next page's picture is the same, moved by the window but for the overlap.
-        let first = |page: &Page| match page.prints[0].steps[0] {
-            super::super::path::Step::Move(place) => place,
-            step => panic!("{step:?}"),
-        };
         let (one, next) = (first(&pages[0]), first(&pages[1]));
         let width = window(A4).width();
         assert!((one.x - next.x - (width - OVERLAP_MM)).abs() < 1e-9 && one.y == next.y);
         // Together they hold the whole square.
         let columns = 3.0;
-        assert!(columns * (width - OVERLAP_MM) + OVERLAP_MM >= 300.0 * SIDE_SHARE);
+        assert!(columns * (width - OVERLAP_MM) + OVERLAP_MM >= 330.0 * SIDE_SHARE);
+    }
+
+    #[test]
+    fn fewer_sheets_are_taken_where_they_leave_enough_of_a_margin() {
+        let a3 = PageSize { width_mm: 297.0, height_mm: 420.0 };
+        for (outer_mm, page, count) in
+            [(600.0, a3, 6), (300.0, A4, 4), (235.0, A4, 2), (236.0, A4, 4)]
+        {
+            let pages = sheets(&[plain(outer_mm)], page).unwrap();
+            assert_eq!(pages.len(), count, "{outer_mm} mm");
+            // The least margin and its cut marks lie in the windows of the outermost sheets.
+            let reach_mm = 0.5 * (LEAST_SIDE_SHARE * outer_mm + GAP_MM);
+            let middle = |page: &Page| first(page).moved(-0.5 * outer_mm, 0.0);
+            let (one, other) = (&pages[0], &pages[count - 1]);
+            let (before, after) = (middle(one), middle(other));
+            assert!(before.x - reach_mm >= one.window.left - ROUNDING, "{outer_mm} mm");
+            assert!(before.y - reach_mm >= one.window.top - ROUNDING, "{outer_mm} mm");
+            assert!(after.x + reach_mm <= other.window.right + ROUNDING, "{outer_mm} mm");
+            assert!(after.y + reach_mm <= other.window.bottom + ROUNDING, "{outer_mm} mm");
+        }
     }
 
     #[test]
