@@ -12,14 +12,14 @@ use tiny_skia::{FillRule, Paint, PathBuilder, PixmapMut, Rect, Stroke, Transform
 
 use super::{
     report::PlanMap,
-    scale::{Scale, round_step, significant},
+    scale::{Scale, round_step, tint},
 };
 use crate::drawing::glyph;
 
 /// Room for the map itself, pixels.
 const ROOM_PX: [f64; 2] = [760.0, 620.0];
 /// About the map: left, above, right, below.
-const MARGIN_PX: [f64; 4] = [64.0, 44.0, 120.0, 48.0];
+const MARGIN_PX: [f64; 4] = [64.0, 44.0, 176.0, 48.0];
 const LETTER_PX: f64 = 10.0;
 /// Where no camera sees anything.
 const UNSEEN: [u8; 3] = [214, 214, 214];
@@ -244,7 +244,8 @@ impl Drawing {
         for axis in 0..2 {
             let mut mark = (low[axis] / step_m).ceil() * step_m;
             while mark <= high[axis] + 1e-9 {
-                let text = format!("{}", (mark * 1e3).round() / 1e3);
+                // Nothing is -0.
+                let text = format!("{}", (mark * 1e3).round() / 1e3 + 0.0);
                 let mut at = low;
                 at[axis] = mark;
                 let from = place(at);
@@ -286,24 +287,21 @@ impl Drawing {
             let share = step as f64 / (STEPS - 1) as f64;
             let at = [left, top + HIGH * step as f64 / STEPS as f64];
             let size = [16.0, HIGH / STEPS as f64 + 0.5];
-            self.shapes.push(Shape::Area {
-                at,
-                size,
-                colour: colours.colour(colours.value(share)),
-            });
+            self.shapes.push(Shape::Area { at, size, colour: tint(share) });
         }
-        for mark in 0..=4 {
-            let share = f64::from(mark) / 4.0;
-            let value = colours.value(share);
-            let text = match show {
-                Show::Precision => format!("{} mm", significant(value * 1e3)),
-                Show::Cameras => format!("{}", significant(value)),
-            };
-            self.add_text([left + 22.0, top + 5.0 + HIGH * share], text);
+        let marks = colours.marks();
+        for (place, mark) in marks.iter().enumerate() {
+            let share = place as f64 / (marks.len() - 1) as f64;
+            self.add_text([left + 22.0, top + 5.0 + HIGH * share], &mark.text);
         }
         let at = [left, top + HIGH + 16.0];
         self.shapes.push(Shape::Area { at, size: [16.0, 16.0], colour: UNSEEN });
         self.add_text([left + 22.0, at[1] + 12.0], "unseen");
+        if show == Show::Precision {
+            for (line, text) in ["%: of what is", "seen, better"].into_iter().enumerate() {
+                self.add_text([left, at[1] + 40.0 + 18.0 * line as f64], text);
+            }
+        }
     }
 }
 
@@ -348,7 +346,9 @@ mod tests {
                 assert!(text.contains(part), "{part} in {text}");
             }
         }
-        assert!(svg(&map(), Show::Precision).contains("0.1 mm"));
+        assert!(svg(&map(), Show::Precision).contains("0.1 mm 0 %"));
+        let text = svg(&PlanMap { min_m: [-0.1, -0.5], ..map() }, Show::Precision);
+        assert!(!text.contains("\n-0\n") && text.contains("\n-0.4\n"), "{text}");
     }
 
     #[test]
@@ -357,7 +357,7 @@ mod tests {
         let mut reader = png::Decoder::new(io::Cursor::new(&bytes)).read_info().unwrap();
         let mut pixels = vec![0; reader.output_buffer_size().unwrap()];
         let info = reader.next_frame(&mut pixels).unwrap();
-        assert_eq!(info.width, (64.0 + 760.0 + 120.0) as u32);
+        assert_eq!(info.width, (64.0 + 760.0 + 176.0) as u32);
         let at = |x: usize, y: usize| {
             let start = 4 * (y * info.width as usize + x);
             [pixels[start], pixels[start + 1], pixels[start + 2]]
