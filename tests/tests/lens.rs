@@ -1,9 +1,11 @@
 //! A lens is found from rendered views of the board, with deviations that hold. What becomes of views that are blurred, cut
 //! off, empty or there twice is in `lens_command`, by name.
 
+use roundel_core::{calib::board::Board, marker::CodeLayout};
 use roundel_tests::{
     board::{board_of, board_print, camera, imaging, lens, lens_by, pictures, poses},
     normal::Random,
+    render::Imaging,
 };
 
 #[test]
@@ -28,6 +30,29 @@ fn thirty_views_tell_the_lens() {
     assert!(off_px < 0.5, "{off_px} px");
     assert!(found.rms_px < 0.06, "{} px", found.rms_px);
     assert!(deviations[..2].iter().all(|deviation| *deviation < 0.2), "{deviations:?}");
+    let width = found.width.unwrap();
+    println!("roundels look {} ± {} as wide as said", width.ratio, width.deviation);
+    assert!((width.ratio - 1.0).abs() < 0.001 && !width.is_doubtful(), "{width:?}");
+}
+
+#[test]
+fn a_pitch_that_is_two_percent_off_is_told() {
+    let truth = camera();
+    for (seed, blur_px) in [(7, 0.5), (8, 0.8), (9, 1.2)] {
+        let poses = poses(&truth, 12, &mut Random::new(seed, 0));
+        let imaging = Imaging { blur_px, ..imaging() };
+        let views = pictures(&truth, imaging, &board_print(), &poses, seed);
+        let described = |pitch_m: f64| {
+            let layout = CodeLayout { bits: 9, min_distance: 1 };
+            let board = Board::new((7, 5), pitch_m, 0.03, layout).unwrap();
+            lens_by(board, &views).unwrap().width.unwrap()
+        };
+        let (right, wrong) = (described(0.036), described(0.0367));
+        println!("blur {blur_px} px: {right:?}, {wrong:?}");
+        assert!(!right.is_doubtful(), "{right:?}");
+        assert!(wrong.is_doubtful(), "{wrong:?}");
+        assert!((wrong.found_pitch_mm() - 36.0).abs() < 0.1, "{wrong:?}");
+    }
 }
 
 #[test]

@@ -83,6 +83,18 @@ fn a_folder_with_broken_pictures_among_them_gives_a_file_that_is_right() {
     assert!(off_px < 0.5 && (found.width(), found.height()) == (1280, 720), "{off_px} px");
     assert!(doubt.is_some(), "it says how well it is known");
     assert_eq!(fs::read_to_string(at("north.previous.yaml")).unwrap(), "of before");
+
+    // The print is 36 mm from one to the next.
+    assert_eq!(report["width"]["warning"], Value::Null, "{report}");
+    let output = calibrate(folder.path(), &["--pitch", "36.7", "--format", "json", "views"]);
+    let report: Value = serde_json::from_slice(&output.stdout).unwrap();
+    let found_mm = report["width"]["found_pitch_mm"].as_f64().unwrap();
+    assert!((found_mm - 36.0).abs() < 0.05, "{report}");
+    let warning = report["width"]["warning"].as_str().unwrap();
+    assert!(warning.contains("mm wide, not 30.00, if they are 36.70 mm from one"), "{warning}");
+    let table = calibrate(folder.path(), &["--pitch", "36.7", "--format", "table", "views"]);
+    let table = String::from_utf8(table.stdout).unwrap();
+    assert!(table.contains(&format!("Warning: {warning}")), "{table}");
 }
 
 /// Half of the board beyond the picture's left edge.

@@ -4,7 +4,7 @@ import { fixed } from "./format.js";
 
 /** @typedef {{columns: number, rows: number, zones: number[], visited_from: number, share: number}} Coverage */
 /** @typedef {{name: string, value: number, deviation: number, unit: string}} Parameter */
-/** @typedef {{distortion_model: string, parameters: Parameter[], rms_px: number, views: number, views_left_out: number, outliers: number}} Report */
+/** @typedef {{distortion_model: string, parameters: Parameter[], rms_px: number, views: number, views_left_out: number, outliers: number, width_warning: string}} Report */
 /**
  * @typedef {object} Lens
  * @property {"idle" | "gathering" | "solving" | "done" | "failed"} stage
@@ -86,7 +86,7 @@ export function parameterCells(it) {
 /** What the result rests on. @param {Report} it */
 export function reportWords(it) {
   const left = it.views_left_out > 0 ? `, ${it.views_left_out} left out since they contradict the others` : "";
-  return `${it.distortion_model}, from ${viewsWords(it.views)}${left}; seen and predicted centres differ by ${fixed(it.rms_px, 3)} px rms.`;
+  return `${it.distortion_model}, from ${viewsWords(it.views)}${left}; seen and predicted centres differ by ${fixed(it.rms_px, 3)} px rms.${it.width_warning ? ` ${sentence(it.width_warning)}` : ""}`;
 }
 
 /** Columns and rows as somebody writes them, as they go into the request. @param {string} text @returns {{width: number, height: number} | null} */

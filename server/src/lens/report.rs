@@ -1,7 +1,7 @@
 //! A lens calibration as clients are told of it: how far it is, and what came out.
 
 use roundel_core::{
-    calib::lens::{Coverage, LEAST_VIEWS, LensCalibration, VISITED, Verdict, View, ZONES},
+    calib::lens::{Coverage, LEAST_VIEWS, LensCalibration, VISITED, Verdict, View, Width, ZONES},
     camera::PixelPoint,
 };
 use serde::Serialize;
@@ -113,6 +113,8 @@ pub struct LensReport {
     pub views_left_out: usize,
     /// Roundels that were left out of the views that were used.
     pub outliers: usize,
+    /// What the print's diameter and pitch look like, if not as said; else empty.
+    pub width_warning: String,
 }
 
 /// One number of a lens.
@@ -145,8 +147,24 @@ impl LensReport {
             views,
             views_left_out: found.views.len() - views,
             outliers: found.outliers,
+            width_warning: width_doubt(found).unwrap_or_default(),
         }
     }
+}
+
+/// That the print's diameter and pitch look other than said, if they do.
+pub fn width_doubt(found: &LensCalibration) -> Option<String> {
+    let width = found.width.filter(Width::is_doubtful)?;
+    Some(format!(
+        "the roundels look {:.2} mm wide, not {:.2}, if they are {:.2} mm from one to the next (or those {:.2} mm apart if \
+         {:.2} mm wide), ± {:.1} %: measure both on the print, for the lens is off with them",
+        width.found_outer_mm(),
+        width.outer_mm,
+        width.pitch_mm,
+        width.found_pitch_mm(),
+        width.outer_mm,
+        width.deviation * 100.0
+    ))
 }
 
 const PINHOLE: [&str; 4] = ["fx", "fy", "cx", "cy"];

@@ -58,8 +58,10 @@ test("parameters have the decimals that their deviations allow", () => {
   assert.deepEqual(parameterCells({ name: "fx", value: 912.04567, deviation: 0.0451, unit: "px" }), ["912.046 px", "± 0.045 px"]);
   assert.deepEqual(parameterCells({ name: "k1", value: -0.14012, deviation: 0.00021, unit: "" }), ["−0.14012", "± 0.00021"]);
   assert.deepEqual(parameterCells({ name: "fx", value: 912.4, deviation: 23, unit: "px" }), ["912 px", "± 23 px"]);
-  const report = { distortion_model: "plumb_bob", parameters: [], rms_px: 0.0312, views: 19, views_left_out: 1, outliers: 0 };
+  const report = { distortion_model: "plumb_bob", parameters: [], rms_px: 0.0312, views: 19, views_left_out: 1, outliers: 0, width_warning: "" };
   assert.equal(reportWords(report), "plumb_bob, from 19 views, 1 left out since they contradict the others; seen and predicted centres differ by 0.031 px rms.");
+  const off = reportWords({ ...report, width_warning: "the roundels look 30.58 mm wide, not 30.00" });
+  assert.ok(off.endsWith("0.031 px rms. The roundels look 30.58 mm wide, not 30.00."), off);
 });
 
 test("zones are thirds of the picture, done from so many roundels on", () => {

@@ -17,7 +17,7 @@ use super::{
     candidate::{Candidate, Slopes},
     descent::{Descent, descend},
     model::Model,
-    rim::offset_px,
+    rim,
     robust::{HUBER, OUTLIER, deviation, huber, median},
     start::Started,
     view::{LEAST_ROUNDELS, Sighting},
@@ -135,7 +135,7 @@ impl Bundle {
         let mut moved_px: f64 = 0.0;
         for station in &mut self.stations {
             for point in &mut station.points {
-                let (u, v) = offset_px(&camera, &station.pose, &point.at, rim_m).ok()?;
+                let (u, v) = rim::image(&camera, &station.pose, &point.at, rim_m).ok()?.offset_px;
                 let offset = Vector2::new(u, v);
                 moved_px = moved_px.max((offset - point.offset).norm());
                 point.offset = offset;

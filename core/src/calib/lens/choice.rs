@@ -115,6 +115,7 @@ impl Best {
             views,
             outliers,
             evidence,
+            width: None,
         }
     }
 }

@@ -46,6 +46,7 @@ pub use self::{
     model::Model,
     target::Target,
     view::{Sighting, View},
+    width::Width,
 };
 use super::board::Board;
 use crate::camera::Camera;
@@ -70,6 +71,8 @@ pub struct LensCalibration {
     pub outliers: usize,
     /// What speaks for each model, the likeliest first; a simpler one may have been taken ([`STRONG`]).
     pub evidence: Vec<Evidence>,
+    /// How wide the roundels look beside their pitch, where that can be told.
+    pub width: Option<Width>,
 }
 
 /// One view as it was fitted.
@@ -230,8 +233,8 @@ pub fn calibrate(
         }
     })?;
     let found = outcome.told(&blurred, &started);
-    width::check(target, views, &found)?;
-    Ok(found)
+    let width = width::check(target, views, &found)?;
+    Ok(LensCalibration { width, ..found })
 }
 
 #[cfg(test)]
@@ -293,11 +296,11 @@ mod tests {
             let mut sightings = Vec::new();
             for number in 1..=(target.columns() * target.rows()) as u16 {
                 let Some(center) = target.at(number) else { continue };
-                let at_board = Point3::new(center.x, center.y, 0.0);
-                let at = pose * at_board;
+                let at = pose * Point3::new(center.x, center.y, 0.0);
                 let Ok(pixel) = camera.project(&at.coords) else { continue };
-                let offset = target.rim_m().map(|it| rim::offset_px(camera, &pose, &center, it));
-                let Ok((u, v)) = offset.unwrap_or(Ok((0.0, 0.0))) else { continue };
+                let imaged = target.rim_m().map(|it| rim::image(camera, &pose, &center, it));
+                let Ok(imaged) = imaged.transpose() else { continue };
+                let (u, v) = imaged.as_ref().map_or((0.0, 0.0), |image| image.offset_px);
                 let radius_px = 0.015 * 900.0 / at.z;
                 let inside =
                     |place: f64, side: usize| place > radius_px && place < side as f64 - radius_px;
@@ -306,9 +309,7 @@ mod tests {
                         u: pixel.u + u + noise.sample(rng),
                         v: pixel.v + v + noise.sample(rng),
                     };
-                    let radius_px = target.rim_m().map_or(radius_px, |rim_m| {
-                        width::radius_px(camera, &pose, at_board, rim_m).unwrap_or(radius_px)
-                    });
+                    let radius_px = imaged.map_or(radius_px, |image| image.radius_px);
                     sightings.push(Sighting { number, center, radius_px });
                 }
             }
@@ -433,6 +434,28 @@ mod tests {
             assert!(error.contains("(or those 36.0 mm apart"), "{error}");
             let found_mm = format!("look {:.1} mm wide, not 30.0", 30.0 * pitch_m / 0.036);
             assert!(error.contains(&found_mm), "{error}");
+        }
+    }
+
+    #[test]
+    fn a_pitch_that_is_some_percent_off_is_told_with_numbers_however_pictures_bloom() {
+        let truth = camera(Lens::PlumbBob([-0.1, 0.02, 0.0, 0.0, 0.0]));
+        let layout = CodeLayout { bits: 9, min_distance: 1 };
+        for bloom_px in [-0.6, 0.0, 0.6] {
+            let mut rng = ChaCha8Rng::seed_from_u64(6);
+            let mut views = views(&truth, 12, 0.7, &mut rng);
+            for sighting in views.iter_mut().flat_map(|view| &mut view.sightings) {
+                sighting.radius_px += bloom_px;
+            }
+            for (pitch_mm, is_doubtful) in
+                [(36.0, false), (36.3, false), (36.5, true), (35.3, true), (37.0, true)]
+            {
+                let board = Board::new((7, 5), pitch_mm * 1e-3, 0.03, layout).unwrap();
+                let found = calibrate(&Target::from(board), SIZE, &views, None).unwrap();
+                let width = found.width.unwrap();
+                assert_eq!(width.is_doubtful(), is_doubtful, "{bloom_px} px: {width:?}");
+                assert!((width.found_pitch_mm() - 36.0).abs() < 0.1, "{bloom_px} px: {width:?}");
+            }
         }
     }
 

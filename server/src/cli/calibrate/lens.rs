@@ -14,7 +14,7 @@ use roundel_core::{
     marker::{CodeLayout, Pattern},
     plan::precision::LensDoubt,
 };
-use serde_json::json;
+use serde_json::{Value, json};
 
 use super::{
     Format, moving, output,
@@ -25,7 +25,7 @@ use crate::{
     cli::size,
     lens::{
         chessboard::{self, Chessboard},
-        report::parameters,
+        report::{parameters, width_doubt},
         search::Sought,
     },
     print::{
@@ -243,7 +243,7 @@ fn hint(sought: &Sought, Looked { gathered, .. }: &Looked) -> String {
     }
 }
 
-fn report_of_views(found: &LensCalibration, looked: &Looked) -> serde_json::Value {
+fn report_of_views(found: &LensCalibration, looked: &Looked) -> Value {
     let Looked { gathered, left_out, taken, out } = looked;
     let points = gathered.chooser.target().points();
     let views: Vec<_> = found
@@ -268,13 +268,22 @@ fn report_of_views(found: &LensCalibration, looked: &Looked) -> serde_json::Valu
     let of_file = |(file, why): &(PathBuf, String)| json!({"file": file, "why": why});
     report["left_out"] = json!(out.iter().map(of_file).collect::<Vec<_>>());
     report["coverage"] = json!(gathered.chooser.coverage().share());
+    report["width"] = found.width.map_or(Value::Null, |width| {
+        json!({
+            "ratio": width.ratio,
+            "deviation": width.deviation,
+            "found_outer_mm": width.found_outer_mm(),
+            "found_pitch_mm": width.found_pitch_mm(),
+            "warning": width_doubt(found),
+        })
+    });
     report
 }
 
 /// The lens, and what speaks for it.
-pub(super) fn report(found: &LensCalibration) -> serde_json::Value {
+pub(super) fn report(found: &LensCalibration) -> Value {
     let intrinsics = found.camera.intrinsics();
-    let parameters: serde_json::Map<String, serde_json::Value> = parameters(found)
+    let parameters: serde_json::Map<String, Value> = parameters(found)
         .into_iter()
         .map(|(name, value, sd)| (name.to_owned(), json!({"value": value, "deviation": sd})))
         .collect();
@@ -313,6 +322,9 @@ fn table(found: &LensCalibration, looked: &Looked) -> anyhow::Result<String> {
         (gathered.chooser.coverage().share() * 100.0).round()
     )?;
     write_parameters(&mut text, found)?;
+    if let Some(doubt) = width_doubt(found) {
+        writeln!(text, "Warning: {doubt}")?;
+    }
     write_evidence(&mut text, found)?;
     let wants = gathered.chooser.coverage().wants();
     if !wants.is_empty() {

@@ -17,7 +17,7 @@ use super::{
     super::{
         candidate::{Candidate, Slopes},
         descent::{Descent, descend},
-        rim::offset_px,
+        rim,
         robust::{HUBER, OUTLIER, deviation, huber},
     },
     jackknife::{Jackknife, Part, jackknife},
@@ -162,7 +162,8 @@ impl<'a> Bundle<'a> {
             let place_m = look.turned_m + self.camera_from_world.translation.vector;
             let pose = Isometry3::from_parts(place_m.into(), orientation);
             let radius_m = self.ways[pair.way].radius_m();
-            if let Ok((u, v)) = offset_px(&camera, &pose, &Point2::origin(), radius_m) {
+            if let Ok(image) = rim::image(&camera, &pose, &Point2::origin(), radius_m) {
+                let (u, v) = image.offset_px;
                 pair.offset = Vector2::new(u, v);
             }
             let size = mean_px / pair.radius_px;

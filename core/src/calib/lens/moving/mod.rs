@@ -311,6 +311,7 @@ fn told(
             views: Vec::new(),
             outliers: given - bundle.pairs.len(),
             evidence,
+            width: None,
         },
         pose_covariance: world_covariance(&fit.covariance, lens, &bundle.camera_from_world),
         world_from_camera,

@@ -3,7 +3,7 @@ use rand::SeedableRng;
 use rand_chacha::ChaCha8Rng;
 use rand_distr::{Distribution, StandardNormal};
 
-use super::{super::rim::offset_px, *};
+use super::{super::rim, *};
 use crate::camera::{Camera, Intrinsics, Lens};
 
 const SIZE: (usize, usize) = (1920, 1080);
@@ -88,7 +88,8 @@ impl Scene {
                 let (pose, _) = self.pose(robot, time_s);
                 let pose = self.camera_from_world * pose;
                 let Ok(pixel) = self.camera.project(&pose.translation.vector) else { continue };
-                let (u, v) = offset_px(&self.camera, &pose, &Point2::origin(), RADIUS_M).unwrap();
+                let (u, v) =
+                    rim::image(&self.camera, &pose, &Point2::origin(), RADIUS_M).unwrap().offset_px;
                 let center = PixelPoint {
                     u: pixel.u + u + normal() * PIXEL_PX,
                     v: pixel.v + v + normal() * PIXEL_PX,
