@@ -121,7 +121,8 @@ pub(super) fn run(arguments: &PrintArgs) -> anyhow::Result<ExitCode> {
             }
         })?,
     };
-    report(&written, &pages, &order);
+    let told = report(&written, &pages, &order);
+    handed_out(io::stdout().write_all(told.as_bytes()))?;
     Ok(ExitCode::SUCCESS)
 }
 
@@ -150,7 +151,7 @@ fn write(file: &Path, bytes: &[u8]) -> anyhow::Result<()> {
     fs::write(file, bytes).with_context(|| format!("cannot write {}", file.display()))
 }
 
-fn report(written: &[PathBuf], pages: &[Page], order: &Order) {
+fn report(written: &[PathBuf], pages: &[Page], order: &Order) -> String {
     let prints: usize = pages.iter().map(|page| page.prints.len()).sum();
     let sheets =
         if pages.len() == 1 { "one page".to_owned() } else { format!("{} pages", pages.len()) };
@@ -160,11 +161,13 @@ fn report(written: &[PathBuf], pages: &[Page], order: &Order) {
         [] => String::new(),
     };
     let size = pages.first().map_or_else(String::new, |page| page.size.name());
-    println!("{names}: {sheets} of {size}, {}", wish::told(order, prints));
-    println!("Print at 100 %, not fitted to the page, and measure the rulers.");
-    for line in wish::next(order) {
-        println!("{line}");
-    }
+    let mut lines = vec![
+        format!("{names}: {sheets} of {size}, {}", wish::told(order, prints)),
+        "Print at 100 %, not fitted to the page, and measure the rulers.".to_owned(),
+    ];
+    lines.extend(wish::next(order));
+    lines.push(String::new());
+    lines.join("\n")
 }
 
 fn list(layout: CodeLayout, wanted: Option<&Numbers>, format: Format) -> anyhow::Result<()> {
@@ -184,8 +187,12 @@ fn list(layout: CodeLayout, wanted: Option<&Numbers>, format: Format) -> anyhow:
             .and_then(|()| writeln!(out)),
         Format::Table => table(&mut out, layout, &listed),
     };
-    match printed.and_then(|()| out.flush()) {
-        // Who reads them may have seen enough.
+    handed_out(printed.and_then(|()| out.flush()))
+}
+
+/// Who reads what is printed may have seen enough.
+fn handed_out(printed: io::Result<()>) -> anyhow::Result<()> {
+    match printed {
         Err(error) if error.kind() == io::ErrorKind::BrokenPipe => Ok(()),
         printed => printed.context("cannot write to the standard output"),
     }

@@ -52,6 +52,21 @@ fn an_installation_is_printed_before_its_cameras_have_lenses() {
 }
 
 #[test]
+fn nobody_need_read_what_is_told() {
+    let folder = tempfile::tempdir().unwrap();
+    for arguments in [&["--marker", "50:20", "a.pdf"][..], &["--code", "8:2", "--list"]] {
+        let (reader, writer) = std::io::pipe().unwrap();
+        drop(reader);
+        let mut command = Command::new(env!("CARGO_BIN_EXE_roundel"));
+        command.arg("print").args(arguments).current_dir(folder.path()).stdout(writer);
+        let output = command.output().unwrap();
+        let told = String::from_utf8_lossy(&output.stderr);
+        assert!(output.status.success() && told.is_empty(), "{arguments:?}: {told}");
+    }
+    assert!(folder.path().join("a.pdf").exists());
+}
+
+#[test]
 fn a_list_has_the_codes_that_were_asked_for() {
     let folder = tempfile::tempdir().unwrap();
     let json = ["--code", "8:2", "--list", "--ids", "2-3", "--format", "json"];
