@@ -1,6 +1,9 @@
 //! `rtsp://…`: capture times, and what servers do to those who watch.
 
-use std::time::Instant;
+use std::{
+    thread,
+    time::{Duration, Instant},
+};
 
 use roundel_core::frame::Frame;
 use roundel_server::source::{FrameSource, OpenSource, SourceError, TimeBase};
@@ -33,7 +36,7 @@ fn capture_times_come_from_sender_reports() {
         let Some(camera) = start("capture_times_come_from_sender_reports", encoder) else { return };
         for transport in ["tcp", "udp"] {
             camera.forget();
-            let (mut source, _) = open(&format!("{}#transport={transport}&stall=5", camera.url()));
+            let (mut source, _) = open(&format!("{}#transport={transport}&stall=30", camera.url()));
             let begun = Instant::now();
             let mut errors_ms: Vec<f64> = Vec::new();
             let (mut numbers, mut left_out) = (Vec::new(), 0);
@@ -130,6 +133,27 @@ fn a_stall_is_noticed_within_a_second() {
     drop(source);
     let (mut source, _) = open(&camera.url());
     source.next_frame().unwrap();
+}
+
+/// However its packets come; GStreamer would end UDP's after a time of its own.
+#[test]
+fn a_pause_shorter_than_the_stall_is_waited_for() {
+    let _alone = alone();
+    let Some(camera) = start("a_pause_shorter_than_the_stall_is_waited_for", "jpeg") else {
+        return;
+    };
+    for transport in ["tcp", "udp"] {
+        let (mut source, _) = open(&format!("{}#transport={transport}&stall=30", camera.url()));
+        for _ in 0..5 {
+            source.next_frame().unwrap();
+        }
+        camera.freeze();
+        thread::sleep(Duration::from_secs(3));
+        camera.thaw();
+        for _ in 0..50 {
+            source.next_frame().unwrap();
+        }
+    }
 }
 
 #[test]

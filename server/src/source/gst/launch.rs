@@ -1,5 +1,7 @@
 //! From an address to a pipeline that is ready to play.
 
+use std::time::Duration;
+
 use gstreamer as gst;
 use gstreamer::prelude::*;
 use gstreamer_app::AppSink;
@@ -18,6 +20,8 @@ const OWN_COUNTERS: [&str; 1] = ["aravissrc"];
 /// What waits to be decoded at most: more of it means that decoding is slower than the camera.
 const BACKLOG_TIME: gst::ClockTime = gst::ClockTime::from_seconds(2);
 const BACKLOG_BYTES: u32 = 32 << 20;
+/// What GStreamer waits for packets beyond a stall.
+const PAST_STALL: Duration = Duration::from_secs(1);
 
 /// A pipeline, its end, and what its decoder takes.
 pub(super) struct Launched {
@@ -106,7 +110,7 @@ fn prepare(element: &gst::Element, decoding: &Decoding) {
 /// Properties rather than text, so that no character of an address has a meaning of its own.
 fn set_origin(origin: &gst::Element, address: &MediaAddress) {
     match address {
-        MediaAddress::Rtsp { url, credentials, transport, latency, .. } => {
+        MediaAddress::Rtsp { url, credentials, transport, latency, stall } => {
             origin.set_property("location", url);
             if let Some((user, password)) = credentials {
                 origin.set_property("user-id", user);
@@ -121,7 +125,9 @@ fn set_origin(origin: &gst::Element, address: &MediaAddress) {
             origin.set_property("add-reference-timestamp-meta", true);
             // A camera that does not answer is the supervisor's to retry, and soon.
             origin.set_property("tcp-timeout", 5_000_000_u64);
-            origin.set_property("timeout", 2_000_000_u64);
+            // Of packets on their own. Somewhat longer than a stall, which has words of its own.
+            let silence_us = (*stall + PAST_STALL).as_micros();
+            origin.set_property("timeout", u64::try_from(silence_us).unwrap_or(u64::MAX));
         }
         MediaAddress::File { path, .. } => {
             origin.set_property("location", path.to_string_lossy().as_ref());

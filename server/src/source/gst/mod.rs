@@ -103,7 +103,7 @@ impl GstSource {
             converter: Converter::default(),
             current: None,
             newest: 0,
-            patience: FIRST_FRAME,
+            patience: FIRST_FRAME.max(address.stall()),
             missing: Vec::new(),
             decoding,
             counts_itself,

@@ -80,6 +80,8 @@ pub(super) fn remedy(what: &str, debug: &str) -> Option<&'static str> {
         Some("nothing listens there; check host and port")
     } else if has("Parse error") {
         Some("what came is no RTSP: is it a camera's port, and is the network sound?")
+    } else if has("any UDP packets") {
+        Some("`#transport=tcp` behind the address has the camera send within its connection")
     } else if has("not-linked") {
         Some("the stream holds no picture that GStreamer can decode")
     } else {
