@@ -37,7 +37,7 @@
 //! ```
 
 mod abreast;
-mod belt;
+pub(crate) mod belt;
 mod blur;
 mod chord;
 mod claim;
@@ -54,7 +54,7 @@ mod levels;
 mod mask;
 mod measure;
 mod middle;
-mod normal;
+pub(crate) mod normal;
 mod occupied;
 mod outline;
 mod oval;

@@ -23,6 +23,7 @@ pub mod map;
 pub mod paper;
 pub mod precision;
 pub mod reach;
+mod rim;
 pub mod search;
 pub mod sight;
 pub mod time;

@@ -1,56 +1,42 @@
 //! How exactly a roundel would be located.
 //!
-//! **From the picture.** A straight edge of contrast C, blurred to s² = blur² + 1/12 by lens and pixel, tells its
-//! place across itself, a unit of its length, with the variance
+//! **From the picture.** Rims stray by its noise and blur (`rim`), and [`crate::pose::locate`] makes the pose's
+//! covariance of that, as it does of rings that are seen.
 //!
-//! v = σ² 2√π s / C²,  σ² = noise² + 1/12
-//!
-//! (Fisher's information of its pixels, ∫ g′² = C²/(2√π s); rounding to whole grey levels adds 1/12). With that
-//! noise of rims [`crate::pose::locate`] gives the pose's covariance, as it does of rings that are seen. The fit to grey
-//! levels reaches this bound but where a disc or a black is hardly wider than the blur; rims by moments are half again
-//! as noisy, and shifted as a whole by what blur leaves. How much so was found on rendered roundels of 12 to 75 px,
-//! ratios of 0.36 to 0.6, blurs of 0.5 to 1.1 px, noise of 1 to 4 levels and tilts to 50°.
+//! **From compensation**, in fast mode. It takes the rims' areas to be as r²; perspective and lens make them a little
+//! less so, which moves both rims of a large ring that is tilted or seen from near. By how much follows from the rims as
+//! they would be imaged, and where the centre is then is located.
 //!
 //! **From the wrong normal.** The ring as it is without noise speaks for the right one of its two normals with a
 //! likelihood L, by a misfit D = 2 ln(L/(1-L)) of the other one. Noise moves that by a deviation of 2√D, so that the
-//! share Φ(-√D/2) of pictures speaks for the wrong one, and puts the centre where that has it; in precise
-//! mode it stands in for the share 1-L by which a single picture's covariance counts it.
+//! share Φ(-√D/2) of pictures speaks for the wrong one, and puts the centre where that has it. It stands in for the share
+//! 1-L by which a single picture's covariance counts it.
 //!
 //! **From the lens** (the paper's Δf of equation 19 and ε of equation 17). The same ring is located through a camera
 //! whose parameters are moved by a little: the derivatives J of the position by fx, fy, cx, cy and the coefficients,
 //! with their covariance Σ, give J Σ Jᵀ. It is the same from frame to frame, so no filter averages it out.
 
-use std::f64::consts::{PI, TAU};
+use std::f64::consts::TAU;
 
 use nalgebra::{DMatrix, Matrix3, Matrix3xX, Vector3};
 
 use super::{
-    Imaging, Sensor,
+    Sensor,
+    rim::rim_noise,
     sight::{Sighting, is_found, is_read, sight},
 };
 use crate::{
     camera::{Camera, Intrinsics, Lens},
     id::TrackNumber,
-    marker::{Kind, Mode, Pattern},
+    marker::{
+        Kind, Mode, Pattern, Ring,
+        rim::{compensated, rim_shift_px},
+    },
     pose::{Detection, RimNoise, RoundelPose, apart_m, locate},
     rigid::Rigid,
     time::Timestamp,
 };
 
-/// What the fit to grey levels leaves of blur's and bloom's shift of a whole rim, pixels, and how errors grow with the
-/// fourth power of blur over the narrower one of disc and black; from rendered roundels. The latter is of set-ups beside
-/// those that the plan is compared with (29 of 80 with the numbers 1000 to 1158, the washed ones, by least squares of
-/// the logarithms of both errors).
-const FIT_FLOOR_PX: f64 = 0.0005;
-const FIT_WASHED: f64 = 20.0;
-/// Rims by moments: their noise over that of the fit; the shift of a whole rim that is left at any size, pixels; with
-/// each pixel of blur beyond this one; and at a disc or a black as narrow as the blur, pixels, with this power of it.
-const MOMENTS_EDGE: f64 = 1.5;
-const MOMENTS_FLOOR_PX: f64 = 0.0008;
-const BLURRED_FLOOR: f64 = 0.02;
-const SHARP_PX: f64 = 0.8;
-const WASHED_FLOOR_PX: f64 = 0.95;
-const WASHED_POWER: f64 = 3.4;
 /// Steps of the derivatives by the camera's parameters: pixels, and numbers.
 const STEP_PX: f64 = 1e-2;
 const STEP: f64 = 1e-5;
@@ -96,13 +82,14 @@ pub fn expect(
     let (seen_as, noise) = (whole(kind), rim_noise(sensor, kind, &sighting));
     let locate = |camera: &Camera| locate(camera, &seen_as, &sighting.ring, &noise);
     let mut pose = locate(&sensor.camera).ok()?;
-    // What was found of rims by moments has it in it.
-    if sensor.mode == Mode::Precise {
-        let apart = apart_m(&sensor.camera, &seen_as, &sighting.ring, &noise).ok()?;
-        let wrong = wrong_share(pose.normal_likelihood) - (1.0 - pose.normal_likelihood);
-        let mut of_position = pose.covariance.fixed_view_mut::<3, 3>(0, 0);
-        of_position += apart * apart.transpose() * wrong;
-    }
+    let apart = apart_m(&sensor.camera, &seen_as, &sighting.ring, &noise).ok()?;
+    let wrong = wrong_share(pose.normal_likelihood) - (1.0 - pose.normal_likelihood);
+    let moved = match sensor.mode {
+        Mode::Precise => Vector3::zeros(),
+        Mode::Fast => moved_m(&sensor.camera, &seen_as, &sighting.ring),
+    };
+    let mut of_position = pose.covariance.fixed_view_mut::<3, 3>(0, 0);
+    of_position += apart * apart.transpose() * wrong + moved * moved.transpose();
     let position = |camera: &Camera| Some(locate(camera).ok()?.position_m);
     let by_lens_m2 = match doubt {
         Some(doubt) => doubt.carried(&sensor.camera, position)?,
@@ -127,37 +114,28 @@ fn below(z: f64) -> f64 {
     (-0.5 * z * z).exp() / TAU.sqrt() * sum
 }
 
+/// What compensation moves the position by where the rims' areas are not as the print's: camera frame, metres.
+fn moved_m(camera: &Camera, kind: &Kind, ring: &Ring) -> Vector3<f64> {
+    if kind.pattern != Pattern::Plain {
+        return Vector3::zeros();
+    }
+    let position = |ring: &Ring| {
+        let pose = locate(camera, kind, ring, &RimNoise::default()).ok()?;
+        Some(pose.position_m)
+    };
+    let moved = || {
+        let shift_px = rim_shift_px(&ring.outer, &ring.inner, kind.ratio())?;
+        let (outer, inner) = compensated(&ring.outer, &ring.inner, shift_px)?;
+        Some(position(&Ring { outer, inner, ..*ring })? - position(ring)?)
+    };
+    moved().unwrap_or_else(Vector3::zeros)
+}
+
 /// The fit sees a coded disc's rim whole, if in parts at the teeth's inner and outer ends.
 fn whole(kind: &Kind) -> Kind {
     match kind.pattern {
         Pattern::Coded(_) => Kind { pattern: Pattern::Plain, ..kind.clone() },
         Pattern::Plain | Pattern::Elliptical { .. } => kind.clone(),
-    }
-}
-
-/// The noise of a ring's rims, as its mode finds them.
-fn rim_noise(sensor: &Sensor, kind: &Kind, sighting: &Sighting) -> RimNoise {
-    let Imaging { noise, blur_px, .. } = sensor.imaging;
-    let variance = noise.powi(2) + 1.0 / 12.0;
-    let spread_px = (blur_px.powi(2) + 1.0 / 12.0).sqrt();
-    let per_length = 2.0 * PI.sqrt() * spread_px / sensor.imaging.contrast().powi(2);
-    let edge_px = (variance * per_length).sqrt();
-    // What is narrower than its blur is washed out: the disc, or the black beside it.
-    let (least, most) = kind.ratios();
-    let narrow_px = 0.5 * sighting.minor_px * least.min(1.0 - most);
-    let washed = spread_px / narrow_px;
-    match sensor.mode {
-        Mode::Precise => {
-            let growth = 1.0 + FIT_WASHED * washed.powi(4);
-            let (edge_px, floor_px) = (edge_px * growth, FIT_FLOOR_PX * growth);
-            RimNoise { edge_px, floor_px, is_of_ring: true }
-        }
-        Mode::Fast => {
-            let by_blur_px = BLURRED_FLOOR * (blur_px - SHARP_PX).max(0.0);
-            let by_width_px = WASHED_FLOOR_PX * washed.powf(WASHED_POWER);
-            let floor_px = MOMENTS_FLOOR_PX + by_blur_px + by_width_px;
-            RimNoise { edge_px: MOMENTS_EDGE * edge_px, floor_px, is_of_ring: true }
-        }
     }
 }
 
@@ -277,6 +255,21 @@ mod tests {
             assert!((found - share).abs() < 1e-6, "{misfit}: {found}");
         }
         assert_eq!(wrong_share(1.0), 0.0);
+    }
+
+    /// Perspective leaves the rims of a large ring that is tilted nearer to each other in area than the print has them.
+    #[test]
+    fn compensation_costs_large_tilted_rings_precision_in_fast_mode() {
+        let kind = Kind::plain("", 0.16, 0.064);
+        let moved = |diameter_px: f64, tilt_rad: f64| {
+            let distance_m = sensor().camera.intrinsics().fx_px * 0.16 / diameter_px;
+            let pose = before(NormalizedPoint::default(), distance_m, tilt_rad);
+            let seen = sight(&sensor().camera, &kind, &sensor().imaging, &pose).unwrap();
+            moved_m(&sensor().camera, &kind, &seen.ring).norm() / distance_m
+        };
+        let share = moved(100.0, 0.8);
+        assert!((1e-4..1e-2).contains(&share), "{share}");
+        assert!(moved(25.0, 0.8) < 0.2 * share && moved(100.0, 0.0) < 0.2 * share);
     }
 
     #[test]
