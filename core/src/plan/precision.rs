@@ -16,8 +16,6 @@
 //! whose parameters are moved by a little: the derivatives J of the position by fx, fy, cx, cy and the coefficients,
 //! with their covariance Σ, give J Σ Jᵀ. It is the same from frame to frame, so no filter averages it out.
 
-use std::f64::consts::TAU;
-
 use nalgebra::{DMatrix, Matrix3, Matrix3xX, Vector3};
 
 use super::{
@@ -32,7 +30,7 @@ use crate::{
         Kind, Mode, Pattern, Ring,
         rim::{compensated, rim_shift_px},
     },
-    pose::{Detection, RimNoise, RoundelPose, apart_m, locate},
+    pose::{Detection, RimNoise, RoundelPose, apart_m, locate, photometry::normal_distribution},
     rigid::Rigid,
     time::Timestamp,
 };
@@ -103,15 +101,7 @@ pub fn expect(
 /// this likelihood.
 fn wrong_share(likelihood: f64) -> f64 {
     let misfit = 2.0 * (likelihood / (1.0 - likelihood)).ln().max(0.0);
-    below(-0.5 * misfit.sqrt())
-}
-
-/// The normal distribution at z ≤ 0, to 1e-7 (Abramowitz and Stegun, 26.2.17).
-fn below(z: f64) -> f64 {
-    let t = 1.0 / (1.0 - 0.231_641_9 * z);
-    let series = [1.330_274_429, -1.821_255_978, 1.781_477_937, -0.356_563_782, 0.319_381_530];
-    let sum = series.iter().fold(0.0, |sum, factor| (sum + factor) * t);
-    (-0.5 * z * z).exp() / TAU.sqrt() * sum
+    normal_distribution(-0.5 * misfit.sqrt()).0
 }
 
 /// What compensation moves the position by where the rims' areas are not as the print's: camera frame, metres.

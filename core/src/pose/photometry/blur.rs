@@ -54,7 +54,7 @@ impl Kernel {
         let mut list = [[0.0; 2]; MOST_OFFSETS];
         for (i, both) in (-half..=half).zip(&mut list) {
             let z = i as f64 / (PHASES as f64 * blur_px);
-            let (below, density) = normal(z);
+            let (below, density) = normal_distribution(z);
             *both = [below, blur_px * (z * below + density)];
         }
         let box_of = |i: i64, which: usize| {
@@ -144,7 +144,7 @@ impl Taps {
 }
 
 /// Φ(z) and φ(z), to 1e-7 (Abramowitz and Stegun, 26.2.17).
-fn normal(z: f64) -> (f64, f64) {
+pub(crate) fn normal_distribution(z: f64) -> (f64, f64) {
     const INVERSE_ROOT_TWO_PI: f64 = 0.398_942_280_401_432_7;
     let density = INVERSE_ROOT_TWO_PI * (-0.5 * z * z).exp();
     let t = 1.0 / (1.0 + 0.231_641_9 * z.abs());
@@ -200,7 +200,7 @@ mod tests {
                         let (x, y) = (f64::from(k % 16), f64::from(k / 16));
                         let place = |x: f64| (x + 0.5) / 16.0 - 0.5;
                         let z = (s + (u + place(x)) * cos + (v + place(y)) * sin) / blur_px;
-                        let (below, density) = normal(z);
+                        let (below, density) = normal_distribution(z);
                         sums[0] += below / 256.0;
                         sums[1] += density / blur_px / 256.0;
                         sums[2] -= z * density / (blur_px * blur_px) / 256.0;

@@ -91,6 +91,7 @@ use crate::{
     marker::{Kind, Pattern, Ring},
 };
 use blur::BLUR_LIMITS_PX;
+pub(crate) use blur::normal_distribution;
 use lens::LocalLens;
 use placed::{Placed, placed};
 pub use recalled::RecalledProducts;
