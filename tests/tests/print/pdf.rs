@@ -23,8 +23,6 @@ use super::{A4, coded, found, kinds, numbers};
 
 const DPI: f64 = 600.0;
 const MM: f64 = 25.4 / DPI;
-/// Of a second drawing, where the pixels stand otherwise.
-const OTHER_DPI: f64 = 593.0;
 /// Whatever is measured is true to this, millimetres.
 const TRUE_MM: f64 = 0.1;
 
@@ -47,13 +45,9 @@ impl Pdf {
 
     /// A page as drawn, counted from 0.
     fn drawn(&self, index: usize) -> GreyImage {
-        self.drawn_at(DPI, index)
-    }
-
-    fn drawn_at(&self, dpi: f64, index: usize) -> GreyImage {
         let number = (index + 1).to_string();
         let output = Command::new("pdftoppm")
-            .args(["-gray", "-r", &dpi.to_string(), "-f", &number, "-l", &number])
+            .args(["-gray", "-r", &DPI.to_string(), "-f", &number, "-l", &number])
             .arg(self.folder.path().join("sheet.pdf"))
             .output()
             .unwrap();
@@ -81,23 +75,21 @@ struct Sheet<'a> {
 }
 
 impl Sheet<'_> {
-    /// Holds a drawing to what was laid out: nothing but these numbers, each where it should be and as large. Which of
-    /// them were not found.
-    fn missing_in(&self, image: &GreyImage, dpi: f64) -> Vec<Option<u16>> {
+    /// Holds a drawing to what was laid out: these numbers and nothing else, each where it should be and as large.
+    fn hold(&self, image: &GreyImage) {
         let Self { kind, page, numbers } = self;
-        let mm = 25.4 / dpi;
         let close = |found_mm: f64, wanted_mm: f64, what: &str| {
             let off_mm = (found_mm - wanted_mm).abs();
             assert!(off_mm < TRUE_MM, "{}: {what} is {found_mm} mm, not {wanted_mm}", kind.name);
         };
-        close(image.width as f64 * mm, page.size.width_mm, "the page's width");
-        close(image.height as f64 * mm, page.size.height_mm, "the page's height");
+        close(image.width as f64 * MM, page.size.width_mm, "the page's width");
+        close(image.height as f64 * MM, page.size.height_mm, "the page's height");
         let rings = found(kind, image);
         let places: Vec<Place> = page.prints.iter().map(middle).collect();
         let mut missing: Vec<Option<u16>> = numbers.clone();
         for ring in &rings {
             // Pixel centres are whole numbers.
-            let (x, y) = ((ring.outer.center.u + 0.5) * mm, (ring.outer.center.v + 0.5) * mm);
+            let (x, y) = ((ring.outer.center.u + 0.5) * MM, (ring.outer.center.v + 0.5) * MM);
             let near = |at: &Place| (x - at.x).abs() < TRUE_MM && (y - at.y).abs() < TRUE_MM;
             let Some(index) = places.iter().position(near) else {
                 panic!("{}: a roundel at ({x}, {y}) mm, where none is printed", kind.name);
@@ -106,21 +98,16 @@ impl Sheet<'_> {
             assert_eq!(read, numbers[index], "{:?} at ({x}, {y}) mm", kind.pattern);
             missing.retain(|number| *number != read);
             for semi_px in [ring.outer.semi_major_px, ring.outer.semi_minor_px] {
-                close(2.0 * semi_px * mm, kind.outer_diameter_m * 1e3, "the outer diameter");
+                close(2.0 * semi_px * MM, kind.outer_diameter_m * 1e3, "the outer diameter");
             }
             let minor_m = match kind.pattern {
                 Pattern::Elliptical { minor_diameter_m } => minor_diameter_m,
                 _ => kind.inner_diameter_m,
             };
-            close(2.0 * ring.inner.semi_major_px * mm, kind.inner_diameter_m * 1e3, "the disc");
-            close(2.0 * ring.inner.semi_minor_px * mm, minor_m * 1e3, "the disc across");
+            close(2.0 * ring.inner.semi_major_px * MM, kind.inner_diameter_m * 1e3, "the disc");
+            close(2.0 * ring.inner.semi_minor_px * MM, minor_m * 1e3, "the disc across");
         }
-        missing
-    }
-
-    fn hold(&self, image: &GreyImage) {
-        let missing = self.missing_in(image, DPI);
-        assert!(missing.is_empty(), "{}: {missing:?} are not found", self.kind.name);
+        assert!(missing.is_empty(), "{}: {missing:?} are not found", kind.name);
     }
 }
 
@@ -137,26 +124,14 @@ fn sheets_of<'a>(kind: &'a Kind, pages: &'a [Page], items: &[Item]) -> Vec<Sheet
     sheets
 }
 
-/// All that there are of a kind: how many, and how many of them only a second drawing showed. `None` without the program
-/// that draws them.
-fn hold_all(kind: &Kind) -> Option<(usize, usize)> {
+/// All that there are of a kind: how many. `None` without the program that draws them.
+fn hold_all(kind: &Kind) -> Option<usize> {
     let items = of_kind(kind, None).unwrap();
     let pages = sheets(&items, A4).unwrap();
     let pdf = Pdf::of(&pages)?;
-    let second = sheets_of(kind, &pages, &items)
-        .into_par_iter()
-        .enumerate()
-        .map(|(index, sheet)| {
-            let missing = sheet.missing_in(&pdf.drawn(index), DPI);
-            if !missing.is_empty() {
-                let again = sheet.missing_in(&pdf.drawn_at(OTHER_DPI, index), OTHER_DPI);
-                let never: Vec<_> = missing.iter().filter(|it| again.contains(it)).collect();
-                assert!(never.is_empty(), "{:?}: {never:?} are never found", kind.pattern);
-            }
-            missing.len()
-        })
-        .sum();
-    Some((items.len(), second))
+    let sheets = sheets_of(kind, &pages, &items);
+    sheets.into_par_iter().enumerate().for_each(|(index, sheet)| sheet.hold(&pdf.drawn(index)));
+    Some(items.len())
 }
 
 #[test]
@@ -178,13 +153,10 @@ fn every_kind_is_true_to_scale_on_every_page() {
 }
 
 /// All numbers of all codes that can be printed, 5 to 16 bits, up to 12 bits at every distance (codes at a larger
-/// distance are some of those at distance 1 under other numbers): 9,400 small prints, none of which is read wrongly.
-///
-/// A drawing has no blur. Where its pixels stand in line with a print's edges, as at some places of a page, the search
-/// refuses a print in some thousand; drawn at another resolution it is found as well.
+/// distance are some of those at distance 1 under other numbers): 9,400 small prints.
 #[test]
 fn every_number_of_every_code_is_read() {
-    let (mut count, mut second) = (0, 0);
+    let mut count = 0;
     for bits in CodeLayout::BITS.0..=CodeLayout::BITS.1 {
         let most = if bits <= 12 { u8::MAX } else { 1 };
         for min_distance in 1..=most {
@@ -193,12 +165,11 @@ fn every_number_of_every_code_is_read() {
                 break;
             }
             let Some(held) = hold_all(&coded(6.0, layout)) else { return };
-            count += held.0;
-            second += held.1;
+            count += held;
         }
     }
-    println!("{count} coded roundels read, {second} of them in the second drawing");
-    assert!(count > 8792 && second * 500 < count, "{count}, {second}");
+    println!("{count} coded roundels read");
+    assert!(count > 8792, "{count}");
 }
 
 /// The codes that installations have unless they say otherwise, as white rings too.
@@ -207,8 +178,9 @@ fn every_number_of_usual_codes_is_read_in_either_polarity() {
     for (bits, min_distance) in [(8, 2), (9, 1)] {
         for polarity in [Polarity::BlackRing, Polarity::WhiteRing] {
             let kind = Kind { polarity, ..coded(15.0, CodeLayout { bits, min_distance }) };
-            let Some((_, second)) = hold_all(&kind) else { return };
-            assert_eq!(second, 0, "{:?}, {polarity:?}", kind.pattern);
+            if hold_all(&kind).is_none() {
+                return;
+            }
         }
     }
 }
