@@ -9,6 +9,7 @@ mod riding;
 mod sample;
 mod sentence;
 mod watching;
+mod watchman;
 
 use std::{
     collections::{BTreeMap, BTreeSet},

@@ -4,7 +4,7 @@
 //! that it poisons nothing. Its new place goes the way of every calibration: through the calibrator, which
 //! keeps it, to its worker, which hands it to fusion with the next frame.
 
-use std::sync::Arc;
+use std::{collections::BTreeMap, sync::Arc};
 
 use roundel_core::{
     calib::watch::{Watch, WatchEvent, WatchParams},
@@ -13,6 +13,7 @@ use roundel_core::{
     world::{CameraPlacement, FrameObservations, Fusion, HeldBack, HeldStep, Landmark},
 };
 
+use super::watchman::{Findings, Note, Watchman};
 use crate::{
     calibration::Calibrator,
     hub::{CameraPlace, Happening, Hub, Installation, PoseStatus},
@@ -28,62 +29,97 @@ pub struct WatchingParts {
 }
 
 pub(super) struct Watching {
-    watch: Watch,
+    watchman: Watchman,
     calibrator: Arc<Calibrator>,
-    cameras: Vec<CameraId>,
+    posts: BTreeMap<CameraId, Post>,
+}
+
+/// A camera, as the watch has it as far as is known.
+#[derive(Clone, Copy, Debug)]
+struct Post {
+    placement: CameraPlacement,
+    is_spared: bool,
 }
 
 impl Watching {
     pub(super) fn new(parts: WatchingParts) -> Self {
         let mut watch = Watch::new(WatchParams::default());
         watch.set_landmarks(&parts.landmarks);
-        Self { watch, calibrator: parts.calibrator, cameras: Vec::new() }
+        let watchman = Watchman::new(watch);
+        Self { watchman, calibrator: parts.calibrator, posts: BTreeMap::new() }
     }
 
     /// Where a camera stands was said; if a person has written it, it may be rough.
     pub(super) fn set(&mut self, camera: CameraId, placement: CameraPlacement, is_written: bool) {
-        self.place(camera, placement);
-        if is_written {
-            self.watch.distrust(camera);
-        }
+        let known = self.posts.get(&camera);
+        let is_new = known.is_none_or(|post| post.placement != placement);
+        let is_spared = is_written || !is_new && known.is_some_and(|post| post.is_spared);
+        self.posts.insert(camera, Post { placement, is_spared });
+        let placement = Box::new(placement);
+        self.watchman.note(Note::Placed { camera, placement, is_written, is_new });
     }
 
     /// A camera is gone, or does not stand where that is known.
     pub(super) fn remove(&mut self, camera: CameraId) {
-        self.watch.remove_camera(camera);
-        self.cameras.retain(|it| *it != camera);
+        self.posts.remove(&camera);
+        self.watchman.note(Note::Removed(camera));
     }
 
     /// A camera's place is known anew.
     pub(super) fn place(&mut self, camera: CameraId, placement: CameraPlacement) {
-        self.watch.set_camera(camera, placement);
-        if !self.cameras.contains(&camera) {
-            self.cameras.push(camera);
-        }
+        self.set(camera, placement, false);
     }
 
-    pub(super) fn observe(&mut self, frame: &FrameObservations, fusion: &Fusion) {
+    pub(super) fn observe(&mut self, frame: &Arc<FrameObservations>, fusion: &Fusion) {
         let offset_s = fusion.clock(frame.camera).map_or(0.0, |clock| clock.offset_s);
-        self.watch.observe(frame, offset_s);
+        self.watchman.note(Note::Seen(frame.clone(), offset_s));
     }
 
-    /// Puts into effect what has become known until `now`.
+    /// Puts into effect what has become known, and lets the watch's time pass until `now`.
     pub(super) fn advance(&mut self, now: Timestamp, fusion: &mut Fusion, hub: &Hub) {
         for held in fusion.drain_held_back() {
             log_held(&held, &hub.installation());
-            self.watch.hold(held.camera, held.step == HeldStep::Begun);
+            self.watchman.note(Note::Held(held.camera, held.step == HeldStep::Begun));
         }
-        for event in self.watch.advance(now) {
+        if let Some(findings) = self.watchman.findings() {
+            self.heed(findings, now, (fusion, hub));
+        }
+        self.watchman.send(now);
+        for (&camera, &Post { is_spared, .. }) in &self.posts {
+            hub.tap().tell(Told { camera, change: Change::Spared(is_spared) });
+            fusion.spare(camera, is_spared);
+        }
+    }
+
+    /// What was found of a camera that was placed elsewhere meanwhile is not true any more; the watch hears of
+    /// that place next.
+    fn heed(&mut self, findings: Findings, now: Timestamp, (fusion, hub): (&mut Fusion, &Hub)) {
+        for event in findings.events {
+            let found = match event {
+                WatchEvent::Bumped { camera, .. } => Some((camera, None)),
+                WatchEvent::Returned { camera, placement }
+                | WatchEvent::Drifted { camera, placement, .. } => Some((camera, Some(placement))),
+                WatchEvent::Contradiction { .. }
+                | WatchEvent::Misplaced { .. }
+                | WatchEvent::Agreed { .. } => None,
+            };
+            if let Some((camera, placement)) = found {
+                let Some(post) = self.posts.get_mut(&camera) else { continue };
+                if self.watchman.is_overtaken(camera) {
+                    continue;
+                }
+                post.placement = placement.unwrap_or(post.placement);
+            }
             let (happening, message) = self.effect(&event, fusion, hub);
             tracing::warn!("{message}");
             hub.publish_event(now, happening, message);
         }
-        for &camera in &self.cameras {
-            let is_spared = !self.watch.is_trusted(camera);
-            hub.tap().tell(Told { camera, change: Change::Spared(is_spared) });
-            fusion.spare(camera, is_spared);
-            let health = self.watch.health(camera);
-            hub.update_camera(camera, |state| state.health = health);
+        for (camera, is_spared, health) in findings.cameras {
+            let Some(post) = self.posts.get_mut(&camera) else { continue };
+            if !self.watchman.is_overtaken(camera) {
+                post.is_spared = is_spared;
+                hub.update_camera(camera, |state| state.health = health);
+            }
         }
     }
 
@@ -169,7 +205,10 @@ fn log_held(held: &HeldBack, installation: &Installation) {
 
 #[cfg(test)]
 mod tests {
-    use std::collections::BTreeMap;
+    use std::{
+        thread::sleep,
+        time::{Duration, Instant},
+    };
 
     use roundel_core::{
         rigid::{Covariance6, Rigid},
@@ -290,8 +329,38 @@ mod tests {
         let hub = hub(&clock);
         let mut watching = watching(&hub, clock);
         let mut fusion = Fusion::new(FusionParams::default());
+        let is_shown = |hub: &Hub| hub.cameras().values().all(|state| state.health.is_some());
+        let begun = Instant::now();
+        while !is_shown(&hub) && begun.elapsed() < Duration::from_secs(30) {
+            watching.advance(clock.now(), &mut fusion, &hub);
+            sleep(Duration::from_millis(5));
+        }
+        assert!(is_shown(&hub), "{:?}", hub.cameras());
+    }
+
+    #[test]
+    fn what_was_found_of_another_place_is_left_out() {
+        let clock = Clock::anchored_now();
+        let hub = hub(&clock);
+        let mut watching = watching(&hub, clock);
+        let mut fusion = Fusion::new(FusionParams::default());
+        let bumped = |camera| Findings {
+            events: vec![WatchEvent::Bumped { camera, moved_m: 0.02, turned_rad: 0.02 }],
+            cameras: vec![(camera, true, None)],
+        };
+        let status = |camera| hub.camera(camera).unwrap().place.status;
+        // The watch hears where both stand.
         watching.advance(clock.now(), &mut fusion, &hub);
-        let states = hub.cameras();
-        assert!(states.values().all(|state| state.health.is_some()), "{states:?}");
+        watching.place(NORTH, placement(0.5));
+        watching.place(SOUTH, placement(1.0));
+        for camera in [NORTH, SOUTH] {
+            watching.heed(bumped(camera), clock.now(), (&mut fusion, &hub));
+        }
+        assert_ne!(status(NORTH), PoseStatus::Quarantined, "it was placed elsewhere");
+        assert_eq!(status(SOUTH), PoseStatus::Quarantined, "it was said once more where it stands");
+        assert!(!watching.posts[&NORTH].is_spared && watching.posts[&SOUTH].is_spared);
+        watching.remove(SOUTH);
+        watching.heed(bumped(SOUTH), clock.now(), (&mut fusion, &hub));
+        assert!(!watching.posts.contains_key(&SOUTH));
     }
 }
