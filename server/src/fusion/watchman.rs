@@ -8,7 +8,7 @@ use std::{
     collections::BTreeSet,
     sync::{
         Arc,
-        mpsc::{Receiver, Sender, channel},
+        mpsc::{Receiver, Sender, TryRecvError, channel},
     },
     thread,
 };
@@ -91,9 +91,21 @@ impl Watchman {
 
     /// What was made of the batch before, if that is known by now and was not taken yet.
     pub(super) fn findings(&mut self) -> Option<Findings> {
-        let findings = self.findings.try_recv().ok()?;
+        let findings = match self.findings.try_recv() {
+            Err(TryRecvError::Empty) => return None,
+            Err(TryRecvError::Disconnected) => {
+                if self.is_busy {
+                    tracing::error!(
+                        "the watch has ended by an error: from now on, that a camera was bumped is not noticed; start \
+                         the server anew"
+                    );
+                }
+                None
+            }
+            Ok(findings) => Some(findings),
+        };
         self.is_busy = false;
-        Some(findings)
+        findings
     }
 
     /// Whether a camera was placed elsewhere or removed since the batch whose findings are taken next, or just were.
@@ -157,3 +169,20 @@ fn give_way() {
 
 #[cfg(not(target_os = "linux"))]
 fn give_way() {}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// What is noted then is let go of.
+    #[test]
+    fn nothing_piles_up_where_the_watch_has_ended() {
+        let (batches, findings) = (channel().0, channel().1);
+        let mut watchman =
+            Watchman { notes: Vec::new(), batches, findings, is_busy: true, sent: None };
+        watchman.note(Note::Held(CameraId(0), true));
+        assert!(watchman.findings().is_none() && !watchman.is_busy);
+        watchman.send(Timestamp::from_ns(0));
+        assert!(watchman.notes.is_empty() && !watchman.is_busy);
+    }
+}
