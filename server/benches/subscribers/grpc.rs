@@ -7,12 +7,9 @@ use prost::{
     encoding::{DecodeContext, WireType, decode_key, decode_varint, skip_field},
 };
 use roundel_proto::v1;
-use tokio::{
-    io::{AsyncReadExt, AsyncWriteExt},
-    net::TcpStream,
-};
+use tokio::{io::AsyncWriteExt, net::TcpStream};
 
-use crate::{Case, measure::Readings};
+use crate::{Case, arrival::arrive, measure::Readings};
 
 const PREFACE: &[u8] = b"PRI * HTTP/2.0\r\n\r\nSM\r\n\r\n";
 const DATA: u8 = 0;
@@ -62,18 +59,12 @@ pub fn message(message: &[u8]) -> Vec<u8> {
 pub async fn read(address: SocketAddr, request: Vec<u8>, readings: Readings) {
     let mut stream = subscribe(address, &request, WINDOW).await;
     let mut parser = Parser { readings, ..Parser::default() };
-    let mut buffer = vec![0; 256 * 1024];
-    let mut filled = 0;
+    let (mut rest, mut answers) = (Vec::new(), Vec::new());
     loop {
-        let count = stream.read(&mut buffer[filled..]).await.unwrap_or_default();
-        assert!(count > 0, "the server hung up on a subscriber that reads");
-        filled += count;
-        let mut answers = Vec::new();
-        let used = parser.frames(&buffer[..filled], &mut answers);
-        buffer.copy_within(used..filled, 0);
-        filled -= used;
+        arrive(&mut stream, &mut rest, |bytes| parser.frames(bytes, &mut answers)).await;
         if !answers.is_empty() {
             stream.write_all(&answers).await.expect("a connection");
+            answers.clear();
         }
     }
 }
@@ -88,6 +79,7 @@ pub async fn hold(address: SocketAddr, request: Vec<u8>) {
 async fn subscribe(address: SocketAddr, request: &[u8], window: u32) -> TcpStream {
     let mut stream = TcpStream::connect(address).await.expect("a connection");
     stream.set_nodelay(true).expect("an option");
+
     let mut bytes = PREFACE.to_vec();
     let setting = [&INITIAL_WINDOW_SIZE.to_be_bytes()[..], &window.to_be_bytes()].concat();
     frame(&mut bytes, SETTINGS, 0, 0, &setting);

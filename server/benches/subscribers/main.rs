@@ -12,6 +12,7 @@
 //! processes read one clock. *Re-encoded* gives every subscriber a region of its own that holds all objects, so that
 //! nothing can be shared, and everything else is the same.
 
+mod arrival;
 mod bare;
 mod grpc;
 mod measure;

@@ -2,12 +2,9 @@
 
 use std::net::SocketAddr;
 
-use tokio::{
-    io::{AsyncReadExt, AsyncWriteExt},
-    net::TcpStream,
-};
+use tokio::{io::AsyncWriteExt, net::TcpStream};
 
-use crate::{Case, grpc, measure::Readings};
+use crate::{Case, arrival::arrive, grpc, measure::Readings};
 
 const BINARY: u8 = 2;
 const PING: u8 = 9;
@@ -27,36 +24,37 @@ pub async fn read(address: SocketAddr, case: Case, readings: Readings) {
         if case.protobuf { "roundel.v1.protobuf" } else { "roundel.v1.json" }
     );
     stream.write_all(ask.as_bytes()).await.expect("a connection");
-    let mut buffer = vec![0; 512 * 1024];
-    let (mut filled, mut is_open) = (0, false);
+    let (mut rest, mut is_open, mut pongs) = (Vec::new(), false, Vec::new());
     loop {
-        let count = stream.read(&mut buffer[filled..]).await.unwrap_or_default();
-        assert!(count > 0, "the server hung up on a page that reads");
-        filled += count;
-        let mut used = 0;
-        if !is_open {
-            let Some(end) = buffer[..filled].windows(4).position(|bytes| bytes == b"\r\n\r\n")
-            else {
-                continue;
-            };
-            assert!(buffer.starts_with(b"HTTP/1.1 101"), "no WebSocket");
-            (used, is_open) = (end + 4, true);
-        }
-        while let Some((opcode, payload, length)) = frame(&buffer[used..filled]) {
-            if opcode == PING {
-                // Of no bytes, masked with zeros.
-                stream.write_all(&[0x80 | PONG, 0x80, 0, 0, 0, 0]).await.expect("a connection");
-            } else if opcode == BINARY {
-                // A StreamMessage of one snapshot: behind its key and its length of three bytes.
-                let (fused_time_ns, missed) = grpc::looked_into(&payload[4..]);
-                readings.add(fused_time_ns, missed);
-            } else if let Some((fused_time_ns, missed)) = looked_into(payload) {
-                readings.add(fused_time_ns, missed);
+        let take = |bytes: &[u8]| {
+            let mut used = 0;
+            if !is_open {
+                let Some(end) = bytes.windows(4).position(|four| four == b"\r\n\r\n") else {
+                    return 0;
+                };
+                assert!(bytes.starts_with(b"HTTP/1.1 101"), "no WebSocket");
+                (used, is_open) = (end + 4, true);
             }
-            used += length;
+            while let Some((opcode, payload, length)) = frame(&bytes[used..]) {
+                if opcode == PING {
+                    // Of no bytes, masked with zeros.
+                    pongs.extend_from_slice(&[0x80 | PONG, 0x80, 0, 0, 0, 0]);
+                } else if opcode == BINARY {
+                    // A StreamMessage of one snapshot: behind its key and its length of three bytes.
+                    let (fused_time_ns, missed) = grpc::looked_into(&payload[4..]);
+                    readings.add(fused_time_ns, missed);
+                } else if let Some((fused_time_ns, missed)) = looked_into(payload) {
+                    readings.add(fused_time_ns, missed);
+                }
+                used += length;
+            }
+            used
+        };
+        arrive(&mut stream, &mut rest, take).await;
+        if !pongs.is_empty() {
+            stream.write_all(&pongs).await.expect("a connection");
+            pongs.clear();
         }
-        buffer.copy_within(used..filled, 0);
-        filled -= used;
     }
 }
 
