@@ -18,6 +18,7 @@ use std::{
 };
 
 use axum::body::{Body, Bytes};
+use bytes::{Buf as _, buf::Chain};
 use hyper::body::{Body as _, Frame, SizeHint};
 use tokio::{
     io::{AsyncRead, AsyncWrite},
@@ -28,8 +29,13 @@ use super::gather::Gather;
 
 /// Most that is handed over at once.
 const PIECE_BYTES: usize = 64 * 1024;
+/// What is no longer than this goes with what follows it, if that is there.
+const SHORT_BYTES: usize = 256;
 /// How often a connection is looked at, against the time after which it is cut off.
 const LOOKS: u32 = 4;
+
+/// What is handed over at once: two pieces of memory, the second of which may be empty.
+pub(super) type Piece = Chain<Bytes, Bytes>;
 
 /// The answers of one connection.
 pub(super) struct Answers {
@@ -47,16 +53,17 @@ impl Default for Answers {
 
 impl Answers {
     /// The same body, watched.
-    pub(super) fn watched(&self, body: Body) -> Body {
-        if body.is_end_stream() {
-            return body;
+    pub(super) fn watched(&self, body: Body) -> Watched {
+        let watched = Watched { body, rest: None, ahead: None, begin: self.begin, handed_ns: None };
+        if watched.body.is_end_stream() {
+            return watched;
         }
         let handed_ns = Arc::new(AtomicU64::new(0));
         let mut all = self.handed_ns.lock().unwrap_or_else(PoisonError::into_inner);
         all.retain(|other| other.strong_count() > 0);
         all.push(Arc::downgrade(&handed_ns));
         drop(all);
-        Body::new(Watched { body, rest: None, begin: self.begin, handed_ns })
+        Watched { handed_ns: Some(handed_ns), ..watched }
     }
 
     /// For how long the one has waited that waits longest.
@@ -83,46 +90,84 @@ pub(super) async fn stuck<S: AsyncRead + AsyncWrite + Unpin>(
 }
 
 /// A body that notes when it is asked.
-struct Watched {
+pub(super) struct Watched {
     body: Body,
-    /// Of what the body gave.
+    /// Of what the body gave, what is to be handed over next.
     rest: Option<Bytes>,
+    /// What the body has given beyond that already.
+    ahead: Option<Option<Result<Frame<Bytes>, axum::Error>>>,
     begin: Instant,
-    handed_ns: Arc<AtomicU64>,
+    /// `None`: nothing but the end is to come, which nobody has to wait for.
+    handed_ns: Option<Arc<AtomicU64>>,
 }
 
 impl Watched {
-    fn hand(&mut self, mut bytes: Bytes) -> Frame<Bytes> {
+    fn poll_body(
+        &mut self,
+        context: &mut Context<'_>,
+    ) -> Poll<Option<Result<Frame<Bytes>, axum::Error>>> {
+        match self.ahead.take() {
+            Some(frame) => Poll::Ready(frame),
+            None => Pin::new(&mut self.body).poll_frame(context),
+        }
+    }
+
+    /// What comes right behind a short piece, such as the part of a snapshot that others get as well behind what is this
+    /// client's own: in one piece they are fewer frames of HTTP/2.
+    fn follower(&mut self, context: &mut Context<'_>) -> Bytes {
+        let Poll::Ready(next) = self.poll_body(context) else { return Bytes::new() };
+        match next.map(|result| result.map(Frame::into_data)) {
+            Some(Ok(Ok(bytes))) => return bytes,
+            Some(Ok(Err(trailers))) => self.ahead = Some(Some(Ok(trailers))),
+            Some(Err(error)) => self.ahead = Some(Some(Err(error))),
+            None => self.ahead = Some(None),
+        }
+        Bytes::new()
+    }
+
+    fn hand(&mut self, mut bytes: Bytes, context: &mut Context<'_>) -> Frame<Piece> {
+        let is_short = bytes.len() <= SHORT_BYTES;
+        let mut follower = if is_short { self.follower(context) } else { Bytes::new() };
         if bytes.len() > PIECE_BYTES {
             self.rest = Some(bytes.split_off(PIECE_BYTES));
+        } else if bytes.len() + follower.len() > PIECE_BYTES {
+            self.rest = Some(follower.split_off(PIECE_BYTES - bytes.len()));
         }
-        let now_ns = self.begin.elapsed().as_nanos() as u64;
-        self.handed_ns.store(now_ns.max(1), Ordering::Relaxed);
-        Frame::data(bytes)
+        if let Some(handed_ns) = &self.handed_ns {
+            let now_ns = self.begin.elapsed().as_nanos() as u64;
+            handed_ns.store(now_ns.max(1), Ordering::Relaxed);
+        }
+        Frame::data(bytes.chain(follower))
     }
 }
 
 impl hyper::body::Body for Watched {
-    type Data = Bytes;
+    type Data = Piece;
     type Error = axum::Error;
 
     fn poll_frame(
         mut self: Pin<&mut Self>,
         context: &mut Context<'_>,
-    ) -> Poll<Option<Result<Frame<Bytes>, axum::Error>>> {
+    ) -> Poll<Option<Result<Frame<Piece>, axum::Error>>> {
         if let Some(rest) = self.rest.take() {
-            return Poll::Ready(Some(Ok(self.hand(rest))));
+            return Poll::Ready(Some(Ok(self.hand(rest, context))));
         }
-        let polled = Pin::new(&mut self.body).poll_frame(context);
-        self.handed_ns.store(0, Ordering::Relaxed);
+        let polled = self.poll_body(context);
+        if let Some(handed_ns) = &self.handed_ns {
+            handed_ns.store(0, Ordering::Relaxed);
+        }
         polled.map_ok(|frame| match frame.into_data() {
-            Ok(bytes) => self.hand(bytes),
-            Err(trailers) => trailers,
+            Ok(bytes) => self.hand(bytes, context),
+            Err(trailers) => trailers.map_data(|bytes| bytes.chain(Bytes::new())),
         })
     }
 
     fn is_end_stream(&self) -> bool {
-        self.rest.is_none() && self.body.is_end_stream()
+        let is_body_at_end = match &self.ahead {
+            None => self.body.is_end_stream(),
+            Some(ahead) => ahead.is_none(),
+        };
+        self.rest.is_none() && is_body_at_end
     }
 
     fn size_hint(&self) -> SizeHint {
@@ -140,8 +185,9 @@ impl hyper::body::Body for Watched {
 mod tests {
     use std::{future::Future, pin::pin, task::Waker};
 
-    use futures::stream;
-    use http_body_util::BodyExt;
+    use axum::http::{HeaderMap, HeaderValue, header};
+    use futures::{StreamExt, stream};
+    use http_body_util::{BodyExt, StreamBody};
 
     use super::*;
 
@@ -153,20 +199,72 @@ mod tests {
         let mut come: Vec<u8> = Vec::new();
         while !body.is_end_stream() {
             assert_eq!(body.size_hint().exact(), Some((bytes.len() - come.len()) as u64));
-            let piece = body.frame().await.unwrap().unwrap().into_data().unwrap();
-            assert!(piece.len() <= PIECE_BYTES);
-            come.extend(&piece);
+            let mut piece = data(body.frame().await);
+            assert!(piece.remaining() <= PIECE_BYTES);
+            come.extend(&piece.copy_to_bytes(piece.remaining()));
         }
         assert!(come == bytes);
         assert!(body.frame().await.is_none());
     }
 
+    fn data(frame: Option<Result<Frame<Piece>, axum::Error>>) -> Piece {
+        frame.unwrap().unwrap().into_data().ok().unwrap()
+    }
+
+    /// A body that gives these, and ends if there are trailers.
+    fn body(pieces: &[&'static [u8]], trailers: Option<HeaderMap>) -> Body {
+        let pieces = pieces.iter().map(|bytes| Frame::data(Bytes::from_static(bytes)));
+        let frames: Vec<_> = pieces.chain(trailers.clone().map(Frame::trailers)).collect();
+        let frames = stream::iter(frames.into_iter().map(Ok::<_, axum::Error>));
+        let rest = match trailers {
+            Some(_) => stream::empty().left_stream(),
+            None => stream::pending().right_stream(),
+        };
+        Body::new(StreamBody::new(frames.chain(rest)))
+    }
+
+    #[tokio::test]
+    async fn a_short_piece_goes_with_what_follows_it_and_a_long_one_alone() {
+        const LONG: [u8; SHORT_BYTES + 1] = [7; SHORT_BYTES + 1];
+        let answers = Answers::default();
+        let mut body = answers.watched(body(&[b"own", &LONG, &LONG, b"end"], None));
+        let mut come = Vec::new();
+        for _ in 0..3 {
+            let piece = data(body.frame().await);
+            come.push([piece.first_ref().len(), piece.last_ref().len()]);
+        }
+        assert_eq!(come, [[3, LONG.len()], [LONG.len(), 0], [3, 0]], "it does not wait for more");
+    }
+
+    #[tokio::test]
+    async fn a_message_of_two_pieces_that_are_too_long_together_is_cut_where_it_is_full() {
+        static LONG: [u8; PIECE_BYTES] = [7; PIECE_BYTES];
+        let mut body = Answers::default().watched(body(&[b"own", &LONG], None));
+        let lengths = [data(body.frame().await), data(body.frame().await)];
+        assert_eq!(lengths.map(|piece| piece.remaining()), [PIECE_BYTES, 3]);
+    }
+
+    #[tokio::test]
+    async fn trailers_behind_a_short_piece_are_not_lost() {
+        let trailers = HeaderMap::from_iter([(header::ETAG, HeaderValue::from_static("7"))]);
+        let mut body = Answers::default().watched(body(&[b"own"], Some(trailers.clone())));
+        assert_eq!(data(body.frame().await).remaining(), 3);
+        assert!(!body.is_end_stream());
+        let frame = body.frame().await.unwrap().unwrap();
+        assert_eq!(frame.into_trailers().ok(), Some(trailers));
+        assert!(body.frame().await.is_none());
+        let mut ended = Answers::default().watched(Body::from("all"));
+        assert_eq!(data(ended.frame().await).remaining(), 3);
+        assert!(
+            ended.is_end_stream(),
+            "that there is no more was found by looking for what follows"
+        );
+    }
+
     #[tokio::test]
     async fn who_is_not_asked_for_more_waits_and_who_has_no_more_does_not() {
         let answers = Answers::default();
-        let endless = stream::iter([Ok::<_, axum::Error>(Bytes::from_static(b"one"))]);
-        let endless = futures::StreamExt::chain(endless, stream::pending());
-        let mut body = answers.watched(Body::from_stream(endless));
+        let mut body = answers.watched(body(&[b"one"], None));
         assert_eq!(answers.waiting(), Duration::ZERO, "not asked at all yet");
         body.frame().await.unwrap().unwrap();
         std::thread::sleep(Duration::from_millis(2));
