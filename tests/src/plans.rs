@@ -12,7 +12,7 @@ use rayon::prelude::*;
 use roundel_core::{
     marker::{Kind, Mode, Params, Pattern, Polarity},
     plan::{
-        Imaging as PlannedImaging, PlanError, Sensor,
+        Imaging as PlannedImaging, PlanError, Sensor, Trials,
         precision::expect,
         reach::{self, Reach},
     },
@@ -132,6 +132,7 @@ impl SetUp {
             camera: core_camera(&self.camera).expect("a camera as drawn"),
             imaging: PlannedImaging { noise, blur_px, black, white },
             mode: self.mode,
+            trials: Trials::default(),
         }
     }
 

@@ -16,6 +16,10 @@
 //! leaves them ([`precision`]). Over an arena it is carried into the world by the very code that carries
 //! detections there ([`crate::world::seen_in_world`]).
 //!
+//! What no formula foretells well, the least diameter that is found and how exactly small rings are located, is tried with
+//! the real detector on pictures drawn for that (`tried`, `trial`, `shot`); what was tried is kept in [`Trials`]. The
+//! pictures are drawn by code of their own, which neither the demo nor what judges the plan shares.
+//!
 //! How well this foretells what happens: `cargo run --release -p roundel-tests --bin plans`, a hundred set-ups
 //! rendered, detected and located.
 
@@ -25,10 +29,14 @@ pub mod precision;
 pub mod reach;
 mod rim;
 pub mod search;
+mod shot;
 pub mod sight;
 pub mod time;
+mod trial;
+mod tried;
 
 use thiserror::Error;
+pub use tried::Trials;
 
 use crate::{
     camera::Camera,
@@ -67,6 +75,8 @@ pub struct Sensor {
     pub imaging: Imaging,
     /// What is worth more.
     pub mode: Mode,
+    /// What was tried of its pictures; sensors that share it are tried once.
+    pub trials: Trials,
 }
 
 /// Why there is no plan.
@@ -179,7 +189,12 @@ mod tests {
             lens: Lens::PlumbBob([0.0; 5]),
         };
         let camera = Camera::new(intrinsics).unwrap();
-        Sensor { camera, imaging: Imaging::default(), mode: Mode::Precise }
+        Sensor {
+            camera,
+            imaging: Imaging::default(),
+            mode: Mode::Precise,
+            trials: Trials::default(),
+        }
     }
 
     fn kind() -> Kind {

@@ -12,6 +12,10 @@
 //! share Φ(-√D/2) of pictures speaks for the wrong one, and puts the centre where that has it. It stands in for the share
 //! 1-L by which a single picture's covariance counts it.
 //!
+//! **From trials.** Where disc or black is hardly wider than the blur, and in fast mode up to 32 px, formulas are off by
+//! factors, and what pictures of such a ring give counts: the covariance C of the position becomes S C S, S being the
+//! factor along the line of sight l and the one across it (`tried`), S = a l lᵀ + b (I - l lᵀ). The normal's stays as it is.
+//!
 //! **From the lens** (the paper's Δf of equation 19 and ε of equation 17). The same ring is located through a camera
 //! whose parameters are moved by a little: the derivatives J of the position by fx, fy, cx, cy and the coefficients,
 //! with their covariance Σ, give J Σ Jᵀ. It is the same from frame to frame, so no filter averages it out.
@@ -22,6 +26,7 @@ use super::{
     Sensor,
     rim::rim_noise,
     sight::{Sighting, is_found, is_read, sight},
+    tried::{Factors, factors},
 };
 use crate::{
     camera::{Camera, Intrinsics, Lens},
@@ -77,9 +82,32 @@ pub fn expect(
     if !is_found(sensor, kind, &sighting) {
         return None;
     }
-    let (seen_as, noise) = (whole(kind), rim_noise(sensor, kind, &sighting));
-    let locate = |camera: &Camera| locate(camera, &seen_as, &sighting.ring, &noise);
-    let mut pose = locate(&sensor.camera).ok()?;
+    let mut pose = modelled(sensor, kind, &sighting)?;
+    let Factors { along, across } =
+        factors(sensor, kind, &sighting, &camera_from_roundel.translation.vector);
+    let sight = pose.position_m.normalize();
+    let scaled = Matrix3::identity() * across + sight * sight.transpose() * (along - across);
+    let mut of_position = pose.covariance.fixed_view_mut::<3, 6>(0, 0);
+    of_position.copy_from(&(scaled * &of_position));
+    let mut of_position = pose.covariance.fixed_view_mut::<6, 3>(0, 0);
+    of_position.copy_from(&(&of_position * scaled));
+    let by_lens_m2 = match doubt {
+        Some(doubt) => {
+            let (seen_as, noise) = (whole(kind), rim_noise(sensor, kind, &sighting));
+            let located = |camera: &Camera| locate(camera, &seen_as, &sighting.ring, &noise);
+            let position = |camera: &Camera| Some(located(camera).ok()?.position_m);
+            doubt.carried(&sensor.camera, position)?
+        }
+        None => Matrix3::zeros(),
+    };
+    let is_read = is_read(sensor, kind, &sighting);
+    Some(Expected { sighting, is_read, pose, by_lens_m2 })
+}
+
+/// The pose with the covariance that formulas give it; `None` where none is found.
+pub(super) fn modelled(sensor: &Sensor, kind: &Kind, sighting: &Sighting) -> Option<RoundelPose> {
+    let (seen_as, noise) = (whole(kind), rim_noise(sensor, kind, sighting));
+    let mut pose = locate(&sensor.camera, &seen_as, &sighting.ring, &noise).ok()?;
     let apart = apart_m(&sensor.camera, &seen_as, &sighting.ring, &noise).ok()?;
     let wrong = wrong_share(pose.normal_likelihood) - (1.0 - pose.normal_likelihood);
     let moved = match sensor.mode {
@@ -88,13 +116,7 @@ pub fn expect(
     };
     let mut of_position = pose.covariance.fixed_view_mut::<3, 3>(0, 0);
     of_position += apart * apart.transpose() * wrong + moved * moved.transpose();
-    let position = |camera: &Camera| Some(locate(camera).ok()?.position_m);
-    let by_lens_m2 = match doubt {
-        Some(doubt) => doubt.carried(&sensor.camera, position)?,
-        None => Matrix3::zeros(),
-    };
-    let is_read = is_read(sensor, kind, &sighting);
-    Some(Expected { sighting, is_read, pose, by_lens_m2 })
+    Some(pose)
 }
 
 /// Share of noisy pictures that speak for the wrong normal, of a ring that without noise speaks for the right one with
@@ -129,6 +151,12 @@ fn whole(kind: &Kind) -> Kind {
     }
 }
 
+/// Deviation of a position along an axis, metres.
+pub(super) fn along_m(position_m2: &Matrix3<f64>, axis: &Vector3<f64>) -> f64 {
+    let unit = axis.normalize();
+    unit.dot(&(position_m2 * unit)).max(0.0).sqrt()
+}
+
 impl Expected {
     /// Of the position, camera frame, m².
     pub fn position_m2(&self) -> Matrix3<f64> {
@@ -137,7 +165,7 @@ impl Expected {
 
     /// Deviation along the line of sight, metres.
     pub fn depth_m(&self) -> f64 {
-        self.along(&self.pose.position_m)
+        along_m(&self.position_m2(), &self.pose.position_m)
     }
 
     /// Root mean square of the deviations along the two directions across the line of sight, metres: what a place on a
@@ -157,11 +185,6 @@ impl Expected {
         let rotation = self.pose.covariance.fixed_view::<3, 3>(3, 3).into_owned();
         let about = self.pose.normal.dot(&(rotation * self.pose.normal));
         (rotation.trace() - about).max(0.0).sqrt()
-    }
-
-    fn along(&self, axis: &Vector3<f64>) -> f64 {
-        let unit = axis.normalize();
-        unit.dot(&(self.position_m2() * unit)).max(0.0).sqrt()
     }
 
     /// As a worker hands it to fusion, the lens' doubt included.

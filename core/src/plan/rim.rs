@@ -21,7 +21,8 @@
 //! - The belt's end lies on pixels as it may: what light is beyond is another at each point of the rim.
 //!
 //! Their factors were found on rendered roundels of 14 to 90 px, ratios of 0.35 to 0.6, blurs of 0.5 to 1.1 px, noise of 1
-//! to 4 levels and tilts to 55°.
+//! to 4 levels and tilts to 55°. For rings below some 30 px they are no more than a beginning, which what is tried of those
+//! multiplies (`tried`).
 
 use std::f64::consts::{PI, TAU};
 

@@ -2,15 +2,15 @@
 //!
 //! Both rims are carried through the whole camera model point by point, and the ellipses of the areas that they
 //! enclose are what the detector measures of them. Found is what is wholly in the picture, wide enough and not tilted
-//! too far: the detector's own limits ([`crate::marker::Params`]), and what blur and noise leave of them, measured on
-//! rendered roundels (`--bin plans` of the tests' crate).
+//! too far: the detector's own limits ([`crate::marker::Params`]), and what blur and noise leave of them, tried on pictures
+//! of such rings (`tried`).
 //!
 //! A coded ring is found several times as far as its teeth are read: who prints codes wants them read, so what counts
 //! as covered is where they are ([`least_needed_px`], [`is_read`]).
 
 use nalgebra::{Point3, Vector3};
 
-use super::{Imaging, Sensor};
+use super::{Imaging, Sensor, tried};
 use crate::{
     camera::Camera,
     ellipse::{Ellipse, Shape},
@@ -22,15 +22,6 @@ use crate::{
 const POINTS: usize = 24;
 /// White that the detector wants round the ring, pixels.
 pub const EDGE_PX: f64 = 2.0;
-/// Of the least diameter that is found: this much above the detector's limit at this blur, pixels; …
-const LIMIT_MORE_PX: f64 = 0.1;
-const USUAL_BLUR_PX: f64 = 0.5;
-/// … for each unit by which a disc's ratio is below this one, this many pixels and so many a pixel of blur more; …
-const LARGE_DISC: f64 = 0.55;
-const SMALL_DISC_PX: f64 = 6.5;
-const SMALL_DISC: f64 = 5.5;
-/// … and black at least so wide against the blur.
-const BLACK_OVER_BLUR: f64 = 1.73;
 /// Bits of a code, and the outer diameter from which it is read, pixels; of other codes by straight lines between.
 const READ_PX: [(f64, f64); 4] = [(5.0, 30.0), (8.0, 36.0), (12.0, 60.0), (16.0, 90.0)];
 /// A ring's levels stray by this share of the noise in them, since they are means over its rim's width.
@@ -86,21 +77,13 @@ pub fn sight(
     Some(Sighting { ring, minor_px: 2.0 * outer.semi_minor_px, tilt_rad, is_whole })
 }
 
-/// The least shorter diameter of the outer rim that is found reliably (nine of ten), pixels: D of the paper's equation
-/// (14).
+/// The least shorter diameter of the outer rim that is found reliably (nineteen of twenty), pixels: D of the paper's
+/// equation (14).
 ///
-/// The detector's own limit, a little more the smaller the disc is against the blur (tilted the less so, since the disc
-/// is longer then), and as much as the black needs to be black between two white edges. Measured on rendered
-/// roundels of ratios of 0.3 to 0.65, blurs of 0.5 to 1.1 px, tilts to 55°, where it is within 6 %; noise of 1 to 4
-/// levels makes no difference.
+/// Tried on pictures like its own (`tried`), which takes some tenths of a second when it is first asked for
+/// ([`super::Trials`]); of a coded one as of a ring without teeth.
 pub fn least_minor_px(sensor: &Sensor, kind: &Kind, tilt_rad: f64) -> f64 {
-    let limit_px = 2.0 * Params::default().min_semi_minor_px;
-    let (least, most) = kind.ratios();
-    let blur_px = sensor.imaging.blur_px;
-    let (blurred_px, small) = (blur_px - USUAL_BLUR_PX, (LARGE_DISC - least).max(0.0));
-    let by_disc_px = blurred_px + (SMALL_DISC_PX + SMALL_DISC * blurred_px) * small;
-    let by_black_px = 2.0 * BLACK_OVER_BLUR * blur_px / (1.0 - most);
-    (limit_px + LIMIT_MORE_PX + tilt_rad.cos() * by_disc_px).max(limit_px).max(by_black_px)
+    tried::least_minor_px(sensor, kind, tilt_rad)
 }
 
 /// The least shorter diameter of the outer rim at which the teeth of a coded roundel are read, pixels; `None` of one
@@ -128,14 +111,14 @@ pub fn is_found(sensor: &Sensor, kind: &Kind, sighting: &Sighting) -> bool {
     let outer = &sighting.ring.outer;
     let params = Params::default();
     sighting.is_whole
-        && sighting.minor_px >= least_minor_px(sensor, kind, sighting.tilt_rad)
         && outer.semi_minor_px >= params.min_axis_ratio * outer.semi_major_px
+        && tried::is_wide_enough(sensor, kind, sighting)
 }
 
 /// Whether it would be found and, if it is coded, its code read.
 pub fn is_read(sensor: &Sensor, kind: &Kind, sighting: &Sighting) -> bool {
-    is_found(sensor, kind, sighting)
-        && least_read_px(kind).is_none_or(|least_px| sighting.minor_px >= least_px)
+    least_read_px(kind).is_none_or(|least_px| sighting.minor_px >= least_px)
+        && is_found(sensor, kind, sighting)
 }
 
 /// What is wanted of a roundel of this kind, as errors say it.

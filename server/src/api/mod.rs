@@ -69,7 +69,7 @@ use std::{
 };
 
 use axum::{Router, middleware};
-use roundel_core::marker::Kind;
+use roundel_core::{marker::Kind, plan::Trials};
 use tokio::net::TcpListener;
 use tokio_util::sync::CancellationToken;
 
@@ -230,6 +230,8 @@ pub struct Api {
     pub counters: Counters,
     /// Snapshots as subscribers want them.
     pub encoder: Encoder,
+    /// What was tried for plans.
+    pub trials: Trials,
 }
 
 /// Serves every API on `listener` until `cancel`, and then until the last client has gone, at most
@@ -267,6 +269,7 @@ pub async fn serve(
         limits,
         counters,
         encoder: Encoder::default(),
+        trials: Trials::default(),
     });
     let (grpc_router, health) = grpc::router(&api);
     let http_router = http_router(api.clone());

@@ -105,8 +105,9 @@ pub async fn show(State(api): State<Arc<Api>>, uri: Uri) -> Result<Response, Api
 fn cameras(api: &Api) -> Vec<Named> {
     let installation = api.hub.installation();
     let states = api.hub.cameras();
+    let usual = Imaging::default();
     let each = installation.cameras.iter();
-    each.filter_map(|(id, info)| Some(station::live(info, states.get(id)?, Imaging::default())))
+    each.filter_map(|(id, info)| Some(station::live(info, states.get(id)?, usual, &api.trials)))
         .collect()
 }
 

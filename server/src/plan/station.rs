@@ -2,7 +2,7 @@
 
 use roundel_core::{
     marker::{Mask, Mode},
-    plan::{Imaging, Sensor, map::Station},
+    plan::{Imaging, Sensor, Trials, map::Station},
     rigid::Covariance6,
     world::CameraPlacement,
 };
@@ -21,8 +21,8 @@ pub struct Named {
     pub station: Result<Box<Station>, String>,
 }
 
-/// A camera of a configuration.
-pub fn configured(camera: &CameraConfig, imaging: Imaging) -> Named {
+/// A camera of a configuration; cameras that share trials are tried once.
+pub fn configured(camera: &CameraConfig, imaging: Imaging, trials: &Trials) -> Named {
     let place = match &camera.pose {
         CameraPose::Known(world_from_camera) => Ok(CameraPlacement {
             world_from_camera: *world_from_camera,
@@ -35,7 +35,8 @@ pub fn configured(camera: &CameraConfig, imaging: Imaging) -> Named {
         }
         CameraPose::Rides(_) => Err("it rides on an object".to_owned()),
     };
-    let sensor = Sensor { camera: camera.calibration.clone(), imaging, mode: camera.mode };
+    let (calibration, mode) = (camera.calibration.clone(), camera.mode);
+    let sensor = Sensor { camera: calibration, imaging, mode, trials: trials.clone() };
     let doubt = camera.lens_doubt.clone();
     let mask = Mask::of_polygons(&camera.mask).map_err(|error| error.to_string());
     let station =
@@ -44,7 +45,7 @@ pub fn configured(camera: &CameraConfig, imaging: Imaging) -> Named {
 }
 
 /// A camera of a running server, with the blur and the noise that were measured of it, where they were.
-pub fn live(info: &CameraInfo, state: &CameraState, usual: Imaging) -> Named {
+pub fn live(info: &CameraInfo, state: &CameraState, usual: Imaging, trials: &Trials) -> Named {
     let station = || {
         if info.ride.is_some() {
             return Err("it rides on an object".to_owned());
@@ -65,7 +66,7 @@ pub fn live(info: &CameraInfo, state: &CameraState, usual: Imaging) -> Named {
         let mode = if is_fast { Mode::Fast } else { Mode::Precise };
         let mask = Mask::of_polygons(&info.mask).map_err(|error| error.to_string())?;
         let doubt = info.lens_doubt.clone();
-        let sensor = Sensor { camera, imaging, mode };
+        let sensor = Sensor { camera, imaging, mode, trials: trials.clone() };
         Ok(Box::new(Station { sensor, doubt, place, mask }))
     };
     Named { name: info.name.clone(), station: station() }

@@ -6,6 +6,7 @@ use anyhow::{Context, bail};
 use roundel_core::{
     marker::Kind,
     plan::{
+        Trials,
         map::{Field, Map, map},
         search::{Grid, Wish, fewest as search, fewest_of_any_size as search_with_size, scaled},
     },
@@ -45,8 +46,9 @@ pub(super) fn configured(arguments: &PlanArgs, path: &Path) -> anyhow::Result<()
     }
     let kind = configured_kind(arguments, &config)?;
     let imaging = arguments.imaging();
+    let trials = Trials::default();
     let cameras: Vec<Named> =
-        config.cameras.iter().map(|camera| station(camera, imaging)).collect();
+        config.cameras.iter().map(|camera| station(camera, imaging, &trials)).collect();
     let stations = used(&cameras);
     if stations.is_empty() {
         let reasons: Vec<String> = cameras

@@ -3,7 +3,7 @@
 use anyhow::{Context, bail};
 use roundel_core::{
     camera::{Camera, Intrinsics, Lens, PixelPoint},
-    plan::{Sensor, precision::LensDoubt},
+    plan::{Sensor, Trials, precision::LensDoubt},
 };
 
 use super::PlanArgs;
@@ -25,7 +25,8 @@ pub(super) fn sensor(arguments: &PlanArgs) -> anyhow::Result<(Sensor, Option<Len
              --resolution WIDTHxHEIGHT and --fov DEGREES"
         );
     };
-    let sensor = Sensor { camera, imaging: arguments.imaging(), mode: arguments.mode() };
+    let (imaging, mode) = (arguments.imaging(), arguments.mode());
+    let sensor = Sensor { camera, imaging, mode, trials: Trials::default() };
     Ok((sensor, doubt, name))
 }
 
