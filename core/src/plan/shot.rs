@@ -77,6 +77,25 @@ impl Edge {
         below(x_px + 0.5) - below(x_px - 0.5)
     }
 
+    /// Shares of the pixels of a row between two edges; most of them lie on either side of both.
+    fn chord(&self, [left, right]: [f64; 2], shares: &mut [f64]) {
+        let side = shares.len() as f64;
+        let near = |at: f64| {
+            let [from, to] = [(at - self.reach_px).ceil(), (at + self.reach_px).floor() + 1.0];
+            [from, to].map(|end| end.clamp(0.0, side) as usize)
+        };
+        let ([first, inside], [outside, last]) = (near(left), near(right));
+        shares.fill(0.0);
+        if inside < outside {
+            shares[inside..outside].fill(1.0);
+        }
+        for range in [first..inside.min(last), outside.max(inside)..last] {
+            for p in range {
+                shares[p] = self.share(p as f64 - left) - self.share(p as f64 - right);
+            }
+        }
+    }
+
     /// Adds `sign` times an ellipse's shares to those of the pixels of a square picture.
     fn cover(&self, ellipse: &Ellipse, sign: f64, side: usize, shares: &mut [f64]) {
         let shape = ellipse.matrix();
@@ -92,10 +111,7 @@ impl Edge {
             let (sin, cos) = ((line as f64 + 0.5) * step - FRAC_PI_2).sin_cos();
             let (y, half) = (high_px * sin, wide_px * cos);
             let middle = ellipse.center.u + aslant * y;
-            for (p, share) in along.iter_mut().enumerate() {
-                let from_middle = p as f64 - middle;
-                *share = self.share(from_middle + half) - self.share(from_middle - half);
-            }
+            self.chord([middle - half, middle + half], &mut along);
             let v = ellipse.center.v + y;
             let first = (v - self.reach_px).ceil().max(0.0) as usize;
             let last = ((v + self.reach_px).floor() + 1.0).clamp(0.0, side as f64) as usize;
@@ -180,6 +196,19 @@ mod tests {
             for (sum, expected) in sums[3..].iter().zip(expected) {
                 let found = sum / area_px2;
                 assert!((found - expected).abs() < 2e-3 * expected.abs().max(1.0), "{found}");
+            }
+        }
+    }
+
+    /// Pixel by pixel, without leaving any out.
+    #[test]
+    fn chords_are_what_their_edges_say_however_short_and_wherever_they_lie() {
+        let (edge, mut shares) = (Edge::new(0.7), vec![0.5; 40]);
+        for ends in [[10.3, 25.8], [12.1, 12.4], [-9.0, 3.2], [36.0, 70.0], [-5.0, 60.0]] {
+            edge.chord(ends, &mut shares);
+            for (p, share) in shares.iter().enumerate() {
+                let [left, right] = ends.map(|end| edge.share(p as f64 - end));
+                assert!((share - (left - right)).abs() < 1e-5, "{ends:?} at {p}: {share}");
             }
         }
     }
