@@ -79,7 +79,6 @@ pub async fn hold(address: SocketAddr, request: Vec<u8>) {
 async fn subscribe(address: SocketAddr, request: &[u8], window: u32) -> TcpStream {
     let mut stream = TcpStream::connect(address).await.expect("a connection");
     stream.set_nodelay(true).expect("an option");
-
     let mut bytes = PREFACE.to_vec();
     let setting = [&INITIAL_WINDOW_SIZE.to_be_bytes()[..], &window.to_be_bytes()].concat();
     frame(&mut bytes, SETTINGS, 0, 0, &setting);
