@@ -59,11 +59,12 @@ const LAST_BLUR_PX: f64 = 8e-4;
 const LAST_MOTION_PX2: f64 = 1.0;
 /// Deviation of the light's gradient: relative change over a radius.
 const LIGHT_PRIOR: f64 = 0.1;
-/// [`patches::share`] of noise exceeds 1 by no more than this over the root of the number of pixels: three
-/// deviations, since a clean ring that is taken for a disturbed one costs as much as a hundred others.
-const EVEN: f64 = 15.0;
+/// [`patches::share`] of noise exceeds 1 by no more than this over the root of the number of pixels: more than
+/// three deviations of 5.3 beyond its mean of 1 (of 15,000 rendered rings), since a clean ring that is taken for a
+/// disturbed one costs as much as a hundred others.
+const EVEN: f64 = 18.0;
 /// By so many times as much it is neither noise nor what the model leaves out of a clean ring.
-const FAR: f64 = 2.0;
+const FAR: f64 = 1.7;
 
 impl Linear {
     /// From the products of all columns, or of those without the motion's.
