@@ -23,7 +23,10 @@ export function showObjects(store) {
     if (state?.name) void form.open(state.name);
     else if (state) form.openToName(state);
   });
-  store.on("selection", () => setText(button, store.selectedState?.name ? "Set up…" : "Name…"));
+  // A name comes and goes while an object is selected, too.
+  const showWhat = () => setText(button, store.selectedState?.name ? "Set up…" : "Name…");
+  store.on("selection", showWhat);
+  store.on("snapshot", showWhat);
 }
 
 class ObjectForm {
