@@ -7,22 +7,24 @@
 //! p depends on the diameter d (the paper's s_p is d²) and on the motion v, pixels from frame to frame. For plain
 //! roundels
 //!
-//! p = k₀ + k₁ n(d) + k₂ (12/d)³ + k₃ d² + k₄ w(d) + s(v) (k₅ + k₆ d² + k₇ v d²),  s(v) = v⁴/(v⁴ + 2⁴):
+//! p = k₀ + k₁ n(d) + k₂ m(d) + k₃ d² + k₄ w(d) + s (k₅ + k₆ d + k₇ v d²),
+//!
+//! s = x/(1 + x),  x = (v⁴ d / (2.5⁴ · 30))^1.5:
 //!
 //! between 25 and 30 px what following takes falls by half (n, from 1 to 0; so it was measured, of a ratio of 0.4);
-//! small ones, whose rims are blurred into each other, need a second look; what is wider than a vector (from about 41 px
-//! on) is summed up by itself and not beside others (w, from 0 to 1); and of what moves the fit looks for the smear, once
-//! there is one to see, with more pixels the longer it is. What says whether there is one goes with the fourth power of
-//! the motion, so that s is steep. Coded ones are never narrow nor beside others: p = k₀ + k₁ d² + s(v) (k₂ + k₃ v d²),
-//! and the search for them looks longer at what is none, so that a pixel costs more. All this holds with constants of their own for frames in which roundels are followed (a part of the picture is
-//! searched for new ones, and all are located) and for those that are searched as a whole, of which there is the paper's
-//! share α.
+//! small ones, whose rims are blurred into each other, need a second look (m, from 1 to 0 between 14 and 18 px); what is
+//! wider than a vector (from about 41 px on) is summed up by itself and not beside others (w, from 0 to 1); and of what
+//! moves the fit looks for the smear, once there is one to see, with more pixels the longer it is. What says whether there
+//! is one goes with the fourth power of the motion and with how long the rim is, so that s is steep. Coded ones are never
+//! narrow nor beside others: p = k₀ + k₁ d² + s (k₂ + k₃ v d²), and the search for them looks longer at what is none, so
+//! that a pixel costs more. All this holds with constants of their own for frames in which roundels are followed (a part
+//! of the picture is searched for new ones, and all are located) and for those that are searched as a whole, of which
+//! there is the paper's share α.
 //!
 //! The constants belong to a machine and a mode; [`fit`] finds them from measured times, none below zero. v is taken as
 //! 12 px at most; measured was to 7. A coded one that is smeared by some 2 px or more (8 px a frame) may take ten times as
-//! long, since its fit ends in the careful one. What stands about in the picture, and how long it is
-//! exposed (a quarter of the time between frames, in what was measured), are not in the model: before an even floor a
-//! search takes about half.
+//! long, since its fit ends in the careful one. What stands about in the picture, and how long it is exposed (a quarter of
+//! the time between frames, in what was measured), are not in the model: before an even floor a search takes about half.
 
 use nalgebra::{DMatrix, DVector};
 
@@ -40,7 +42,7 @@ pub const TERM_NAMES: [&str; TERMS] = [
     "plain_area_px",
     "plain_wide",
     "plain_smeared",
-    "plain_area_smeared",
+    "plain_diameter_smeared",
     "plain_area_motion_px",
     "coded_image_px",
     "coded",
@@ -50,14 +52,20 @@ pub const TERM_NAMES: [&str; TERMS] = [
 ];
 /// Up to there rings take the longer way to be followed, and from there on the shorter one, pixels.
 const NARROW_PX: [f64; 2] = [25.0, 30.0];
-/// Where rings are small, pixels.
-const SMALL_PX: f64 = 12.0;
+/// Up to there rings are small, and from there on they are not, pixels.
+const SMALL_PX: [f64; 2] = [14.0, 18.0];
 /// From here to there rings no longer fit, with the margin in which they are looked for, into the 64 columns that are
 /// summed up at once.
 const WIDE_PX: [f64; 2] = [38.0, 44.0];
-/// Motion that counts at most, and from about which on the fit sees it, pixels a frame.
+/// Motion that counts at most, pixels a frame, and from about which on the fit sees it of rings of that diameter.
 const MOST_MOTION_PX: f64 = 12.0;
-const SEEN_MOTION_PX: f64 = 2.0;
+const SEEN_MOTION_PX: f64 = 2.5;
+const SEEN_DIAMETER_PX: f64 = 30.0;
+/// How steeply it does, more than what it sees grows.
+const SEEN_POWER: f64 = 1.5;
+/// What the model misses by more than this share is left out of the fit of constants: a fit among those measured that
+/// ended in the careful one says nothing of the others.
+const MOST_MISSED: f64 = 0.25;
 /// A constant is not freed for less.
 const LEAST_GAIN: f64 = 1e-12;
 
@@ -102,12 +110,12 @@ impl Load {
         let ramp = |[from_px, to_px]: [f64; 2]| {
             ((diameter_px - from_px) / (to_px - from_px)).clamp(0.0, 1.0)
         };
-        let (narrow, wide) = (1.0 - ramp(NARROW_PX), ramp(WIDE_PX));
-        let small = (SMALL_PX / diameter_px).powi(3);
+        let (small, narrow, wide) = (1.0 - ramp(SMALL_PX), 1.0 - ramp(NARROW_PX), ramp(WIDE_PX));
         let area_px = diameter_px * diameter_px;
         let motion_px = motion_px.min(MOST_MOTION_PX);
-        let share = (motion_px / SEEN_MOTION_PX).powi(4);
-        let smeared = share / (1.0 + share);
+        let seen = (motion_px / SEEN_MOTION_PX).powi(4) * diameter_px / SEEN_DIAMETER_PX;
+        let seen = seen.powf(SEEN_POWER);
+        let smeared = seen / (1.0 + seen);
         let (plain, coded) = if is_coded { (0.0, roundels) } else { (roundels, 0.0) };
         [
             1.0,
@@ -118,7 +126,7 @@ impl Load {
             plain * area_px,
             plain * wide,
             plain * smeared,
-            plain * smeared * area_px,
+            plain * smeared * diameter_px,
             plain * smeared * motion_px * area_px,
             if is_coded { image_px } else { 0.0 },
             coded,
@@ -130,44 +138,45 @@ impl Load {
 }
 
 impl Constants {
-    /// Of precise mode on one core of a virtual machine (AMD EPYC) beside other work, fitted to more frames than
-    /// `roundel plan --measure` times; for whoever has not measured.
+    /// Of precise mode on one core of a virtual machine (AMD EPYC) as `roundel plan --measure` finds them
+    /// there, the mean of three times; for whoever has not measured.
     pub const PRECISE: Self = Self {
         followed: [
-            2.8e-6, 7.0e-12, 6.7e-6, 4.5e-6, 5.7e-6, 5.5e-9, 3.0e-7, 5.7e-6, 3.5e-11, 1.4e-9,
-            2.0e-12, 3.7e-5, 1.5e-8, 1.1e-5, 3.2e-9,
+            2.7e-6, 6.2e-12, 7.5e-6, 4.4e-6, 3.8e-6, 5.0e-9, 0.0, 0.0, 3.2e-7, 2.9e-10, 1.9e-12,
+            3.6e-5, 1.5e-8, 2.3e-5, 1.1e-9,
         ],
         searched: [
-            1.0e-6, 1.4e-10, 1.5e-5, 2.9e-6, 1.1e-5, 1.1e-8, 1.8e-6, 5.3e-6, 1.0e-11, 1.7e-9,
-            1.0e-12, 6.0e-5, 2.2e-8, 1.2e-5, 2.3e-9,
+            8.1e-6, 1.3e-10, 1.6e-5, 3.4e-6, 7.2e-6, 9.3e-9, 1.8e-7, 6.4e-6, 0.0, 1.2e-9, 5.1e-12,
+            5.7e-5, 2.0e-8, 2.1e-5, 4.2e-10,
         ],
     };
     /// The same of fast mode.
     pub const FAST: Self = Self {
         followed: [
-            2.0e-6, 6.7e-12, 8.2e-7, 1.8e-6, 2.5e-6, 6.1e-10, 1.9e-6, 1.0e-9, 1.2e-10, 0.0,
-            1.0e-13, 7.9e-6, 1.1e-10, 9.4e-9, 5.2e-11,
+            2.1e-6, 6.1e-12, 1.0e-6, 2.1e-6, 1.4e-6, 5.8e-10, 1.6e-6, 5.3e-8, 6.1e-9, 0.0, 6.8e-14,
+            7.6e-6, 0.0, 3.4e-8, 2.0e-11,
         ],
         searched: [
-            1.7e-6, 1.3e-10, 6.6e-6, 7.3e-7, 6.3e-6, 2.8e-9, 5.7e-6, 9.0e-7, 4.2e-11, 0.0, 1.0e-13,
-            3.5e-5, 3.4e-9, 1.0e-9, 2.6e-10,
+            4.7e-6, 1.3e-10, 7.3e-6, 9.8e-7, 4.1e-6, 2.0e-9, 2.7e-6, 8.8e-7, 0.0, 0.0, 2.8e-12,
+            3.3e-5, 2.1e-9, 0.0, 1.3e-10,
         ],
     };
 
     /// Seconds a frame, on one core.
     pub fn frame_s(&self, load: &Load) -> f64 {
         let terms = load.terms();
-        let of = |constants: &[f64; TERMS]| -> f64 {
-            constants.iter().zip(terms).map(|(constant, term)| constant * term).sum()
-        };
         let share = load.searched_share;
-        (1.0 - share) * of(&self.followed) + share * of(&self.searched)
+        (1.0 - share) * sum(&self.followed, &terms) + share * sum(&self.searched, &terms)
     }
 }
 
+fn sum(constants: &[f64; TERMS], terms: &[f64; TERMS]) -> f64 {
+    constants.iter().zip(terms).map(|(constant, term)| constant * term).sum()
+}
+
 /// The constants that explain measured times best, of frames that were followed (a share of 0) and of such that were
-/// searched (of 1): least squares of relative errors, none of them negative. `None` without as many measurements of
-/// either as constants.
+/// searched (of 1): least squares of relative errors, none of them negative, without those times that are missed by far.
+/// `None` without as many measurements of either as constants.
 pub fn fit(measured: &[(Load, f64)]) -> Option<Constants> {
     let of = |searched_share: f64| {
         let own: Vec<_> = measured
@@ -175,7 +184,11 @@ pub fn fit(measured: &[(Load, f64)]) -> Option<Constants> {
             .filter(|(load, _)| load.searched_share == searched_share)
             .map(|(load, time_s)| (load.terms(), *time_s))
             .collect();
-        explaining(&own)
+        let found = explaining(&own)?;
+        let missed =
+            |(terms, time_s): &([f64; TERMS], f64)| (sum(&found, terms) / time_s - 1.0).abs();
+        let met: Vec<_> = own.iter().copied().filter(|one| missed(one) <= MOST_MISSED).collect();
+        explaining(&met).or(Some(found))
     };
     Some(Constants { followed: of(0.0)?, searched: of(1.0)? })
 }

@@ -7,12 +7,14 @@
 //! | [`picture`] | a map as SVG and PNG |
 //! | [`machine`] | what a machine takes for a frame: measured, kept in a file, read again |
 //! | [`trial`] | the frames that it is measured with, and the clock |
+//! | `rows` | robots of such a frame in rows |
 //! | [`quiet`] | whether the machine was used by others meanwhile |
 
 pub mod machine;
 pub mod picture;
 pub mod quiet;
 pub mod report;
+mod rows;
 mod scale;
 pub mod station;
 pub mod trial;

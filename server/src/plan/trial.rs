@@ -2,12 +2,13 @@
 //!
 //! In a [`Case`] robots drive below one camera. Its first frame is searched as a whole; in the others the roundels are
 //! followed, sought (a part of each frame goes for new ones) and located, and those count in which all that is kept of
-//! tracks has settled. A frame's least time of several rounds counts, in which the machine was quiet ([`super::quiet`]).
+//! tracks has settled. A frame's usual time in several rounds counts, in which the machine was quiet ([`super::quiet`]).
 //! How fast robots go through the picture is a matter of the camera's rate; frames are exposed for a quarter of the time between two.
 
 use std::{collections::HashMap, time::Instant};
 
 use anyhow::ensure;
+use nalgebra::Vector3;
 use roundel_core::{
     frame::Frame,
     id::TrackNumber,
@@ -17,7 +18,10 @@ use roundel_core::{
     sim::{CameraMount, Renderer, Scenario, ScenarioParams},
 };
 
-use super::quiet::{Probe, Rounds};
+use super::{
+    quiet::{Probe, Rounds},
+    rows,
+};
 
 /// Frames before those that count, and these: as many as precise mode follows until it looks for motion again.
 const SETTLING: usize = 7;
@@ -32,6 +36,10 @@ const SPEED_M_S: f64 = 0.45;
 const MOST_HZ: f64 = 1000.0;
 /// Height of the roundels, metres.
 const HEIGHT_M: f64 = 0.3;
+/// Which way robots in rows move: along no row of pixels.
+const WAY: [f64; 2] = [0.8, 0.6];
+/// Frames a second of robots in rows that stand.
+const STANDING_HZ: f64 = 60.0;
 
 /// Robots below a camera.
 #[derive(Clone, Copy, Debug)]
@@ -44,6 +52,8 @@ pub struct Case {
     diameter_px: f64,
     /// How far they move from frame to frame, pixels, about.
     motion_px: f64,
+    /// Whether they stand in rows and all move alike, and not each on a way of its own.
+    in_rows: bool,
     /// Of coded ones: the bits of their codes.
     bits: Option<u8>,
 }
@@ -57,7 +67,7 @@ const HUGE: (usize, usize) = (2592, 1944);
 type Listed = ((usize, usize), usize, f64, f64, f64);
 
 // Small ones on robots that show round their prints, which looks nearly like a ring, and on such that do not.
-const PLAIN: [Listed; 37] = [
+const PLAIN: [Listed; 34] = [
     (SMALL, 10, 0.25, 16.0, 1.0),
     (SMALL, 12, 0.25, 24.0, 0.0),
     (MIDDLE, 50, 0.25, 20.0, 1.5),
@@ -74,7 +84,6 @@ const PLAIN: [Listed; 37] = [
     (MIDDLE, 1, 0.16, 25.0, 2.0),
     (MIDDLE, 18, 0.10, 12.0, 0.0),
     (MIDDLE, 12, 0.10, 13.0, 2.0),
-    (MIDDLE, 18, 0.16, 20.0, 1.0),
     (MIDDLE, 8, 0.16, 24.0, 4.0),
     (MIDDLE, 12, 0.25, 36.0, 0.0),
     (MIDDLE, 8, 0.25, 40.0, 2.0),
@@ -90,11 +99,32 @@ const PLAIN: [Listed; 37] = [
     (LARGE, 12, 0.25, 52.0, 1.0),
     (LARGE, 6, 0.25, 80.0, 0.0),
     (LARGE, 5, 0.25, 84.0, 4.5),
-    (LARGE, 3, 0.25, 105.0, 1.0),
-    (LARGE, 2, 0.25, 95.0, 0.0),
     (LARGE, 1, 0.16, 20.0, 0.0),
     (HUGE, 30, 0.25, 36.0, 1.5),
     (HUGE, 1, 0.25, 45.0, 0.0),
+];
+
+// Pictures full of them, which no arena on whose ways robots keep clear of each other shows.
+const ROWS: [Listed; 19] = [
+    (SMALL, 15, 0.25, 22.0, 2.0),
+    (SMALL, 12, 0.25, 38.0, 4.0),
+    (MIDDLE, 90, 0.25, 18.0, 1.0),
+    (MIDDLE, 60, 0.25, 22.0, 3.0),
+    (MIDDLE, 50, 0.25, 28.0, 4.0),
+    (MIDDLE, 40, 0.25, 36.0, 0.0),
+    (MIDDLE, 24, 0.25, 55.0, 2.0),
+    (MIDDLE, 32, 0.25, 62.0, 0.0),
+    (MIDDLE, 16, 0.25, 80.0, 0.0),
+    (LARGE, 70, 0.25, 15.0, 1.0),
+    (LARGE, 100, 0.25, 24.0, 1.0),
+    (LARGE, 80, 0.25, 32.0, 2.0),
+    (LARGE, 60, 0.25, 45.0, 0.0),
+    (LARGE, 60, 0.25, 65.0, 0.0),
+    (LARGE, 36, 0.25, 78.0, 1.0),
+    (LARGE, 24, 0.25, 95.0, 2.0),
+    (LARGE, 12, 0.25, 50.0, 6.0),
+    (LARGE, 2, 0.25, 70.0, 1.5),
+    (LARGE, 1, 0.25, 110.0, 3.0),
 ];
 
 // Robots drive at different speeds: the fastest of a case is smeared by no more than 2 px, beyond which the fit of a coded
@@ -118,21 +148,29 @@ const CODED: [Listed; 15] = [
 ];
 
 /// Bits of the codes of coded ones.
+// All as fast as the fastest of those.
+const CODED_ROWS: [Listed; 3] =
+    [(MIDDLE, 3, 0.25, 62.0, 7.5), (LARGE, 6, 0.25, 48.0, 6.5), (LARGE, 10, 0.25, 70.0, 5.5)];
 const BITS: u8 = 8;
 
 /// All of them.
 pub fn cases() -> Vec<Case> {
-    let of = |bits: Option<u8>| {
+    let of = |in_rows: bool, bits: Option<u8>| {
         move |&(size, robots, outer_m, diameter_px, motion_px): &Listed| Case {
             size,
             robots,
             outer_m,
             diameter_px,
             motion_px,
+            in_rows,
             bits,
         }
     };
-    PLAIN.iter().map(of(None)).chain(CODED.iter().map(of(Some(BITS)))).collect()
+    let plain = PLAIN.iter().map(of(false, None));
+    let rows = ROWS.iter().map(of(true, None));
+    let coded = CODED.iter().map(of(false, Some(BITS)));
+    let coded_rows = CODED_ROWS.iter().map(of(true, Some(BITS)));
+    plain.chain(rows).chain(coded).chain(coded_rows).collect()
 }
 
 /// One measured time.
@@ -179,8 +217,10 @@ impl Way {
         Self { tracker, locator, located: Vec::new(), pixels: vec![0; size.0 * size.1], size }
     }
 
-    /// The next frame is the first one.
-    pub fn begin(&mut self) {
+    /// The next frame is the first one. This picture goes before: what was timed before has left other things in the
+    /// caches, which is the case for no frame of a camera but its very first.
+    pub fn begin(&mut self, picture: &[u8]) {
+        self.pass(picture);
         self.tracker.reset();
         self.locator.reset();
     }
@@ -206,9 +246,10 @@ pub fn time(case: &Case, probe: &mut Probe) -> anyhow::Result<Timed> {
     let (width, height) = case.size;
     let mut renderer = Renderer::new(&scenario, 0)?;
     let mut pictures = Vec::new();
-    for number in 0..SETTLING + COUNTED {
+    let first = case.first_frame();
+    for number in first..first + (SETTLING + COUNTED) as u64 {
         let mut pixels = vec![0; width * height];
-        renderer.render(number as u64, &mut pixels)?;
+        renderer.render(number, &mut pixels)?;
         pictures.push(pixels);
         probe.time_s();
     }
@@ -224,7 +265,7 @@ pub fn time(case: &Case, probe: &mut Probe) -> anyhow::Result<Timed> {
     }
     let rounds = probe.rounds(|| {
         let times = |way: &mut Way| {
-            way.begin();
+            way.begin(&pictures[1]);
             pictures.iter().map(|picture| way.pass(picture).0).collect::<Vec<_>>()
         };
         ways.iter_mut().flat_map(times).collect()
@@ -240,9 +281,9 @@ impl Timed {
 
     /// What it took in all modes: of the first frame, and of one of those that count in the mean.
     pub fn measured(&self, probe: &Probe) -> Vec<Measured> {
-        let least_s = self.rounds.least_s(probe);
-        let modes = MODES.into_iter().zip(&self.seen).zip(least_s.chunks(SETTLING + COUNTED));
-        let each = modes.flat_map(|((mode, seen), least_s)| {
+        let times_s = self.rounds.times_s(probe);
+        let modes = MODES.into_iter().zip(&self.seen).zip(times_s.chunks(SETTLING + COUNTED));
+        let each = modes.flat_map(|((mode, seen), times_s)| {
             let load = |searched_share: f64| Load {
                 image_px: self.image_px,
                 roundels: seen.roundels,
@@ -251,10 +292,10 @@ impl Timed {
                 is_coded: self.is_coded,
                 searched_share,
             };
-            let follow_s = least_s[SETTLING..].iter().sum::<f64>() / COUNTED as f64;
+            let follow_s = times_s[SETTLING..].iter().sum::<f64>() / COUNTED as f64;
             [
                 Measured { mode, load: load(0.0), time_s: follow_s },
-                Measured { mode, load: load(1.0), time_s: least_s[0] },
+                Measured { mode, load: load(1.0), time_s: times_s[0] },
             ]
         });
         each.collect()
@@ -263,7 +304,7 @@ impl Timed {
 
 impl Case {
     fn scenario(&self) -> anyhow::Result<Scenario> {
-        let Self { size, robots, outer_m, diameter_px, motion_px, bits } = *self;
+        let Self { size, robots, outer_m, diameter_px, in_rows, bits, .. } = *self;
         let mut params = ScenarioParams::r4_lite(1);
         params.arena_m = [24.0, 18.0];
         params.robots = robots;
@@ -283,13 +324,35 @@ impl Case {
         (optics.width, optics.height) = size;
         optics.focal_px = FOCAL * size.0 as f64;
         let per_m = diameter_px / outer_m;
-        optics.rate_hz = (SPEED_M_S * per_m / motion_px).min(MOST_HZ);
+        optics.rate_hz = self.rate_hz();
         optics.exposure_s = EXPOSED_SHARE / optics.rate_hz;
         optics.line_time_s = 0.0;
         let above_m = HEIGHT_M + optics.focal_px / per_m;
         params.mounts =
             vec![CameraMount { position_m: [0.2, 0.0, above_m], target_m: [0.0, 0.0, 0.0] }];
-        Ok(Scenario::new(params)?)
+        if !in_rows {
+            return Ok(Scenario::new(params)?);
+        }
+        // From far above all of the arena is seen, where there are ways for as many robots as there may be.
+        params.mounts.push(CameraMount { position_m: [0.0, 0.0, 40.0], target_m: [0.0; 3] });
+        let mut scenario = Scenario::new(params)?;
+        let speed_m_s = if self.motion_px > 0.0 { SPEED_M_S } else { 0.0 };
+        let velocity_m_s = Vector3::new(WAY[0], WAY[1], 0.0) * speed_m_s;
+        let half_s = 0.5 * (SETTLING + COUNTED) as f64 / self.rate_hz();
+        rows::draw_up(&mut scenario, HEIGHT_M, velocity_m_s, half_s)?;
+        Ok(scenario)
+    }
+
+    fn rate_hz(&self) -> f64 {
+        if self.in_rows && self.motion_px == 0.0 {
+            return STANDING_HZ;
+        }
+        (SPEED_M_S * self.diameter_px / self.outer_m / self.motion_px).min(MOST_HZ)
+    }
+
+    /// From which on robots are where they are to be seen.
+    fn first_frame(&self) -> u64 {
+        if self.in_rows { (rows::BEGIN_S * self.rate_hz()).ceil() as u64 } else { 0 }
     }
 }
 
@@ -336,7 +399,8 @@ mod tests {
             case.scenario().unwrap();
         }
         let mut probe = Probe::new().unwrap();
-        for case in [cases()[1], cases()[PLAIN.len()]] {
+        let in_rows = PLAIN.len() + 2;
+        for case in [cases()[1], cases()[in_rows], cases()[PLAIN.len() + ROWS.len()]] {
             let measured = time(&case, &mut probe).unwrap().measured(&probe);
             assert_eq!(measured.len(), 4, "{measured:?}");
             for one in measured {

@@ -1,7 +1,7 @@
 //! What the plan foretells of time, beside what frames take whose roundels are of one size and move by so much.
 //!
 //! The machine's constants are measured on other frames, rendered by other code ([`times`]). In: how many roundels of
-//! which size and kind in a picture of which size, and by how much they move from frame to frame. Out: the least times of
+//! which size and kind in a picture of which size, and by how much they move from frame to frame. Out: the usual times of
 //! a frame in which they are followed, and of one that is searched as a whole, poses included, on one thread. All move
 //! along the same arc, on which the direction changes by a 64th of a turn a frame; a frame is exposed for a quarter of
 //! the time between two.
@@ -146,7 +146,7 @@ pub struct Shown {
     pub bits: Option<u8>,
 }
 
-/// Least times of a frame, seconds.
+/// Usual times of a frame of a quiet machine, seconds.
 #[derive(Clone, Copy, Debug, Default)]
 pub struct Took {
     /// In which all are followed, the search for new ones and poses included.
@@ -156,7 +156,7 @@ pub struct Took {
 }
 
 impl Shown {
-    /// Least times in these modes.
+    /// Times in these modes.
     pub fn took<const N: usize>(&self, modes: [Mode; N], probe: &mut Probe) -> [Took; N] {
         let lens = Distortion::PlumbBob([-0.02, 0.0, 0.0, 0.0, 0.0]);
         let camera = Pinhole::centered(self.width, self.height, FOCAL * self.width as f64, lens);
@@ -164,7 +164,7 @@ impl Shown {
         let mut ways = modes.map(|mode| self.way(&camera, mode));
         let rounds = probe.rounds(|| {
             let times = |way: &mut Way| {
-                way.begin();
+                way.begin(&images[1].pixels);
                 let time = |image: &Image| {
                     let (time_s, found) = way.pass(&image.pixels);
                     assert!(20 * found >= 19 * self.count, "{self:?}: {found} found");
@@ -177,11 +177,11 @@ impl Shown {
         if !rounds.were_quiet(probe) {
             eprintln!("{self:?}: others used the machine all the time");
         }
-        let least_s = rounds.least_s(probe);
+        let times_s = rounds.times_s(probe);
         std::array::from_fn(|mode| {
-            let least_s = &least_s[mode * FRAMES..][..FRAMES];
-            let sum_s: f64 = least_s[SETTLING..].iter().sum();
-            Took { follow_s: sum_s / COUNTED as f64, search_s: least_s[0] }
+            let times_s = &times_s[mode * FRAMES..][..FRAMES];
+            let sum_s: f64 = times_s[SETTLING..].iter().sum();
+            Took { follow_s: sum_s / COUNTED as f64, search_s: times_s[0] }
         })
     }
 
