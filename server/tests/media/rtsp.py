@@ -51,6 +51,10 @@ class Factory(GstRtspServer.RTSPMediaFactory):
         threading.Thread(target=self.push, args=(origin, ended), daemon=True).start()
 
     def push(self, origin, ended):
+        # Frames are stamped as they are pushed, from the time on which the pipeline began to play: one that is pushed between
+        # the pipeline's getting a clock and that time would be due when this machine has run twice as long.
+        while origin.get_base_time() == 0 and not ended.is_set():
+            time.sleep(0.001)
         begun = time.monotonic()
         number = 0
         while not ended.is_set():
