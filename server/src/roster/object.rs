@@ -3,7 +3,7 @@
 
 use std::sync::MutexGuard;
 
-use roundel_core::{id::ObjectId, marker::Pattern};
+use roundel_core::{id::ObjectId, marker::Pattern, world::LifeStage};
 
 use super::{
     Roster, RosterError, State, bodies::kind_names, error::wrong, setup, text_without_passwords,
@@ -14,7 +14,7 @@ use crate::{
         edit::{self, Written, WrittenObject, WrittenRoundels},
     },
     fusion::{FusionLimits, Known, Order, Settings, WrittenSettings},
-    hub::{Change, Happening},
+    hub::{Change, Happening, ObjectRecord},
 };
 
 impl Roster {
@@ -92,8 +92,11 @@ impl Roster {
         if is_coded && record.code.is_none() {
             return Err(RosterError::Unread(object.0));
         }
-        let is_alone = || records.iter().filter(|other| other.kind == record.kind).count() == 1;
-        if record.code.is_none() && !is_alone() {
+        // Those that were lost within the last minute are in the list as well: this one, under another number, as a rule.
+        let is_other = |other: &ObjectRecord| {
+            other.kind == record.kind && other.id != object && other.stage != LifeStage::Lost
+        };
+        if record.code.is_none() && records.iter().any(is_other) {
             return Err(RosterError::Alike { object: object.0, kind });
         }
         let code = record.code.map(|code| code.number.into());

@@ -4,7 +4,9 @@ use std::time::{Duration, Instant};
 
 use axum::http::Method;
 use roundel_client::{Client, Error};
+use roundel_core::world::LifeStage;
 use roundel_proto::v1;
+use roundel_server::hub::ObjectRecord;
 use serde_json::{Value, json};
 use tokio::time::sleep;
 
@@ -183,6 +185,29 @@ async fn what_is_wrong_is_named_and_nothing_is_changed() {
     let (status, message) = rig.refused(Method::PUT, &format!("/objects/{id}/name"), named).await;
     assert!(status == 409 && message.contains("nothing tells it from them"), "{status} {message}");
     assert_eq!(rig.file(), text);
+    rig.server.shutdown().await;
+}
+
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn one_that_was_lost_does_not_keep_another_of_its_kind_from_a_name() {
+    let rig = Rig::start().await;
+    let objects = || rig.server.hub().objects();
+    come_about("two objects", || (objects().len() == 2).then_some(()), objects).await;
+    rig.done(Method::DELETE, "/cameras/b", None).await;
+    let (is_lost, id) = (LifeStage::Lost, |object: &ObjectRecord| object.id.0);
+    let apart = || {
+        let all = objects();
+        let lost = all.iter().find(|object| object.stage == is_lost).map(id);
+        lost.zip(all.iter().find(|object| object.stage != is_lost).map(id))
+    };
+    let (lost, followed) = come_about("one that is lost", apart, objects).await;
+    let body = || Some(json!({"name": "cart"}));
+    // By its kind it would be the one that is followed.
+    let (status, message) =
+        rig.refused(Method::PUT, &format!("/objects/{lost}/name"), body()).await;
+    assert!(status == 409 && message.contains("nothing tells it from them"), "{status} {message}");
+    let answer = rig.done(Method::PUT, &format!("/objects/{followed}/name"), body()).await;
+    assert_eq!(answer["object"]["name"], "cart", "{answer}");
     rig.server.shutdown().await;
 }
 
