@@ -50,7 +50,12 @@ pub(crate) fn turned_covariance(turn: &Matrix3<f64>, covariance: &Matrix3<f64>) 
 
 /// The upper triangle row by row: 3 → 6 numbers, 6 → 21.
 pub fn upper_triangle<const N: usize>(matrix: &SMatrix<f64, N, N>) -> Vec<f64> {
-    (0..N).flat_map(|row| (row..N).map(move |column| matrix[(row, column)])).collect()
+    // Collected from a flattened iterator, which does not know its length, it would be moved again and again as it grows.
+    let mut numbers = Vec::with_capacity(N * (N + 1) / 2);
+    for row in 0..N {
+        numbers.extend((row..N).map(|column| matrix[(row, column)]));
+    }
+    numbers
 }
 
 /// The symmetric matrix of an upper triangle; `None` unless it has N (N + 1) / 2 numbers.
