@@ -229,7 +229,7 @@ pub struct Api {
     /// What the port has done so far.
     pub counters: Counters,
     /// Snapshots as subscribers want them.
-    pub encoder: Encoder,
+    pub encoder: Arc<Encoder>,
     /// What was tried for plans.
     pub trials: Trials,
 }
@@ -250,6 +250,9 @@ pub async fn serve(
     let Served { hub, clock, calibrator, lenses, kinds, fleets, ports, .. } = served;
     let Served { late_window_ms, trier, roster, recorder, replay, history, .. } = served;
     let counters = Counters::default();
+    let encoder = Arc::new(Encoder::default());
+    let of_fusion = encoder.clone();
+    hub.on_snapshots(move |hub, fused| of_fusion.begin(hub, fused));
     let api = Arc::new(Api {
         hub,
         clock,
@@ -268,7 +271,7 @@ pub async fn serve(
         cancel,
         limits,
         counters,
-        encoder: Encoder::default(),
+        encoder,
         trials: Trials::default(),
     });
     let (grpc_router, health) = grpc::router(&api);
