@@ -255,7 +255,7 @@ describe("prints", { skip: lacking }, () => {
 describe("objects", { skip: lacking }, () => {
   test("are named, added, changed and removed, and the configuration with them", async () => {
     await withPage(lab.url, async (page) => {
-      await page.locator("#object-rows button").first().click();
+      await page.locator('#object-rows tr[data-stage="tracked"] button').first().click();
       await page.locator("#name-object", { hasText: "Name…" }).click();
       await page.locator("#object-save").click();
       await holds(page, "#object-name-trouble", "Give it a name.");
@@ -263,6 +263,7 @@ describe("objects", { skip: lacking }, () => {
       await page.locator("#object-save").click();
       await closed(page, "#object");
       await holds(page, "#object-rows", "cart");
+      await holds(page, "#name-object", "Set up…");
       assert.match(await lab.config(), /\[\[object\]\]\nname = "cart"/);
 
       await page.locator("#add-object").click();
