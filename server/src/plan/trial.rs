@@ -150,7 +150,7 @@ const CODED: [Listed; 15] = [
 /// Bits of the codes of coded ones.
 // All as fast as the fastest of those.
 const CODED_ROWS: [Listed; 3] =
-    [(MIDDLE, 3, 0.25, 62.0, 7.5), (LARGE, 6, 0.25, 48.0, 6.5), (LARGE, 10, 0.25, 70.0, 5.5)];
+    [(MIDDLE, 3, 0.25, 62.0, 6.0), (LARGE, 6, 0.25, 48.0, 6.5), (LARGE, 10, 0.25, 70.0, 5.5)];
 const BITS: u8 = 8;
 
 /// All of them.
