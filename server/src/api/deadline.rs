@@ -45,6 +45,11 @@ pub(super) async fn answer(
     }
 }
 
+/// Whether a call has one.
+pub(super) fn is_set(headers: &HeaderMap) -> bool {
+    headers.contains_key(HEADER)
+}
+
 fn passed(after: Duration) -> Status {
     Status::deadline_exceeded(format!("the call's deadline of {after:?} has passed"))
 }

@@ -14,7 +14,7 @@ use crate::{
     api::{
         Api,
         encoded::{Form, Own},
-        selection::Selection,
+        selection::{Filter, Selection},
     },
     hub::FusedSnapshot,
 };
@@ -68,6 +68,8 @@ impl Pace {
 /// A snapshot for one subscriber.
 #[derive(Clone, Debug)]
 pub struct Due {
+    /// The snapshot's.
+    pub sequence: u64,
     /// What is its own.
     pub own: Own,
     /// What it shares with others.
@@ -95,6 +97,11 @@ impl Feed {
         Self { api, receiver, selection, pace }
     }
 
+    /// What is chosen of each snapshot.
+    pub fn filter(&self) -> &Filter {
+        &self.selection.filter
+    }
+
     /// The next snapshot that is due, in the form wanted; `None` when there will be no more. Nothing is lost if the
     /// wait is given up.
     pub async fn next(&mut self, form: Form) -> Option<Due> {
@@ -112,7 +119,7 @@ impl Feed {
             let own = Own { sent_time_ns: api.clock.now().as_ns(), missed };
             self.api.counters.snapshots_sent.fetch_add(1, Ordering::Relaxed);
             self.api.counters.snapshots_missed.fetch_add(missed, Ordering::Relaxed);
-            return Some(Due { own, shared });
+            return Some(Due { sequence: fused.sequence, own, shared });
         }
     }
 }

@@ -123,6 +123,8 @@ pub struct Counters {
     pub snapshot_subscribers: AtomicU64,
     /// Snapshots handed to subscribers.
     pub snapshots_sent: AtomicU64,
+    /// Of those, how many from memory that many connections send from.
+    pub snapshots_shared: AtomicU64,
     /// Clients that were cut off since they took nothing of what there was for them.
     pub subscribers_cut: AtomicU64,
     /// Snapshots that subscribers wanted and were too slow for.

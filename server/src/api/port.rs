@@ -2,16 +2,19 @@
 //! everything apart on shutdown.
 
 mod arrival;
+mod direct;
+mod frames;
 mod gather;
+mod sheet;
+mod socket;
 mod stuck;
+mod windows;
 
 use std::{
     convert::Infallible,
     future::poll_fn,
-    io,
-    pin::{Pin, pin},
+    pin::pin,
     sync::{Arc, atomic::Ordering},
-    task::{Context, Poll},
     time::Duration,
 };
 
@@ -27,7 +30,6 @@ use hyper_util::{
     server::conn::auto,
 };
 use tokio::{
-    io::{AsyncRead, AsyncWrite, ReadBuf},
     net::{TcpListener, TcpStream},
     sync::{Notify, OwnedSemaphorePermit, Semaphore},
     task::JoinSet,
@@ -39,9 +41,14 @@ use tower::{Layer, ServiceExt, service_fn};
 use tower_http::{cors::CorsLayer, timeout::TimeoutBody};
 
 use self::{
-    arrival::{Silent, speaks},
+    arrival::{Language, Silent, language},
     gather::Gather,
+    socket::Counted,
     stuck::{Answers, stuck},
+};
+pub(super) use self::{
+    direct::{Direct, Line},
+    sheet::Sheet,
 };
 use super::{Api, Limits, deadline, error::ApiError, push::Peer};
 
@@ -87,7 +94,12 @@ impl Dispatch {
         }
     }
 
-    async fn route(self, request: Request<Incoming>) -> Result<Response<Body>, Infallible> {
+    async fn route(self, mut request: Request<Incoming>) -> Result<Response<Body>, Infallible> {
+        // The trailers of gRPC-Web are in its body, and a deadline ends one between two messages: both have to see all
+        // of it.
+        if is_grpc_web(&request) || deadline::is_set(request.headers()) {
+            request.extensions_mut().remove::<Line>();
+        }
         // Streams of gRPC rest for as long as they like, and HTTP/2 asks whether their client lives.
         let may_rest = request.version() >= Version::HTTP_2 && is_grpc(&request);
         let request = request.map(|body| match may_rest {
@@ -215,19 +227,16 @@ impl Newcomer {
         let Self { stream, has_spoken, slots, refusals } = self;
         let limits = api.limits;
         let _is_over = has_spoken.clone().drop_guard();
-        let speaks = tokio::select! {
-            speaks = timeout(limits.request_timeout, speaks(&stream)) => {
-                matches!(speaks, Ok(Ok(true)))
-            }
-            () = api.cancel.cancelled() => false,
-            () = has_spoken.cancelled() => false,
+        let language = tokio::select! {
+            language = timeout(limits.request_timeout, language(&stream)) => language,
+            () = api.cancel.cancelled() => return,
+            () = has_spoken.cancelled() => return,
         };
         has_spoken.cancel();
-        if !speaks {
-            return;
-        }
+        let Ok(Ok(Some(language))) = language else { return };
         if let Ok(permit) = slots.try_acquire_owned() {
-            return converse(Counted::new(stream, permit, api.clone()), dispatch, api).await;
+            let stream = Counted::new(stream, permit, api.clone());
+            return converse(stream, language, dispatch, api).await;
         }
         api.counters.connections_refused.fetch_add(1, Ordering::Relaxed);
         if let Ok(permit) = refusals.try_acquire_owned() {
@@ -237,17 +246,20 @@ impl Newcomer {
 }
 
 /// Serves one connection to its end.
-async fn converse(stream: Counted, dispatch: Dispatch, api: Arc<Api>) {
+async fn converse(stream: Counted, language: Language, dispatch: Dispatch, api: Arc<Api>) {
     let peer = stream.stream.peer_addr().ok().map(Peer);
+    let stream = Gather::new(stream, language == Language::Http2);
+    let _ending = Ending(&stream);
+    let line = (language == Language::Http2).then(|| Line(stream.clone()));
     let answers = Arc::new(Answers::default());
     let given = answers.clone();
     let service = hyper::service::service_fn(move |mut request: Request<Incoming>| {
         peer.map(|peer| request.extensions_mut().insert(peer));
+        line.clone().map(|line| request.extensions_mut().insert(line));
         let (answer, answers) = (dispatch.clone().answer(request), given.clone());
         async move { Ok::<_, Infallible>(answer.await?.map(|body| answers.watched(body))) }
     });
     let protocol = protocol(&api.limits);
-    let stream = Gather::new(stream);
     let io = TokioIo::new(stream.clone());
     let mut connection = pin!(protocol.serve_connection_with_upgrades(io, service));
     let ended = tokio::select! {
@@ -265,6 +277,15 @@ async fn converse(stream: Counted, dispatch: Dispatch, api: Arc<Api>) {
     };
     if let Err(error) = ended {
         tracing::debug!(error, "a connection ended early");
+    }
+}
+
+/// With this the connection ends, also for what goes past the library that speaks on it.
+struct Ending<'a>(&'a Gather<Counted>);
+
+impl Drop for Ending<'_> {
+    fn drop(&mut self) {
+        self.0.end();
     }
 }
 
@@ -299,65 +320,4 @@ async fn refuse(stream: TcpStream, _permit: OwnedSemaphorePermit, limits: &Limit
         }
     };
     let _ = timeout(REFUSAL_TIMEOUT, conversation).await;
-}
-
-/// A socket that holds its place among the connections for as long as it is open, also when a
-/// WebSocket has taken it over.
-struct Counted {
-    stream: TcpStream,
-    api: Arc<Api>,
-    _permit: OwnedSemaphorePermit,
-}
-
-impl Counted {
-    fn new(stream: TcpStream, permit: OwnedSemaphorePermit, api: Arc<Api>) -> Self {
-        api.counters.connections.fetch_add(1, Ordering::Relaxed);
-        Self { stream, api, _permit: permit }
-    }
-}
-
-impl Drop for Counted {
-    fn drop(&mut self) {
-        self.api.counters.connections.fetch_sub(1, Ordering::Relaxed);
-    }
-}
-
-impl AsyncRead for Counted {
-    fn poll_read(
-        mut self: Pin<&mut Self>,
-        context: &mut Context<'_>,
-        buffer: &mut ReadBuf<'_>,
-    ) -> Poll<io::Result<()>> {
-        Pin::new(&mut self.stream).poll_read(context, buffer)
-    }
-}
-
-impl AsyncWrite for Counted {
-    fn poll_write(
-        mut self: Pin<&mut Self>,
-        context: &mut Context<'_>,
-        bytes: &[u8],
-    ) -> Poll<io::Result<usize>> {
-        Pin::new(&mut self.stream).poll_write(context, bytes)
-    }
-
-    fn poll_flush(mut self: Pin<&mut Self>, context: &mut Context<'_>) -> Poll<io::Result<()>> {
-        Pin::new(&mut self.stream).poll_flush(context)
-    }
-
-    fn poll_shutdown(mut self: Pin<&mut Self>, context: &mut Context<'_>) -> Poll<io::Result<()>> {
-        Pin::new(&mut self.stream).poll_shutdown(context)
-    }
-
-    fn poll_write_vectored(
-        mut self: Pin<&mut Self>,
-        context: &mut Context<'_>,
-        parts: &[io::IoSlice<'_>],
-    ) -> Poll<io::Result<usize>> {
-        Pin::new(&mut self.stream).poll_write_vectored(context, parts)
-    }
-
-    fn is_write_vectored(&self) -> bool {
-        self.stream.is_write_vectored()
-    }
 }

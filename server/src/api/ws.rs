@@ -132,7 +132,7 @@ impl Outgoing {
     fn written(self, form: Form) -> Result<Written, serde_json::Error> {
         use v1::stream_message::Message as Alternative;
         let alternative = match (form, self) {
-            (Form::Json, Self::Snapshot(Due { own, shared })) => {
+            (Form::Json, Self::Snapshot(Due { own, shared, .. })) => {
                 let before = own.json(r#"{"snapshot":"#).into();
                 let (kind, after) = (Data::Text, b"}".as_slice());
                 return Ok(Written::InPieces(Pieces { kind, before, shared, after }));
@@ -140,7 +140,7 @@ impl Outgoing {
             (Form::Json, other) => {
                 return serde_json::to_string(&other).map(|text| Written::Whole(text.into()));
             }
-            (Form::Protobuf, Self::Snapshot(Due { own, shared })) => {
+            (Form::Protobuf, Self::Snapshot(Due { own, shared, .. })) => {
                 let before = before_snapshot(&own.protobuf(), shared.len()).into();
                 let (kind, after) = (Data::Binary, b"".as_slice());
                 return Ok(Written::InPieces(Pieces { kind, before, shared, after }));

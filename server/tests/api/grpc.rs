@@ -155,12 +155,19 @@ async fn a_rate_limit_skips_without_missing() {
 
 #[tokio::test]
 async fn a_slow_subscriber_skips_to_the_newest_and_learns_what_it_missed() {
+    // What goes through HTTP/2's library, and what goes past it.
+    for connection in [64 * 1024, 1024 * 1024] {
+        a_slow_subscriber_skips(connection).await;
+    }
+}
+
+async fn a_slow_subscriber_skips(connection_window: u32) {
     const LAST: u64 = 200;
     let rig = Rig::start().await;
     let channel = Endpoint::from_shared(rig.url())
         .unwrap()
         .initial_stream_window_size(64 * 1024)
-        .initial_connection_window_size(64 * 1024)
+        .initial_connection_window_size(connection_window)
         .connect()
         .await
         .unwrap();

@@ -7,6 +7,7 @@ mod fuzz_stream;
 mod grpc;
 mod http;
 mod lens;
+mod many;
 mod observation;
 mod origin;
 mod parity;

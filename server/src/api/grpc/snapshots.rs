@@ -4,12 +4,16 @@
 //! pieces a message: some thirty bytes of the subscriber's own (gRPC's header of five, time sent, count missed), and the
 //! shared rest by reference. HTTP/2 asks for the next one when the client has room, and gets the newest there is.
 //!
+//! Once that works for a subscriber, its messages go past HTTP/2's library ([`Direct`]), and where many want the same,
+//! all of them from one [sheet](super::sheets).
+//!
 //! Who has room for nothing is cut off by the port, as with every answer.
 
 use std::{
     convert::Infallible,
+    panic::resume_unwind,
     pin::Pin,
-    sync::Arc,
+    sync::{Arc, OnceLock, atomic::Ordering},
     task::{Context, Poll},
 };
 
@@ -24,14 +28,17 @@ use http_body_util::{BodyExt, Limited};
 use hyper::body::Frame;
 use prost::Message;
 use roundel_proto::v1;
+use tokio::task::JoinError;
+use tokio_util::task::AbortOnDropHandle;
 use tonic::Status;
 
-use super::MAX_REQUEST_BYTES;
+use super::{MAX_REQUEST_BYTES, sheets::Sheets};
 use crate::api::{
     Api,
     encoded::{Form, Own},
     error::{ApiError, SHUTTING_DOWN},
-    feed::Feed,
+    feed::{Due, Feed},
+    port::{Direct, Line},
     selection::{MESSAGE_FIELDS, Selection},
 };
 
@@ -41,10 +48,17 @@ pub(super) const PATH: &str = "/roundel.v1.Roundel/SubscribeSnapshots";
 const HEADER_BYTES: usize = 5;
 
 /// Answers the call.
-pub(super) async fn subscribe(api: Arc<Api>, request: Request) -> Result<Response, Infallible> {
+pub(super) async fn subscribe(
+    api: Arc<Api>,
+    sheets: Arc<Sheets>,
+    request: Request,
+) -> Result<Response, Infallible> {
+    let line = request.extensions().get().cloned();
     let response = match selection(&api, request).await {
         Ok(selection) => {
-            let mut response = Response::new(Body::new(Snapshots::new(api, selection)));
+            let feed = Feed::new(api.clone(), selection);
+            let subscription = Subscription { api, feed, sheets, line };
+            let mut response = Response::new(Body::new(Snapshots::new(subscription)));
             let grpc = HeaderValue::from_static("application/grpc");
             response.headers_mut().insert(header::CONTENT_TYPE, grpc);
             response
@@ -86,6 +100,71 @@ fn decoded(bytes: &[u8]) -> Result<v1::SubscribeSnapshotsRequest, Status> {
         .map_err(|error| Status::internal(format!("the request is no message: {error}")))
 }
 
+/// What one subscriber gets, and how.
+struct Subscription {
+    api: Arc<Api>,
+    feed: Feed,
+    sheets: Arc<Sheets>,
+    /// Its connection, where messages may go past HTTP/2's library.
+    line: Option<Line>,
+}
+
+impl Subscription {
+    /// Its messages as far as they go through HTTP/2's library; the others go past it as `direct`.
+    fn messages(
+        self,
+        direct: Arc<OnceLock<Direct>>,
+    ) -> impl Stream<Item = Result<Pieces, Status>> + Send {
+        stream::unfold(Some((self, 0)), move |state| {
+            let direct = direct.clone();
+            async move {
+                let (mut this, given) = state?;
+                let due = this.feed.next(Form::Protobuf).await?;
+                if let Some(number) = direct.get().and_then(|direct| direct.take_over(given)) {
+                    let task = tokio::spawn(this.send_past(direct, number, due));
+                    let ended = AbortOnDropHandle::new(task).await;
+                    return match ended.map_err(JoinError::try_into_panic) {
+                        Err(Ok(panic)) => resume_unwind(panic),
+                        // Who has ended it hears no more of it; otherwise there are no more snapshots.
+                        Ok(()) | Err(Err(_)) => Some((Err(shutting_down()), None)),
+                    };
+                }
+                let head = head(due.own, due.shared.len());
+                if given == 0
+                    && let Some(line) = &this.line
+                {
+                    direct.get_or_init(|| line.direct(&head));
+                }
+                let given = given + (head.len() + due.shared.len()) as u64;
+                Some((Ok((head, due.shared)), Some((this, given))))
+            }
+        })
+    }
+
+    /// Sends by the stream of this number until there is no more to send, or nobody to send it to.
+    async fn send_past(mut self, direct: Arc<OnceLock<Direct>>, number: u32, mut due: Due) {
+        let Some(direct) = direct.get() else { return };
+        loop {
+            let own = head(due.own, due.shared.len());
+            let sheet = match due.own.missed {
+                0 => {
+                    let (who, what) = ((self.feed.filter(), number), (&own, &due.shared));
+                    self.sheets.sheet(due.sequence, who, what)
+                }
+                _ => None,
+            };
+            let shared = u64::from(sheet.is_some());
+            self.api.counters.snapshots_shared.fetch_add(shared, Ordering::Relaxed);
+            let Ok(is_ready) = direct.send(own, due.shared, sheet.as_deref()) else { return };
+            if !is_ready && direct.ready().await.is_err() {
+                return;
+            }
+            let Some(next) = self.feed.next(Form::Protobuf).await else { return };
+            due = next;
+        }
+    }
+}
+
 /// A message's two pieces: what is the subscriber's own, and what it shares.
 type Pieces = (Bytes, Bytes);
 
@@ -98,15 +177,16 @@ struct Snapshots {
 }
 
 impl Snapshots {
-    fn new(api: Arc<Api>, selection: Selection) -> Self {
-        let feed = Feed::new(api.clone(), selection);
-        let messages = stream::unfold(feed, |mut feed| async move {
-            let due = feed.next(Form::Protobuf).await?;
-            Some((Ok((head(due.own, due.shared.len()), due.shared)), feed))
-        });
+    fn new(subscription: Subscription) -> Self {
+        let direct = Arc::new(OnceLock::new());
+        let cancel = subscription.api.cancel.clone();
+        let messages = subscription.messages(direct.clone());
         let end = stream::once(async move {
-            api.cancel.cancelled().await;
-            Err(ApiError::Unavailable(SHUTTING_DOWN.into()).into())
+            cancel.cancelled().await;
+            if let Some(direct) = direct.get() {
+                Direct::stop(direct).await;
+            }
+            Err(shutting_down())
         });
         let messages = Box::pin(stream::select(messages, end));
         Self { messages, rest: None, is_ended: false }
@@ -119,6 +199,10 @@ impl Snapshots {
         let _ = status.add_header(&mut trailers);
         Frame::trailers(trailers)
     }
+}
+
+fn shutting_down() -> Status {
+    ApiError::Unavailable(SHUTTING_DOWN.into()).into()
 }
 
 /// What stands before the shared part of a message of `shared` bytes.

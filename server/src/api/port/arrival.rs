@@ -42,17 +42,28 @@ impl Silent {
     }
 }
 
-/// Waits until it is known what a client speaks; false if it has gone. hyper would wait for the rest of a begun preface
+/// What a client speaks.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) enum Language {
+    /// HTTP/1.1, or something that will turn out to be none.
+    Http1,
+    Http2,
+}
+
+/// Waits until it is known what a client speaks; `None` if it has gone. hyper would wait for the rest of a begun preface
 /// for ever.
-pub(super) async fn speaks(stream: &TcpStream) -> io::Result<bool> {
+pub(super) async fn language(stream: &TcpStream) -> io::Result<Option<Language>> {
     let mut head = [0; PREFACE.len()];
     loop {
         let said = stream.peek(&mut head).await?;
         if said == 0 {
-            return Ok(false);
+            return Ok(None);
         }
-        if said == PREFACE.len() || !PREFACE.starts_with(&head[..said]) {
-            return Ok(true);
+        if !PREFACE.starts_with(&head[..said]) {
+            return Ok(Some(Language::Http1));
+        }
+        if said == PREFACE.len() {
+            return Ok(Some(Language::Http2));
         }
         sleep(LOOK).await;
     }

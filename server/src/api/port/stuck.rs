@@ -20,12 +20,9 @@ use std::{
 use axum::body::{Body, Bytes};
 use bytes::{Buf as _, buf::Chain};
 use hyper::body::{Body as _, Frame, SizeHint};
-use tokio::{
-    io::{AsyncRead, AsyncWrite},
-    time::sleep,
-};
+use tokio::time::sleep;
 
-use super::gather::Gather;
+use super::{gather::Gather, socket::Socket};
 
 /// Most that is handed over at once.
 const PIECE_BYTES: usize = 64 * 1024;
@@ -76,14 +73,10 @@ impl Answers {
 }
 
 /// Waits until the client of a connection has been stuck for so long.
-pub(super) async fn stuck<S: AsyncRead + AsyncWrite + Unpin>(
-    answers: &Answers,
-    socket: &Gather<S>,
-    limit: Duration,
-) {
+pub(super) async fn stuck<S: Socket>(answers: &Answers, socket: &Gather<S>, limit: Duration) {
     loop {
         sleep(limit / LOOKS).await;
-        if answers.waiting().max(socket.full_for()) > limit {
+        if answers.waiting().max(socket.stuck_for()) > limit {
             return;
         }
     }

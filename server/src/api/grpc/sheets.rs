@@ -1,0 +1,122 @@
+//! Snapshots as whole messages, for those of whom many want the same.
+//!
+//! A [`Sheet`] says the same to all whom it is sent to: that nothing was missed, and one time of sending, which is that of
+//! the first; therefore it is replaced by a new one after a millisecond. Where fewer want the same, or have missed
+//! something, each gets what is its own.
+//!
+//! PERF: `cargo bench -p roundel-server --bench subscribers -- --case lean`, 1,000 subscribers, in turns with messages
+//! that went through HTTP/2's library one by one: p99 9.7, 10.4, 8.0 ms instead of 14.6, 14.2, 11.7, the server at 0.66,
+//! 0.63, 0.55 cores instead of 0.96, 0.98, 0.81.
+
+use std::{
+    collections::HashMap,
+    sync::{Arc, Mutex, MutexGuard, PoisonError},
+    time::Duration,
+};
+
+use axum::body::Bytes;
+
+use crate::api::{port::Sheet, selection::Filter};
+
+/// A sheet says when it was sent to within this.
+const MOST_AGE: Duration = Duration::from_millis(1);
+/// So many have to want the same.
+const MANY: usize = 24;
+/// A longer message goes to each by itself, in pieces as there is room.
+const MOST_BYTES: usize = 256 * 1024;
+
+/// The sheets of the newest snapshot.
+#[derive(Debug, Default)]
+pub(super) struct Sheets(Mutex<All>);
+
+#[derive(Debug, Default)]
+struct All {
+    /// The newest snapshot's.
+    sequence: u64,
+    of: HashMap<(Filter, u32), Wanted>,
+}
+
+/// What some choose of snapshots, and ask for by streams of one number.
+#[derive(Debug, Default)]
+struct Wanted {
+    sequence: u64,
+    /// By how many, of this snapshot and of the one before.
+    now: usize,
+    before: usize,
+    sheet: Option<Arc<Sheet>>,
+}
+
+impl Wanted {
+    fn begin(&mut self, sequence: u64) {
+        self.before = if self.sequence + 1 == sequence { self.now } else { 0 };
+        (self.sequence, self.now, self.sheet) = (sequence, 0, None);
+    }
+}
+
+impl Sheets {
+    /// The message `own` and `shared` for a subscriber by a stream of this number, if as many wanted the same of the
+    /// snapshot before that it is worth while.
+    pub(super) fn sheet(
+        &self,
+        sequence: u64,
+        (filter, stream): (&Filter, u32),
+        (own, shared): (&Bytes, &Bytes),
+    ) -> Option<Arc<Sheet>> {
+        let key = (filter.clone(), stream);
+        let mut all = self.lock();
+        if all.sequence < sequence {
+            all.sequence = sequence;
+            all.of.retain(|_, wanted| wanted.sequence + 1 >= sequence);
+        }
+        if all.sequence > sequence {
+            return None;
+        }
+        let wanted = all.of.entry(key).or_default();
+        if wanted.sequence < sequence {
+            wanted.begin(sequence);
+        }
+        wanted.now += 1;
+        if wanted.before < MANY || shared.len() > MOST_BYTES {
+            return None;
+        }
+        // Made by the first one, while the others wait: by themselves they would take longer.
+        let sheet = wanted.sheet.take().filter(|sheet| sheet.age() < MOST_AGE);
+        let sheet = sheet.unwrap_or_else(|| Arc::new(Sheet::new(stream, own, shared)));
+        wanted.sheet = Some(sheet.clone());
+        Some(sheet)
+    }
+
+    fn lock(&self) -> MutexGuard<'_, All> {
+        self.0.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn many_get_one_sheet_and_few_none() {
+        let sheets = Sheets::default();
+        let filter = Filter::default();
+        let (own, shared) = (Bytes::from_static(b"own"), Bytes::from_static(b"shared"));
+        let want = |sequence, stream| sheets.sheet(sequence, (&filter, stream), (&own, &shared));
+        for sequence in [1, 2] {
+            for _ in 0..MANY {
+                assert_eq!(want(sequence, 1).is_some(), sequence == 2, "not known before");
+                if sequence == 1 {
+                    assert!(want(sequence, 3).is_none());
+                }
+            }
+        }
+        // Of the snapshot before, nobody wanted it by the third stream's number.
+        assert!(want(3, 1).is_some() && want(3, 3).is_none());
+        // One that is behind gets none.
+        assert!(want(2, 1).is_none());
+        let [a, b] = [want(3, 1), want(3, 1)].map(Option::unwrap);
+        assert!(Arc::ptr_eq(&a, &b));
+        // Once nobody has wanted one, it is not known any more how many will.
+        assert!(want(5, 1).is_none());
+        assert_eq!(sheets.lock().of.len(), 1);
+    }
+}

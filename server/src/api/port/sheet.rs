@@ -1,0 +1,84 @@
+//! A message laid out as HTTP/2's frames, where the system can send from for many connections at once.
+//!
+//! Where a thousand want the same, handing the system the same bytes a thousand times costs more than all else: each time
+//! they are copied into memory that has just been got for them, and out of it by whoever receives. A *sheet* is written
+//! once, into a file without a name, of whose memory the system itself sends by reference (sendfile). Nobody changes it
+//! afterwards, and its memory is free when the last connection has sent it.
+
+use std::time::{Duration, Instant};
+
+use bytes::{Buf as _, BufMut as _, Bytes};
+
+use super::frames::{HEAD_BYTES, Head, MAX_PAYLOAD};
+
+/// A message, laid out for one stream's number.
+#[derive(Debug)]
+pub(in crate::api) struct Sheet {
+    stream: u32,
+    made: Instant,
+    bytes: Bytes,
+    payload: usize,
+    #[cfg(target_os = "linux")]
+    pages: Option<std::os::fd::OwnedFd>,
+}
+
+impl Sheet {
+    /// Of the message that is `own` and `shared`.
+    pub(in crate::api) fn new(stream: u32, own: &[u8], shared: &[u8]) -> Self {
+        let made = Instant::now();
+        let payload = own.len() + shared.len();
+        let frames = payload.div_ceil(MAX_PAYLOAD);
+        let mut message = own.chain(shared);
+        let mut bytes = Vec::with_capacity(payload + frames * HEAD_BYTES);
+        while message.has_remaining() {
+            let length = message.remaining().min(MAX_PAYLOAD);
+            bytes.put_slice(&Head::data(stream, length));
+            bytes.put((&mut message).take(length));
+        }
+        Self {
+            stream,
+            made,
+            #[cfg(target_os = "linux")]
+            pages: pages(&bytes),
+            bytes: bytes.into(),
+            payload,
+        }
+    }
+
+    /// How old it is.
+    pub(in crate::api) fn age(&self) -> Duration {
+        self.made.elapsed()
+    }
+
+    /// The stream that it is for.
+    pub(super) fn stream(&self) -> u32 {
+        self.stream
+    }
+
+    /// All frames.
+    pub(super) fn bytes(&self) -> &Bytes {
+        &self.bytes
+    }
+
+    /// How many of the bytes count for HTTP/2's windows.
+    pub(super) fn payload(&self) -> usize {
+        self.payload
+    }
+
+    /// The same bytes, where the system can send from.
+    #[cfg(target_os = "linux")]
+    pub(super) fn pages(&self) -> Option<&std::os::fd::OwnedFd> {
+        self.pages.as_ref()
+    }
+}
+
+/// A file of these bytes that has no name. Where there can be none, they are written as others are.
+#[cfg(target_os = "linux")]
+fn pages(bytes: &[u8]) -> Option<std::os::fd::OwnedFd> {
+    use std::io::Write as _;
+
+    let file = rustix::fs::memfd_create("snapshot", rustix::fs::MemfdFlags::CLOEXEC).ok()?;
+    let mut file = std::fs::File::from(file);
+    file.write_all(bytes).ok()?;
+    Some(file.into())
+}
