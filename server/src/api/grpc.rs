@@ -5,7 +5,6 @@
 
 mod answer;
 mod observer;
-mod sheets;
 mod snapshots;
 
 use std::{pin::Pin, sync::Arc};
@@ -18,7 +17,6 @@ use tonic::{Request, Response, Status, service::Routes};
 use tonic_health::server::HealthReporter;
 use tower::service_fn;
 
-use self::sheets::Sheets;
 use super::{
     Api, calibration, configuration,
     error::{ApiError, SHUTTING_DOWN},
@@ -59,10 +57,8 @@ pub fn router(api: &Arc<Api>) -> (Router, HealthReporter) {
         .add_service(push::service(api))
         .add_service(reflection)
         .add_service(health);
-    let (subscribing, sheets) = (api.clone(), Arc::<Sheets>::default());
-    let subscribe = service_fn(move |request| {
-        snapshots::subscribe(subscribing.clone(), sheets.clone(), request)
-    });
+    let subscribing = api.clone();
+    let subscribe = service_fn(move |request| snapshots::subscribe(subscribing.clone(), request));
     let router = routes.prepare().into_axum_router().route_service(snapshots::PATH, subscribe);
     (router, reporter)
 }

@@ -20,6 +20,7 @@
 //! | [`metrics`] | `/metrics`, `/healthz`, `/readyz` |
 //! | [`page`] | the dashboard's files |
 //! | [`encoded`] | snapshots as bytes, once for all who want the same |
+//! | [`sheets`] | and laid out in memory that the system sends from, where many want the same |
 //! | [`selection`], [`feed`] | which snapshots a subscriber gets, and what is in them |
 //! | `region` | a box of the world that a client asks for |
 //! | [`picture`] | a frame with its detections drawn in, as JPEG |
@@ -57,6 +58,7 @@ pub mod replay;
 pub mod rest;
 pub mod selection;
 pub mod setup;
+pub mod sheets;
 pub mod simulation;
 pub mod trial;
 pub mod ws;
@@ -73,7 +75,7 @@ use roundel_core::{marker::Kind, plan::Trials};
 use tokio::net::TcpListener;
 use tokio_util::sync::CancellationToken;
 
-use self::{encoded::Encoder, error::ApiError};
+use self::{encoded::Encoder, error::ApiError, sheets::Sheets};
 use crate::{
     calibration::{Calibrator, CalibratorParts, file::CalibrationFile},
     clock::Clock,
@@ -232,6 +234,8 @@ pub struct Api {
     pub counters: Counters,
     /// Snapshots as subscribers want them.
     pub encoder: Arc<Encoder>,
+    /// And laid out for those of whom many want the same.
+    pub sheets: Sheets,
     /// What was tried for plans.
     pub trials: Trials,
 }
@@ -274,6 +278,7 @@ pub async fn serve(
         limits,
         counters,
         encoder,
+        sheets: Sheets::default(),
         trials: Trials::default(),
     });
     let (grpc_router, health) = grpc::router(&api);

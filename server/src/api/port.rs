@@ -250,12 +250,12 @@ async fn converse(stream: Counted, language: Language, dispatch: Dispatch, api: 
     let peer = stream.stream.peer_addr().ok().map(Peer);
     let stream = Gather::new(stream, language == Language::Http2);
     let _ending = Ending(&stream);
-    let line = (language == Language::Http2).then(|| Line(stream.clone()));
+    let line = Line(stream.clone());
     let answers = Arc::new(Answers::default());
     let given = answers.clone();
     let service = hyper::service::service_fn(move |mut request: Request<Incoming>| {
         peer.map(|peer| request.extensions_mut().insert(peer));
-        line.clone().map(|line| request.extensions_mut().insert(line));
+        request.extensions_mut().insert(line.clone());
         let (answer, answers) = (dispatch.clone().answer(request), given.clone());
         async move { Ok::<_, Infallible>(answer.await?.map(|body| answers.watched(body))) }
     });

@@ -42,6 +42,8 @@ use super::{
     error::{ApiError, ErrorBody, SHUTTING_DOWN},
     feed::{Due, Feed},
     grpc,
+    port::Sheet,
+    sheets::Way,
 };
 use crate::{convert, hub};
 use socket::{Handshake, Pieces, Socket, offered};
@@ -126,6 +128,7 @@ enum Outgoing {
 enum Written {
     Whole(Message),
     InPieces(Pieces),
+    Shared(Arc<Sheet>),
 }
 
 impl Outgoing {
@@ -285,13 +288,33 @@ impl Session {
     }
 
     async fn send(&self, socket: &mut Socket, message: Outgoing) -> Result<(), End> {
+        let what = match &message {
+            Outgoing::Snapshot(due) if due.own.missed == 0 => {
+                Some((due.sequence, due.shared.len()))
+            }
+            _ => None,
+        };
         match message.written(self.form) {
-            Ok(message) => self.transmit(socket, message).await,
+            Ok(message) => self.transmit(socket, self.shared(what, message)).await,
             Err(error) => {
                 tracing::error!(%error, "could not write a message as JSON");
                 Ok(())
             }
         }
+    }
+
+    /// A message about `what`, as [`Sheets`](super::sheets::Sheets) names it, in memory that many share, if many want it.
+    fn shared(&self, what: Option<(u64, usize)>, message: Written) -> Written {
+        let (Some(what), Some(feed), Written::InPieces(pieces)) = (what, &self.feed, &message)
+        else {
+            return message;
+        };
+        let who = (feed.filter(), Way::WebSocket(self.form));
+        let Some(sheet) = self.api.sheets.sheet(what, who, || pieces.sheet()) else {
+            return message;
+        };
+        self.api.counters.snapshots_shared.fetch_add(1, Ordering::Relaxed);
+        Written::Shared(sheet)
     }
 
     /// Sends, unless the client does not read or the server goes down meanwhile.
@@ -300,6 +323,7 @@ impl Session {
             match message {
                 Written::Whole(message) => socket.send(message).await,
                 Written::InPieces(pieces) => socket.send_pieces(&pieces).await,
+                Written::Shared(sheet) => socket.send_sheet(&sheet).await,
             }
         };
         tokio::select! {

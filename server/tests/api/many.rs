@@ -1,8 +1,12 @@
 //! Many subscribers that want the same, and several on one connection: all messages come whole, in order, and nobody
 //! disturbs anybody.
 
-use roundel_proto::v1::{self, roundel_client::RoundelClient};
+use futures::{SinkExt, StreamExt};
+use roundel_proto::v1::{
+    self, roundel_client::RoundelClient, stream_message::Message as Alternative,
+};
 use tokio::time::timeout;
+use tokio_tungstenite::tungstenite::Message;
 use tonic::{
     Code, Streaming,
     transport::{Channel, Endpoint},
@@ -11,6 +15,7 @@ use tonic::{
 use crate::{
     grpc::{connect, next},
     rig::{HANG, Rig, objects},
+    websocket,
 };
 
 /// Windows that are used up many times over.
@@ -153,5 +158,58 @@ async fn who_waits_by_a_deadline_gets_whole_messages_until_then() {
     };
     assert!(matches!(ended, Code::DeadlineExceeded | Code::Cancelled), "{ended:?}");
     assert!(received > 300);
+    rig.stop().await;
+}
+
+#[tokio::test]
+async fn many_pages_get_the_same_beside_what_is_their_own() {
+    const PAGES: u64 = 30;
+    const ROUNDS: u64 = 25;
+    let rig = Rig::start().await;
+    rig.publish(objects(1));
+    let (mut texts, mut binaries) = (Vec::new(), Vec::new());
+    for _ in 0..PAGES {
+        let mut page = websocket::open(&rig, "?include=snapshots").await;
+        assert_eq!(websocket::next_snapshot(&mut page).await.sequence, 1);
+        texts.push(page);
+        let mut page = websocket::open_binary(&rig, "").await;
+        let Alternative::Snapshot(first) = websocket::next_binary(&mut page).await else {
+            panic!()
+        };
+        assert_eq!(first.sequence, 1);
+        binaries.push(page);
+    }
+    for round in 2..ROUNDS + 2 {
+        // Some 150 kB as text: more than a socket takes at once.
+        rig.publish(objects(120 + round));
+        let mut first = None;
+        for page in &mut texts {
+            if round % 5 == 0 {
+                page.send(Message::Ping(vec![7; 100].into())).await.unwrap();
+            }
+            let mut snapshot = websocket::next_snapshot(page).await;
+            assert_eq!((snapshot.sequence, snapshot.missed), (round, 0));
+            let sent_ns = std::mem::take(&mut snapshot.sent_time_ns);
+            assert!((snapshot.fused_time_ns..=rig.clock.now().as_ns()).contains(&sent_ns));
+            assert_eq!(*first.get_or_insert_with(|| snapshot.clone()), snapshot);
+        }
+        for page in &mut binaries {
+            let Alternative::Snapshot(mut snapshot) = websocket::next_binary(page).await else {
+                panic!("it asked for nothing else")
+            };
+            snapshot.sent_time_ns = 0;
+            assert_eq!(Some(snapshot), first);
+        }
+    }
+    let shared = shared(&rig).await;
+    assert!(shared > PAGES * ROUNDS, "{shared} were");
+    rig.cancel.cancel();
+    for mut page in texts {
+        let goodbye = async {
+            // The answer to the last ping may come before.
+            while !matches!(page.next().await, Some(Ok(Message::Close(Some(_))))) {}
+        };
+        timeout(HANG, goodbye).await.expect("it does not say goodbye");
+    }
     rig.stop().await;
 }

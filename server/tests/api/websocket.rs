@@ -27,6 +27,17 @@ pub async fn open(rig: &Rig, query: &str) -> Socket {
     connect_async(url).await.unwrap().0
 }
 
+/// One that takes protobuf.
+pub async fn open_binary(rig: &Rig, query: &str) -> Socket {
+    let url = format!("ws://{}/api/v1/stream{query}", rig.address);
+    let mut request = url.into_client_request().unwrap();
+    let protocols = "roundel.v9.avian, roundel.v1.protobuf".parse().unwrap();
+    request.headers_mut().insert("sec-websocket-protocol", protocols);
+    let (socket, response) = connect_async(request).await.unwrap();
+    assert_eq!(response.headers()["sec-websocket-protocol"], "roundel.v1.protobuf");
+    socket
+}
+
 pub async fn next(socket: &mut Socket) -> Value {
     loop {
         let message = timeout(HANG, socket.next()).await.expect("no message comes");
@@ -185,12 +196,7 @@ async fn a_wrong_wish_is_answered_and_changes_nothing() {
 async fn a_subprotocol_gives_the_same_in_protobuf() {
     let rig = Rig::start().await;
     let mut text = open(&rig, "").await;
-    let url = format!("ws://{}/api/v1/stream?include=snapshots,cameras", rig.address);
-    let mut request = url.into_client_request().unwrap();
-    let protocols = "roundel.v9.avian, roundel.v1.protobuf".parse().unwrap();
-    request.headers_mut().insert("sec-websocket-protocol", protocols);
-    let (mut binary, response) = connect_async(request).await.unwrap();
-    assert_eq!(response.headers()["sec-websocket-protocol"], "roundel.v1.protobuf");
+    let mut binary = open_binary(&rig, "?include=snapshots,cameras").await;
     rig.publish(objects(40));
     let expected = next_snapshot(&mut text).await;
     let (mut cameras, mut snapshot) = (None, None);
@@ -224,7 +230,7 @@ async fn a_subprotocol_gives_the_same_in_protobuf() {
     rig.stop().await;
 }
 
-async fn next_binary(socket: &mut Socket) -> Alternative {
+pub async fn next_binary(socket: &mut Socket) -> Alternative {
     loop {
         let message = timeout(HANG, socket.next()).await.expect("no message comes");
         if let Message::Binary(bytes) = message.unwrap().unwrap() {

@@ -5,7 +5,7 @@
 //! shared rest by reference. HTTP/2 asks for the next one when the client has room, and gets the newest there is.
 //!
 //! Once that works for a subscriber, its messages go past HTTP/2's library ([`Direct`]), and where many want the same,
-//! all of them from one [sheet](super::sheets).
+//! all of them from one [sheet](crate::api::sheets).
 //!
 //! Who has room for nothing is cut off by the port, as with every answer.
 
@@ -32,14 +32,15 @@ use tokio::task::JoinError;
 use tokio_util::task::AbortOnDropHandle;
 use tonic::Status;
 
-use super::{MAX_REQUEST_BYTES, sheets::Sheets};
+use super::MAX_REQUEST_BYTES;
 use crate::api::{
     Api,
     encoded::{Form, Own},
     error::{ApiError, SHUTTING_DOWN},
     feed::{Due, Feed},
-    port::{Direct, Line},
+    port::{Direct, Line, Sheet},
     selection::{MESSAGE_FIELDS, Selection},
+    sheets::Way,
 };
 
 /// Where tonic would look for the call.
@@ -48,16 +49,12 @@ pub(super) const PATH: &str = "/roundel.v1.Roundel/SubscribeSnapshots";
 const HEADER_BYTES: usize = 5;
 
 /// Answers the call.
-pub(super) async fn subscribe(
-    api: Arc<Api>,
-    sheets: Arc<Sheets>,
-    request: Request,
-) -> Result<Response, Infallible> {
+pub(super) async fn subscribe(api: Arc<Api>, request: Request) -> Result<Response, Infallible> {
     let line = request.extensions().get().cloned();
     let response = match selection(&api, request).await {
         Ok(selection) => {
             let feed = Feed::new(api.clone(), selection);
-            let subscription = Subscription { api, feed, sheets, line };
+            let subscription = Subscription { api, feed, line };
             let mut response = Response::new(Body::new(Snapshots::new(subscription)));
             let grpc = HeaderValue::from_static("application/grpc");
             response.headers_mut().insert(header::CONTENT_TYPE, grpc);
@@ -104,7 +101,6 @@ fn decoded(bytes: &[u8]) -> Result<v1::SubscribeSnapshotsRequest, Status> {
 struct Subscription {
     api: Arc<Api>,
     feed: Feed,
-    sheets: Arc<Sheets>,
     /// Its connection, where messages may go past HTTP/2's library.
     line: Option<Line>,
 }
@@ -148,8 +144,9 @@ impl Subscription {
             let own = head(due.own, due.shared.len());
             let sheet = match due.own.missed {
                 0 => {
-                    let (who, what) = ((self.feed.filter(), number), (&own, &due.shared));
-                    self.sheets.sheet(due.sequence, who, what)
+                    let (what, who) = ((due.sequence, due.shared.len()), self.feed.filter());
+                    let make = || Sheet::frames(number, &own, &due.shared);
+                    self.api.sheets.sheet(what, (who, Way::Grpc(number)), make)
                 }
                 _ => None,
             };

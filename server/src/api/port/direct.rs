@@ -252,7 +252,7 @@ impl Http2 {
     }
 }
 
-/// A connection on which messages may go past the library.
+/// A connection on which messages may go past the library that speaks on it.
 #[derive(Clone)]
 pub(in crate::api) struct Line(pub(super) Gather<Counted>);
 
@@ -260,6 +260,13 @@ impl Line {
     /// For the stream whose first message will begin like this.
     pub(in crate::api) fn direct(&self, begin: &[u8]) -> Direct {
         Direct::new(&self.0, begin)
+    }
+
+    /// Sends all of a sheet on a connection that speaks no HTTP any more, and whose last message is under way. To be
+    /// awaited to its end, or never again.
+    pub(in crate::api) async fn send(&self, sheet: &Sheet) -> io::Result<()> {
+        let mut sent = 0;
+        poll_fn(|context| self.0.inner().poll_send(context, sheet, &mut sent)).await
     }
 }
 
@@ -342,7 +349,7 @@ impl<S: Socket> Direct<S> {
         let is_open = is_open && http2.is_between_frames();
         let (stream, windows) = http2.open(self.key)?;
         let is_fit = |sheet: &&Sheet| {
-            Some(sheet.stream()) == stream.number && sheet.payload() as i64 <= stream.room(windows)
+            sheet.stream() == stream.number && sheet.payload() as i64 <= stream.room(windows)
         };
         if let Some(sheet) = sheet.filter(is_fit)
             && is_open
@@ -391,7 +398,7 @@ impl<S: Socket> Inner<S> {
     /// Sends a sheet, of which what the socket does not take is held.
     fn send(&mut self, sheet: &Sheet) {
         // An error may be of what the socket is sent from; one of its own comes again.
-        let sent = self.stream.try_send(sheet).unwrap_or_default();
+        let sent = self.stream.try_send(sheet, 0).unwrap_or_default();
         if sent < sheet.bytes().len() {
             self.hold(&[io::IoSlice::new(&sheet.bytes()[sent..])]);
             self.drain();

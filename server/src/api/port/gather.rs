@@ -18,7 +18,7 @@ use std::{
 
 use tokio::io::{AsyncRead, AsyncWrite, ReadBuf};
 
-use super::{direct::Http2, socket::Socket};
+use super::{direct::Http2, sheet::Sheet, socket::Socket};
 
 /// What is more than this goes out at once.
 pub(super) const MOST_BYTES: usize = 64 * 1024;
@@ -250,6 +250,27 @@ impl<S: Socket> Inner<S> {
         Poll::Ready(Ok(()))
     }
 
+    /// Sends a sheet of which so much is sent.
+    pub(super) fn poll_send(
+        &mut self,
+        context: &mut Context<'_>,
+        sheet: &Sheet,
+        sent: &mut usize,
+    ) -> Poll<io::Result<()>> {
+        ready!(self.poll_drain(context))?;
+        while *sent < sheet.bytes().len() {
+            match self.stream.try_send(sheet, *sent) {
+                Ok(0) => return Poll::Ready(Err(io::ErrorKind::WriteZero.into())),
+                Ok(count) => *sent += count,
+                Err(error) if error.kind() == io::ErrorKind::WouldBlock => {
+                    ready!(self.stream.poll_writable(context))?;
+                }
+                Err(error) => return Poll::Ready(Err(error)),
+            }
+        }
+        Poll::Ready(Ok(()))
+    }
+
     fn poll_read(
         &mut self,
         context: &mut Context<'_>,
@@ -355,7 +376,7 @@ mod tests {
 
     use tokio::io::{AsyncReadExt, AsyncWriteExt, DuplexStream, duplex};
 
-    use super::{super::sheet::Sheet, *};
+    use super::*;
 
     /// Takes some bytes at most, and notes how many each write brought.
     #[derive(Default)]
@@ -369,7 +390,7 @@ mod tests {
             unreachable!("nothing goes past the library")
         }
 
-        fn try_send(&self, _: &Sheet) -> io::Result<usize> {
+        fn try_send(&self, _: &Sheet, _: usize) -> io::Result<usize> {
             unreachable!("nothing goes past the library")
         }
 
@@ -383,7 +404,7 @@ mod tests {
             unreachable!("nothing goes past the library")
         }
 
-        fn try_send(&self, _: &Sheet) -> io::Result<usize> {
+        fn try_send(&self, _: &Sheet, _: usize) -> io::Result<usize> {
             unreachable!("nothing goes past the library")
         }
 

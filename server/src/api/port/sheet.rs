@@ -1,4 +1,4 @@
-//! A message laid out as HTTP/2's frames, where the system can send from for many connections at once.
+//! A message laid out as it goes over the line, where the system can send from for many connections at once.
 //!
 //! Where a thousand want the same, handing the system the same bytes a thousand times costs more than all else: each time
 //! they are copied into memory that has just been got for them, and out of it by whoever receives. A *sheet* is written
@@ -11,10 +11,10 @@ use bytes::{Buf as _, BufMut as _, Bytes};
 
 use super::frames::{HEAD_BYTES, Head, MAX_PAYLOAD};
 
-/// A message, laid out for one stream's number.
+/// A message as it goes over the line.
 #[derive(Debug)]
-pub(in crate::api) struct Sheet {
-    stream: u32,
+pub struct Sheet {
+    stream: Option<u32>,
     made: Instant,
     bytes: Bytes,
     payload: usize,
@@ -23,9 +23,8 @@ pub(in crate::api) struct Sheet {
 }
 
 impl Sheet {
-    /// Of the message that is `own` and `shared`.
-    pub(in crate::api) fn new(stream: u32, own: &[u8], shared: &[u8]) -> Self {
-        let made = Instant::now();
+    /// The message that is `own` and `shared` as HTTP/2's frames, for a stream of this number.
+    pub(in crate::api) fn frames(stream: u32, own: &[u8], shared: &[u8]) -> Self {
         let payload = own.len() + shared.len();
         let frames = payload.div_ceil(MAX_PAYLOAD);
         let mut message = own.chain(shared);
@@ -35,13 +34,18 @@ impl Sheet {
             bytes.put_slice(&Head::data(stream, length));
             bytes.put((&mut message).take(length));
         }
+        Self { stream: Some(stream), payload, ..Self::of(bytes) }
+    }
+
+    /// Of these bytes, for a connection that is nothing but a stream.
+    pub(in crate::api) fn of(bytes: Vec<u8>) -> Self {
         Self {
-            stream,
-            made,
+            stream: None,
+            made: Instant::now(),
             #[cfg(target_os = "linux")]
             pages: pages(&bytes),
             bytes: bytes.into(),
-            payload,
+            payload: 0,
         }
     }
 
@@ -50,13 +54,13 @@ impl Sheet {
         self.made.elapsed()
     }
 
-    /// The stream that it is for.
-    pub(super) fn stream(&self) -> u32 {
+    /// The stream of HTTP/2 that it is for.
+    pub(super) fn stream(&self) -> Option<u32> {
         self.stream
     }
 
-    /// All frames.
-    pub(super) fn bytes(&self) -> &Bytes {
+    /// All of it.
+    pub(in crate::api) fn bytes(&self) -> &Bytes {
         &self.bytes
     }
 

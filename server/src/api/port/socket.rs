@@ -22,8 +22,8 @@ pub(in crate::api) trait Socket: AsyncRead + AsyncWrite + Unpin {
     /// How many bytes it took; an error of [`WouldBlock`](io::ErrorKind::WouldBlock) says that there is no room.
     fn try_write(&self, bytes: &[u8]) -> io::Result<usize>;
 
-    /// The same with all bytes of a sheet.
-    fn try_send(&self, sheet: &Sheet) -> io::Result<usize>;
+    /// The same with the bytes of a sheet from a place on.
+    fn try_send(&self, sheet: &Sheet, from: usize) -> io::Result<usize>;
 
     /// Whether there is room; if not, the task is woken when there is.
     fn poll_writable(&self, context: &mut Context<'_>) -> Poll<io::Result<()>>;
@@ -54,16 +54,16 @@ impl Socket for Counted {
         self.stream.try_write(bytes)
     }
 
-    fn try_send(&self, sheet: &Sheet) -> io::Result<usize> {
+    fn try_send(&self, sheet: &Sheet, from: usize) -> io::Result<usize> {
         #[cfg(target_os = "linux")]
         if let Some(pages) = sheet.pages() {
-            let (mut begin, length) = (0, sheet.bytes().len());
+            let (mut begin, length) = (from as u64, sheet.bytes().len() - from);
             return self.stream.try_io(Interest::WRITABLE, || {
                 let sent = rustix::fs::sendfile(&self.stream, pages, Some(&mut begin), length);
                 Ok(sent?)
             });
         }
-        self.stream.try_write(sheet.bytes())
+        self.stream.try_write(&sheet.bytes()[from..])
     }
 
     fn poll_writable(&self, context: &mut Context<'_>) -> Poll<io::Result<()>> {

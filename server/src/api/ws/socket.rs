@@ -1,5 +1,6 @@
 //! A WebSocket (RFC 6455): tungstenite's, but that large messages go to the connection in the pieces that they are
-//! kept in. A snapshot of 100 objects is 100 kB of JSON; copied for each of 500 pages at 60 Hz that would be 3 GB a second.
+//! kept in, or past both of them from memory that many share. A snapshot of 100 objects is 100 kB of JSON; copied for each
+//! of 500 pages at 60 Hz that would be 3 GB a second.
 
 use std::{future::Future, io};
 
@@ -27,6 +28,8 @@ use tokio_tungstenite::{
     },
 };
 
+use crate::api::port::{Line, Sheet};
+
 /// A message of a server to its client in pieces, behind one another.
 #[derive(Clone, Debug)]
 pub(super) struct Pieces {
@@ -40,10 +43,29 @@ pub(super) struct Pieces {
     pub(super) after: &'static [u8],
 }
 
+impl Pieces {
+    /// The frame's header, which says how long they are together.
+    fn head(&self) -> Vec<u8> {
+        let length = (self.before.len() + self.shared.len() + self.after.len()) as u64;
+        let header = FrameHeader { opcode: OpCode::Data(self.kind), ..FrameHeader::default() };
+        let mut head = Vec::with_capacity(header.len(length));
+        if let Err(error) = header.format(length, &mut head) {
+            unreachable!("memory takes all: {error}");
+        }
+        head
+    }
+
+    /// All of it for many sockets.
+    pub(super) fn sheet(&self) -> Sheet {
+        Sheet::of([&self.head(), &self.before[..], &self.shared, self.after].concat())
+    }
+}
+
 /// A request that can become a WebSocket, and the answer that makes it one.
 pub(super) struct Handshake {
     upgraded: OnUpgrade,
     response: Response<Body>,
+    line: Option<Line>,
 }
 
 impl Handshake {
@@ -51,7 +73,8 @@ impl Handshake {
     pub(super) fn of(mut request: Request<Body>) -> Result<Self, String> {
         let response =
             create_response_with_body(&request, Body::empty).map_err(|error| error.to_string())?;
-        Ok(Self { upgraded: hyper::upgrade::on(&mut request), response })
+        let line = request.extensions_mut().remove();
+        Ok(Self { upgraded: hyper::upgrade::on(&mut request), response, line })
     }
 
     /// Takes the first of these subprotocols that the client, by its request's headers, speaks.
@@ -72,14 +95,14 @@ impl Handshake {
         config: WebSocketConfig,
         serve: impl FnOnce(Socket) -> F + Send + 'static,
     ) -> Response<Body> {
-        let upgraded = self.upgraded;
+        let Self { upgraded, line, .. } = self;
         tokio::spawn(async move {
             match upgraded.await {
                 Ok(connection) => {
                     let io = TokioIo::new(connection);
                     let stream =
                         WebSocketStream::from_raw_socket(io, Role::Server, Some(config)).await;
-                    serve(Socket { stream, is_closing: false }).await;
+                    serve(Socket { stream, line, is_closing: false }).await;
                 }
                 // The client left before it had the answer.
                 Err(error) => tracing::debug!(%error, "a WebSocket did not begin"),
@@ -99,6 +122,8 @@ pub(super) fn offered(request: &Request<Body>) -> Vec<String> {
 /// An open one.
 pub(super) struct Socket {
     stream: WebSocketStream<TokioIo<Upgraded>>,
+    /// What it goes over.
+    line: Option<Line>,
     /// The client has said goodbye, after which nothing more may be sent.
     is_closing: bool,
 }
@@ -116,18 +141,29 @@ impl Socket {
         self.stream.send(message).await
     }
 
-    /// Sends a message without copying its pieces. To be awaited to its end, or never again.
-    pub(super) async fn send_pieces(&mut self, pieces: &Pieces) -> Result<(), tungstenite::Error> {
+    /// Sends a message that many get. To be awaited to its end, or never again.
+    pub(super) async fn send_sheet(&mut self, sheet: &Sheet) -> Result<(), tungstenite::Error> {
+        self.make_way().await?;
+        match &self.line {
+            Some(line) => line.send(sheet).await?,
+            None => self.stream.get_mut().write_all(sheet.bytes()).await?,
+        }
+        Ok(())
+    }
+
+    /// Lets out what tungstenite has to say: answers to pings are its own, and must not end up within a message.
+    async fn make_way(&mut self) -> Result<(), tungstenite::Error> {
         if self.is_closing {
             return Err(tungstenite::Error::ConnectionClosed);
         }
-        // Answers to pings are tungstenite's, and must not end up within the message.
-        self.stream.flush().await?;
-        let Pieces { kind, before, shared, after } = pieces;
-        let length = before.len() + shared.len() + after.len();
-        let header = FrameHeader { opcode: OpCode::Data(*kind), ..FrameHeader::default() };
-        let mut head = Vec::with_capacity(header.len(length as u64));
-        header.format(length as u64, &mut head)?;
+        self.stream.flush().await
+    }
+
+    /// Sends a message without copying its pieces. To be awaited to its end, or never again.
+    pub(super) async fn send_pieces(&mut self, pieces: &Pieces) -> Result<(), tungstenite::Error> {
+        self.make_way().await?;
+        let head = pieces.head();
+        let Pieces { before, shared, after, .. } = pieces;
         let mut whole = head.as_slice().chain(before.as_ref()).chain(shared.as_ref()).chain(*after);
         let connection = self.stream.get_mut();
         connection.write_all_buf(&mut whole).await?;

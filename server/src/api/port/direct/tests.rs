@@ -73,8 +73,8 @@ impl Socket for Wire {
         self.write(&[IoSlice::new(bytes)])
     }
 
-    fn try_send(&self, sheet: &Sheet) -> io::Result<usize> {
-        self.try_write(sheet.bytes())
+    fn try_send(&self, sheet: &Sheet, from: usize) -> io::Result<usize> {
+        self.try_write(&sheet.bytes()[from..])
     }
 
     fn poll_writable(&self, _: &mut Context<'_>) -> Poll<io::Result<()>> {
@@ -324,7 +324,7 @@ fn what_a_socket_does_not_take_of_a_sheet_goes_before_all_else() {
     let mut rig = Rig::new(1 << 20);
     let direct = rig.taken_over();
     rig.wire.0.lock().unwrap().room = 500;
-    let sheet = Sheet::new(NUMBER, b"own", &[5; 20_000]);
+    let sheet = Sheet::frames(NUMBER, b"own", &[5; 20_000]);
     let (own, shared) = (Bytes::from_static(b"own"), Bytes::from(vec![5; 20_000]));
     assert_eq!(direct.send(own, shared, Some(&sheet)), Ok(false));
     assert!(is_ready(&direct).is_pending());
@@ -336,7 +336,7 @@ fn what_a_socket_does_not_take_of_a_sheet_goes_before_all_else() {
     assert!(rig.wire.data(NUMBER) == expected);
     assert_eq!(rig.wire.come().last().unwrap().0.kind, 6);
     // One that is laid out for another stream is not for this.
-    let other = Sheet::new(NUMBER + 2, b"own", b"other");
+    let other = Sheet::frames(NUMBER + 2, b"own", b"other");
     let (own, shared) = (Bytes::from_static(b"own"), Bytes::from_static(b"shared"));
     assert_eq!(direct.send(own, shared, Some(&other)), Ok(true));
     assert!(rig.wire.data(NUMBER).ends_with(b"ownshared"));
@@ -390,7 +390,7 @@ proptest! {
             match step {
                 Step::Message(length) if is_ready(&direct).is_ready() => {
                     let shared = Bytes::from(vec![place as u8; length]);
-                    let sheet = Sheet::new(NUMBER, b"own", &shared);
+                    let sheet = Sheet::frames(NUMBER, b"own", &shared);
                     sent.extend_from_slice(b"own");
                     sent.extend_from_slice(&shared);
                     let sheet = is_sheet.then_some(&sheet);

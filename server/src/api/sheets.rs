@@ -14,9 +14,7 @@ use std::{
     time::Duration,
 };
 
-use axum::body::Bytes;
-
-use crate::api::{port::Sheet, selection::Filter};
+use super::{encoded::Form, port::Sheet, selection::Filter};
 
 /// A sheet says when it was sent to within this.
 const MOST_AGE: Duration = Duration::from_millis(1);
@@ -25,18 +23,27 @@ const MANY: usize = 24;
 /// A longer message goes to each by itself, in pieces as there is room.
 const MOST_BYTES: usize = 256 * 1024;
 
+/// How a message is sent.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
+pub enum Way {
+    /// By a stream of this number.
+    Grpc(u32),
+    /// In this form.
+    WebSocket(Form),
+}
+
 /// The sheets of the newest snapshot.
 #[derive(Debug, Default)]
-pub(super) struct Sheets(Mutex<All>);
+pub struct Sheets(Mutex<All>);
 
 #[derive(Debug, Default)]
 struct All {
     /// The newest snapshot's.
     sequence: u64,
-    of: HashMap<(Filter, u32), Wanted>,
+    of: HashMap<(Filter, Way), Wanted>,
 }
 
-/// What some choose of snapshots, and ask for by streams of one number.
+/// What some choose of snapshots, and want sent one way.
 #[derive(Debug, Default)]
 struct Wanted {
     sequence: u64,
@@ -54,15 +61,15 @@ impl Wanted {
 }
 
 impl Sheets {
-    /// The message `own` and `shared` for a subscriber by a stream of this number, if as many wanted the same of the
-    /// snapshot before that it is worth while.
+    /// A message of so many bytes about the snapshot of this number, if as many wanted the same of the one before that it
+    /// is worth while.
     pub(super) fn sheet(
         &self,
-        sequence: u64,
-        (filter, stream): (&Filter, u32),
-        (own, shared): (&Bytes, &Bytes),
+        (sequence, bytes): (u64, usize),
+        (filter, way): (&Filter, Way),
+        make: impl FnOnce() -> Sheet,
     ) -> Option<Arc<Sheet>> {
-        let key = (filter.clone(), stream);
+        let key = (filter.clone(), way);
         let mut all = self.lock();
         if all.sequence < sequence {
             all.sequence = sequence;
@@ -76,12 +83,12 @@ impl Sheets {
             wanted.begin(sequence);
         }
         wanted.now += 1;
-        if wanted.before < MANY || shared.len() > MOST_BYTES {
+        if wanted.before < MANY || bytes > MOST_BYTES {
             return None;
         }
         // Made by the first one, while the others wait: by themselves they would take longer.
         let sheet = wanted.sheet.take().filter(|sheet| sheet.age() < MOST_AGE);
-        let sheet = sheet.unwrap_or_else(|| Arc::new(Sheet::new(stream, own, shared)));
+        let sheet = sheet.unwrap_or_else(|| Arc::new(make()));
         wanted.sheet = Some(sheet.clone());
         Some(sheet)
     }
@@ -99,8 +106,9 @@ mod tests {
     fn many_get_one_sheet_and_few_none() {
         let sheets = Sheets::default();
         let filter = Filter::default();
-        let (own, shared) = (Bytes::from_static(b"own"), Bytes::from_static(b"shared"));
-        let want = |sequence, stream| sheets.sheet(sequence, (&filter, stream), (&own, &shared));
+        let make = || Sheet::frames(1, b"own", b"shared");
+        let want =
+            |sequence, stream| sheets.sheet((sequence, 9), (&filter, Way::Grpc(stream)), make);
         for sequence in [1, 2] {
             for _ in 0..MANY {
                 assert_eq!(want(sequence, 1).is_some(), sequence == 2, "not known before");
@@ -115,6 +123,8 @@ mod tests {
         assert!(want(2, 1).is_none());
         let [a, b] = [want(3, 1), want(3, 1)].map(Option::unwrap);
         assert!(Arc::ptr_eq(&a, &b));
+        let long = sheets.sheet((3, MOST_BYTES + 1), (&filter, Way::Grpc(1)), make);
+        assert!(long.is_none());
         // Once nobody has wanted one, it is not known any more how many will.
         assert!(want(5, 1).is_none());
         assert_eq!(sheets.lock().of.len(), 1);
