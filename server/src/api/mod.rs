@@ -6,7 +6,7 @@
 //!
 //! | module | what it does |
 //! | --- | --- |
-//! | `port` | accepts connections up to the limit, and takes them apart on shutdown |
+//! | `port` | accepts connections up to the limit, takes them apart on shutdown, and writes snapshots past the libraries |
 //! | [`grpc`] | the service of `proto/roundel/v1/roundel.proto` |
 //! | [`push`] | the service of `push.proto`: remote programs feed cameras |
 //! | [`rest`], [`calibration`], [`recording`], [`replay`], [`history`], [`openapi`] | `/api/v1/…` and its description |
