@@ -9,6 +9,7 @@ mod socket;
 mod wanted;
 
 use std::{
+    pin::pin,
     sync::{Arc, atomic::Ordering},
     time::Duration,
 };
@@ -319,15 +320,15 @@ impl Session {
 
     /// Sends, unless the client does not read or the server goes down meanwhile.
     async fn transmit(&self, socket: &mut Socket, message: Written) -> Result<(), End> {
-        let send = async {
+        let mut send = pin!(async {
             match message {
                 Written::Whole(message) => socket.send(message).await,
                 Written::InPieces(pieces) => socket.send_pieces(&pieces).await,
                 Written::Shared(sheet) => socket.send_sheet(&sheet).await,
             }
-        };
+        });
         tokio::select! {
-            sent = timeout(self.api.limits.send_timeout, send) => match sent {
+            sent = timeout(self.api.limits.send_timeout, &mut send) => match sent {
                 Ok(Ok(())) => Ok(()),
                 Ok(Err(_)) => Err(End::Gone),
                 Err(_) => {
@@ -335,7 +336,11 @@ impl Session {
                     Err(End::Gone)
                 }
             },
-            () = self.api.cancel.cancelled() => Err(End::Shutdown),
+            // What is said last must not end up within the message.
+            () = self.api.cancel.cancelled() => match timeout(CLOSE_TIMEOUT, &mut send).await {
+                Ok(Ok(())) => Err(End::Shutdown),
+                _ => Err(End::Gone),
+            },
         }
     }
 }

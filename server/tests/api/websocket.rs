@@ -276,3 +276,28 @@ async fn a_client_that_does_not_read_is_cut_off() {
     drop(stuck);
     rig.stop().await;
 }
+
+#[tokio::test]
+async fn a_page_in_the_middle_of_a_message_hears_that_the_server_goes_down() {
+    let rig = Rig::start().await;
+    let mut page = open(&rig, "").await;
+    // More than lies between a server and a page that does not read.
+    for _ in 0..100 {
+        rig.publish(objects(500));
+        tokio::time::sleep(Duration::from_millis(2)).await;
+    }
+    rig.cancel.cancel();
+    tokio::time::sleep(Duration::from_millis(50)).await;
+    let goodbye = async {
+        loop {
+            match page.next().await.expect("a close frame").expect("whole frames") {
+                Message::Text(text) => assert!(serde_json::from_str::<Value>(&text).is_ok()),
+                Message::Close(Some(frame)) => return frame.code,
+                other => panic!("{other:?}"),
+            }
+        }
+    };
+    let code = timeout(HANG, goodbye).await.expect("it says no goodbye");
+    assert_eq!(code, tungstenite::protocol::frame::coding::CloseCode::Away);
+    rig.stop().await;
+}

@@ -14,7 +14,7 @@
 //! Full-policy: one message of a stream is under way at most, and for the next there is the newest snapshot.
 
 use std::{
-    collections::HashMap,
+    collections::BTreeMap,
     future::poll_fn,
     io,
     sync::MutexGuard,
@@ -39,7 +39,7 @@ use super::{
 /// of what it grants is used up before it gives any back, and the library keeps its share.
 const LEAST_ROOM_BYTES: i64 = 256 * 1024;
 
-/// Streams of which it is kept what was granted before they were known.
+/// Streams of which it is kept what was granted before they were known: more than are open at a time.
 const MOST_EARLY: usize = 256;
 
 /// The stream has ended, or its connection.
@@ -55,9 +55,9 @@ pub(super) struct Http2 {
     streams: Vec<Stream>,
     next_key: u64,
     /// What was granted for streams that are none of these, or not known yet as one of these, by their numbers.
-    early: HashMap<u32, i64>,
-    /// Whether more came than is kept of that.
-    is_early_lost: bool,
+    early: BTreeMap<u32, i64>,
+    /// Up to here it is not kept any more.
+    forgotten: u32,
 }
 
 /// A stream that is, or is to be, written to past the library.
@@ -144,7 +144,7 @@ impl Http2 {
 
     /// Takes what has come from the client.
     pub(super) fn take(&mut self, bytes: &[u8]) {
-        let Self { inbound, windows, streams, early, is_early_lost, .. } = self;
+        let Self { inbound, windows, streams, early, forgotten, .. } = self;
         inbound.take(bytes, |head, payload| match head.kind {
             RST_STREAM => {
                 early.remove(&head.stream);
@@ -165,9 +165,12 @@ impl Http2 {
             WINDOW_UPDATE => {
                 let is_it = |stream: &&mut Stream| stream.number == Some(head.stream);
                 let Some(stream) = streams.iter_mut().find(is_it) else {
-                    *is_early_lost |= early.len() >= MOST_EARLY;
-                    if !*is_early_lost {
-                        *early.entry(head.stream).or_default() += i64::from(increment(payload));
+                    *early.entry(head.stream).or_default() += i64::from(increment(payload));
+                    // Most are of streams that have ended, whose numbers are the lowest.
+                    if early.len() > MOST_EARLY
+                        && let Some((number, _)) = early.pop_first()
+                    {
+                        *forgotten = number.max(*forgotten);
                     }
                     return Verdict::Pass;
                 };
@@ -307,10 +310,11 @@ impl<S: Socket> Direct<S> {
     pub(in crate::api) fn take_over(&self, given: u64) -> Option<u32> {
         let mut inner = self.socket.inner();
         let http2 = inner.http2.as_mut()?;
-        let is_known = http2.is_between_frames() && !http2.is_early_lost;
+        let (is_between_frames, forgotten) = (http2.is_between_frames(), http2.forgotten);
         let (stream, windows) = http2.open(self.key).ok()?;
-        let is_time = is_known && stream.passed == given;
-        let number = stream.number.filter(|_| is_time && windows.is_wide(LEAST_ROOM_BYTES))?;
+        let is_time = is_between_frames && stream.passed == given;
+        let number = stream.number.filter(|&number| number > forgotten);
+        let number = number.filter(|_| is_time && windows.is_wide(LEAST_ROOM_BYTES))?;
         stream.is_taken_over = true;
         Some(number)
     }

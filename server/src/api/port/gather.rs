@@ -109,6 +109,11 @@ impl<S: Socket> Gather<S> {
         let polled = connection.poll(context);
         let mut inner = self.inner();
         inner.is_gathering = false;
+        if polled.is_ready() {
+            // Who has taken the socket over waits for it now, and is the one to be woken.
+            inner.drain();
+            return polled;
+        }
         // What does not go out now does when the socket wakes this task, or with the next write, which also learns of
         // an error.
         while let Poll::Ready(Ok(())) = inner.poll_drain(context) {
@@ -265,7 +270,14 @@ impl<S: Socket> Inner<S> {
                 Err(error) if error.kind() == io::ErrorKind::WouldBlock => {
                     ready!(self.stream.poll_writable(context))?;
                 }
-                Err(error) => return Poll::Ready(Err(error)),
+                // That may be of what is sent from; an error of the socket comes again.
+                Err(_) => {
+                    let rest = &sheet.bytes()[*sent..];
+                    match ready!(Pin::new(&mut self.stream).poll_write(context, rest))? {
+                        0 => return Poll::Ready(Err(io::ErrorKind::WriteZero.into())),
+                        count => *sent += count,
+                    }
+                }
             }
         }
         Poll::Ready(Ok(()))

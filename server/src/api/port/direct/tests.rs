@@ -257,13 +257,16 @@ fn what_a_client_grants_before_the_first_message_counts() {
     let direct = rig.taken_over();
     assert_eq!(send(&direct, 1, 500_000), Ok(true));
     assert_eq!(rig.wire.data(NUMBER).len(), 13 + 500_003);
-    // Where it is for more streams than may be kept, none is taken over.
-    let mut rig = Rig::new(1 << 20);
-    for number in 0..=MOST_EARLY as u32 {
-        rig.wire.say(&window_update(100 + number, 1));
+    // Of more streams than may be open it is kept for the newest.
+    for (first, taken) in [(NUMBER, None), (1, Some(NUMBER))] {
+        let mut rig = Rig::new(1 << 20);
+        for number in 0..MOST_EARLY as u32 {
+            rig.wire.say(&window_update(100 + number, 1));
+        }
+        rig.wire.say(&window_update(first, 1));
+        rig.turn();
+        assert_eq!(rig.stream().take_over(13), taken);
     }
-    rig.turn();
-    assert_eq!(rig.stream().take_over(13), None);
 }
 
 #[test]
