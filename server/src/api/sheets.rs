@@ -5,8 +5,8 @@
 //! something, each gets what is its own.
 //!
 //! PERF: `cargo bench -p roundel-server --bench subscribers -- --case lean`, 1,000 subscribers, in turns with messages
-//! that went through HTTP/2's library one by one: p99 9.7, 10.4, 8.0 ms instead of 14.6, 14.2, 11.7, the server at 0.66,
-//! 0.63, 0.55 cores instead of 0.96, 0.98, 0.81.
+//! that went through HTTP/2's library one by one: p99 8.9, 9.0, 11.1 ms instead of 12.5, 12.9, 13.4, the server at 0.56
+//! to 0.61 cores instead of 0.84 to 0.90.
 
 use std::{
     collections::HashMap,

@@ -10,8 +10,8 @@ use std::{
 use tokio::{net::TcpStream, time::sleep};
 use tokio_util::sync::CancellationToken;
 
-/// What a client of HTTP/2 says first (RFC 9113, section 3.4).
-const PREFACE: &[u8] = b"PRI * HTTP/2.0\r\n\r\nSM\r\n\r\n";
+use super::frames::PREFACE;
+
 /// How often a client is looked at that has begun to say this.
 const LOOK: Duration = Duration::from_millis(50);
 /// Connections that have said nothing yet: when there are more, the oldest ones are closed that had this long to.

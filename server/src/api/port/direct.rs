@@ -265,7 +265,7 @@ impl Line {
         Direct::new(&self.0, begin)
     }
 
-    /// Sends all of a sheet on a connection that speaks no HTTP any more, and whose last message is under way. To be
+    /// Sends all of a sheet, behind what was written before, on a connection that a WebSocket has taken over. To be
     /// awaited to its end, or never again.
     pub(in crate::api) async fn send(&self, sheet: &Sheet) -> io::Result<()> {
         let mut sent = 0;

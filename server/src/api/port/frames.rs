@@ -23,7 +23,7 @@ const END_HEADERS: u8 = 4;
 /// Of each payload that passes by, as much is looked at.
 const START_BYTES: usize = 64;
 /// What a client says first (section 3.4).
-const PREFACE_BYTES: usize = 24;
+pub(super) const PREFACE: &[u8] = b"PRI * HTTP/2.0\r\n\r\nSM\r\n\r\n";
 /// The setting for how much may be sent on a new stream (section 6.5.2).
 const INITIAL_WINDOW_SIZE: u16 = 4;
 
@@ -169,7 +169,7 @@ pub(super) struct Inbound {
 impl Inbound {
     /// Takes what has come; `judge` gets the frames about room, those that end streams, and what the client sets.
     pub(super) fn take(&mut self, mut bytes: &[u8], mut judge: impl FnMut(Head, &[u8]) -> Verdict) {
-        self.pass(&mut bytes, PREFACE_BYTES - self.preface, |this, count| this.preface += count);
+        self.pass(&mut bytes, PREFACE.len() - self.preface, |this, count| this.preface += count);
         while !bytes.is_empty() {
             self.pass(&mut bytes, self.left, |this, count| this.left -= count);
             if self.left > 0 {
@@ -221,7 +221,7 @@ impl Inbound {
 
     fn let_own_in(&mut self) {
         let is_between_frames =
-            self.preface == PREFACE_BYTES && self.left == 0 && !self.is_in_block;
+            self.preface == PREFACE.len() && self.left == 0 && !self.is_in_block;
         if is_between_frames && !self.own.is_empty() {
             self.ready.append(&mut self.own);
         }
@@ -313,7 +313,7 @@ mod tests {
         fn the_library_reads_all_but_what_is_judged(
             frames in frames(), lengths in vec(1..90_usize, 1..9), limits in vec(1..50_usize, 1..5)
         ) {
-            let preface = [b'p'; PREFACE_BYTES];
+            let preface = PREFACE;
             let mut said = preface.to_vec();
             let mut expected = preface.to_vec();
             for (kind, stream, payload) in &frames {
@@ -362,12 +362,12 @@ mod tests {
         let mut inbound = Inbound::default();
         let judge = |_: Head, _: &[u8]| Verdict::Pass;
         let data = frame(DATA, 0, 1, &[5; 40]);
-        inbound.take(&[b'p'; PREFACE_BYTES], judge);
+        inbound.take(PREFACE, judge);
         inbound.take(&data[..20], judge);
         inbound.tell_of_room(9);
         inbound.take(&data[20..], judge);
         inbound.take(&[0], judge);
-        let expected = [[b'p'; PREFACE_BYTES].as_slice(), &data, &window_update(0, 9)].concat();
+        let expected = [PREFACE, &data, &window_update(0, 9)].concat();
         assert_eq!(inbound.give(1000), expected);
     }
 
@@ -377,13 +377,12 @@ mod tests {
         let judge = |_: Head, _: &[u8]| Verdict::Pass;
         let [begin, end] =
             [frame(HEADERS, 0, 1, b"abc"), frame(CONTINUATION, END_HEADERS, 1, b"d")];
-        inbound.take(&[b'p'; PREFACE_BYTES], judge);
+        inbound.take(PREFACE, judge);
         inbound.take(&begin, judge);
         inbound.tell_of_room(9);
         inbound.take(&end, judge);
         inbound.take(&end[..1], judge);
-        let expected =
-            [[b'p'; PREFACE_BYTES].as_slice(), &begin, &end, &window_update(0, 9)].concat();
+        let expected = [PREFACE, &begin, &end, &window_update(0, 9)].concat();
         assert_eq!(inbound.give(1000), expected);
     }
 

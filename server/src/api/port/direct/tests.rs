@@ -8,9 +8,11 @@ use std::{
 use proptest::prelude::*;
 use tokio::io::{AsyncRead, AsyncWrite, ReadBuf};
 
-use super::{super::frames::window_update, *};
+use super::{
+    super::frames::{PREFACE, window_update},
+    *,
+};
 
-const PREFACE: &[u8] = b"PRI * HTTP/2.0\r\n\r\nSM\r\n\r\n";
 /// The stream, as the library knows it.
 const NUMBER: u32 = 3;
 
