@@ -5,6 +5,7 @@ mod arrival;
 mod direct;
 mod frames;
 mod gather;
+mod http2;
 mod sheet;
 mod socket;
 mod stuck;

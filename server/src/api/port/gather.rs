@@ -18,10 +18,10 @@ use std::{
 
 use tokio::io::{AsyncRead, AsyncWrite, ReadBuf};
 
-use super::{direct::Http2, sheet::Sheet, socket::Socket};
+use super::{http2::Http2, sheet::Sheet, socket::Socket};
 
 /// What is more than this goes out at once.
-pub(super) const MOST_BYTES: usize = 64 * 1024;
+const MOST_BYTES: usize = 64 * 1024;
 
 thread_local! {
     /// What the last connection gathered in: as a rule it is empty before the next one is polled, and still in the
@@ -171,7 +171,7 @@ impl<S> Inner<S> {
         if self.http2.as_ref().is_some_and(Http2::is_under_way) {
             self.make_room();
         }
-        self.http2.as_mut().is_none_or(|http2| http2.pump(&mut self.held))
+        self.http2.as_mut().is_none_or(|http2| http2.pump(&mut self.held, MOST_BYTES))
     }
 
     /// Lets the library's bytes pass by.

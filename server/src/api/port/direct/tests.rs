@@ -3,13 +3,21 @@ use std::{
     io::IoSlice,
     pin::{Pin, pin},
     sync::{Arc, Mutex},
+    task::{Context, Waker},
+    time::Duration,
 };
 
 use proptest::prelude::*;
 use tokio::io::{AsyncRead, AsyncWrite, ReadBuf};
 
 use super::{
-    super::frames::{PREFACE, window_update},
+    super::{
+        frames::{
+            DATA, END_STREAM, HEAD_BYTES, HEADERS, Head, MAX_PAYLOAD, PREFACE, RST_STREAM,
+            SETTINGS, increment, window_update,
+        },
+        http2::MOST_EARLY,
+    },
     *,
 };
 
