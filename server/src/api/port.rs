@@ -10,6 +10,8 @@ mod sheet;
 mod socket;
 mod stuck;
 mod windows;
+#[cfg(test)]
+mod wire;
 
 use std::{
     convert::Infallible,

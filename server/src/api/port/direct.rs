@@ -8,8 +8,8 @@
 //! A stream is handed over like this. The first message goes through the library, and is known again by how it begins when
 //! it passes by: so the number of its stream is found. Once all that the library was given has passed, the stream is
 //! taken over ([`Direct::take_over`]). From then on what the client says of room on it is kept from the library, and
-//! counted here; the room on the connection as a whole is shared ([`Windows`](super::windows::Windows)). When the library ends the stream, nothing
-//! more is written to it.
+//! counted here; the room on the connection as a whole is shared (see [`windows`](super::windows)). When the library ends
+//! the stream, nothing more is written to it.
 //!
 //! Full-policy: one message of a stream is under way at most, and for the next there is the newest snapshot.
 

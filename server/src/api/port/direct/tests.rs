@@ -1,8 +1,6 @@
 use std::{
     collections::{BTreeMap, VecDeque},
-    io::IoSlice,
     pin::{Pin, pin},
-    sync::{Arc, Mutex},
     task::{Context, Waker},
     time::Duration,
 };
@@ -17,125 +15,13 @@ use super::{
             SETTINGS, increment, window_update,
         },
         http2::MOST_EARLY,
+        wire::Wire,
     },
     *,
 };
 
 /// The stream, as the library knows it.
 const NUMBER: u32 = 3;
-
-/// A socket, with its client's end.
-#[derive(Clone, Default)]
-struct Wire(Arc<Mutex<Ends>>);
-
-#[derive(Default)]
-struct Ends {
-    said: VecDeque<u8>,
-    come: Vec<u8>,
-    /// Bytes that it takes.
-    room: usize,
-    is_broken: bool,
-}
-
-impl Wire {
-    fn say(&self, bytes: &[u8]) {
-        self.0.lock().unwrap().said.extend(bytes);
-    }
-
-    fn write(&self, parts: &[IoSlice<'_>]) -> io::Result<usize> {
-        let mut ends = self.0.lock().unwrap();
-        let bytes: Vec<u8> = parts.iter().flat_map(|part| part.iter().copied()).collect();
-        if ends.is_broken {
-            return Err(io::ErrorKind::ConnectionReset.into());
-        }
-        let taken = bytes.len().min(ends.room);
-        if taken == 0 && !bytes.is_empty() {
-            return Err(io::ErrorKind::WouldBlock.into());
-        }
-        ends.room -= taken;
-        ends.come.extend(&bytes[..taken]);
-        Ok(taken)
-    }
-
-    fn come(&self) -> Vec<(Head, Vec<u8>)> {
-        let come = self.0.lock().unwrap().come.clone();
-        let (mut rest, mut frames) = (come.as_slice(), Vec::new());
-        while let Some((head, behind)) = rest.split_first_chunk::<HEAD_BYTES>() {
-            let head = Head::of(*head);
-            let Some((payload, behind)) = behind.split_at_checked(head.length) else { break };
-            frames.push((head, payload.to_vec()));
-            rest = behind;
-        }
-        frames
-    }
-
-    /// What has come of a stream.
-    fn data(&self, number: u32) -> Vec<u8> {
-        let come = self.come().into_iter();
-        come.filter(|(head, _)| (head.kind, head.stream) == (DATA, number))
-            .flat_map(|(_, payload)| payload)
-            .collect()
-    }
-}
-
-impl Socket for Wire {
-    fn try_write(&self, bytes: &[u8]) -> io::Result<usize> {
-        self.write(&[IoSlice::new(bytes)])
-    }
-
-    fn try_send(&self, sheet: &Sheet, from: usize) -> io::Result<usize> {
-        self.try_write(&sheet.bytes()[from..])
-    }
-
-    fn poll_writable(&self, _: &mut Context<'_>) -> Poll<io::Result<()>> {
-        if self.0.lock().unwrap().room > 0 { Poll::Ready(Ok(())) } else { Poll::Pending }
-    }
-}
-
-impl AsyncRead for Wire {
-    fn poll_read(
-        self: Pin<&mut Self>,
-        _: &mut Context<'_>,
-        buffer: &mut ReadBuf<'_>,
-    ) -> Poll<io::Result<()>> {
-        let mut ends = self.0.lock().unwrap();
-        if ends.said.is_empty() {
-            return Poll::Pending;
-        }
-        let count = buffer.remaining().min(ends.said.len());
-        buffer.put_slice(&ends.said.drain(..count).collect::<Vec<u8>>());
-        Poll::Ready(Ok(()))
-    }
-}
-
-impl AsyncWrite for Wire {
-    fn poll_write(
-        self: Pin<&mut Self>,
-        context: &mut Context<'_>,
-        bytes: &[u8],
-    ) -> Poll<io::Result<usize>> {
-        self.poll_write_vectored(context, &[IoSlice::new(bytes)])
-    }
-
-    fn poll_write_vectored(
-        self: Pin<&mut Self>,
-        _: &mut Context<'_>,
-        parts: &[IoSlice<'_>],
-    ) -> Poll<io::Result<usize>> {
-        match self.write(parts) {
-            Err(error) if error.kind() == io::ErrorKind::WouldBlock => Poll::Pending,
-            written => Poll::Ready(written),
-        }
-    }
-
-    fn poll_flush(self: Pin<&mut Self>, _: &mut Context<'_>) -> Poll<io::Result<()>> {
-        Poll::Ready(Ok(()))
-    }
-
-    fn poll_shutdown(self: Pin<&mut Self>, _: &mut Context<'_>) -> Poll<io::Result<()>> {
-        Poll::Ready(Ok(()))
-    }
-}
 
 /// A connection, with what stands for the library that speaks on it.
 struct Rig {
@@ -149,8 +35,7 @@ struct Rig {
 impl Rig {
     /// The client grants so much beyond what HTTP/2 begins with.
     fn new(granted: u32) -> Self {
-        let wire = Wire::default();
-        wire.0.lock().unwrap().room = usize::MAX;
+        let wire = Wire::new(usize::MAX);
         wire.say(PREFACE);
         wire.say(&window_update(0, granted));
         let gather = Gather::new(wire.clone(), true);
@@ -283,7 +168,7 @@ fn what_a_client_grants_before_the_first_message_counts() {
 fn a_broken_socket_is_found_by_the_library() {
     let mut rig = Rig::new(1 << 20);
     let direct = rig.taken_over();
-    rig.wire.0.lock().unwrap().is_broken = true;
+    rig.wire.ends().is_broken = true;
     assert_eq!(send(&direct, 1, 100), Err(Gone));
     let mut context = Context::from_waker(Waker::noop());
     let mut space = [0; 10];
@@ -336,13 +221,13 @@ fn a_stream_is_stopped_behind_the_message_that_is_under_way() {
 fn what_a_socket_does_not_take_of_a_sheet_goes_before_all_else() {
     let mut rig = Rig::new(1 << 20);
     let direct = rig.taken_over();
-    rig.wire.0.lock().unwrap().room = 500;
+    rig.wire.ends().room = 500;
     let sheet = Sheet::frames(NUMBER, b"own", &[5; 20_000]);
     let (own, shared) = (Bytes::from_static(b"own"), Bytes::from(vec![5; 20_000]));
     assert_eq!(direct.send(own, shared, Some(&sheet)), Ok(false));
     assert!(is_ready(&direct).is_pending());
     rig.write(6, 0, 0, b"a ping..");
-    rig.wire.0.lock().unwrap().room = usize::MAX;
+    rig.wire.ends().room = usize::MAX;
     rig.turn();
     assert_eq!(is_ready(&direct), Poll::Ready(Ok(())));
     let expected = [b"first messageown".as_slice(), &[5; 20_000]].concat();
@@ -396,7 +281,7 @@ proptest! {
     fn frames_and_messages_stay_whole_and_no_window_is_overdrawn(steps in steps(), is_sheet: bool) {
         let mut rig = Rig::new(300_000);
         let direct = rig.taken_over();
-        rig.wire.0.lock().unwrap().room = 0;
+        rig.wire.ends().room = 0;
         let (mut sent, mut libraries) = (b"first message".to_vec(), 0_usize);
         let mut rooms = BTreeMap::from([(0, 365_535_i64), (NUMBER, 65_535), (1, i64::MAX)]);
         for (place, step) in steps.into_iter().enumerate() {
@@ -421,7 +306,7 @@ proptest! {
                         *rooms.get_mut(&number).unwrap() += by as i64;
                     }
                 }
-                Step::Socket(by) => rig.wire.0.lock().unwrap().room += by,
+                Step::Socket(by) => rig.wire.ends().room += by,
             }
             rig.turn();
             let come = rig.wire.come();
@@ -430,7 +315,7 @@ proptest! {
             prop_assert!(rig.wire.data(NUMBER).len() as i64 <= rooms[&NUMBER]);
             prop_assert!(sent.starts_with(&rig.wire.data(NUMBER)));
         }
-        rig.wire.0.lock().unwrap().room = usize::MAX;
+        rig.wire.ends().room = usize::MAX;
         for number in [0, NUMBER] {
             rig.wire.say(&window_update(number, 10_000_000));
         }

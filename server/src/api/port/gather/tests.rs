@@ -2,28 +2,7 @@ use std::{future::poll_fn, io::IoSlice, pin::pin, task::Waker};
 
 use tokio::io::{AsyncReadExt, AsyncWriteExt, DuplexStream, duplex};
 
-use super::*;
-
-/// Takes some bytes at most, and notes how many each write brought.
-#[derive(Default)]
-struct Narrow {
-    room: usize,
-    writes: Vec<usize>,
-}
-
-impl super::Socket for Narrow {
-    fn try_write(&self, _: &[u8]) -> io::Result<usize> {
-        unreachable!("nothing goes past the library")
-    }
-
-    fn try_send(&self, _: &Sheet, _: usize) -> io::Result<usize> {
-        unreachable!("nothing goes past the library")
-    }
-
-    fn poll_writable(&self, _: &mut Context<'_>) -> Poll<io::Result<()>> {
-        if self.room > 0 { Poll::Ready(Ok(())) } else { Poll::Pending }
-    }
-}
+use super::{super::wire::Wire, *};
 
 impl super::Socket for DuplexStream {
     fn try_write(&self, _: &[u8]) -> io::Result<usize> {
@@ -39,54 +18,12 @@ impl super::Socket for DuplexStream {
     }
 }
 
-impl AsyncRead for Narrow {
-    fn poll_read(
-        self: Pin<&mut Self>,
-        _: &mut Context<'_>,
-        _: &mut ReadBuf<'_>,
-    ) -> Poll<io::Result<()>> {
-        Poll::Pending
-    }
-}
-
-impl AsyncWrite for Narrow {
-    fn poll_write(
-        self: Pin<&mut Self>,
-        context: &mut Context<'_>,
-        bytes: &[u8],
-    ) -> Poll<io::Result<usize>> {
-        self.poll_write_vectored(context, &[IoSlice::new(bytes)])
-    }
-
-    fn poll_write_vectored(
-        mut self: Pin<&mut Self>,
-        _: &mut Context<'_>,
-        parts: &[IoSlice<'_>],
-    ) -> Poll<io::Result<usize>> {
-        let taken = parts.iter().map(|part| part.len()).sum::<usize>().min(self.room);
-        if taken == 0 {
-            return Poll::Pending;
-        }
-        self.room -= taken;
-        self.writes.push(taken);
-        Poll::Ready(Ok(taken))
-    }
-
-    fn poll_flush(self: Pin<&mut Self>, _: &mut Context<'_>) -> Poll<io::Result<()>> {
-        Poll::Ready(Ok(()))
-    }
-
-    fn poll_shutdown(self: Pin<&mut Self>, _: &mut Context<'_>) -> Poll<io::Result<()>> {
-        Poll::Ready(Ok(()))
-    }
-}
-
-fn socket(room: usize) -> Gather<Narrow> {
-    Gather::new(Narrow { room, ..Narrow::default() }, false)
+fn socket(room: usize) -> Gather<Wire> {
+    Gather::new(Wire::new(room), false)
 }
 
 /// Writes as hyper's HTTP/2 does, in one poll: each frame is written and flushed. How many were taken.
-fn write_frames(gather: &Gather<Narrow>, frames: &[&[u8]]) -> usize {
+fn write_frames(gather: &Gather<Wire>, frames: &[&[u8]]) -> usize {
     let mut context = Context::from_waker(Waker::noop());
     let (mut handle, mut count) = (gather.clone(), 0);
     let connection = pin!(poll_fn(|context| {
@@ -107,7 +44,7 @@ fn what_one_poll_writes_is_one_write() {
     let gather = socket(usize::MAX);
     assert_eq!(write_frames(&gather, &[&[1; 10], &[2; 16_384], &[3; 400]]), 3);
     assert_eq!(write_frames(&gather, &[&[4; 7]]), 1);
-    assert_eq!(gather.inner().stream.writes, [16_794, 7]);
+    assert_eq!(gather.inner().stream.ends().writes, [16_794, 7]);
 }
 
 #[test]
@@ -116,8 +53,9 @@ fn more_than_is_held_goes_out_at_once() {
     let frame = [1; 16_384];
     assert_eq!(write_frames(&gather, &[frame.as_slice(); 9]), 9);
     let inner = gather.inner();
-    assert_eq!(inner.stream.writes.iter().sum::<usize>(), 9 * frame.len());
-    assert!(inner.stream.writes.len() <= 4, "{:?}", inner.stream.writes);
+    let writes = &inner.stream.ends().writes;
+    assert_eq!(writes.iter().sum::<usize>(), 9 * frame.len());
+    assert!(writes.len() <= 4, "{writes:?}");
     assert!(inner.held.is_empty());
 }
 
@@ -127,11 +65,11 @@ fn for_a_full_socket_nothing_is_taken() {
     assert_eq!(write_frames(&gather, &[&[1; 10]]), 1);
     // Five of its bytes wait; a newer message is to come instead of what would wait behind them.
     assert_eq!(write_frames(&gather, &[&[2; 10]]), 0);
-    gather.inner().stream.room = 100;
+    gather.inner().stream.ends().room = 100;
     assert_eq!(write_frames(&gather, &[&[3; 10], &[4; 10]]), 2);
-    assert_eq!(gather.inner().stream.writes, [5, 5, 10, 10]);
+    assert_eq!(gather.inner().stream.ends().writes, [5, 5, 10, 10]);
     assert_eq!(write_frames(&gather, &[&[5; 10], &[6; 10]]), 2);
-    assert_eq!(gather.inner().stream.writes.last(), Some(&20));
+    assert_eq!(gather.inner().stream.ends().writes.last(), Some(&20));
 }
 
 #[tokio::test]
