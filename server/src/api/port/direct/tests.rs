@@ -241,6 +241,22 @@ fn what_a_socket_does_not_take_of_a_sheet_goes_before_all_else() {
 }
 
 #[test]
+fn nothing_goes_into_a_frame_of_the_library() {
+    let mut rig = Rig::new(1 << 20);
+    let direct = rig.taken_over();
+    rig.write(6, 0, 0, b"a ping..");
+    let end = rig.queue.split_off(12);
+    rig.turn();
+    assert!(is_ready(&direct).is_pending());
+    assert_eq!(send(&direct, 1, 100), Ok(false));
+    rig.queue = end;
+    rig.turn();
+    let kinds: Vec<u8> = rig.wire.come().iter().map(|(head, _)| head.kind).collect();
+    assert!(kinds.ends_with(&[6, DATA]), "{kinds:?}");
+    assert!(rig.wire.data(NUMBER).ends_with(&[1; 100]));
+}
+
+#[test]
 fn the_library_is_lent_room_and_told_of_it() {
     let mut rig = Rig::new(1 << 20);
     let read = rig.read.len();
