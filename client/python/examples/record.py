@@ -2,7 +2,8 @@
 
     python client/python/examples/record.py run.csv --seconds 10
 
-Standard deviations are those of the position along x, y and z. What was missed on the way is counted and told.
+Standard deviations are those of the position along x, y and z. What was missed on the way is counted and told. A server
+that is started anew gives ids and sequences anew: `source_id` tells its robots from those before.
 """
 
 from __future__ import annotations
@@ -10,12 +11,12 @@ from __future__ import annotations
 import argparse
 import csv
 import sys
-import time
+import threading
 
-from roundel import Client, Disconnected, LifeStage, Reconnected, RoundelError, Snapshot, Subscription
+from roundel import Client, Disconnected, LifeStage, Reconnected, RoundelError, Snapshot, Snapshots, Subscription
 
 COLUMNS = [
-    "pose_time_ns", "sequence", "object_id", "name", "stage",
+    "pose_time_ns", "source_id", "sequence", "object_id", "name", "stage",
     "x_m", "y_m", "z_m", "vx_m_s", "vy_m_s", "vz_m_s", "qx", "qy", "qz", "qw", "sx_m", "sy_m", "sz_m",
 ]  # fmt: skip
 
@@ -24,16 +25,17 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("file", help="where to write; - for standard output")
     parser.add_argument("--server", default="http://127.0.0.1:7670")
-    parser.add_argument("--seconds", type=float, default=float("inf"), help="end after so long")
+    parser.add_argument("--seconds", type=float, help="end after so long, whatever comes")
     parser.add_argument("--rate", type=float, help="at most so many snapshots a second")
     arguments = parser.parse_args()
     file = sys.stdout if arguments.file == "-" else open(arguments.file, "w", newline="", encoding="utf-8")
-    end = time.monotonic() + arguments.seconds
     count = 0
     with file, Client.connect(arguments.server) as client:
         writer = csv.writer(file)
         writer.writerow(COLUMNS)
         with client.updates(Subscription(max_rate_hz=arguments.rate)) as updates:
+            if arguments.seconds is not None:
+                close_after(arguments.seconds, updates)
             for update in updates:
                 if isinstance(update, Snapshot):
                     writer.writerows(rows(update))
@@ -41,14 +43,22 @@ def main() -> None:
                 elif isinstance(update, Disconnected):
                     print(f"lost the server ({update.reason}); next try in {update.retry_in_s:.1f} s", file=sys.stderr)
                 elif isinstance(update, Reconnected):
-                    print(f"back, missed {update.missed}", file=sys.stderr)
-                if time.monotonic() >= end:
-                    break
+                    told = f", missed {update.missed}"
+                    if update.restarted:
+                        told = ": the server was started anew, and gives ids anew"
+                    print(f"back after {update.gap_s:.1f} s{told}", file=sys.stderr)
             print(f"{count} snapshots written, {updates.missed} missed", file=sys.stderr)
 
 
+def close_after(seconds: float, updates: Snapshots) -> None:
+    """Also while nothing comes: a paused replay, a lost server."""
+    timer = threading.Timer(seconds, updates.close)
+    timer.daemon = True
+    timer.start()
+
+
 def rows(snapshot: Snapshot) -> list[list[object]]:
-    head = [snapshot.pose_time_ns, snapshot.sequence]
+    head = [snapshot.pose_time_ns, snapshot.source_id, snapshot.sequence]
     lines: list[list[object]] = []
     for row in range(len(snapshot)):
         robot = snapshot[row]

@@ -5,18 +5,24 @@ from __future__ import annotations
 import re
 import subprocess
 import sys
+import threading
 from pathlib import Path
+from typing import Iterator
 
 import pytest
 from conftest import ROOT, Server
-from test_client import PATIENCE_S, until_all_are_there
+from test_client import PATIENCE_S, until, until_all_are_there
 
-from roundel import Client
+from roundel import Client, Subscription
 
 PACKAGE = Path(__file__).resolve().parents[1]
 DOCUMENTS = [path for path in (PACKAGE / "README.md", ROOT / "client/README.md", ROOT / "README.md") if path.is_file()]
 BLOCK = re.compile(r"^```python\n(.*?)^```$", re.MULTILINE | re.DOTALL)
 ADDRESS = "http://127.0.0.1:7670"
+CART = "cart"
+"""Who is followed by name in the documents."""
+POSITION = re.compile(r"\[( *-?[\d.]+(e[+-]?\d+)?){3} *\]")
+"""As NumPy prints three numbers."""
 
 
 def blocks() -> list[object]:
@@ -29,24 +35,44 @@ def blocks() -> list[object]:
     return found
 
 
+@pytest.fixture(scope="module")
+def server_with_cart() -> Iterator[Server]:
+    """One of coded robots, which can be told apart: one of them has the name that the documents follow."""
+    running = Server("127.0.0.1:0", "--preset", "r4")
+    try:
+        with Client.connect(running.url) as client:
+            parked = {None, *(reference.code for reference in client.configuration().references)}
+            seen = until(client, Subscription(), lambda snapshot: bool(set(snapshot.codes) - parked))
+            robot = next(seen[row] for row, code in enumerate(seen.codes) if code not in parked)
+            client.name_object(robot.object_id, CART)
+        yield running
+    finally:
+        running.kill()
+
+
 def test_there_are_blocks_to_try() -> None:
     assert len(blocks()) >= 2
 
 
 @pytest.mark.parametrize("code", blocks())
-def test_a_block_runs_as_it_stands(code: str, server: Server) -> None:
-    with Client.connect(server.url) as client:
-        until_all_are_there(client)
+def test_a_block_runs_as_it_stands(code: str, request: pytest.FixtureRequest) -> None:
     assert ADDRESS in code
-    # Sees its first lines and ends it, unless it ends by itself: most follow robots for ever.
+    follows = f'"{CART}"' in code
+    server: Server = request.getfixturevalue("server_with_cart" if follows else "server")
+    if not follows:
+        with Client.connect(server.url) as client:
+            until_all_are_there(client)
     command = [sys.executable, "-u", "-W", "error", "-c", code.replace(ADDRESS, server.url)]
-    running = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
-    with running:
-        assert running.stdout is not None
-        if "print(" in code and "for _ in range" not in code:
-            said = [running.stdout.readline() for _ in range(3)]
-            running.kill()
-            assert all(line.strip() for line in said), running.communicate()[1]
-        else:
-            _, complaint = running.communicate(timeout=PATIENCE_S)
-            assert running.returncode == 0, complaint
+    if not follows:
+        ended = subprocess.run(command, capture_output=True, text=True, timeout=PATIENCE_S)
+        assert ended.returncode == 0, ended.stderr
+        return
+    # It follows for ever, and is ended once it has said where the robot is.
+    with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True) as running:
+        assert running.stdout is not None and running.stderr is not None
+        late = threading.Timer(PATIENCE_S, running.kill)
+        late.start()
+        said = next((line for line in running.stdout if POSITION.match(line)), None)
+        late.cancel()
+        running.kill()
+        assert said is not None, running.stderr.read()

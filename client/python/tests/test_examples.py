@@ -6,6 +6,7 @@ import csv
 import re
 import subprocess
 import sys
+import time
 from pathlib import Path
 
 import numpy as np
@@ -142,6 +143,53 @@ def test_a_recording_has_a_line_for_each_robot_of_each_snapshot(server: Server, 
     assert len(both) > 3 and {key: written[key] for key in both} == {key: there[key] for key in both}
     assert f"{len(written)} snapshots written" in said
     assert list(written) == sorted(written)
+    assert list(lines[0]) == (
+        "pose_time_ns,source_id,sequence,object_id,name,stage,"
+        "x_m,y_m,z_m,vx_m_s,vy_m_s,vz_m_s,qx,qy,qz,qw,sx_m,sy_m,sz_m"
+    ).split(",")
+
+
+def test_a_recording_ends_in_time_while_nothing_comes(server: Server, tmp_path: Path) -> None:
+    file = tmp_path / "run.csv"
+    # After the first snapshot there is nothing for a thousand seconds.
+    command = [sys.executable, str(EXAMPLES / "record.py"), str(file), "--server", server.url]
+    ended = subprocess.run(
+        [*command, "--seconds", "2", "--rate", "0.001"], capture_output=True, text=True, timeout=PATIENCE_S
+    )
+    assert ended.returncode == 0 and "snapshots written" in ended.stderr, ended.stderr
+
+
+def test_a_recording_tells_the_robots_of_two_starts_of_a_server_apart(own_server: list[Server], tmp_path: Path) -> None:
+    file = tmp_path / "run.csv"
+    own_server.append(Server())
+    address, url = own_server[0].address, own_server[0].url
+    sources = []
+    with Client.connect(url) as client:
+        sources.append(until_all_are_there(client).source_id)
+        command = [sys.executable, str(EXAMPLES / "record.py"), "-", "--server", url, "--seconds", str(PATIENCE_S)]
+        with file.open("w") as out, subprocess.Popen(command, stdout=out, stderr=subprocess.PIPE, text=True) as recording:
+            assert recording.stderr is not None
+            until_it_has(file, sources[0])
+            own_server[0].kill()
+            assert recording.stderr.readline().startswith("lost the server")
+            own_server.append(Server(address))
+            sources.append(until_all_are_there(client).source_id)
+            while "started anew, and gives ids anew" not in (line := recording.stderr.readline()):
+                assert line.startswith("lost the server"), line
+            until_it_has(file, sources[1])
+            recording.kill()
+    with file.open(newline="") as text:
+        lines = list(csv.DictReader(text))
+    # The last line may be cut off.
+    assert list(dict.fromkeys(line["source_id"] for line in lines[:-1])) == sources
+
+
+def until_it_has(file: Path, word: str) -> None:
+    """Until that stands in the file."""
+    end = time.monotonic() + PATIENCE_S
+    while word not in file.read_text():
+        assert time.monotonic() < end, f"{file} has no {word}"
+        time.sleep(0.05)
 
 
 def test_one_robot_is_followed(server: Server) -> None:

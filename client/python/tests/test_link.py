@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import contextlib
 import socket
 import threading
 from typing import Callable, Iterator
@@ -17,6 +18,8 @@ from roundel import (
     Closed,
     Disconnected,
     LinkState,
+    NotRoundel,
+    Reconnected,
     Refused,
     Snapshot,
     Stale,
@@ -27,6 +30,7 @@ from roundel import (
     aio,
     v1,
 )
+from roundel._follower import Follower
 
 NOBODY = "http://127.0.0.1:9"
 SEEN_BY_NONE = Subscription(ids=[10**9], max_rate_hz=0.01)
@@ -45,6 +49,27 @@ def silent() -> Iterator[str]:
     """Somebody who takes connections and says nothing."""
     with socket.create_server(("127.0.0.1", 0)) as listener:
         yield f"http://127.0.0.1:{listener.getsockname()[1]}"
+
+
+@contextlib.contextmanager
+def proxy(address: str) -> Iterator[None]:
+    """Somebody who answers there as a web server does whose own server is away."""
+
+    def answer() -> None:
+        with contextlib.suppress(OSError):
+            while True:
+                near, _ = listener.accept()
+                with near:
+                    near.recv(4096)
+                    near.sendall(b"HTTP/1.1 502 Bad Gateway\r\nContent-Length: 0\r\nConnection: close\r\n\r\n")
+
+    host, port = address.split(":")
+    with socket.create_server((host, int(port))) as listener:
+        answering = threading.Thread(target=answer, daemon=True)
+        answering.start()
+        yield
+        listener.shutdown(socket.SHUT_RDWR)
+        answering.join()
 
 
 def ends(what: Callable[[], object]) -> object:
@@ -69,7 +94,7 @@ def test_a_control_loop_hears_that_its_newest_value_grows_old(own_server: list[S
             for _ in range(1000):
                 latest.next(timeout_s=0.5)
         assert isinstance(stale.value, TimeoutError) and stale.value.age_s >= 0.5
-        while latest.link.state is not LinkState.LOST:
+        while latest.link.state is not LinkState.LOST or latest.link.tries == 0:
             assert latest.age_s < PATIENCE_S
         lost = latest.link
         assert isinstance(lost.error, Unreachable) and lost.tries > 0 and lost.losses == 1
@@ -101,6 +126,65 @@ def test_a_control_loop_of_asyncio_does_too(own_server: list[Server]) -> None:
             own_server.append(await asyncio.to_thread(Server, own_server[0].address))
             assert (await latest.next(PATIENCE_S)).source_id != first.source_id
             assert latest.link.is_up
+
+    run(session())
+
+
+def test_a_proxy_that_answers_while_the_server_is_away_ends_nothing(own_server: list[Server]) -> None:
+    own_server.append(Server())
+    url, address = own_server[0].url, own_server[0].address
+    with Client(url) as client, client.updates() as updates:
+        assert isinstance(next(updates), Snapshot)
+        own_server[0].kill()
+        with proxy(address):
+            while "HTTP/2" not in reason(next(updates)):
+                pass
+            assert updates.link.state is LinkState.LOST
+            with Client(url) as other, pytest.raises(NotRoundel, match="speaks no HTTP/2"):
+                next(other.updates())
+        own_server.append(Server(address))
+        while not isinstance(next(updates), Reconnected):
+            pass
+
+
+def test_a_proxy_ends_nothing_with_asyncio(own_server: list[Server]) -> None:
+    async def session() -> None:
+        own_server.append(await asyncio.to_thread(Server))
+        url, address = own_server[0].url, own_server[0].address
+        async with aio.Client(url) as client, client.updates() as updates:
+            assert isinstance(await anext(updates), Snapshot)
+            own_server[0].kill()
+            with proxy(address):
+                while "HTTP/2" not in reason(await anext(updates)):
+                    pass
+                async with aio.Client(url) as other:
+                    with pytest.raises(NotRoundel, match="speaks no HTTP/2"):
+                        await anext(other.updates())
+            own_server.append(await asyncio.to_thread(Server, address))
+            while not isinstance(await anext(updates), Reconnected):
+                pass
+
+    run(session())
+
+
+def reason(update: object) -> str:
+    return update.reason if isinstance(update, Disconnected) else ""
+
+
+def test_a_bug_while_reading_reaches_who_waits(server: Server, monkeypatch: pytest.MonkeyPatch) -> None:
+    def fails(follower: Follower, message: v1.Snapshot) -> None:
+        raise ZeroDivisionError("a bug")
+
+    monkeypatch.setattr(Follower, "received", fails)
+    with Client(server.url) as client, client.latest() as latest:
+        for _ in range(2):
+            with pytest.raises(ZeroDivisionError, match="a bug"):
+                latest.next(PATIENCE_S)
+
+    async def session() -> None:
+        async with aio.Client(server.url) as client, client.latest() as latest:
+            with pytest.raises(ZeroDivisionError, match="a bug"):
+                await latest.next(PATIENCE_S)
 
     run(session())
 

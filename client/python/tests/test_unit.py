@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 import pytest
 
@@ -14,8 +16,11 @@ from roundel import (
     LifeStage,
     Link,
     LinkState,
+    NotRoundel,
     Reconnected,
     Refused,
+    RoundelError,
+    ServerError,
     Snapshot,
     Stale,
     Subscription,
@@ -171,15 +176,41 @@ def test_a_link_tells_what_became_of_it_and_the_first_connection_is_none_that_is
     assert follower.age_s == 0.5 and follower.recent(snapshot, 0.5) is snapshot
     reset = Unreachable("here", "reset by peer")
     follower.lost(reset)
-    assert follower.link == Link(LinkState.LOST, reset, 1, 1)
+    assert follower.link == Link(LinkState.LOST, reset, 0, 1), "nothing was tried yet"
     with pytest.raises(Stale, match="newest came 0.50 s ago; the connection is lost: no answer from here: reset by peer") as stale:
         follower.recent(snapshot, 0.4)
     assert (stale.value.age_s, stale.value.link) == (0.5, follower.link)
     follower.lost(refused)
-    assert follower.link == Link(LinkState.LOST, refused, 2, 1)
+    assert follower.link == Link(LinkState.LOST, refused, 1, 1)
     assert isinstance(follower.received(v1.Snapshot(sequence=6, source_id="a"))[0], Reconnected)
     follower.end()
     assert follower.link.state is LinkState.ENDED
+
+
+def test_who_speaks_no_http2_is_asked_again_where_a_server_was() -> None:
+    class NoHttp2(grpc.RpcError):
+        def code(self) -> grpc.StatusCode:
+            return grpc.StatusCode.UNAVAILABLE
+
+        def details(self) -> str:
+            return "failed to connect to all addresses; last error: INTERNAL: ipv4:127.0.0.1:80: Failed parsing HTTP/2 (…)"
+
+    def failure() -> RoundelError:
+        return from_rpc("http://a:9", NoHttp2())
+
+    nobodys = Follower()
+    with pytest.raises(NotRoundel, match="http://a:9 answers, but is no Roundel server"):
+        nobodys.lost(failure())
+    assert nobodys.link.state is LinkState.ENDED
+    follower = Follower()
+    follower.received(v1.Snapshot(sequence=5, source_id="a"))
+    follower.lost(Unreachable("http://a:9", "reset"))
+    word = follower.lost(failure())
+    assert (word.reason, word.tries) == ("what answers there speaks no HTTP/2", 1)
+    assert follower.link.state is LinkState.LOST and isinstance(follower.link.error, Unreachable)
+    assert isinstance(follower.received(v1.Snapshot(sequence=6, source_id="a"))[0], Reconnected)
+    with pytest.raises(NotRoundel):
+        follower.lost(NotRoundel("http://a:9", "it does not know this call"))
 
 
 @pytest.mark.parametrize("logs", [True, False])
@@ -236,7 +267,7 @@ def test_a_timeout_by_which_no_call_can_end_is_refused(wrong: float) -> None:
 
 
 def test_calls_that_take_longer_may() -> None:
-    assert deadline_s("GetSnapshot", None) < deadline_s("TestSource", None) < float("inf")
+    assert deadline_s("GetSnapshot", None) == 15.0 < deadline_s("TestSource", None) < float("inf")
     assert deadline_s("TestSource", 0.5) == 0.5
     assert LONG_CALLS <= ANSWERS.keys()
 
@@ -302,6 +333,37 @@ def test_what_the_network_says_is_told_without_its_layers(said: str, told: str) 
     assert told in str(from_rpc("http://a:9", Unavailable()))
 
 
+@pytest.mark.parametrize(
+    ("code", "kind"),
+    [
+        (grpc.StatusCode.INVALID_ARGUMENT, Refused),
+        (grpc.StatusCode.NOT_FOUND, Refused),
+        (grpc.StatusCode.OUT_OF_RANGE, Refused),
+        (grpc.StatusCode.FAILED_PRECONDITION, Refused),
+        (grpc.StatusCode.PERMISSION_DENIED, Refused),
+        (grpc.StatusCode.ABORTED, Conflict),
+        (grpc.StatusCode.UNIMPLEMENTED, NotRoundel),
+        (grpc.StatusCode.UNAVAILABLE, ServerError),
+        (grpc.StatusCode.RESOURCE_EXHAUSTED, ServerError),
+        (grpc.StatusCode.INTERNAL, ServerError),
+    ],
+)
+def test_what_a_server_says_means_the_same_as_in_rust(code: grpc.StatusCode, kind: type[RoundelError]) -> None:
+    class Said(grpc.RpcError):
+        def code(self) -> grpc.StatusCode:
+            return code
+
+        def details(self) -> str:
+            return "said by the server"
+
+        def trailing_metadata(self) -> Any:
+            return (("grpc-status-details-bin", b""),)
+
+    error = from_rpc("http://a", Said())
+    assert type(error) is kind and "said by the server" in str(error)
+    assert error.is_temporary == (kind is ServerError)
+
+
 def test_wrong_arguments_are_told_before_anything_is_sent() -> None:
     with pytest.raises(ValueError, match="corners of three numbers"):
         Subscription(region_m=((0, 0), (1, 1, 1))).request()
@@ -330,3 +392,23 @@ def test_a_subscription_is_the_message_that_asks_for_it() -> None:
         Subscription(names="cart").request()
     with pytest.raises(ValueError, match="a single snapshot has no rate"):
         Subscription(max_rate_hz=5.0).single_request()
+
+
+@pytest.mark.parametrize(
+    ("field", "wrong", "why"),
+    [
+        ("ids", -1, "ids: expected whole numbers from 0 (object_id), found -1"),
+        ("ids", "x", "ids: expected whole numbers from 0 (object_id), found 'x'"),
+        ("ids", 3.7, "ids: expected whole numbers from 0 (object_id), found 3.7"),
+        ("ids", 2**64, f"ids: expected whole numbers below 2^64 (object_id), found {2**64}"),
+        ("codes", -1, "codes: expected whole numbers from 0 (number of a code), found -1"),
+        ("codes", "x", "codes: expected whole numbers from 0 (number of a code), found 'x'"),
+        ("codes", 2**32, f"codes: expected whole numbers below 2^32 (number of a code), found {2**32}"),
+    ],
+)
+def test_a_subscription_says_which_number_is_none(field: str, wrong: object, why: str) -> None:
+    subscription = Subscription(**{field: [3, wrong]})  # type: ignore[arg-type]
+    for request in (subscription.request, subscription.single_request):
+        with pytest.raises(ValueError) as told:
+            request()
+        assert str(told.value) == why

@@ -11,7 +11,7 @@ MAX_MESSAGE_BYTES = 64 * 1024 * 1024
 """Largest message; a snapshot of 10,000 objects with covariances takes 5 MB."""
 
 CONNECT_TIMEOUT_S = 5.0
-TIMEOUT_S = 10.0
+TIMEOUT_S = 15.0
 """Longest that a call may take, if nobody says otherwise …"""
 LONG_TIMEOUT_S = 60.0
 """… and one of those for which the server opens, writes or searches something."""

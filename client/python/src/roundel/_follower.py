@@ -9,7 +9,7 @@ from typing import Callable
 
 from roundel import v1
 from roundel._backoff import Backoff
-from roundel.errors import RoundelError, ServerError, Stale, Unreachable
+from roundel.errors import NotRoundel, RoundelError, ServerError, Stale, Unreachable
 from roundel.link import Link, LinkState
 from roundel.snapshot import Disconnected, Reconnected, Snapshot, Update
 
@@ -59,13 +59,18 @@ class Follower:
 
     def lost(self, error: RoundelError) -> Disconnected:
         """Word of the loss, with the pause before the next try; raises what asking again cannot heal."""
+        if isinstance(error, NotRoundel) and not error.speaks_http2 and self._newest is not None:
+            # The server was there: a proxy before it answers while it starts anew.
+            error = Unreachable(error.address, "what answers there speaks no HTTP/2")
         if not error.is_temporary:
             self.end(error)
             raise error
         tries, retry_in_s = self.backoff.tries, self.backoff.next_pause_s()
         losses = self.link.losses + self.link.is_up
         state = LinkState.CONNECTING if self._newest is None else LinkState.LOST
-        self.link = Link(state, error, tries + 1, losses, self.link.restarts)
+        # The first word after a snapshot is of the loss; every other one is of a try.
+        in_vain = tries + (self._newest is None)
+        self.link = Link(state, error, in_vain, losses, self.link.restarts)
         if isinstance(error, Unreachable):
             reason = error.reason
         elif isinstance(error, ServerError):
@@ -74,7 +79,7 @@ class Follower:
             reason = str(error)
         what = "no connection yet" if self._newest is None else "connection lost"
         self._say("%s: %s; next try in %.1f s", what, reason, retry_in_s)
-        return Disconnected(reason, tries, retry_in_s)
+        return Disconnected(reason, in_vain, retry_in_s)
 
     def end(self, error: RoundelError | None = None) -> None:
         """Nothing will come any more."""

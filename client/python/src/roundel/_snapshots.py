@@ -123,7 +123,7 @@ class Latest:
         self._value: Snapshot | None = None
         self._is_taken = True
         self._skipped = 0
-        self._failure: RoundelError | None = None
+        self._failure: Exception | None = None
         self._is_ended = False
         self._reader = threading.Thread(target=self._read, name="roundel-latest", daemon=True)
         self._reader.start()
@@ -204,11 +204,11 @@ class Latest:
     ) -> None:
         self.close()
 
-    def _end(self) -> RoundelError:
+    def _end(self) -> Exception:
         return self._failure or Closed("stream of snapshots")
 
     def _read(self) -> None:
-        failure: RoundelError | None = None
+        failure: Exception | None = None
         try:
             for update in self._updates:
                 if isinstance(update, Snapshot):
@@ -216,9 +216,11 @@ class Latest:
                         self._skipped += not self._is_taken
                         self._value, self._is_taken = update, False
                         self._changed.notify_all()
-        except RoundelError as error:
+        except Exception as error:
+            # A bug too: whoever asks raises it, and does not wait for ever.
             log.error("%s", error)
             failure = error
-        with self._changed:
-            self._failure, self._is_ended = failure, True
-            self._changed.notify_all()
+        finally:
+            with self._changed:
+                self._failure, self._is_ended = failure, True
+                self._changed.notify_all()

@@ -32,7 +32,7 @@ class Client:
     def __init__(self, address: str = "http://127.0.0.1:7670", timeout_s: float | None = None) -> None:
         """Asks nothing of the server yet: it may come up later.
 
-        A call that takes longer than `timeout_s` raises `TimedOut`; None: 10 s, and a minute where the server has to
+        A call that takes longer than `timeout_s` raises `TimedOut`; None: 15 s, and a minute where the server has to
         open, write or search something. Streams have no such end. See also :meth:`within`.
         """
         self.address = address

@@ -17,6 +17,7 @@ _REFUSALS = frozenset({
     grpc.StatusCode.NOT_FOUND,
     grpc.StatusCode.OUT_OF_RANGE,
     grpc.StatusCode.FAILED_PRECONDITION,
+    grpc.StatusCode.PERMISSION_DENIED,
 })
 
 _DETAILS = "grpc-status-details-bin"
@@ -64,8 +65,12 @@ class TimedOut(Unreachable, TimeoutError):
 class NotRoundel(RoundelError):
     """Somebody answers there, but not a Roundel server that knows the call."""
 
-    def __init__(self, address: str, reason: str) -> None:
+    def __init__(self, address: str, reason: str, speaks_http2: bool = True) -> None:
         super().__init__(f"{address} answers, but is no Roundel server, or an older one: {reason}")
+        self.address = address
+        self.reason = reason
+        self.speaks_http2 = speaks_http2
+        """False of a web server or a proxy: where a Roundel server was before, it may be back soon."""
 
 
 class Refused(RoundelError):
@@ -75,7 +80,7 @@ class Refused(RoundelError):
         super().__init__(f"the server refuses the request: {message}")
         self.message = message
         self.code = code
-        """INVALID_ARGUMENT, NOT_FOUND, OUT_OF_RANGE or FAILED_PRECONDITION."""
+        """INVALID_ARGUMENT, NOT_FOUND, OUT_OF_RANGE, FAILED_PRECONDITION or PERMISSION_DENIED."""
         self.field = field
         """The field of the request that is wrong, as the .proto files name it; None where it is none."""
         self.what = what
@@ -137,7 +142,10 @@ def from_rpc(address: str, error: grpc.RpcError, call: str = "the call", timeout
     if code is grpc.StatusCode.DEADLINE_EXCEEDED and timeout_s is not None:
         return TimedOut(address, call, timeout_s)
     if code is grpc.StatusCode.UNAVAILABLE and "Failed parsing HTTP/2" in message:
-        return NotRoundel(address, "it speaks no HTTP/2")
+        return NotRoundel(address, "it speaks no HTTP/2", speaks_http2=False)
+    if code is grpc.StatusCode.UNAVAILABLE and _details(error):
+        # The network says none.
+        return ServerError(message, code)
     if code in (grpc.StatusCode.UNAVAILABLE, grpc.StatusCode.DEADLINE_EXCEEDED):
         return Unreachable(address, _network_reason(message))
     return ServerError(message, code)
@@ -153,10 +161,9 @@ def _network_reason(message: str) -> str:
 
 def _refused(error: grpc.RpcError) -> tuple[str | None, str | None]:
     """The wrong field, and the kind of thing that is not there, where the server says them."""
-    trailers: Any = (error.trailing_metadata() if hasattr(error, "trailing_metadata") else None) or ()
     field: str | None = None
     what: str | None = None
-    for value in (value for key, value in trailers if key == _DETAILS):
+    for value in _details(error):
         try:
             details = status_pb2.Status.FromString(value).details
         except DecodeError:
@@ -169,3 +176,9 @@ def _refused(error: grpc.RpcError) -> tuple[str | None, str | None]:
             elif detail.Unpack(thing):
                 what = thing.resource_type
     return field, what
+
+
+def _details(error: grpc.RpcError) -> list[bytes]:
+    """What a server says of an error for programs; empty if the error comes from the network."""
+    trailers: Any = (error.trailing_metadata() if hasattr(error, "trailing_metadata") else None) or ()
+    return [value for key, value in trailers if key == _DETAILS]

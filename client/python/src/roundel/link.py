@@ -29,7 +29,7 @@ class Link:
     error: RoundelError | None = None
     """The last one there was, also after it has healed; None before any."""
     tries: int = 0
-    """In vain, since the loss or since the first one."""
+    """In vain, since the loss or the begin; 0 while a loss is all that happened."""
     losses: int = 0
     """Of connections that had brought snapshots."""
     restarts: int = 0

@@ -264,6 +264,9 @@ class Snapshot:
 
         Accelerations fade as exp(-t / L), L = 0.4 s: velocities grow by a L (1 - e), positions by
         v t + a L (t - L (1 - e)), e = exp(-t / L). Objects turn on with their angular velocity.
+
+        A subscription without covariances (``covariance=False``) gets no accelerations either: what it got is predicted by
+        velocities alone, and not as the server does it. A `horizon_s` of the subscription has the server predict.
         """
         if not np.isfinite(seconds):
             raise ValueError(f"expected a finite number of seconds, found {seconds}")
@@ -293,7 +296,7 @@ class Disconnected:
 
     reason: str
     tries: int
-    """Since the loss, 0 for the loss itself."""
+    """That have failed since the loss or the begin: 0 for the loss itself, 1 for the first try after it or of all."""
     retry_in_s: float
 
 

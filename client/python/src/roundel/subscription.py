@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import operator
 from dataclasses import dataclass
 from typing import Sequence
 
@@ -30,7 +31,7 @@ class Subscription:
     horizon_s: float = 0.0
     """Every pose predicted this far past the server's pose time, up to a second, with its covariance."""
     covariance: bool = True
-    """Without: less than half the bytes."""
+    """Without: less than half the bytes, and no accelerations, so that `Snapshot.predicted` goes by velocities alone."""
 
     def request(self) -> v1.SubscribeSnapshotsRequest:
         """The message that asks for it."""
@@ -50,12 +51,28 @@ class Subscription:
         for field, words in (("names", self.names), ("roundels", self.roundels)):
             if isinstance(words, str):
                 raise ValueError(f"{field}: expected a list of names, found {words!r}; one is [{words!r}]")
-        request.object_ids.extend(int(one) for one in self.ids)
+        request.object_ids.extend(_whole("ids", "object_id", one, 64) for one in self.ids)
         request.names.extend(self.names)
-        request.codes.extend(one if isinstance(one, v1.Code) else v1.Code(number=int(one)) for one in self.codes)
+        request.codes.extend(
+            one if isinstance(one, v1.Code) else v1.Code(number=_whole("codes", "number of a code", one, 32))
+            for one in self.codes
+        )
         request.roundels.extend(self.roundels)
         request.omit_covariance = not self.covariance
         if self.region_m is not None:
             request.region.CopyFrom(_calls.region(self.region_m))
         if self.horizon_s:
             request.horizon_ms = self.horizon_s * 1e3
+
+
+def _whole(field: str, what: str, value: int, bits: int) -> int:
+    """As given, if a message can hold it; NumPy's whole numbers are ones too."""
+    try:
+        number = operator.index(value)
+    except TypeError:
+        number = -1
+    if number < 0:
+        raise ValueError(f"{field}: expected whole numbers from 0 ({what}), found {value!r}")
+    if number >= 1 << bits:
+        raise ValueError(f"{field}: expected whole numbers below 2^{bits} ({what}), found {value!r}")
+    return number
