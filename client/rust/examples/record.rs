@@ -3,11 +3,14 @@
 //! ```sh
 //! cargo run --release -p roundel-client --example record -- run.csv 10     # ten seconds; - for standard output
 //! ```
+//!
+//! `source_id` changes when the server is started anew: the same `object_id` is another robot then.
 
 use std::{
     fs::File,
     io::{self, BufWriter, Write},
-    time::{Duration, Instant},
+    pin::pin,
+    time::Duration,
 };
 
 use anyhow::Context;
@@ -16,18 +19,18 @@ use roundel_client::{
     Client, Subscription, Update, position_sigma_m,
     v1::{ObjectState, Snapshot},
 };
+use tokio::{signal::ctrl_c, time::sleep};
 
 const USAGE: &str = "usage: record FILE [SECONDS] [SERVER]\n\
     FILE is - for standard output; without SECONDS, until it is interrupted; SERVER is http://127.0.0.1:7670 if left out";
-const COLUMNS: &str = "pose_time_ns,sequence,object_id,name,stage,\
+const COLUMNS: &str = "pose_time_ns,source_id,sequence,object_id,name,stage,\
     x_m,y_m,z_m,vx_m_s,vy_m_s,vz_m_s,qx,qy,qz,qw,sx_m,sy_m,sz_m";
 
 #[tokio::main(flavor = "current_thread")]
 async fn main() -> anyhow::Result<()> {
     let mut arguments = std::env::args().skip(1);
     let path = arguments.next().context(USAGE)?;
-    let seconds: Option<f64> =
-        arguments.next().map(|text| text.parse()).transpose().context(USAGE)?;
+    let length = arguments.next().map(|text| length(&text)).transpose().context(USAGE)?;
     let server = arguments.next().unwrap_or_else(|| "http://127.0.0.1:7670".to_owned());
     let file: Box<dyn Write> = if path == "-" {
         Box::new(io::stdout())
@@ -39,9 +42,18 @@ async fn main() -> anyhow::Result<()> {
 
     let client = Client::connect(&server).await?;
     let mut snapshots = client.snapshots(Subscription::default());
-    let end = seconds.map(|seconds| Instant::now() + Duration::from_secs_f64(seconds));
+    let mut end = pin!(end(length));
     let mut written = 0_u64;
-    while let Some(update) = snapshots.next().await {
+    loop {
+        // The end comes whether updates do or not.
+        let update = tokio::select! {
+            update = snapshots.next() => update,
+            interrupted = &mut end => {
+                interrupted?;
+                break;
+            }
+        };
+        let Some(update) = update else { break };
         match update? {
             Update::Snapshot(snapshot) => {
                 for state in &snapshot.objects {
@@ -60,13 +72,28 @@ async fn main() -> anyhow::Result<()> {
             }
             _ => {}
         }
-        if end.is_some_and(|end| Instant::now() >= end) {
-            break;
-        }
     }
     file.flush()?;
     eprintln!("{written} snapshots written, {} missed", snapshots.missed());
     Ok(())
+}
+
+fn length(seconds: &str) -> anyhow::Result<Duration> {
+    Ok(Duration::try_from_secs_f64(seconds.parse()?)?)
+}
+
+/// After so long, or when somebody interrupts.
+async fn end(length: Option<Duration>) -> io::Result<()> {
+    let over = async {
+        match length {
+            Some(length) => sleep(length).await,
+            None => std::future::pending().await,
+        }
+    };
+    tokio::select! {
+        () = over => Ok(()),
+        interrupted = ctrl_c() => interrupted,
+    }
 }
 
 fn line(snapshot: &Snapshot, state: &ObjectState) -> String {
@@ -78,13 +105,17 @@ fn line(snapshot: &Snapshot, state: &ObjectState) -> String {
         None => ",,".to_owned(),
     };
     let stage = state.stage().as_str_name().trim_start_matches("LIFE_STAGE_").to_lowercase();
-    // A name is the configuration's, and may hold anything.
-    let name = format!("\"{}\"", state.name.replace('"', "\"\""));
+    // Names are the configuration's, also that of the server in its `source_id`, and may hold anything.
+    let [source_id, name] = [&snapshot.source_id, &state.name].map(|text| quoted(text));
     format!(
-        "{},{},{},{name},{stage},{},{sigma}",
+        "{},{source_id},{},{},{name},{stage},{},{sigma}",
         snapshot.pose_time_ns,
         snapshot.sequence,
         state.object_id,
         numbers.join(",")
     )
+}
+
+fn quoted(text: &str) -> String {
+    format!("\"{}\"", text.replace('"', "\"\""))
 }

@@ -20,11 +20,6 @@ impl Backoff {
         doubled.min(LONGEST).mul_f64(1.0 - 0.5 * fastrand::f64())
     }
 
-    /// Tries since the last success.
-    pub fn tries(&self) -> u32 {
-        self.tries
-    }
-
     /// It worked: the next pause is short again.
     pub fn reset(&mut self) {
         self.tries = 0;
@@ -42,7 +37,6 @@ mod tests {
         assert!(first <= FIRST && first >= FIRST / 2);
         let last = (0..100).map(|_| backoff.next_pause()).last().unwrap();
         assert!(last <= LONGEST && last >= LONGEST / 2);
-        assert_eq!(backoff.tries(), 101);
         backoff.reset();
         assert!(backoff.next_pause() <= FIRST);
     }

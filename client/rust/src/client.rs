@@ -27,8 +27,6 @@ const KEEP_ALIVE: Duration = Duration::from_secs(5);
 const STREAM_WINDOW_BYTES: u32 = 256 * 1024;
 /// The same for all streams of a connection.
 const CONNECTION_WINDOW_BYTES: u32 = 1024 * 1024;
-/// How long an answer is waited for if nobody says otherwise: the slowest call, trying a source, takes some seconds.
-const ANSWER_TIMEOUT: Duration = Duration::from_secs(15);
 /// Largest message; a snapshot of 10,000 objects with covariances takes 5 MB.
 const MAX_MESSAGE_BYTES: usize = 64 * 1024 * 1024;
 
@@ -37,7 +35,8 @@ const MAX_MESSAGE_BYTES: usize = 64 * 1024 * 1024;
 pub struct Client {
     address: String,
     channel: Channel,
-    timeout: Duration,
+    /// As it was told; `None`: as is usual for each call.
+    timeout: Option<Duration>,
 }
 
 impl Client {
@@ -68,13 +67,18 @@ impl Client {
     }
 
     fn over(channel: Channel, address: String) -> Self {
-        Self { address, channel, timeout: ANSWER_TIMEOUT }
+        Self { address, channel, timeout: None }
     }
 
-    /// The same connection, on which calls with one answer wait so long for it (15 s if nobody says otherwise), and then
-    /// end with [`Error::TimedOut`]. The server gives up at the same time. Streams go on for as long as they like.
+    /// The same connection, on which all calls with one answer wait so long for it, and then end with
+    /// [`Error::TimedOut`]. The server gives up at the same time. Streams go on for as long as they like.
+    ///
+    /// If nobody says otherwise it is 15 s, and 60 s where the server opens, writes or searches something:
+    /// [`test_source`](Self::test_source), [`add_camera`](Self::add_camera), [`change_camera`](Self::change_camera),
+    /// [`remove_camera`](Self::remove_camera), [`apply_configuration`](Self::apply_configuration),
+    /// [`stop_recording`](Self::stop_recording), [`history`](Self::history).
     pub fn with_timeout(mut self, timeout: Duration) -> Self {
-        self.timeout = timeout;
+        self.timeout = Some(timeout);
         self
     }
 
@@ -166,7 +170,7 @@ impl Client {
     ) -> Result<v1::SourceTest, Error> {
         let [width, height] = size.unwrap_or_default();
         let request = v1::TestSourceRequest { source: source.to_owned(), width, height };
-        let answer = self.service().test_source(request).await;
+        let answer = self.long_service().test_source(request).await;
         answer.map(tonic::Response::into_inner).map_err(|status| self.error(&status))
     }
 
@@ -182,9 +186,9 @@ impl Client {
     /// Events from now on, after the newest `backlog` remembered ones (up to 1000). The stream ends
     /// with an error when the connection is lost; a gap in `sequence` is what was missed.
     ///
-    /// [`v1::EventKind`] names them: an object appeared, is predicted, recovered, or lost; a camera is
-    /// running, failed, finished, its clock was set, it is placed or unplaced; a configured height is
-    /// contradicted; a calibration has begun, is done, failed, or is applied. `message` says it in a sentence.
+    /// [`v1::EventKind`] lists what can happen to objects, cameras, the configuration, calibrations and recordings;
+    /// `message` says it in a sentence. A newer server may send kinds that this client does not know: `kind()` is
+    /// `Unspecified` then.
     ///
     /// # Errors
     /// [`Error::Refused`] for too long a backlog, and those of the connection.
@@ -233,12 +237,17 @@ impl Client {
 
     /// For one call with one answer: a handle on the connection.
     pub(crate) fn service(&self) -> Service {
-        self.handle(Deadline(Some(self.timeout)))
+        self.handle(Deadline::usual(self.timeout))
+    }
+
+    /// The same for a call for which the server opens, writes or searches something.
+    pub(crate) fn long_service(&self) -> Service {
+        self.handle(Deadline::long(self.timeout))
     }
 
     /// For one call with a stream of answers.
     pub(crate) fn streams(&self) -> Service {
-        self.handle(Deadline(None))
+        self.handle(Deadline::NEVER)
     }
 
     fn handle(&self, deadline: Deadline) -> Service {

@@ -35,7 +35,7 @@ impl Client {
     ) -> Result<v1::AppliedConfiguration, Error> {
         let (toml, version) = (toml.to_owned(), version.to_owned());
         let request = v1::ApplyConfigurationRequest { toml, version };
-        let answer = self.service().apply_configuration(request).await;
+        let answer = self.long_service().apply_configuration(request).await;
         answer.map(tonic::Response::into_inner).map_err(|status| self.error(&status))
     }
 }

@@ -55,7 +55,7 @@ pub enum Error {
         /// What has changed.
         message: String,
     },
-    /// No answer came within the time of [`crate::Client::with_timeout`]. Whether the server has done what it was asked is
+    /// No answer came within the time that [`crate::Client::with_timeout`] tells. Whether the server has done what it was asked is
     /// not known.
     #[error("no answer from {address} in time: {message}")]
     TimedOut {

@@ -35,7 +35,7 @@ pub struct Link {
     pub state: LinkState,
     /// Why the last connection or try ended, also after it has healed; `None` before any did.
     pub reason: Option<String>,
-    /// In vain, since the loss or the begin.
+    /// That have failed since the loss, or since the begin; 0 just after a loss, and while there is a connection.
     pub tries: u32,
     /// Of connections that had brought snapshots.
     pub losses: u64,

@@ -10,8 +10,13 @@ const ACCELERATION_LASTS_S: f64 = 0.4;
 ///
 /// Covariances are left out of it, since how they grow is the server's to say: [`crate::Subscription::horizon`] asks
 /// for them. So is the acceleration of subscriptions without covariances: they are predicted by their velocity alone.
+///
+/// Where `seconds` is no finite number, there is no such moment: the snapshot stays as it is, of its own `pose_time_ns`.
 pub fn predicted(snapshot: &Snapshot, seconds: f64) -> Snapshot {
     let mut later = snapshot.clone();
+    if !seconds.is_finite() {
+        return later;
+    }
     later.pose_time_ns = later.pose_time_ns.saturating_add((seconds * 1e9).round() as i64);
     for object in &mut later.objects {
         predict(object, seconds);
@@ -90,5 +95,17 @@ mod tests {
         assert!(gap.x.abs() + gap.y.abs() + gap.z.abs() < 1e-12, "{gap:?}");
         assert!((back.orientation.unwrap().w - 1.0).abs() < 1e-12);
         assert_eq!(back.observation_age_ns, 0);
+    }
+
+    #[test]
+    fn at_no_moment_nothing_has_moved() {
+        let velocity = Some(Vector3 { x: 1.0, y: 0.0, z: 0.0 });
+        let position = Some(Vector3 { x: 1.0, y: 2.0, z: 3.0 });
+        let object =
+            ObjectState { position, velocity, covariance: vec![1.0; 21], ..Default::default() };
+        let snapshot = Snapshot { pose_time_ns: 10, objects: vec![object], ..Default::default() };
+        for seconds in [f64::NAN, f64::INFINITY, f64::NEG_INFINITY] {
+            assert_eq!(predicted(&snapshot, seconds), snapshot);
+        }
     }
 }

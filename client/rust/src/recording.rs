@@ -21,7 +21,7 @@ impl Client {
     /// # Errors
     /// [`Error::Refused`] if nothing is recorded, and those of the connection.
     pub async fn stop_recording(&self) -> Result<v1::Recording, Error> {
-        let answer = self.service().stop_recording(v1::StopRecordingRequest {}).await;
+        let answer = self.long_service().stop_recording(v1::StopRecordingRequest {}).await;
         answer.map(tonic::Response::into_inner).map_err(|status| self.error(&status))
     }
 
@@ -51,7 +51,7 @@ impl Client {
         &self,
         request: v1::QueryHistoryRequest,
     ) -> Result<v1::QueryHistoryResponse, Error> {
-        let answer = self.service().query_history(request).await;
+        let answer = self.long_service().query_history(request).await;
         answer.map(tonic::Response::into_inner).map_err(|status| self.error(&status))
     }
 

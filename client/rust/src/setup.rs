@@ -20,7 +20,7 @@ impl Client {
     /// [`Error::Refused`] names the field that is wrong, or says why nothing can be changed; and those of the connection.
     pub async fn add_camera(&self, camera: v1::CameraSetup) -> Result<v1::CameraChange, Error> {
         let request = v1::AddCameraRequest { camera: Some(camera) };
-        let answer = self.service().add_camera(request).await;
+        let answer = self.long_service().add_camera(request).await;
         answer.map(tonic::Response::into_inner).map_err(|status| self.error(&status))
     }
 
@@ -38,7 +38,7 @@ impl Client {
         let fields = fields.iter().map(|&field| field.to_owned()).collect();
         let request =
             v1::ChangeCameraRequest { name: name.to_owned(), camera: Some(camera), fields };
-        let answer = self.service().change_camera(request).await;
+        let answer = self.long_service().change_camera(request).await;
         answer.map(tonic::Response::into_inner).map_err(|status| self.error(&status))
     }
 
@@ -48,7 +48,7 @@ impl Client {
     /// As of [`Client::add_camera`].
     pub async fn remove_camera(&self, name: &str) -> Result<v1::CameraChange, Error> {
         let request = v1::RemoveCameraRequest { name: name.to_owned() };
-        let answer = self.service().remove_camera(request).await;
+        let answer = self.long_service().remove_camera(request).await;
         answer.map(tonic::Response::into_inner).map_err(|status| self.error(&status))
     }
 }

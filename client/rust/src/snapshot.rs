@@ -22,7 +22,8 @@ pub enum Update {
     Disconnected {
         /// What happened.
         reason: String,
-        /// Tries since the loss, 0 for the loss itself.
+        /// Tries that have failed since the loss, or since the begin, by bringing no snapshot: 0 for the loss itself, 1
+        /// for the first try after it, and for the first of all.
         tries: u32,
         /// Pause before the next try.
         retry_in: Duration,
@@ -60,6 +61,8 @@ impl Snapshots {
             backoff: Backoff::default(),
             newest: None,
             held: None,
+            tries: 0,
+            is_up: false,
             was_lost: false,
         };
         let updates = stream::unfold(follower, |mut follower| async move {
@@ -114,6 +117,10 @@ struct Follower {
     newest: Option<Newest>,
     /// Came with the reconnection that is being told.
     held: Option<v1::Snapshot>,
+    /// That have failed since the loss or the begin.
+    tries: u32,
+    /// Whether this connection has brought a snapshot: its end is a loss then, and else a try that failed.
+    is_up: bool,
     was_lost: bool,
 }
 
@@ -151,6 +158,7 @@ impl Follower {
 
     fn received(&mut self, snapshot: v1::Snapshot) -> Update {
         self.backoff.reset();
+        self.is_up = true;
         let (source_id, sequence) = (snapshot.source_id.clone(), snapshot.sequence);
         let newest = Newest { source_id, sequence, came: Instant::now() };
         let before = self.newest.replace(newest);
@@ -171,7 +179,8 @@ impl Follower {
             return Err(error);
         }
         self.was_lost = true;
-        let tries = self.backoff.tries();
+        let was_up = std::mem::take(&mut self.is_up);
+        self.tries = if was_up { 0 } else { self.tries.saturating_add(1) };
         let retry_in = self.backoff.next_pause();
         self.phase = Phase::Pausing(retry_in);
         let reason = match error {
@@ -179,6 +188,6 @@ impl Follower {
             Error::Server { message, .. } | Error::TimedOut { message, .. } => message,
             other => other.to_string(),
         };
-        Ok(Update::Disconnected { reason, tries, retry_in })
+        Ok(Update::Disconnected { reason, tries: self.tries, retry_in })
     }
 }

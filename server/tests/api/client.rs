@@ -1,10 +1,15 @@
 //! The Rust client against this server.
 
-use std::time::Duration;
+use std::{
+    collections::BTreeMap,
+    sync::{Arc, Mutex},
+    time::Duration,
+};
 
+use axum::http::{HeaderMap, Uri};
 use futures::StreamExt;
 use roundel_client::{
-    Client, Code, Error, LinkState, Snapshots, Subscription, Update, coded, named, predicted,
+    Client, Code, Error, LinkState, Snapshots, Subscription, Update, coded, named, predicted, v1,
 };
 use roundel_server::api::Limits;
 use tokio::{
@@ -97,19 +102,16 @@ async fn the_newest_value_is_at_hand_and_what_was_replaced_is_counted() {
         rig.publish(objects(3));
         assert_eq!(self::sequence(&next(&mut all).await), sequence);
     }
-    let newest = async {
-        loop {
-            let newest = latest.value().unwrap().unwrap();
-            if newest.sequence == 6 {
-                return;
-            }
+    // Nobody has asked meanwhile: of the five that followed the newest is at hand, and the four before it were replaced.
+    let come = async {
+        while latest.skipped() + latest.missed() < 4 {
             tokio::time::sleep(Duration::from_millis(1)).await;
         }
     };
-    timeout(HANG, newest).await.expect("the newest snapshot is not at hand");
-    assert_eq!(latest.missed(), 0);
-    // Between the first and the newest four came, of which some may have been looked at on the way.
-    assert!(latest.skipped() <= 4);
+    timeout(HANG, come).await.expect("what was replaced is not counted");
+    assert_eq!((latest.skipped(), latest.missed()), (4, 0));
+    assert_eq!(latest.value().unwrap().unwrap().sequence, 6);
+    assert_eq!(latest.skipped(), 4, "one that was taken is none that was skipped");
     let waiting = timeout(Duration::from_millis(50), latest.next()).await;
     assert!(waiting.is_err(), "a value that was taken came again: {waiting:?}");
 
@@ -117,6 +119,32 @@ async fn the_newest_value_is_at_hand_and_what_was_replaced_is_counted() {
     let error = timeout(HANG, refused.next()).await.unwrap().unwrap_err();
     assert!(error.to_string().contains("any of robot, cart"), "{error}");
     assert_eq!(refused.value().unwrap_err(), error);
+    rig.stop().await;
+}
+
+#[tokio::test]
+async fn who_reads_too_slowly_learns_how_many_it_missed() {
+    const LAST: u64 = 100;
+    let rig = Rig::start().await;
+    let connect = || Client::connect(&rig.address);
+    let mut slow = connect().await.unwrap().snapshots(Subscription::default());
+    let mut quick = connect().await.unwrap().snapshots(Subscription::default());
+    rig.publish(objects(1));
+    assert_eq!(sequence(&next(&mut slow).await), 1);
+    assert_eq!(sequence(&next(&mut quick).await), 1);
+    // About 60 kB each, of which a stream holds a handful.
+    for published in 2..=LAST {
+        rig.publish(objects(150));
+        assert_eq!(sequence(&next(&mut quick).await), published);
+    }
+    assert_eq!(quick.missed(), 0, "a slow neighbour is nobody's concern");
+    let (mut received, mut newest) = (1, 1);
+    while newest < LAST {
+        newest = sequence(&next(&mut slow).await);
+        received += 1;
+    }
+    assert!(slow.missed() > LAST / 2, "{} were missed", slow.missed());
+    assert_eq!(received + slow.missed(), LAST);
     rig.stop().await;
 }
 
@@ -209,10 +237,20 @@ async fn a_server_that_comes_up_late_is_no_reconnection() {
     let client = Client::connect_lazily(&address).unwrap();
     let mut snapshots = client.snapshots(Subscription::default());
     let early = next(&mut snapshots).await;
-    assert!(matches!(early, Update::Disconnected { tries: 0, .. }), "{early:?}");
+    assert!(matches!(early, Update::Disconnected { tries: 1, .. }), "{early:?}");
+    let mut latest = client.latest(Subscription::default());
+    assert_eq!(latest.link().tries, 0);
+    let link = timeout(HANG, latest.link_changed()).await.unwrap();
+    assert!(link.state == LinkState::Connecting && link.tries > 0, "{link:?}");
+    assert_eq!(link.losses, 0);
     let rig = Rig::start_with(rig::hub("run"), Limits::default(), &address).await;
     rig.publish(objects(1));
     assert_eq!(sequence(&next_but_tries(&mut snapshots).await), 1);
+    timeout(HANG, latest.next()).await.unwrap().unwrap();
+    while latest.link().state != LinkState::Connected {
+        timeout(HANG, latest.link_changed()).await.unwrap();
+    }
+    assert_eq!((latest.link().tries, latest.link().losses), (0, 0));
     rig.stop().await;
 }
 
@@ -276,6 +314,58 @@ async fn nobody_waits_for_ever_for_an_answer() {
     rig.publish(objects(1));
     assert_eq!(sequence(&next(&mut snapshots).await), 2);
     rig.stop().await;
+}
+
+#[tokio::test]
+async fn calls_that_take_a_server_long_are_waited_for_longer() {
+    // Somebody notes for how long each call is waited for, and knows none of them.
+    let heard = Arc::new(Mutex::new(BTreeMap::new()));
+    let (noted, (listener, address)) = (heard.clone(), free_port().await);
+    let note = move |call: Uri, headers: HeaderMap| async move {
+        let call = call.path().trim_start_matches("/roundel.v1.Roundel/").to_owned();
+        let told = headers["grpc-timeout"].to_str().unwrap().to_owned();
+        noted.lock().unwrap().insert(call, told);
+        [("content-type", "application/grpc"), ("grpc-status", "12")]
+    };
+    let app = axum::Router::new().fallback(note);
+    let other = tokio::spawn(async move { axum::serve(listener, app).await });
+    let client = Client::connect_lazily(&address).unwrap();
+    let usual = ["AddObject", "GetServerInfo", "ListObjects"].map(|call| (call, "15000000u"));
+    let long = [
+        "TestSource",
+        "AddCamera",
+        "ChangeCamera",
+        "RemoveCamera",
+        "ApplyConfiguration",
+        "StopRecording",
+        "QueryHistory",
+    ];
+    let long = long.map(|call| (call, "60000000u"));
+    let owned = |(call, told): (&str, &str)| (call.to_owned(), told.to_owned());
+    let expected: BTreeMap<_, _> = usual.into_iter().chain(long).map(owned).collect();
+    timeout(HANG, ask_in_vain(&client)).await.unwrap();
+    assert_eq!(std::mem::take(&mut *heard.lock().unwrap()), expected);
+    // Who says otherwise says it of all.
+    let client = client.with_timeout(Duration::from_secs(20));
+    timeout(HANG, ask_in_vain(&client)).await.unwrap();
+    let told = std::mem::take(&mut *heard.lock().unwrap());
+    assert!(told.len() == 10 && told.values().all(|told| told == "20000000u"), "{told:?}");
+    other.abort();
+}
+
+/// Every call that takes a server long, and some others.
+async fn ask_in_vain(client: &Client) {
+    let camera = v1::CameraSetup::default;
+    client.info().await.unwrap_err();
+    client.objects().await.unwrap_err();
+    client.add_object(v1::ObjectSetup::default()).await.unwrap_err();
+    client.test_source("sim:", None).await.unwrap_err();
+    client.add_camera(camera()).await.unwrap_err();
+    client.change_camera("north", camera(), &[]).await.unwrap_err();
+    client.remove_camera("north").await.unwrap_err();
+    client.apply_configuration("", "").await.unwrap_err();
+    client.stop_recording().await.unwrap_err();
+    client.history(v1::QueryHistoryRequest::default()).await.unwrap_err();
 }
 
 async fn free_port() -> (TcpListener, String) {
