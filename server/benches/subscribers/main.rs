@@ -22,6 +22,7 @@ mod serve;
 mod websocket;
 
 use std::{
+    collections::BTreeMap,
     io::{BufRead, BufReader},
     net::SocketAddr,
     process::{Child, Command, Stdio},
@@ -111,8 +112,17 @@ fn main() {
         .enable_all()
         .build()
         .expect("a runtime");
+    let mut us = BTreeMap::new();
     for case in cases {
-        runtime.block_on(run(*case, Duration::from_secs_f64(seconds)));
+        us.insert(case.name, runtime.block_on(run(*case, Duration::from_secs_f64(seconds))));
+    }
+    for (shared, reencoded) in [("lean", "lean-reencoded"), ("full", "full-reencoded")] {
+        if let (Some(shared_us), Some(reencoded_us)) = (us.get(shared), us.get(reencoded)) {
+            let ratio = reencoded_us / shared_us;
+            println!(
+                "{shared}: encoded anew for each, a message takes the server {ratio:.1} times as long"
+            );
+        }
     }
 }
 
@@ -151,7 +161,8 @@ impl Drop for Served {
     }
 }
 
-async fn run(case: Case, length: Duration) {
+/// Measures a case; how much of a processor's time a message took the server, microseconds.
+async fn run(case: Case, length: Duration) -> f64 {
     let server = Served::start(&case);
     let readings = Readings::default();
     let mut clients = tokio::task::JoinSet::new();
@@ -178,13 +189,15 @@ async fn run(case: Case, length: Duration) {
     let end = Usage::of(server.process.id());
     let readers = case.grpc + case.websockets - case.stuck;
     println!("{}: {}", case.name, readings.line(readers, length));
+    let cores = end.cores_since(&begin);
+    let us = 1e6 * cores * length.as_secs_f64() / readings.count() as f64;
     println!(
-        "    server {:.2} cores, clients {:.2}; memory {:.0} MB at the begin, {:.0} at the end, {:.0} at most",
-        end.cores_since(&begin),
+        "    server {cores:.2} cores, {us:.1} us a message; clients {:.2}; memory {:.0} MB at the begin, {:.0} at the end, {:.0} at most",
         end.others_since(&begin),
         begin.memory_mb,
         end.memory_mb,
         most_mb,
     );
     clients.shutdown().await;
+    us
 }

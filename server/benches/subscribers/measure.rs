@@ -36,6 +36,11 @@ impl Readings {
         *self.0.lock().unwrap_or_else(PoisonError::into_inner) = Received::default();
     }
 
+    /// How many messages were.
+    pub fn count(&self) -> usize {
+        self.0.lock().unwrap_or_else(PoisonError::into_inner).latencies_us.len()
+    }
+
     /// For a person.
     pub fn line(&self, readers: usize, length: Duration) -> String {
         let mut received = self.0.lock().unwrap_or_else(PoisonError::into_inner);
