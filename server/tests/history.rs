@@ -69,7 +69,10 @@ async fn where_objects_were_is_kept_over_a_restart() {
         assert_eq!(client.history(nowhere).await.unwrap().points, 0);
         let wrong = part(corner(1.0, 0.0, 0.0), corner(0.0, 1.0, 1.0));
         let error = client.history(wrong).await.unwrap_err().to_string();
-        assert!(error.contains("max.x: expected at least 1 (min.x), found 0"), "{error}");
+        assert!(
+            error.contains("region.max.x: expected at least 1 (region.min.x), found 0"),
+            "{error}"
+        );
         server.shutdown().await;
     }
 }

@@ -27,6 +27,17 @@ use crate::{
 
 const HOUR_S: f64 = 3600.0;
 
+/// What a request's fields are called, for errors.
+struct Fields {
+    from: &'static str,
+    until: &'static str,
+    corners: [&'static str; 2],
+}
+
+const PARAMETERS: Fields = Fields { from: "from", until: "until", corners: ["min", "max"] };
+const MESSAGE_FIELDS: Fields =
+    Fields { from: "from_time_ns", until: "until_time_ns", corners: ["region.min", "region.max"] };
+
 /// Where objects were: ever fewer points of what is longer ago.
 #[utoipa::path(
     get, path = "/api/v1/history", tag = "poses",
@@ -51,7 +62,7 @@ pub async fn show(
     let mut parameters = Parameters::of(&uri)?;
     let request = wish(&mut parameters)?;
     parameters.finish()?;
-    query(&api, request).await.map(Json)
+    answered(&api, request, &PARAMETERS).await.map(Json)
 }
 
 /// The same as a table for other programs, without thinning.
@@ -128,7 +139,7 @@ async fn whole(api: &Api, uri: &Uri) -> Result<Answer, ApiError> {
     let mut request = wish(&mut parameters)?;
     parameters.finish()?;
     request.max_points = 0;
-    let question = question(api, request)?;
+    let question = question(api, request, &PARAMETERS)?;
     ask(api, Question { max_points: MAX_EXPORTED, step_s: Some(step_s), ..question }).await
 }
 
@@ -148,11 +159,23 @@ pub(super) async fn query(
     api: &Api,
     request: v1::QueryHistoryRequest,
 ) -> Result<v1::QueryHistoryResponse, ApiError> {
-    let question = question(api, request)?;
+    answered(api, request, &MESSAGE_FIELDS).await
+}
+
+async fn answered(
+    api: &Api,
+    request: v1::QueryHistoryRequest,
+    fields: &Fields,
+) -> Result<v1::QueryHistoryResponse, ApiError> {
+    let question = question(api, request, fields)?;
     Ok(convert::history(&ask(api, question).await?))
 }
 
-fn question(api: &Api, request: v1::QueryHistoryRequest) -> Result<Question, ApiError> {
+fn question(
+    api: &Api,
+    request: v1::QueryHistoryRequest,
+    fields: &Fields,
+) -> Result<Question, ApiError> {
     let until = match request.until_time_ns {
         0 => api.clock.now(),
         ns => Timestamp::from_ns(ns),
@@ -162,14 +185,15 @@ fn question(api: &Api, request: v1::QueryHistoryRequest) -> Result<Question, Api
         ns => Timestamp::from_ns(ns),
     };
     if from > until {
-        return Err(ApiError::invalid("from", "a time before `until`", from.as_ns()));
+        let expected = format!("a time before `{}`", fields.until);
+        return Err(ApiError::invalid(fields.from, expected, from.as_ns()));
     }
     let max_points = match request.max_points as usize {
         0 => MAX_POINTS,
         most if most <= MAX_POINTS => most,
         most => return Err(ApiError::invalid("max_points", format!("1 to {MAX_POINTS}"), most)),
     };
-    let region = request.region.map(|it| Region::checked(it, ["min", "max"])).transpose()?;
+    let region = request.region.map(|it| Region::checked(it, fields.corners)).transpose()?;
     let region_m = region.map(|it| [it.min_m.into(), it.max_m.into()]);
     let objects = request.objects;
     Ok(Question { objects, region_m, from, until, max_points, step_s: None })
