@@ -20,6 +20,8 @@ use super::{encoded::Form, port::Sheet, selection::Filter};
 const MOST_AGE: Duration = Duration::from_millis(1);
 /// So many have to want the same.
 const MANY: usize = 24;
+/// For so many snapshots it is known how many wanted something: with a limit of the rate not each one is wanted.
+const REMEMBERED: u64 = 16;
 /// A longer message goes to each by itself, in pieces as there is room.
 const MOST_BYTES: usize = 256 * 1024;
 
@@ -47,21 +49,26 @@ struct All {
 #[derive(Debug, Default)]
 struct Wanted {
     sequence: u64,
-    /// By how many, of this snapshot and of the one before.
+    /// By how many, of this snapshot and of the one before of which it was.
     now: usize,
     before: usize,
     sheet: Option<Arc<Sheet>>,
 }
 
 impl Wanted {
+    /// Whether, at the snapshot of this number, it is still known by how many it was.
+    fn is_known(&self, sequence: u64) -> bool {
+        sequence - self.sequence <= REMEMBERED
+    }
+
     fn begin(&mut self, sequence: u64) {
-        self.before = if self.sequence + 1 == sequence { self.now } else { 0 };
+        self.before = if self.is_known(sequence) { self.now } else { 0 };
         (self.sequence, self.now, self.sheet) = (sequence, 0, None);
     }
 }
 
 impl Sheets {
-    /// A message of so many bytes about the snapshot of this number, if as many wanted the same of the one before that it
+    /// A message of so many bytes about the snapshot of this number, if as many wanted the same of one before that it
     /// is worth while.
     pub(super) fn sheet(
         &self,
@@ -73,7 +80,7 @@ impl Sheets {
         let mut all = self.lock();
         if all.sequence < sequence {
             all.sequence = sequence;
-            all.of.retain(|_, wanted| wanted.sequence + 1 >= sequence);
+            all.of.retain(|_, wanted| wanted.is_known(sequence));
         }
         if all.sequence > sequence {
             return None;
@@ -117,16 +124,19 @@ mod tests {
                 }
             }
         }
-        // Of the snapshot before, nobody wanted it by the third stream's number.
-        assert!(want(3, 1).is_some() && want(3, 3).is_none());
+        // By a stream of another number nobody has wanted it.
+        assert!(want(3, 1).is_some() && want(3, 7).is_none());
         // One that is behind gets none.
         assert!(want(2, 1).is_none());
         let [a, b] = [want(3, 1), want(3, 1)].map(Option::unwrap);
         assert!(Arc::ptr_eq(&a, &b));
         let long = sheets.sheet((3, MOST_BYTES + 1), (&filter, Way::Grpc(1)), make);
         assert!(long.is_none());
-        // Once nobody has wanted one, it is not known any more how many will.
-        assert!(want(5, 1).is_none());
+        // Of whom a limit of the rate has them want every other one, that is known as well.
+        let every_other = |sequence| (0..MANY).fold(None, |_, _| want(sequence, 5));
+        assert!(every_other(4).is_none() && every_other(6).is_some());
+        // Once nobody has wanted one for long, it is not known any more how many will.
+        assert!(want(6 + REMEMBERED + 1, 1).is_none());
         assert_eq!(sheets.lock().of.len(), 1);
     }
 }
