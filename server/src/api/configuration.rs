@@ -5,7 +5,7 @@ use std::sync::Arc;
 use axum::{
     Json,
     body::Bytes,
-    extract::State,
+    extract::{State, rejection::BytesRejection},
     http::{HeaderMap, HeaderValue, header},
     response::{IntoResponse, Response},
 };
@@ -68,10 +68,10 @@ pub async fn text(State(api): State<Arc<Api>>) -> Result<Response, ApiError> {
 pub async fn check(
     State(api): State<Arc<Api>>,
     headers: HeaderMap,
-    body: Bytes,
+    body: Result<Bytes, BytesRejection>,
 ) -> Result<Json<v1::ConfigurationCheck>, ApiError> {
     let of_text = |toml| v1::CheckConfigurationRequest { toml };
-    check_text(&api, request(&headers, &body, of_text)?).await.map(Json)
+    check_text(&api, request(&headers, body, of_text)?).await.map(Json)
 }
 
 /// Puts a configuration in the place of the one in force, in its file too, while all that is the same in both goes on.
@@ -94,10 +94,10 @@ pub async fn check(
 pub async fn apply(
     State(api): State<Arc<Api>>,
     headers: HeaderMap,
-    body: Bytes,
+    body: Result<Bytes, BytesRejection>,
 ) -> Result<Json<v1::AppliedConfiguration>, ApiError> {
     let of_text = |toml| v1::ApplyConfigurationRequest { toml, version: String::new() };
-    let mut request = request(&headers, &body, of_text)?;
+    let mut request = request(&headers, body, of_text)?;
     if let Some(version) = headers.get(header::IF_MATCH).filter(|_| request.version.is_empty()) {
         let version = String::from_utf8_lossy(version.as_bytes());
         let version = version.trim().trim_matches('"');
@@ -136,14 +136,15 @@ pub(super) async fn apply_text(
 /// A request, or the text alone.
 fn request<T: DeserializeOwned>(
     headers: &HeaderMap,
-    body: &Bytes,
+    body: Result<Bytes, BytesRejection>,
     of_text: impl FnOnce(String) -> T,
 ) -> Result<T, ApiError> {
+    let body = body.map_err(|error| ApiError::unread(&error))?;
     let content_type = headers.get(header::CONTENT_TYPE).map_or(&b""[..], HeaderValue::as_bytes);
     let wrong = |found: String| ApiError::invalid("body", format!("JSON such as {EXAMPLE}"), found);
     if content_type.starts_with(TOML.as_bytes()) {
         let text = String::from_utf8(body.to_vec());
         return text.map(of_text).map_err(|error| wrong(error.to_string()));
     }
-    serde_json::from_slice(body).map_err(|error| wrong(error.to_string()))
+    serde_json::from_slice(&body).map_err(|error| wrong(error.to_string()))
 }

@@ -2,7 +2,7 @@
 
 use axum::{
     Json,
-    extract::rejection::JsonRejection,
+    extract::rejection::{BytesRejection, JsonRejection},
     http::StatusCode,
     response::{IntoResponse, Response},
 };
@@ -12,6 +12,8 @@ use serde_json::{Map, Value};
 use tonic::{Code, Status};
 use tonic_types::{ErrorDetails, StatusExt};
 use utoipa::ToSchema;
+
+use super::MAX_REQUEST_BYTES;
 
 /// Said to every stream and connection that the end of the server cuts off.
 pub const SHUTTING_DOWN: &str = "server is shutting down";
@@ -71,6 +73,9 @@ pub enum ApiError {
     /// A limit of the server is reached.
     #[error("{0}")]
     ResourceExhausted(String),
+    /// A request is larger than the server takes.
+    #[error("expected a request of at most {MAX_REQUEST_BYTES} bytes, and this one has more")]
+    TooLarge,
     /// A fault of the server's own.
     #[error("{0}")]
     Internal(String),
@@ -95,10 +100,19 @@ impl ApiError {
         body: Result<Json<T>, JsonRejection>,
         example: &str,
     ) -> Result<T, ApiError> {
-        let refused = |error: JsonRejection| {
-            Self::invalid("body", format!("JSON such as {example}"), error.body_text())
+        let refused = |error| match error {
+            JsonRejection::BytesRejection(error) => Self::unread(&error),
+            other => Self::invalid("body", format!("JSON such as {example}"), other.body_text()),
         };
         body.map(|Json(body)| body).map_err(refused)
+    }
+
+    /// Why a body did not come whole.
+    pub(super) fn unread(error: &BytesRejection) -> Self {
+        match error.status() {
+            StatusCode::PAYLOAD_TOO_LARGE => Self::TooLarge,
+            _ => Self::invalid("body", "all of it", error.body_text()),
+        }
     }
 
     /// What a body that changes some fields holds, and which these are; null stands for none.
@@ -138,6 +152,7 @@ impl ApiError {
             Self::ResourceExhausted(_) => {
                 ("resource_exhausted", Code::ResourceExhausted, StatusCode::SERVICE_UNAVAILABLE)
             }
+            Self::TooLarge => ("too_large", Code::OutOfRange, StatusCode::PAYLOAD_TOO_LARGE),
             Self::Internal(_) => ("internal", Code::Internal, StatusCode::INTERNAL_SERVER_ERROR),
         }
     }

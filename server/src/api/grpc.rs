@@ -18,7 +18,7 @@ use tonic_health::server::HealthReporter;
 use tower::service_fn;
 
 use super::{
-    Api, calibration, configuration,
+    Api, MAX_REQUEST_BYTES, calibration, configuration,
     error::{ApiError, SHUTTING_DOWN},
     history, objects as configured, picture, push, recording, replay, rest,
     selection::{self, MESSAGE_FIELDS, Selection},
@@ -30,9 +30,6 @@ pub(super) use answer::{
     objects, removed,
 };
 pub(super) use observer::Observer;
-
-/// Largest request; lists of ids are the only large thing in one.
-const MAX_REQUEST_BYTES: usize = 256 * 1024;
 
 type Messages<T> = Pin<Box<dyn Stream<Item = Result<T, Status>> + Send>>;
 

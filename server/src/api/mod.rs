@@ -70,7 +70,7 @@ use std::{
     time::Duration,
 };
 
-use axum::{Router, middleware};
+use axum::{Router, extract::DefaultBodyLimit, middleware};
 use roundel_core::{marker::Kind, plan::Trials};
 use tokio::net::TcpListener;
 use tokio_util::sync::CancellationToken;
@@ -88,6 +88,9 @@ use crate::{
     source::{fleet::Fleets, push::Ports},
     trial::Trier,
 };
+
+/// Largest request, by whichever protocol; of pushed frames see [`push`].
+const MAX_REQUEST_BYTES: usize = 256 * 1024;
 
 /// What the port allows.
 #[derive(Clone, Copy, Debug)]
@@ -298,5 +301,6 @@ fn http_router(api: Arc<Api>) -> Router {
         .fallback(page::file)
         .method_not_allowed_fallback(async || ApiError::MethodNotAllowed)
         .layer(middleware::map_response(page::with_security_headers))
+        .layer(DefaultBodyLimit::max(MAX_REQUEST_BYTES))
         .with_state(api)
 }

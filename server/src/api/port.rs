@@ -267,7 +267,7 @@ async fn converse(stream: Counted, language: Language, dispatch: Dispatch, api: 
     let mut connection = pin!(protocol.serve_connection_with_upgrades(io, service));
     let ended = tokio::select! {
         ended = poll_fn(|context| stream.poll_through(connection.as_mut(), context)) => ended,
-        () = stuck(&answers, &stream, api.limits.send_timeout) => {
+        () = stuck(|| answers.waiting().max(stream.stuck_for()), api.limits.send_timeout) => {
             let limit = api.limits.send_timeout;
             tracing::info!(?limit, "cutting off a client that takes nothing of what there is for it");
             api.counters.subscribers_cut.fetch_add(1, Ordering::Relaxed);

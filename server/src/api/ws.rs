@@ -9,6 +9,7 @@ mod socket;
 mod wanted;
 
 use std::{
+    convert::Infallible,
     pin::pin,
     sync::{Arc, atomic::Ordering},
     time::Duration,
@@ -27,10 +28,11 @@ use roundel_proto::v1;
 use serde::Serialize;
 use tokio::{
     sync::broadcast,
-    time::{Instant, Interval, MissedTickBehavior, interval, interval_at, timeout},
+    time::{Instant, Interval, MissedTickBehavior, interval, interval_at, sleep, timeout},
 };
 use tokio_tungstenite::tungstenite::{
     self, Message,
+    error::ProtocolError,
     protocol::{
         CloseFrame, WebSocketConfig,
         frame::coding::{CloseCode, Data},
@@ -38,12 +40,12 @@ use tokio_tungstenite::tungstenite::{
 };
 
 use super::{
-    Api,
+    Api, MAX_REQUEST_BYTES,
     encoded::Form,
     error::{ApiError, ErrorBody, SHUTTING_DOWN},
     feed::{Due, Feed},
     grpc,
-    port::Sheet,
+    port::{Line, Sheet},
     sheets::Way,
 };
 use crate::{convert, hub};
@@ -53,8 +55,6 @@ use wanted::Wanted;
 /// Clients say little. What is sent to them needs no buffer, since each message is flushed: without this, a thousand
 /// pages would take 256 MB.
 const READ_BUFFER_BYTES: usize = 4 * 1024;
-/// Largest message that a client may send.
-const MAX_INCOMING_BYTES: usize = 64 * 1024;
 /// How often a client is asked whether it lives.
 const PING_INTERVAL: Duration = Duration::from_secs(5);
 /// A client that answers no ping for this long is cut off.
@@ -106,8 +106,8 @@ pub async fn stream(
     let chosen = handshake.choose(&protocols, &PROTOCOLS);
     let form = if chosen == Some(PROTOCOLS[1]) { Form::Protobuf } else { Form::Json };
     let config = WebSocketConfig::default()
-        .max_message_size(Some(MAX_INCOMING_BYTES))
-        .max_frame_size(Some(MAX_INCOMING_BYTES))
+        .max_message_size(Some(MAX_REQUEST_BYTES))
+        .max_frame_size(Some(MAX_REQUEST_BYTES))
         .read_buffer_size(READ_BUFFER_BYTES)
         .write_buffer_size(0);
     Ok(handshake.answer(config, move |socket| Session::new(api, wanted, form).run(socket)))
@@ -175,8 +175,26 @@ fn before_snapshot(own: &[u8], shared_bytes: usize) -> Vec<u8> {
 enum End {
     /// The server goes down: the client is told.
     Shutdown,
+    /// The client said something that ends a WebSocket: it is told what.
+    Wrong(CloseCode, String),
     /// The client has gone, or does not read: nothing can be told.
     Gone,
+}
+
+impl End {
+    /// By what reading a message ended in (RFC 6455, section 7.4.1).
+    fn of(error: &tungstenite::Error) -> Self {
+        use tungstenite::Error;
+        match error {
+            Error::Capacity(_) => Self::Wrong(CloseCode::Size, ApiError::TooLarge.to_string()),
+            Error::Utf8(_) => {
+                Self::Wrong(CloseCode::Invalid, "expected a text in UTF-8".to_owned())
+            }
+            Error::Protocol(ProtocolError::ResetWithoutClosingHandshake) => Self::Gone,
+            Error::Protocol(error) => Self::Wrong(CloseCode::Protocol, error.to_string()),
+            _ => Self::Gone,
+        }
+    }
 }
 
 /// One open WebSocket.
@@ -218,22 +236,27 @@ impl Session {
     }
 
     async fn run(mut self, mut socket: Socket) {
-        let Err(End::Shutdown) = self.converse(&mut socket).await else {
-            return;
+        let Err(end) = self.converse(&mut socket).await;
+        let (code, reason) = match end {
+            End::Shutdown => (CloseCode::Away, SHUTTING_DOWN.to_owned()),
+            End::Wrong(code, reason) => (code, reason),
+            End::Gone => return,
         };
-        let frame = CloseFrame { code: CloseCode::Away, reason: SHUTTING_DOWN.into() };
+        let frame = CloseFrame { code, reason: reason.into() };
         // Reading on until the client has answered keeps the frame from being lost in a reset.
         let farewell = async {
             socket.send(Message::Close(Some(frame))).await?;
             while let Some(message) = socket.recv().await {
-                message?;
+                if message.is_err() {
+                    return socket.drain().await;
+                }
             }
-            Ok::<_, tungstenite::Error>(())
+            Ok(())
         };
         let _ = timeout(CLOSE_TIMEOUT, farewell).await;
     }
 
-    async fn converse(&mut self, socket: &mut Socket) -> Result<(), End> {
+    async fn converse(&mut self, socket: &mut Socket) -> Result<Infallible, End> {
         let mut pings = interval_at(Instant::now() + PING_INTERVAL, PING_INTERVAL);
         pings.set_missed_tick_behavior(MissedTickBehavior::Delay);
         let mut last_heard = Instant::now();
@@ -251,7 +274,8 @@ impl Session {
                             Err(error) => Outgoing::Error(error.into()),
                         }
                     }
-                    Some(Err(_)) | None => return Err(End::Gone),
+                    Some(Err(error)) => return Err(End::of(&error)),
+                    None => return Err(End::Gone),
                 },
                 _ = pings.tick() => {
                     if last_heard.elapsed() > SILENCE_TIMEOUT {
@@ -320,6 +344,7 @@ impl Session {
 
     /// Sends, unless the client does not read or the server goes down meanwhile.
     async fn transmit(&self, socket: &mut Socket, message: Written) -> Result<(), End> {
+        let line = socket.line();
         let mut send = pin!(async {
             match message {
                 Written::Whole(message) => socket.send(message).await,
@@ -328,20 +353,26 @@ impl Session {
             }
         });
         tokio::select! {
-            sent = timeout(self.api.limits.send_timeout, &mut send) => match sent {
-                Ok(Ok(())) => Ok(()),
-                Ok(Err(_)) => Err(End::Gone),
-                Err(_) => {
-                    self.api.counters.subscribers_cut.fetch_add(1, Ordering::Relaxed);
-                    Err(End::Gone)
-                }
-            },
+            biased;
+            sent = &mut send => sent.map_err(|_| End::Gone),
+            () = stuck(line, self.api.limits.send_timeout) => {
+                self.api.counters.subscribers_cut.fetch_add(1, Ordering::Relaxed);
+                Err(End::Gone)
+            }
             // What is said last must not end up within the message.
             () = self.api.cancel.cancelled() => match timeout(CLOSE_TIMEOUT, &mut send).await {
                 Ok(Ok(())) => Err(End::Shutdown),
                 _ => Err(End::Gone),
             },
         }
+    }
+}
+
+/// Waits until a client has taken nothing for so long.
+async fn stuck(line: Option<Line>, limit: Duration) {
+    match line {
+        Some(line) => line.stuck(limit).await,
+        None => sleep(limit).await,
     }
 }
 

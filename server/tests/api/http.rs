@@ -18,6 +18,25 @@ use serde_json::Value;
 use crate::rig::{Rig, objects};
 
 #[tokio::test]
+async fn a_body_that_is_too_long_is_answered_as_all_that_is_wrong() {
+    let rig = Rig::start().await;
+    for (method, path, content_type) in [
+        ("POST", "configuration/check", "application/toml"),
+        ("PUT", "configuration", "application/json"),
+        ("POST", "sources/test", "application/json"),
+        ("POST", "simulation/drive", "application/json"),
+    ] {
+        let request = Request::builder().method(method).uri(format!("{}/api/v1/{path}", rig.url()));
+        let request = request.header("content-type", content_type);
+        let answer = rig.request(request.body(Body::from(vec![b' '; 262_145])).unwrap()).await;
+        let (code, message) = answer.error();
+        assert_eq!((answer.status, code.as_str()), (StatusCode::PAYLOAD_TOO_LARGE, "too_large"));
+        assert!(message.contains("at most 262144 bytes"), "{path}: {message}");
+    }
+    rig.stop().await;
+}
+
+#[tokio::test]
 async fn the_snapshot_is_grpcs_in_json() {
     let rig = Rig::start().await;
     rig.publish(objects(6));

@@ -71,6 +71,32 @@ async fn shutdown_does_not_wait_for_stuck_clients() {
 }
 
 #[tokio::test]
+async fn subscriptions_beyond_the_limit_are_told_so() {
+    let limits = Limits { max_clients: 2, ..Limits::default() };
+    let rig = Rig::start_with(rig::hub("run"), limits, "127.0.0.1:0").await;
+    rig.publish(objects(1));
+    let mut client = grpc::connect(&rig).await;
+    let mut open = Vec::new();
+    for _ in 0..8 {
+        let request = v1::SubscribeSnapshotsRequest::default();
+        let mut snapshots = client.subscribe_snapshots(request).await.unwrap().into_inner();
+        assert_eq!(grpc::next(&mut snapshots).await.sequence, 1);
+        open.push(snapshots);
+    }
+    let subscribe = v1::SubscribeSnapshotsRequest::default;
+    let status = client.subscribe_snapshots(subscribe()).await.unwrap_err();
+    assert_eq!(status.code(), Code::ResourceExhausted);
+    assert!(
+        status.message().contains("8, which is 4 for each of [limits] max_clients"),
+        "{status}"
+    );
+    open.pop();
+    let free = async { while client.subscribe_snapshots(subscribe()).await.is_err() {} };
+    timeout(HANG, free).await.expect("a place that was given up is not free");
+    rig.stop().await;
+}
+
+#[tokio::test]
 async fn connections_beyond_the_limit_are_told_so() {
     let limits = Limits { max_clients: 2, ..Limits::default() };
     let rig = Rig::start_with(rig::hub("run"), limits, "127.0.0.1:0").await;

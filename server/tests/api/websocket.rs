@@ -15,7 +15,14 @@ use serde_json::Value;
 use tokio::{net::TcpStream, time::timeout};
 use tokio_tungstenite::{
     MaybeTlsStream, WebSocketStream, connect_async,
-    tungstenite::{self, Message, client::IntoClientRequest},
+    tungstenite::{
+        self, Message,
+        client::IntoClientRequest,
+        protocol::frame::{
+            Frame,
+            coding::{CloseCode, Data, OpCode},
+        },
+    },
 };
 
 use crate::rig::{self, HANG, Rig, objects};
@@ -240,21 +247,41 @@ pub async fn next_binary(socket: &mut Socket) -> Alternative {
 }
 
 #[tokio::test]
-async fn a_client_that_says_too_much_is_cut_off() {
+async fn a_client_that_says_too_much_hears_so_and_is_cut_off() {
     let rig = Rig::start().await;
-    let mut talker = open(&rig, "").await;
     let mut other = open(&rig, "").await;
-    talker.send(Message::binary(vec![0; 100_000])).await.unwrap();
-    let end = async {
-        while let Some(Ok(message)) = talker.next().await {
-            if message.is_close() {
-                break;
+    for (message, code, reason) in [
+        (Message::binary(vec![0; 300_000]), CloseCode::Size, "at most 262144 bytes"),
+        // A text that is none.
+        (
+            Message::Frame(Frame::message(vec![0xff], OpCode::Data(Data::Text), true)),
+            CloseCode::Invalid,
+            "UTF-8",
+        ),
+    ] {
+        let mut talker = open(&rig, "").await;
+        talker.send(message).await.unwrap();
+        let end = async {
+            loop {
+                if let Message::Close(frame) = talker.next().await.unwrap().unwrap() {
+                    break frame.unwrap();
+                }
             }
-        }
-    };
-    timeout(HANG, end).await.expect("a client that says too much is still there");
+        };
+        let end = timeout(HANG, end).await.expect("a client that says too much is still there");
+        assert_eq!(end.code, code);
+        assert!(end.reason.contains(reason), "{end}");
+    }
+    // So many ids as there may be have a place.
+    let ids: Vec<u64> = (1_000_000..1_010_000).collect();
+    let wish = serde_json::json!({"snapshots": {"object_ids": ids}}).to_string();
+    other.send(Message::text(wish)).await.unwrap();
     rig.publish(objects(1));
-    assert_eq!(next_snapshot(&mut other).await.sequence, 1);
+    while !next_snapshot(&mut other).await.objects.is_empty() {
+        rig.publish(objects(1));
+    }
+    let mut other = open(&rig, "").await;
+    assert!(next_snapshot(&mut other).await.sequence > 0);
     rig.stop().await;
 }
 

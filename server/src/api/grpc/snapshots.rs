@@ -32,9 +32,8 @@ use tokio::task::JoinError;
 use tokio_util::task::AbortOnDropHandle;
 use tonic::Status;
 
-use super::MAX_REQUEST_BYTES;
 use crate::api::{
-    Api,
+    Api, MAX_REQUEST_BYTES,
     encoded::{Form, Own},
     error::{ApiError, SHUTTING_DOWN},
     feed::{Due, Feed},
@@ -45,13 +44,16 @@ use crate::api::{
 
 /// Where tonic would look for the call.
 pub(super) const PATH: &str = "/roundel.v1.Roundel/SubscribeSnapshots";
+/// On average: one connection may have more.
+const SUBSCRIPTIONS_PER_CLIENT: usize = 4;
 /// gRPC's header of a message: whether it is compressed, and its length, big-endian.
 const HEADER_BYTES: usize = 5;
 
 /// Answers the call.
 pub(super) async fn subscribe(api: Arc<Api>, request: Request) -> Result<Response, Infallible> {
     let line = request.extensions().get().cloned();
-    let response = match selection(&api, request).await {
+    let selection = selection(&api, request).await;
+    let response = match selection.and_then(|it| Ok(admitted(&api, it)?)) {
         Ok(selection) => {
             let feed = Feed::new(api.clone(), selection);
             let subscription = Subscription { api, feed, line };
@@ -65,11 +67,24 @@ pub(super) async fn subscribe(api: Arc<Api>, request: Request) -> Result<Respons
     Ok(response)
 }
 
+/// The same, if there is room for another subscription: each may want something else, which is to be encoded.
+fn admitted(api: &Api, selection: Selection) -> Result<Selection, ApiError> {
+    let most = SUBSCRIPTIONS_PER_CLIENT * api.limits.max_clients;
+    if api.counters.snapshot_subscribers.load(Ordering::Relaxed) < most as u64 {
+        return Ok(selection);
+    }
+    let limit = format!(
+        "this server has as many subscriptions to snapshots as it takes: {most}, which is {SUBSCRIPTIONS_PER_CLIENT} for \
+         each of [limits] max_clients"
+    );
+    Err(ApiError::ResourceExhausted(limit))
+}
+
 async fn selection(api: &Api, request: Request) -> Result<Selection, Status> {
     let body = Limited::new(request.into_body(), HEADER_BYTES + MAX_REQUEST_BYTES);
     let bytes = body.collect().await.map_err(|error| {
         if error.is::<http_body_util::LengthLimitError>() {
-            Status::out_of_range(format!("expected a request of at most {MAX_REQUEST_BYTES} bytes"))
+            ApiError::TooLarge.into()
         } else {
             Status::cancelled(format!("the request ended early: {error}"))
         }

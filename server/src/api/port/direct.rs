@@ -13,7 +13,7 @@
 //!
 //! Full-policy: one message of a stream is under way at most, and for the next there is the newest snapshot.
 
-use std::{future::poll_fn, io, task::Poll};
+use std::{future::poll_fn, io, task::Poll, time::Duration};
 
 use bytes::{Buf as _, Bytes};
 
@@ -22,6 +22,7 @@ use super::{
     gather::{Gather, Inner},
     sheet::Sheet,
     socket::{Counted, Socket},
+    stuck::stuck,
 };
 
 /// A connection on which messages may go past the library that speaks on it.
@@ -32,6 +33,11 @@ impl Line {
     /// For the stream whose first message will begin like this.
     pub(in crate::api) fn direct(&self, begin: &[u8]) -> Direct {
         Direct::new(&self.0, begin)
+    }
+
+    /// Waits until the client has taken nothing for so long, though there was something for it.
+    pub(in crate::api) async fn stuck(&self, limit: Duration) {
+        stuck(|| self.0.stuck_for(), limit).await;
     }
 
     /// Sends all of a sheet, behind what was written before, on a connection that a WebSocket has taken over. To be

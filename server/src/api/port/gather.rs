@@ -266,8 +266,12 @@ impl<S: Socket> Inner<S> {
         while *sent < sheet.bytes().len() {
             match self.stream.try_send(sheet, *sent) {
                 Ok(0) => return Poll::Ready(Err(io::ErrorKind::WriteZero.into())),
-                Ok(count) => *sent += count,
+                Ok(count) => {
+                    self.note(false);
+                    *sent += count;
+                }
                 Err(error) if error.kind() == io::ErrorKind::WouldBlock => {
+                    self.note(true);
                     ready!(self.stream.poll_writable(context))?;
                 }
                 // That may be of what is sent from; an error of the socket comes again.

@@ -22,8 +22,6 @@ use bytes::{Buf as _, buf::Chain};
 use hyper::body::{Body as _, Frame, SizeHint};
 use tokio::time::sleep;
 
-use super::{gather::Gather, socket::Socket};
-
 /// Most that is handed over at once.
 const PIECE_BYTES: usize = 64 * 1024;
 /// What is no longer than this goes with what follows it, if that is there.
@@ -64,7 +62,7 @@ impl Answers {
     }
 
     /// For how long the one has waited that waits longest.
-    fn waiting(&self) -> Duration {
+    pub(super) fn waiting(&self) -> Duration {
         let all = self.handed_ns.lock().unwrap_or_else(PoisonError::into_inner);
         let since = all.iter().filter_map(|it| Some(it.upgrade()?.load(Ordering::Relaxed)));
         let oldest = since.filter(|&ns| ns != 0).min().map(Duration::from_nanos);
@@ -72,11 +70,11 @@ impl Answers {
     }
 }
 
-/// Waits until the client of a connection has been stuck for so long.
-pub(super) async fn stuck<S: Socket>(answers: &Answers, socket: &Gather<S>, limit: Duration) {
+/// Waits until a client has been stuck for so long, where `stuck_for` says how long it is by now.
+pub(super) async fn stuck(stuck_for: impl Fn() -> Duration, limit: Duration) {
     loop {
         sleep(limit / LOOKS).await;
-        if answers.waiting().max(socket.stuck_for()) > limit {
+        if stuck_for() > limit {
             return;
         }
     }

@@ -136,6 +136,17 @@ impl Socket {
         message
     }
 
+    /// What it goes over.
+    pub(super) fn line(&self) -> Option<Line> {
+        self.line.clone()
+    }
+
+    /// Reads on, whatever comes, until the client hangs up.
+    pub(super) async fn drain(&mut self) -> Result<(), tungstenite::Error> {
+        tokio::io::copy(self.stream.get_mut(), &mut tokio::io::sink()).await?;
+        Ok(())
+    }
+
     /// Sends a message. To be awaited to its end, or never again.
     pub(super) async fn send(&mut self, message: Message) -> Result<(), tungstenite::Error> {
         self.stream.send(message).await
