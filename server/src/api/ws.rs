@@ -242,14 +242,16 @@ impl Session {
             End::Wrong(code, reason) => (code, reason),
             End::Gone => return,
         };
+        let is_understood = code == CloseCode::Away;
         let frame = CloseFrame { code, reason: reason.into() };
         // Reading on until the client has answered keeps the frame from being lost in a reset.
         let farewell = async {
             socket.send(Message::Close(Some(frame))).await?;
+            if !is_understood {
+                return socket.drain().await;
+            }
             while let Some(message) = socket.recv().await {
-                if message.is_err() {
-                    return socket.drain().await;
-                }
+                message?;
             }
             Ok(())
         };

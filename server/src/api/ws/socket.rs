@@ -141,9 +141,11 @@ impl Socket {
         self.line.clone()
     }
 
-    /// Reads on, whatever comes, until the client hangs up.
+    /// Ends what is sent, and reads on, whatever comes, until the client hangs up.
     pub(super) async fn drain(&mut self) -> Result<(), tungstenite::Error> {
-        tokio::io::copy(self.stream.get_mut(), &mut tokio::io::sink()).await?;
+        let connection = self.stream.get_mut();
+        connection.shutdown().await?;
+        tokio::io::copy(connection, &mut tokio::io::sink()).await?;
         Ok(())
     }
 
