@@ -242,20 +242,8 @@ impl Session {
             End::Wrong(code, reason) => (code, reason),
             End::Gone => return,
         };
-        let is_understood = code == CloseCode::Away;
         let frame = CloseFrame { code, reason: reason.into() };
-        // Reading on until the client has answered keeps the frame from being lost in a reset.
-        let farewell = async {
-            socket.send(Message::Close(Some(frame))).await?;
-            if !is_understood {
-                return socket.drain().await;
-            }
-            while let Some(message) = socket.recv().await {
-                message?;
-            }
-            Ok(())
-        };
-        let _ = timeout(CLOSE_TIMEOUT, farewell).await;
+        let _ = timeout(CLOSE_TIMEOUT, socket.close(frame)).await;
     }
 
     async fn converse(&mut self, socket: &mut Socket) -> Result<Infallible, End> {

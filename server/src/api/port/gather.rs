@@ -277,7 +277,9 @@ impl<S: Socket> Inner<S> {
                 // That may be of what is sent from; an error of the socket comes again.
                 Err(_) => {
                     let rest = &sheet.bytes()[*sent..];
-                    match ready!(Pin::new(&mut self.stream).poll_write(context, rest))? {
+                    let written = Pin::new(&mut self.stream).poll_write(context, rest);
+                    self.note(written.is_pending());
+                    match ready!(written)? {
                         0 => return Poll::Ready(Err(io::ErrorKind::WriteZero.into())),
                         count => *sent += count,
                     }

@@ -19,7 +19,7 @@ use tokio_tungstenite::{
         self, Message,
         handshake::server::create_response_with_body,
         protocol::{
-            Role, WebSocketConfig,
+            CloseFrame, Role, WebSocketConfig,
             frame::{
                 FrameHeader,
                 coding::{Data, OpCode},
@@ -141,8 +141,15 @@ impl Socket {
         self.line.clone()
     }
 
-    /// Ends what is sent, and reads on, whatever comes, until the client hangs up.
-    pub(super) async fn drain(&mut self) -> Result<(), tungstenite::Error> {
+    /// Says goodbye, and reads on until the client has answered, or has hung up without: otherwise the frame could be lost
+    /// in a reset.
+    pub(super) async fn close(&mut self, frame: CloseFrame) -> Result<(), tungstenite::Error> {
+        self.send(Message::Close(Some(frame))).await?;
+        while let Some(Ok(_)) = self.recv().await {}
+        if self.is_closing {
+            return Ok(());
+        }
+        // What comes is no WebSocket's, and tungstenite reads it no more.
         let connection = self.stream.get_mut();
         connection.shutdown().await?;
         tokio::io::copy(connection, &mut tokio::io::sink()).await?;
