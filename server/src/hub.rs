@@ -13,7 +13,7 @@ mod objects;
 use std::{
     collections::{BTreeMap, VecDeque},
     sync::{
-        Arc, Mutex, MutexGuard, OnceLock, PoisonError, RwLock,
+        Arc, Mutex, MutexGuard, PoisonError, RwLock,
         atomic::{AtomicBool, AtomicU64, Ordering},
     },
 };
@@ -90,15 +90,10 @@ struct EventLog {
     newest: VecDeque<Arc<Event>>,
 }
 
-/// See [`Hub::on_snapshots`].
-type Begin = Box<dyn Fn(&Hub, &FusedSnapshot) + Send + Sync>;
-
 /// The meeting point of producers and consumers.
 pub struct Hub {
     installation: watch::Sender<Arc<Installation>>,
     snapshot: watch::Sender<Arc<FusedSnapshot>>,
-    /// What is done with each snapshot by who publishes it, while its readers are being woken.
-    begin: OnceLock<Begin>,
     observations: broadcast::Sender<Arc<FrameObservations>>,
     events: broadcast::Sender<Arc<Event>>,
     event_log: Mutex<EventLog>,
@@ -120,7 +115,6 @@ impl Hub {
             cameras: RwLock::new(installation.cameras.keys().map(slot).collect()),
             installation: watch::Sender::new(Arc::new(installation)),
             snapshot: watch::Sender::default(),
-            begin: OnceLock::new(),
             observations: broadcast::Sender::new(OBSERVATIONS_KEPT),
             events: broadcast::Sender::new(EVENTS_KEPT),
             event_log: Mutex::new(EventLog { next_sequence: 1, newest: VecDeque::new() }),
@@ -208,17 +202,6 @@ impl Hub {
             *newest = Arc::new(FusedSnapshot { sequence, fused_time, snapshot });
             self.tap.offer(|| Item::Snapshot(newest.clone()));
         });
-        if let Some(begin) = self.begin.get() {
-            let newest = self.snapshot.borrow().clone();
-            begin(self, &newest);
-        }
-    }
-
-    /// Says what whoever publishes snapshots is to do with each of them while its readers are being woken; the first to
-    /// say so is heeded.
-    pub fn on_snapshots(&self, begin: impl Fn(&Hub, &FusedSnapshot) + Send + Sync + 'static) {
-        // An error only says that it is not the first.
-        let _ = self.begin.set(Box::new(begin));
     }
 
     /// The newest snapshot, and a wait for the next ones.

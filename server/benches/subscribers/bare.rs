@@ -1,11 +1,10 @@
-//! What the system alone takes: the same bytes to as many connections, by plain writes of two threads.
+//! The baseline: the same messages to as many TCP connections, by plain blocking writes of two threads.
 //!
-//! No request is read, nothing is chosen, missed or timed out; a connection without room for a message holds up its
-//! thread. Whatever a server does more than this shows beside it.
+//! Nothing is requested, selected, skipped or timed out; a full socket blocks its thread.
 
 use std::{
     io::Write,
-    net::{TcpListener, TcpStream},
+    net::{SocketAddr, TcpListener, TcpStream},
     sync::{Arc, Mutex, PoisonError},
     thread,
 };
@@ -19,13 +18,13 @@ use roundel_server::{
     hub::Hub,
 };
 
-use crate::grpc;
+use crate::{arrival::arrive, grpc::length_prefixed, measure::Readings, messages::Messages};
 
 const THREADS: usize = 2;
 
 type Connections = Arc<Mutex<Vec<TcpStream>>>;
 
-/// Serves whoever connects to `listener` with all snapshots of the hub.
+/// Writes all snapshots of the hub to every connection.
 pub fn run(listener: TcpListener, hub: &Arc<Hub>, clock: Clock, covariances: bool) {
     let shares: [Connections; THREADS] = std::array::from_fn(|_| Connections::default());
     let encoder = Arc::new(Encoder::default());
@@ -56,7 +55,20 @@ fn send(share: &Connections, encoder: &Encoder, hub: &Hub, clock: Clock, covaria
         let fused = snapshots.borrow_and_update().clone();
         let shared = encoder.shared(hub, &fused, &filter, Form::Protobuf);
         let own = Own { sent_time_ns: clock.now().as_ns(), missed: 0 }.protobuf();
-        let bytes = grpc::message(&[own, shared.to_vec()].concat());
+        let bytes = length_prefixed(&[own, shared.to_vec()].concat());
         lock(share).retain_mut(|stream| stream.write_all(&bytes).is_ok());
+    }
+}
+
+/// Reads all snapshots as a client.
+pub async fn read(address: SocketAddr, readings: Readings) {
+    let mut stream = tokio::net::TcpStream::connect(address).await.expect("a connection");
+    let (mut messages, mut rest) = (Messages::new(readings), Vec::new());
+    loop {
+        let take = |bytes: &[u8]| {
+            messages.add(bytes);
+            bytes.len()
+        };
+        arrive(&mut stream, &mut rest, take).await;
     }
 }

@@ -41,25 +41,32 @@ impl Readings {
         self.0.lock().unwrap_or_else(PoisonError::into_inner).latencies_us.len()
     }
 
-    /// For a person.
-    pub fn line(&self, readers: usize, length: Duration) -> String {
+    /// Summarises the latencies of `readers` subscribers.
+    pub fn summary(&self, readers: usize, length: Duration) -> Summary {
         let mut received = self.0.lock().unwrap_or_else(PoisonError::into_inner);
         received.latencies_us.sort_unstable();
         let count = received.latencies_us.len();
         let at = |share: f64| {
-            let place = ((count as f64 * share) as usize).min(count.saturating_sub(1));
-            received.latencies_us.get(place).map_or(f64::NAN, |us| f64::from(*us) * 1e-3)
+            let index = ((count as f64 * share) as usize).min(count.saturating_sub(1));
+            received.latencies_us.get(index).map_or(f64::NAN, |us| f64::from(*us) * 1e-3)
         };
-        let due = readers as f64 * length.as_secs_f64() * RATE_HZ;
-        format!(
-            "{readers} readers, {:.1} % of {due:.0} snapshots received, {} skipped; fused to received p50 {:.2} ms, p99 {:.2}, most {:.1}",
-            100.0 * count as f64 / due,
+        let expected = readers as f64 * length.as_secs_f64() * RATE_HZ;
+        let p99_ms = at(0.99);
+        let line = format!(
+            "{readers} readers, {:.1} % of {expected:.0} snapshots received, {} skipped; fused to received p50 {:.2} ms, p99 {p99_ms:.2}, max {:.1}",
+            100.0 * count as f64 / expected,
             received.missed,
             at(0.5),
-            at(0.99),
             at(1.0),
-        )
+        );
+        Summary { line, p99_ms }
     }
+}
+
+/// Of one case.
+pub struct Summary {
+    pub line: String,
+    pub p99_ms: f64,
 }
 
 /// What a process has taken of the machine so far, and what this one has.

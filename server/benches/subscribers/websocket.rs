@@ -4,7 +4,7 @@ use std::net::SocketAddr;
 
 use tokio::{io::AsyncWriteExt, net::TcpStream};
 
-use crate::{Case, arrival::arrive, grpc, measure::Readings};
+use crate::{Case, arrival::arrive, measure::Readings, messages};
 
 const BINARY: u8 = 2;
 const PING: u8 = 9;
@@ -41,9 +41,9 @@ pub async fn read(address: SocketAddr, case: Case, readings: Readings) {
                     pongs.extend_from_slice(&[0x80 | PONG, 0x80, 0, 0, 0, 0]);
                 } else if opcode == BINARY {
                     // A StreamMessage of one snapshot: behind its key and its length of three bytes.
-                    let (fused_time_ns, missed) = grpc::looked_into(&payload[4..]);
+                    let (fused_time_ns, missed) = messages::times(&payload[4..]);
                     readings.add(fused_time_ns, missed);
-                } else if let Some((fused_time_ns, missed)) = looked_into(payload) {
+                } else if let Some((fused_time_ns, missed)) = times(payload) {
                     readings.add(fused_time_ns, missed);
                 }
                 used += length;
@@ -68,7 +68,7 @@ fn frame(bytes: &[u8]) -> Option<(u8, &[u8], usize)> {
     Some((bytes[0] & 0x0f, bytes.get(head..head + length)?, head + length))
 }
 
-fn looked_into(message: &[u8]) -> Option<(i64, u64)> {
+fn times(message: &[u8]) -> Option<(i64, u64)> {
     let text = std::str::from_utf8(message.get(..message.len().min(LOOKED_AT))?).ok()?;
     let number = |key: &str| {
         let (_, rest) = text.split_once(key)?;

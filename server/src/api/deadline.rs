@@ -1,7 +1,7 @@
-//! Deadlines of gRPC calls: what a client gives up on is not gone on with.
+//! Deadlines of gRPC calls, from the header `grpc-timeout`.
 //!
-//! A client says in `grpc-timeout` how long it waits. When that time is over, a call that has no answer yet is dropped
-//! and answered with DEADLINE_EXCEEDED, and a stream ends with it, between two messages.
+//! When the deadline passes, a call without a response is dropped and answered with DEADLINE_EXCEEDED. A response stream
+//! ends with it, between two frames of its body; tonic puts whole messages into each.
 
 use std::{
     convert::Infallible,
@@ -22,12 +22,10 @@ use tonic::Status;
 use super::error::ApiError;
 
 const HEADER: &str = "grpc-timeout";
-/// gRPC's header of a message: whether it is compressed, and its length, big-endian.
-const MESSAGE_HEADER_BYTES: usize = 5;
-/// Who waits longer waits for ever.
+/// Longer deadlines are ignored.
 const LONGEST: Duration = Duration::from_secs(365 * 86_400);
 
-/// Answers a call by its deadline, if it has one.
+/// Answers a call within its deadline, if it has one.
 pub(super) async fn answer(
     headers: &HeaderMap,
     call: impl Future<Output = Result<Response<Body>, Infallible>>,
@@ -39,22 +37,17 @@ pub(super) async fn answer(
     };
     let at = Instant::now() + after;
     match timeout_at(at, call).await {
-        Ok(Ok(response)) => Ok(response.map(|body| Body::new(Until::new(body, at, after)))),
+        Ok(Ok(response)) => Ok(response.map(|body| Body::new(DeadlineBody::new(body, at, after)))),
         Ok(Err(never)) => match never {},
         Err(_) => Ok(passed(after).into_http()),
     }
-}
-
-/// Whether a call has one.
-pub(super) fn is_set(headers: &HeaderMap) -> bool {
-    headers.contains_key(HEADER)
 }
 
 fn passed(after: Duration) -> Status {
     Status::deadline_exceeded(format!("the call's deadline of {after:?} has passed"))
 }
 
-/// How long the client waits; `None`: it does not say.
+/// Parses the header; `None` if it is absent.
 fn of(headers: &HeaderMap) -> Result<Option<Duration>, ApiError> {
     let Some(value) = headers.get(HEADER) else { return Ok(None) };
     let wrong = || {
@@ -76,55 +69,21 @@ fn of(headers: &HeaderMap) -> Result<Option<Duration>, ApiError> {
     }))
 }
 
-/// Where in a stream of messages its bytes are.
-#[derive(Debug, Default)]
-struct Position {
-    header: Vec<u8>,
-    /// Bytes of the present message that are to come.
-    rest: usize,
-}
-
-impl Position {
-    fn is_between_messages(&self) -> bool {
-        self.rest == 0 && self.header.is_empty()
-    }
-
-    fn go_on(&mut self, mut bytes: &[u8]) {
-        while !bytes.is_empty() {
-            if self.rest > 0 {
-                let taken = self.rest.min(bytes.len());
-                self.rest -= taken;
-                bytes = &bytes[taken..];
-                continue;
-            }
-            let taken = (MESSAGE_HEADER_BYTES - self.header.len()).min(bytes.len());
-            self.header.extend_from_slice(&bytes[..taken]);
-            bytes = &bytes[taken..];
-            if let &[_, a, b, c, d] = &self.header[..] {
-                self.rest = u32::from_be_bytes([a, b, c, d]) as usize;
-                self.header.clear();
-            }
-        }
-    }
-}
-
 /// A body that ends at an instant.
-struct Until {
+struct DeadlineBody {
     /// `None`: it has ended.
     body: Option<Body>,
-    position: Position,
     at: Pin<Box<Sleep>>,
     after: Duration,
 }
 
-impl Until {
+impl DeadlineBody {
     fn new(body: Body, at: Instant, after: Duration) -> Self {
-        let position = Position::default();
-        Self { body: Some(body), position, at: Box::pin(sleep_until(at)), after }
+        Self { body: Some(body), at: Box::pin(sleep_until(at)), after }
     }
 }
 
-impl hyper::body::Body for Until {
+impl hyper::body::Body for DeadlineBody {
     type Data = Bytes;
     type Error = axum::Error;
 
@@ -135,7 +94,7 @@ impl hyper::body::Body for Until {
         let this = &mut *self;
         let Some(body) = &mut this.body else { return Poll::Ready(None) };
         let is_over = this.at.as_mut().poll(context).is_ready();
-        if is_over && this.position.is_between_messages() && !body.is_end_stream() {
+        if is_over && !body.is_end_stream() {
             this.body = None;
             let mut trailers = HeaderMap::new();
             // What cannot be a header is left out of the message by tonic, and the code stays.
@@ -143,12 +102,10 @@ impl hyper::body::Body for Until {
             return Poll::Ready(Some(Ok(Frame::trailers(trailers))));
         }
         let frame = Pin::new(body).poll_frame(context);
-        if let Poll::Ready(Some(Ok(frame))) = &frame {
-            match frame.data_ref() {
-                Some(bytes) => this.position.go_on(bytes),
-                // Nothing comes after trailers.
-                None => this.body = None,
-            }
+        if let Poll::Ready(Some(Ok(frame))) = &frame
+            && frame.is_trailers()
+        {
+            this.body = None;
         }
         frame
     }
@@ -200,25 +157,6 @@ mod tests {
                 error.starts_with("grpc-timeout: expected up to eight digits"),
                 "{text}: {error}"
             );
-        }
-    }
-
-    #[test]
-    fn messages_are_told_apart_however_they_are_cut() {
-        let messages =
-            [&[0, 0, 0, 0, 3, 1, 2, 3][..], &[0, 0, 0, 0, 0], &[0, 0, 0, 0, 1, 9]].concat();
-        let borders = [0, 8, 13, 19];
-        for piece in 1..=messages.len() {
-            let (mut position, mut at) = (Position::default(), 0);
-            for bytes in messages.chunks(piece) {
-                position.go_on(bytes);
-                at += bytes.len();
-                assert_eq!(
-                    position.is_between_messages(),
-                    borders.contains(&at),
-                    "{at} by {piece}"
-                );
-            }
         }
     }
 }

@@ -4,13 +4,7 @@
 //! ([`Own`]), which is written in front of it: protobuf takes fields in any order, and so does JSON. Encoding 100 objects
 //! costs some 50 µs, and a subscriber more only what sending costs; see `benches/subscribers`.
 //!
-//! A thread that is woken for a new snapshot is there some 50 µs later. Until then whoever publishes it encodes it, in the
-//! form that was wanted first of the one before ([`Encoder::begin`]).
-//!
-//! PERF: `cargo bench -p roundel-server --bench pipeline -- r4/.*fast`, 50 objects, by turns of 40 frames: p50 from a frame
-//! to the snapshot at the client 1.06 ms instead of 1.11.
-//!
-//! Full-policy: forms of the newest snapshot only; a form lives as long as somebody sends it.
+//! Only the forms of the newest snapshot are kept.
 
 use std::{
     collections::HashMap,
@@ -23,9 +17,6 @@ use roundel_proto::v1;
 
 use super::selection::Filter;
 use crate::hub::{FusedSnapshot, Hub};
-
-/// Larger snapshots are not encoded by whoever publishes them: frames that wait meanwhile would feel it.
-const MOST_BEGUN: usize = 100;
 
 /// How a message is written.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
@@ -71,8 +62,6 @@ type Shared = Arc<OnceLock<Bytes>>;
 struct Forms {
     sequence: u64,
     of: HashMap<(Form, Filter), Shared>,
-    /// What was wanted first of the newest snapshot of which anything was, and that one's sequence.
-    wanted: Option<(u64, Form, Filter)>,
     encoded: u64,
 }
 
@@ -81,9 +70,6 @@ impl Encoder {
     pub fn shared(&self, hub: &Hub, fused: &FusedSnapshot, filter: &Filter, form: Form) -> Bytes {
         let encode = || encode(&filter.message(&hub.installation(), fused), form);
         let mut forms = self.lock();
-        if forms.wanted.as_ref().is_none_or(|(sequence, ..)| *sequence < fused.sequence) {
-            forms.wanted = Some((fused.sequence, form, filter.clone()));
-        }
         let Some(shared) = forms.slot(fused.sequence, filter, form) else {
             // Of a reader that is one behind: the forms are of a newer one already.
             drop(forms);
@@ -91,21 +77,6 @@ impl Encoder {
         };
         drop(forms);
         shared.get_or_init(encode).clone()
-    }
-
-    /// Encodes a new snapshot for gRPC as the one before it was wanted first, if it was, while those who want it are being
-    /// woken. They wait for what is left of that: nothing is encoded twice, and not for long what nobody wants.
-    pub fn begin(&self, hub: &Hub, fused: &FusedSnapshot) {
-        let mut forms = self.lock();
-        let wanted = forms.wanted.clone().filter(|(before, form, _)| {
-            *form == Form::Protobuf
-                && before + 1 == fused.sequence
-                && fused.snapshot.objects.len() <= MOST_BEGUN
-        });
-        let Some((_, form, filter)) = wanted else { return };
-        let Some(shared) = forms.slot(fused.sequence, &filter, form) else { return };
-        drop(forms);
-        shared.get_or_init(|| encode(&filter.message(&hub.installation(), fused), form));
     }
 
     fn lock(&self) -> MutexGuard<'_, Forms> {
@@ -162,7 +133,7 @@ fn without_own(text: &str) -> String {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::{api::selection::Selection, convert::replayed::read_snapshot};
+    use crate::api::selection::Selection;
 
     fn message() -> v1::Snapshot {
         v1::Snapshot {
@@ -207,34 +178,6 @@ mod tests {
         assert_eq!(encoder.shared(&hub, &fused(1), &all, Form::Protobuf), first);
         let again = encoder.shared(&hub, &fused(2), &all, Form::Protobuf);
         assert_eq!((again.as_ptr(), encoder.encoded()), (next.as_ptr(), 3));
-    }
-
-    #[test]
-    fn what_was_wanted_of_the_snapshot_before_is_there_before_it_is_asked_for() {
-        let (encoder, hub) = (Encoder::default(), Hub::new(installation()));
-        let fused = |sequence| FusedSnapshot { sequence, ..Default::default() };
-        let all = Selection::default().filter;
-        encoder.begin(&hub, &fused(1));
-        assert_eq!(encoder.encoded(), 0);
-        encoder.shared(&hub, &fused(1), &all, Form::Protobuf);
-        encoder.begin(&hub, &fused(2));
-        assert_eq!(encoder.encoded(), 2);
-        let begun = encoder.shared(&hub, &fused(2), &all, Form::Protobuf);
-        let plain = encode(&all.message(&hub.installation(), &fused(2)), Form::Protobuf);
-        assert_eq!((begun, encoder.encoded()), (plain, 2));
-        // Nobody asks for the third: the fourth waits for whoever does.
-        encoder.begin(&hub, &fused(3));
-        encoder.begin(&hub, &fused(4));
-        assert_eq!(encoder.encoded(), 3);
-        // Nor is anything begun that takes longer, or is too much.
-        encoder.shared(&hub, &fused(4), &all, Form::Json);
-        encoder.begin(&hub, &fused(5));
-        encoder.shared(&hub, &fused(5), &all, Form::Protobuf);
-        let objects = vec![v1::ObjectState::default(); MOST_BEGUN + 1];
-        let large = v1::Snapshot { objects, ..Default::default() };
-        let snapshot = read_snapshot(&hub, &large);
-        encoder.begin(&hub, &FusedSnapshot { snapshot, ..fused(6) });
-        assert_eq!(encoder.encoded(), 5);
     }
 
     fn installation() -> crate::hub::Installation {

@@ -14,7 +14,7 @@ use crate::{
     api::{
         Api,
         encoded::{Form, Own},
-        selection::{Filter, Selection},
+        selection::Selection,
     },
     hub::FusedSnapshot,
 };
@@ -65,14 +65,12 @@ impl Pace {
     }
 }
 
-/// A snapshot for one subscriber.
+/// An encoded snapshot for one subscriber.
 #[derive(Clone, Debug)]
-pub struct Due {
-    /// The snapshot's.
-    pub sequence: u64,
-    /// What is its own.
+pub struct EncodedSnapshot {
+    /// Fields of this subscriber only.
     pub own: Own,
-    /// What it shares with others.
+    /// All other fields, shared by the subscribers with the same filter.
     pub shared: Bytes,
 }
 
@@ -97,14 +95,9 @@ impl Feed {
         Self { api, receiver, selection, pace }
     }
 
-    /// What is chosen of each snapshot.
-    pub fn filter(&self) -> &Filter {
-        &self.selection.filter
-    }
-
     /// The next snapshot that is due, in the form wanted; `None` when there will be no more. Nothing is lost if the
     /// wait is given up.
-    pub async fn next(&mut self, form: Form) -> Option<Due> {
+    pub async fn next(&mut self, form: Form) -> Option<EncodedSnapshot> {
         loop {
             self.receiver.changed().await.ok()?;
             let fused = self.receiver.borrow_and_update().clone();
@@ -119,7 +112,7 @@ impl Feed {
             let own = Own { sent_time_ns: api.clock.now().as_ns(), missed };
             self.api.counters.snapshots_sent.fetch_add(1, Ordering::Relaxed);
             self.api.counters.snapshots_missed.fetch_add(missed, Ordering::Relaxed);
-            return Some(Due { sequence: fused.sequence, own, shared });
+            return Some(EncodedSnapshot { own, shared });
         }
     }
 }

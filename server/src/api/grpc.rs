@@ -94,7 +94,9 @@ impl v1::roundel_server::Roundel for Service {
         &self,
         _: Request<v1::SubscribeSnapshotsRequest>,
     ) -> Result<Response<Self::SubscribeSnapshotsStream>, Status> {
-        Err(Status::internal("internal error, please report it: this call has a route of its own"))
+        Err(Status::internal(
+            "internal error, please report it: `snapshots::subscribe` serves this method",
+        ))
     }
 
     async fn subscribe_observations(

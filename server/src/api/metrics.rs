@@ -311,12 +311,6 @@ fn write_clients(page: &mut Page, api: &Api) {
             &counters.snapshots_sent,
         ),
         (
-            "roundel_snapshots_shared_total",
-            "counter",
-            "Of those, snapshots sent from memory that many connections share.",
-            &counters.snapshots_shared,
-        ),
-        (
             "roundel_snapshots_missed_total",
             "counter",
             "Snapshots that subscribers wanted and were too slow for.",

@@ -6,7 +6,8 @@
 //!
 //! | module | what it does |
 //! | --- | --- |
-//! | `port` | accepts connections up to the limit, takes them apart on shutdown, and writes snapshots past the libraries |
+//! | `listener` | accepts connections, limits them, disconnects stalled clients, shuts down |
+//! | `dispatch` | hands requests to tonic or axum |
 //! | [`grpc`] | the service of `proto/roundel/v1/roundel.proto` |
 //! | [`push`] | the service of `push.proto`: remote programs feed cameras |
 //! | [`rest`], [`calibration`], [`recording`], [`replay`], [`history`], [`openapi`] | `/api/v1/…` and its description |
@@ -20,7 +21,6 @@
 //! | [`metrics`] | `/metrics`, `/healthz`, `/readyz` |
 //! | [`page`] | the dashboard's files |
 //! | [`encoded`] | snapshots as bytes, once for all who want the same |
-//! | [`sheets`] | and laid out in memory that the system sends from, where many want the same |
 //! | [`selection`], [`feed`] | which snapshots a subscriber gets, and what is in them |
 //! | `region` | a box of the world that a client asks for |
 //! | [`picture`] | a frame with its detections drawn in, as JPEG |
@@ -29,26 +29,27 @@
 //! | [`error`] | what can be wrong, and how each protocol says so |
 //!
 //! No client can hold up another one or the server: a subscriber holds a handle on the newest
-//! snapshot and not a queue, sockets take little more than one message ahead, and whoever does not
-//! read at all is cut off.
+//! snapshot and not a queue, sockets take little more than one message ahead, and a client that does not read at all is
+//! disconnected.
 
 pub mod calibration;
 pub mod configuration;
 mod cors;
 mod deadline;
+mod dispatch;
 pub mod encoded;
 pub mod error;
 pub mod feed;
 pub mod grpc;
 pub mod history;
 pub mod lens;
+mod listener;
 pub mod metrics;
 pub mod objects;
 pub mod openapi;
 pub mod page;
 pub mod picture;
 pub mod plan;
-mod port;
 pub mod print;
 pub mod push;
 pub mod query;
@@ -58,7 +59,6 @@ pub mod replay;
 pub mod rest;
 pub mod selection;
 pub mod setup;
-pub mod sheets;
 pub mod simulation;
 pub mod trial;
 pub mod ws;
@@ -75,7 +75,7 @@ use roundel_core::{marker::Kind, plan::Trials};
 use tokio::net::TcpListener;
 use tokio_util::sync::CancellationToken;
 
-use self::{encoded::Encoder, error::ApiError, sheets::Sheets};
+use self::{encoded::Encoder, error::ApiError};
 use crate::{
     calibration::{Calibrator, CalibratorParts, file::CalibrationFile},
     clock::Clock,
@@ -128,8 +128,6 @@ pub struct Counters {
     pub snapshot_subscribers: AtomicU64,
     /// Snapshots handed to subscribers.
     pub snapshots_sent: AtomicU64,
-    /// Of those, how many from memory that many connections send from.
-    pub snapshots_shared: AtomicU64,
     /// Clients that were cut off since they took nothing of what there was for them.
     pub subscribers_cut: AtomicU64,
     /// Snapshots that subscribers wanted and were too slow for.
@@ -237,8 +235,6 @@ pub struct Api {
     pub counters: Counters,
     /// Snapshots as subscribers want them.
     pub encoder: Arc<Encoder>,
-    /// And laid out for those of whom many want the same.
-    pub sheets: Sheets,
     /// What was tried for plans.
     pub trials: Trials,
 }
@@ -260,8 +256,6 @@ pub async fn serve(
     let Served { late_window_ms, trier, roster, recorder, replay, history, .. } = served;
     let counters = Counters::default();
     let encoder = Arc::new(Encoder::default());
-    let of_fusion = encoder.clone();
-    hub.on_snapshots(move |hub, fused| of_fusion.begin(hub, fused));
     let api = Arc::new(Api {
         hub,
         clock,
@@ -281,15 +275,14 @@ pub async fn serve(
         limits,
         counters,
         encoder,
-        sheets: Sheets::default(),
         trials: Trials::default(),
     });
     let (grpc_router, health) = grpc::router(&api);
     let http_router = http_router(api.clone());
     let readiness = tokio::spawn(metrics::report_readiness(api.clone(), health));
     let body_timeout = limits.request_timeout;
-    let dispatch = port::Dispatch { grpc_router, http_router, cors, body_timeout };
-    port::run(listener, dispatch, api).await;
+    let dispatch = dispatch::Dispatch { grpc_router, http_router, cors, body_timeout };
+    listener::run(listener, dispatch, api).await;
     // It watches the same token, so it has ended.
     let _ = readiness.await;
 }

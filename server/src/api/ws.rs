@@ -8,18 +8,14 @@
 mod socket;
 mod wanted;
 
-use std::{
-    convert::Infallible,
-    pin::pin,
-    sync::{Arc, atomic::Ordering},
-    time::Duration,
-};
+use std::{convert::Infallible, io, pin::pin, sync::Arc, time::Duration};
 
 use axum::{
     body::Body,
     extract::State,
     http::{Request, Response},
 };
+use bytes::BufMut as _;
 use prost::{
     Message as _,
     encoding::{WireType, encode_key, encode_varint},
@@ -28,28 +24,24 @@ use roundel_proto::v1;
 use serde::Serialize;
 use tokio::{
     sync::broadcast,
-    time::{Instant, Interval, MissedTickBehavior, interval, interval_at, sleep, timeout},
+    time::{Instant, Interval, MissedTickBehavior, interval, interval_at, timeout},
 };
 use tokio_tungstenite::tungstenite::{
     self, Message,
     error::ProtocolError,
-    protocol::{
-        CloseFrame, WebSocketConfig,
-        frame::coding::{CloseCode, Data},
-    },
+    protocol::{CloseFrame, WebSocketConfig, frame::coding::CloseCode},
 };
 
 use super::{
     Api, MAX_REQUEST_BYTES,
     encoded::Form,
     error::{ApiError, ErrorBody, SHUTTING_DOWN},
-    feed::{Due, Feed},
+    feed::{EncodedSnapshot, Feed},
     grpc,
-    port::{Line, Sheet},
-    sheets::Way,
+    listener::count_stalled,
 };
 use crate::{convert, hub};
-use socket::{Handshake, Pieces, Socket, offered};
+use socket::{Handshake, Socket, offered};
 use wanted::Wanted;
 
 /// Clients say little. What is sent to them needs no buffer, since each message is flushed: without this, a thousand
@@ -102,7 +94,7 @@ pub async fn stream(
     api.origins.check(request.headers())?;
     let wanted = Wanted::of(&api, request.uri())?;
     let protocols = offered(&request);
-    let mut handshake = Handshake::of(request).map_err(ApiError::UpgradeRequired)?;
+    let mut handshake = Handshake::new(request).map_err(ApiError::UpgradeRequired)?;
     let chosen = handshake.choose(&protocols, &PROTOCOLS);
     let form = if chosen == Some(PROTOCOLS[1]) { Form::Protobuf } else { Form::Json };
     let config = WebSocketConfig::default()
@@ -118,36 +110,27 @@ pub async fn stream(
 #[serde(rename_all = "lowercase")]
 enum Outgoing {
     #[serde(skip)]
-    Snapshot(Due),
+    Snapshot(EncodedSnapshot),
     Cameras(Vec<v1::Camera>),
     Event(v1::Event),
     Observations(v1::FrameObservations),
     Error(v1::StreamError),
 }
 
-/// A message as it is sent.
-enum Written {
-    Whole(Message),
-    InPieces(Pieces),
-    Shared(Arc<Sheet>),
-}
-
 impl Outgoing {
-    fn written(self, form: Form) -> Result<Written, serde_json::Error> {
+    fn encode(self, form: Form) -> Result<Message, serde_json::Error> {
         use v1::stream_message::Message as Alternative;
         let alternative = match (form, self) {
-            (Form::Json, Self::Snapshot(Due { own, shared, .. })) => {
-                let before = own.json(r#"{"snapshot":"#).into();
-                let (kind, after) = (Data::Text, b"}".as_slice());
-                return Ok(Written::InPieces(Pieces { kind, before, shared, after }));
+            (Form::Json, Self::Snapshot(EncodedSnapshot { own, shared })) => {
+                let mut text = own.json(r#"{"snapshot":"#);
+                text.reserve(shared.len() + 1);
+                text.push_str(&String::from_utf8_lossy(&shared));
+                text.push('}');
+                return Ok(text.into());
             }
-            (Form::Json, other) => {
-                return serde_json::to_string(&other).map(|text| Written::Whole(text.into()));
-            }
-            (Form::Protobuf, Self::Snapshot(Due { own, shared, .. })) => {
-                let before = before_snapshot(&own.protobuf(), shared.len()).into();
-                let (kind, after) = (Data::Binary, b"".as_slice());
-                return Ok(Written::InPieces(Pieces { kind, before, shared, after }));
+            (Form::Json, other) => return Ok(serde_json::to_string(&other)?.into()),
+            (Form::Protobuf, Self::Snapshot(snapshot)) => {
+                return Ok(Message::binary(stream_message(&snapshot)));
             }
             (Form::Protobuf, Self::Cameras(cameras)) => {
                 Alternative::Cameras(v1::ListCamerasResponse { cameras })
@@ -157,17 +140,20 @@ impl Outgoing {
             (Form::Protobuf, Self::Error(error)) => Alternative::Error(error),
         };
         let message = v1::StreamMessage { message: Some(alternative) };
-        Ok(Written::Whole(message.encode_to_vec().into()))
+        Ok(Message::binary(message.encode_to_vec()))
     }
 }
 
-/// A StreamMessage of a snapshot, up to where the fields begin that all get: so many bytes.
-fn before_snapshot(own: &[u8], shared_bytes: usize) -> Vec<u8> {
+/// Encodes a StreamMessage around an encoded snapshot.
+fn stream_message(EncodedSnapshot { own, shared }: &EncodedSnapshot) -> Vec<u8> {
     const SNAPSHOT_FIELD: u32 = 1;
-    let mut bytes = Vec::with_capacity(own.len() + 8);
+    let own = own.protobuf();
+    let length = own.len() + shared.len();
+    let mut bytes = Vec::with_capacity(length + 8);
     encode_key(SNAPSHOT_FIELD, WireType::LengthDelimited, &mut bytes);
-    encode_varint((own.len() + shared_bytes) as u64, &mut bytes);
-    bytes.extend_from_slice(own);
+    encode_varint(length as u64, &mut bytes);
+    bytes.put_slice(&own);
+    bytes.put_slice(shared);
     bytes
 }
 
@@ -271,7 +257,7 @@ impl Session {
                     if last_heard.elapsed() > SILENCE_TIMEOUT {
                         return Err(End::Gone);
                     }
-                    self.transmit(socket, Written::Whole(Message::Ping(Default::default()))).await?;
+                    self.transmit(socket, Message::Ping(Default::default())).await?;
                     continue;
                 }
                 snapshot = next_snapshot(&mut self.feed, self.form) => {
@@ -303,70 +289,40 @@ impl Session {
     }
 
     async fn send(&self, socket: &mut Socket, message: Outgoing) -> Result<(), End> {
-        let what = match &message {
-            Outgoing::Snapshot(due) if due.own.missed == 0 => {
-                Some((due.sequence, due.shared.len()))
-            }
-            _ => None,
-        };
-        match message.written(self.form) {
-            Ok(message) => self.transmit(socket, self.shared(what, message)).await,
+        match message.encode(self.form) {
+            Ok(message) => self.transmit(socket, message).await,
             Err(error) => {
-                tracing::error!(%error, "could not write a message as JSON");
+                tracing::error!(%error, "could not encode a message as JSON");
                 Ok(())
             }
         }
     }
 
-    /// A message about `what`, as [`Sheets`](super::sheets::Sheets) names it, in memory that many share, if many want it.
-    fn shared(&self, what: Option<(u64, usize)>, message: Written) -> Written {
-        let (Some(what), Some(feed), Written::InPieces(pieces)) = (what, &self.feed, &message)
-        else {
-            return message;
-        };
-        let who = (feed.filter(), Way::WebSocket(self.form));
-        let Some(sheet) = self.api.sheets.sheet(what, who, || pieces.sheet()) else {
-            return message;
-        };
-        self.api.counters.snapshots_shared.fetch_add(1, Ordering::Relaxed);
-        Written::Shared(sheet)
-    }
-
-    /// Sends, unless the client does not read or the server goes down meanwhile.
-    async fn transmit(&self, socket: &mut Socket, message: Written) -> Result<(), End> {
-        let line = socket.line();
-        let mut send = pin!(async {
-            match message {
-                Written::Whole(message) => socket.send(message).await,
-                Written::InPieces(pieces) => socket.send_pieces(&pieces).await,
-                Written::Shared(sheet) => socket.send_sheet(&sheet).await,
-            }
-        });
+    /// Sends a message. The connection's write timeout ends the session of a client that does not read.
+    async fn transmit(&self, socket: &mut Socket, message: Message) -> Result<(), End> {
+        let mut send = pin!(socket.send(message));
         tokio::select! {
             biased;
-            sent = &mut send => sent.map_err(|_| End::Gone),
-            () = stuck(line, self.api.limits.send_timeout) => {
-                self.api.counters.subscribers_cut.fetch_add(1, Ordering::Relaxed);
-                Err(End::Gone)
-            }
-            // What is said last must not end up within the message.
+            sent = &mut send => sent.map_err(|error| self.send_failed(&error)),
+            // The close frame must not end up within the message.
             () = self.api.cancel.cancelled() => match timeout(CLOSE_TIMEOUT, &mut send).await {
                 Ok(Ok(())) => Err(End::Shutdown),
                 _ => Err(End::Gone),
             },
         }
     }
-}
 
-/// Waits until a client has taken nothing for so long.
-async fn stuck(line: Option<Line>, limit: Duration) {
-    match line {
-        Some(line) => line.stuck(limit).await,
-        None => sleep(limit).await,
+    fn send_failed(&self, error: &tungstenite::Error) -> End {
+        if let tungstenite::Error::Io(error) = error
+            && error.kind() == io::ErrorKind::TimedOut
+        {
+            count_stalled(&self.api);
+        }
+        End::Gone
     }
 }
 
-async fn next_snapshot(feed: &mut Option<Feed>, form: Form) -> Option<Due> {
+async fn next_snapshot(feed: &mut Option<Feed>, form: Form) -> Option<EncodedSnapshot> {
     match feed {
         Some(feed) => feed.next(form).await,
         None => std::future::pending().await,

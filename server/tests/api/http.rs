@@ -393,7 +393,6 @@ async fn metrics_tell_of_cameras_objects_and_clients() {
         "roundel_snapshots_total 1",
         "roundel_subscribers 1",
         "roundel_snapshots_sent_total 1",
-        "roundel_snapshots_shared_total 0",
         "roundel_snapshots_missed_total 0",
         "roundel_connections_refused_total 0",
         "roundel_info{version=\"0.1.0\",name=\"lab\",source_id=\"run\"} 1",

@@ -34,13 +34,6 @@ async fn subscribe(
     client.subscribe_snapshots(request).await.unwrap().into_inner()
 }
 
-async fn shared(rig: &Rig) -> u64 {
-    let metrics = rig.get("/metrics").await;
-    let text = metrics.text();
-    let line = text.lines().find_map(|line| line.strip_prefix("roundel_snapshots_shared_total "));
-    line.unwrap().parse().unwrap()
-}
-
 async fn ends_as_unavailable(mut snapshots: Streaming<v1::Snapshot>) {
     let ended = timeout(HANG, snapshots.message()).await.expect("it does not end");
     assert_eq!(ended.unwrap_err().code(), Code::Unavailable);
@@ -73,8 +66,6 @@ async fn forty_who_want_the_same_get_all_of_it() {
             assert_eq!(*first.get_or_insert_with(|| snapshot.clone()), snapshot);
         }
     }
-    let shared = shared(&rig).await;
-    assert!(shared > SUBSCRIBERS * ROUNDS / 2, "{shared} were");
     // One that wants something else gets that, and one that has gone is missed by nobody.
     let lean = v1::SubscribeSnapshotsRequest { omit_covariance: true, ..Default::default() };
     let mut lean = subscribe(&mut clients[0], lean).await;
@@ -114,7 +105,6 @@ async fn one_connection_carries_several_subscriptions_and_calls() {
         rig.publish(objects(150));
         let time = client.get_time(v1::GetTimeRequest { sent_time_ns: round }).await.unwrap();
         assert_eq!(time.into_inner().sent_time_ns, round);
-        // Longer than the library has room for without being lent some.
         let snapshot = client.get_snapshot(v1::GetSnapshotRequest::default()).await.unwrap();
         assert_eq!(snapshot.into_inner().objects.len(), 150);
         for (id, snapshots) in (1..).zip(&mut of_each) {
@@ -201,8 +191,6 @@ async fn many_pages_get_the_same_beside_what_is_their_own() {
             assert_eq!(Some(snapshot), first);
         }
     }
-    let shared = shared(&rig).await;
-    assert!(shared > PAGES * ROUNDS, "{shared} were");
     rig.cancel.cancel();
     for mut page in texts {
         let goodbye = async {

@@ -1,252 +1,124 @@
-//! SubscribeSnapshots, by hand: what many subscribers want is one piece of memory that all their connections send from.
+//! SubscribeSnapshots: a tonic service with a codec of its own, so that subscribers share encoded snapshots.
 //!
-//! tonic's codecs write each message into a buffer of the connection's own. Here a response's body hands HTTP/2 two
-//! pieces a message: some thirty bytes of the subscriber's own (gRPC's header of five, time sent, count missed), and the
-//! shared rest by reference. HTTP/2 asks for the next one when the client has room, and gets the newest there is.
-//!
-//! Once that works for a subscriber, its messages go past HTTP/2's library ([`Direct`]), and where many want the same,
-//! all of them from one [sheet](crate::api::sheets).
-//!
-//! Who has room for nothing is cut off by the port, as with every answer.
+//! The generated service would encode every message for every subscriber. Here the stream yields [`EncodedSnapshot`]s,
+//! and the codec copies them into the connection's buffer. hyper polls the stream when the client has flow-control window,
+//! so a slow client gets the newest snapshot and the number that it missed.
 
 use std::{
     convert::Infallible,
-    panic::resume_unwind,
-    pin::Pin,
-    sync::{Arc, OnceLock, atomic::Ordering},
-    task::{Context, Poll},
+    future::{Ready, ready},
+    sync::{Arc, atomic::Ordering},
 };
 
-use axum::{
-    body::{Body, Bytes},
-    extract::Request,
-    http::{HeaderMap, HeaderValue, header},
-    response::Response,
-};
-use futures::{Stream, StreamExt, stream};
-use http_body_util::{BodyExt, Limited};
-use hyper::body::Frame;
-use prost::Message;
+use axum::{body::Body, extract::Request, http::Response};
+use bytes::BufMut as _;
+use futures::{StreamExt as _, stream};
 use roundel_proto::v1;
-use tokio::task::JoinError;
-use tokio_util::task::AbortOnDropHandle;
-use tonic::Status;
+use tonic::{
+    Status,
+    codec::{BufferSettings, Codec, EncodeBuf, Encoder},
+    server::{Grpc, ServerStreamingService},
+};
+use tonic_prost::ProstDecoder;
 
+use super::{Messages, until_shutdown};
 use crate::api::{
     Api, MAX_REQUEST_BYTES,
-    encoded::{Form, Own},
-    error::{ApiError, SHUTTING_DOWN},
-    feed::{Due, Feed},
-    port::{Direct, Line, Sheet},
+    encoded::Form,
+    error::ApiError,
+    feed::{EncodedSnapshot, Feed},
     selection::{MESSAGE_FIELDS, Selection},
-    sheets::Way,
 };
 
-/// Where tonic would look for the call.
+/// The method's path, which its route takes from the generated service.
 pub(super) const PATH: &str = "/roundel.v1.Roundel/SubscribeSnapshots";
-/// On average: one connection may have more.
+/// Average over all connections; a single one may have more.
 const SUBSCRIPTIONS_PER_CLIENT: usize = 4;
-/// gRPC's header of a message: whether it is compressed, and its length, big-endian.
-const HEADER_BYTES: usize = 5;
 
 /// Answers the call.
-pub(super) async fn subscribe(api: Arc<Api>, request: Request) -> Result<Response, Infallible> {
-    let line = request.extensions().get().cloned();
-    let selection = selection(&api, request).await;
-    let response = match selection.and_then(|it| Ok(admitted(&api, it)?)) {
-        Ok(selection) => {
-            let feed = Feed::new(api.clone(), selection);
-            let subscription = Subscription { api, feed, line };
-            let mut response = Response::new(Body::new(Snapshots::new(subscription)));
-            let grpc = HeaderValue::from_static("application/grpc");
-            response.headers_mut().insert(header::CONTENT_TYPE, grpc);
-            response
-        }
-        Err(status) => status.into_http(),
-    };
-    Ok(response)
-}
-
-/// The same, if there is room for another subscription: each may want something else, which is to be encoded.
-fn admitted(api: &Api, selection: Selection) -> Result<Selection, ApiError> {
-    let most = SUBSCRIPTIONS_PER_CLIENT * api.limits.max_clients;
-    if api.counters.snapshot_subscribers.load(Ordering::Relaxed) < most as u64 {
-        return Ok(selection);
-    }
-    let limit = format!(
-        "this server has as many subscriptions to snapshots as it takes: {most}, which is {SUBSCRIPTIONS_PER_CLIENT} for \
-         each of [limits] max_clients"
-    );
-    Err(ApiError::ResourceExhausted(limit))
-}
-
-async fn selection(api: &Api, request: Request) -> Result<Selection, Status> {
-    let body = Limited::new(request.into_body(), HEADER_BYTES + MAX_REQUEST_BYTES);
-    let bytes = body.collect().await.map_err(|error| {
-        if error.is::<http_body_util::LengthLimitError>() {
-            ApiError::TooLarge.into()
-        } else {
-            Status::cancelled(format!("the request ended early: {error}"))
-        }
-    })?;
-    let request = decoded(&bytes.to_bytes())?;
-    Ok(Selection::new(request, &api.hub.installation().kinds, &MESSAGE_FIELDS)?)
-}
-
-fn decoded(bytes: &[u8]) -> Result<v1::SubscribeSnapshotsRequest, Status> {
-    let Some((&[compressed, length @ ..], message)) = bytes.split_first_chunk::<HEADER_BYTES>()
-    else {
-        return Err(Status::internal("expected one message, found none"));
-    };
-    if compressed != 0 {
-        return Err(Status::unimplemented("this server takes no compressed requests"));
-    }
-    let length = u32::from_be_bytes(length) as usize;
-    if length != message.len() {
-        let found = message.len();
-        return Err(Status::internal(format!(
-            "expected one message of {length} bytes as its header says, found {found} bytes"
-        )));
-    }
-    v1::SubscribeSnapshotsRequest::decode(message)
-        .map_err(|error| Status::internal(format!("the request is no message: {error}")))
-}
-
-/// What one subscriber gets, and how.
-struct Subscription {
+pub(super) async fn subscribe(
     api: Arc<Api>,
-    feed: Feed,
-    /// Its connection, where messages may go past HTTP/2's library.
-    line: Option<Line>,
+    request: Request,
+) -> Result<Response<tonic::body::Body>, Infallible> {
+    let mut grpc =
+        Grpc::new(SnapshotCodec).apply_max_message_size_config(Some(MAX_REQUEST_BYTES), None);
+    Ok(grpc.server_streaming(Subscribe(api), request.map(Body::new)).await)
 }
 
-impl Subscription {
-    /// Its messages as far as they go through HTTP/2's library; the others go past it as `direct`.
-    fn messages(
-        self,
-        direct: Arc<OnceLock<Direct>>,
-    ) -> impl Stream<Item = Result<Pieces, Status>> + Send {
-        stream::unfold(Some((self, 0)), move |state| {
-            let direct = direct.clone();
-            async move {
-                let (mut this, given) = state?;
-                let due = this.feed.next(Form::Protobuf).await?;
-                if let Some(number) = direct.get().and_then(|direct| direct.take_over(given)) {
-                    let task = tokio::spawn(this.send_past(direct, number, due));
-                    let ended = AbortOnDropHandle::new(task).await;
-                    return match ended.map_err(JoinError::try_into_panic) {
-                        Err(Ok(panic)) => resume_unwind(panic),
-                        // Who has ended it hears no more of it; otherwise there are no more snapshots.
-                        Ok(()) | Err(Err(_)) => Some((Err(shutting_down()), None)),
-                    };
-                }
-                let head = head(due.own, due.shared.len());
-                if given == 0
-                    && let Some(line) = &this.line
-                {
-                    direct.get_or_init(|| line.direct(&head));
-                }
-                let given = given + (head.len() + due.shared.len()) as u64;
-                Some((Ok((head, due.shared)), Some((this, given))))
-            }
-        })
-    }
+struct Subscribe(Arc<Api>);
 
-    /// Sends by the stream of this number until there is no more to send, or nobody to send it to.
-    async fn send_past(mut self, direct: Arc<OnceLock<Direct>>, number: u32, mut due: Due) {
-        let Some(direct) = direct.get() else { return };
-        loop {
-            let own = head(due.own, due.shared.len());
-            let sheet = match due.own.missed {
-                0 => {
-                    let (what, who) = ((due.sequence, due.shared.len()), self.feed.filter());
-                    let make = || Sheet::frames(number, &own, &due.shared);
-                    self.api.sheets.sheet(what, (who, Way::Grpc(number)), make)
-                }
-                _ => None,
-            };
-            let shared = u64::from(sheet.is_some());
-            self.api.counters.snapshots_shared.fetch_add(shared, Ordering::Relaxed);
-            let Ok(is_ready) = direct.send(own, due.shared, sheet.as_deref()) else { return };
-            if !is_ready && direct.ready().await.is_err() {
-                return;
-            }
-            let Some(next) = self.feed.next(Form::Protobuf).await else { return };
-            due = next;
-        }
+impl ServerStreamingService<v1::SubscribeSnapshotsRequest> for Subscribe {
+    type Response = EncodedSnapshot;
+    type ResponseStream = Messages<EncodedSnapshot>;
+    type Future = Ready<Result<tonic::Response<Self::ResponseStream>, Status>>;
+
+    fn call(&mut self, request: tonic::Request<v1::SubscribeSnapshotsRequest>) -> Self::Future {
+        ready(self.stream(request.into_inner()).map_err(Status::from))
     }
 }
 
-/// A message's two pieces: what is the subscriber's own, and what it shares.
-type Pieces = (Bytes, Bytes);
-
-/// The body: messages until the server goes down.
-struct Snapshots {
-    messages: Pin<Box<dyn Stream<Item = Result<Pieces, Status>> + Send>>,
-    /// The rest of the message that is under way.
-    rest: Option<Bytes>,
-    is_ended: bool,
-}
-
-impl Snapshots {
-    fn new(subscription: Subscription) -> Self {
-        let direct = Arc::new(OnceLock::new());
-        let cancel = subscription.api.cancel.clone();
-        let messages = subscription.messages(direct.clone());
-        let end = stream::once(async move {
-            cancel.cancelled().await;
-            if let Some(direct) = direct.get() {
-                Direct::stop(direct).await;
-            }
-            Err(shutting_down())
+impl Subscribe {
+    fn stream(
+        &self,
+        request: v1::SubscribeSnapshotsRequest,
+    ) -> Result<tonic::Response<Messages<EncodedSnapshot>>, ApiError> {
+        let api = &self.0;
+        let selection = Selection::new(request, &api.hub.installation().kinds, &MESSAGE_FIELDS)?;
+        check_subscription_limit(api)?;
+        let feed = Feed::new(api.clone(), selection);
+        let snapshots = stream::unfold(feed, |mut feed| async move {
+            let snapshot = feed.next(Form::Protobuf).await?;
+            Some((snapshot, feed))
         });
-        let messages = Box::pin(stream::select(messages, end));
-        Self { messages, rest: None, is_ended: false }
-    }
-
-    fn trailers(&mut self, status: &Status) -> Frame<Bytes> {
-        self.is_ended = true;
-        let mut trailers = HeaderMap::new();
-        // What cannot be a header is left out of the message by tonic, and the code stays.
-        let _ = status.add_header(&mut trailers);
-        Frame::trailers(trailers)
+        Ok(tonic::Response::new(until_shutdown(snapshots.map(Ok), api.cancel.clone())))
     }
 }
 
-fn shutting_down() -> Status {
-    ApiError::Unavailable(SHUTTING_DOWN.into()).into()
+/// Bounds the number of different snapshots that have to be encoded.
+fn check_subscription_limit(api: &Api) -> Result<(), ApiError> {
+    let limit = SUBSCRIPTIONS_PER_CLIENT * api.limits.max_clients;
+    if api.counters.snapshot_subscribers.load(Ordering::Relaxed) < limit as u64 {
+        return Ok(());
+    }
+    Err(ApiError::ResourceExhausted(format!(
+        "the limit of subscriptions to snapshots is reached: {limit}, which is {SUBSCRIPTIONS_PER_CLIENT} for each of \
+         [limits] max_clients"
+    )))
 }
 
-/// What stands before the shared part of a message of `shared` bytes.
-fn head(own: Own, shared: usize) -> Bytes {
-    let own = own.protobuf();
-    let length = (own.len() + shared) as u32;
-    [&[0], length.to_be_bytes().as_slice(), &own].concat().into()
+#[derive(Default)]
+struct SnapshotCodec;
+
+impl Codec for SnapshotCodec {
+    type Encode = EncodedSnapshot;
+    type Decode = v1::SubscribeSnapshotsRequest;
+    type Encoder = SnapshotEncoder;
+    type Decoder = ProstDecoder<v1::SubscribeSnapshotsRequest>;
+
+    fn encoder(&mut self) -> SnapshotEncoder {
+        SnapshotEncoder
+    }
+
+    fn decoder(&mut self) -> Self::Decoder {
+        ProstDecoder::new(BufferSettings::default())
+    }
 }
 
-impl hyper::body::Body for Snapshots {
-    type Data = Bytes;
-    type Error = Infallible;
+struct SnapshotEncoder;
 
-    fn poll_frame(
-        mut self: Pin<&mut Self>,
-        context: &mut Context<'_>,
-    ) -> Poll<Option<Result<Frame<Bytes>, Infallible>>> {
-        if self.is_ended {
-            return Poll::Ready(None);
-        }
-        let frame = match self.rest.take() {
-            Some(rest) => Poll::Ready(Frame::data(rest)),
-            None => match self.messages.poll_next_unpin(context) {
-                Poll::Ready(Some(Ok((head, shared)))) => {
-                    self.rest = Some(shared).filter(|shared| !shared.is_empty());
-                    Poll::Ready(Frame::data(head))
-                }
-                Poll::Ready(Some(Err(status))) => Poll::Ready(self.trailers(&status)),
-                Poll::Ready(None) => Poll::Ready(self.trailers(&Status::ok(""))),
-                Poll::Pending => Poll::Pending,
-            },
-        };
-        frame.map(|frame| Some(Ok(frame)))
+impl Encoder for SnapshotEncoder {
+    type Item = EncodedSnapshot;
+    type Error = Status;
+
+    fn encode(
+        &mut self,
+        snapshot: EncodedSnapshot,
+        buffer: &mut EncodeBuf<'_>,
+    ) -> Result<(), Status> {
+        let own = snapshot.own.protobuf();
+        buffer.reserve(own.len() + snapshot.shared.len());
+        buffer.put_slice(&own);
+        buffer.put_slice(&snapshot.shared);
+        Ok(())
     }
 }
