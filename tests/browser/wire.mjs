@@ -1,6 +1,6 @@
 /** Writes the protobuf that the page reads, by the page's own tables, for mock.mjs. A unit test holds those tables to the .proto files. */
 
-import { ENUMERATIONS, TABLES } from "../../client/dashboard/js/schema.js";
+import { ENUMERATIONS, TABLES } from "../../client/dashboard/js/wire/schema.js";
 
 const [VARINT, FIXED64, LENGTH] = [0, 1, 2];
 

@@ -2,7 +2,7 @@
 
 import jpeg from "jpeg-js";
 
-import { rotate } from "../../client/dashboard/js/geometry.js";
+import { rotate } from "../../client/dashboard/js/base/geometry.js";
 
 const ROBOTS = 24;
 const PICTURE = { width: 400, height: 225 };

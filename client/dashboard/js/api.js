@@ -1,6 +1,6 @@
 /** The API as /openapi.json describes it, to be read and tried. Everything on the page comes from there. */
 
-import { element, find, setText } from "./dom.js";
+import { element, find, setText } from "./base/dom.js";
 
 /** @typedef {Record<string, any>} Json */
 

@@ -8,10 +8,10 @@
  * `Wishes`.
  */
 
-import { connect } from "./connection.js";
-import { Gauge } from "./gauge.js";
-import { Stage } from "./stage.js";
-import { Store } from "./store.js";
+import { connect } from "./wire/connection.js";
+import { Gauge } from "./state/gauge.js";
+import { Stage } from "./arena/stage.js";
+import { Store } from "./state/store.js";
 
 /** Between two reports of how the stream fares, ms. */
 const REPORT_MS = 100;
@@ -19,12 +19,12 @@ const REPORT_MS = 100;
 /**
  * What the page tells.
  * @typedef {object} Wishes
- * @property {(value: {url: string, canvases: import("./stage.js").Canvases, palette: import("./palette.js").Palette}) => void} open comes first
+ * @property {(value: {url: string, canvases: import("./arena/stage.js").Canvases, palette: import("./arena/palette.js").Palette}) => void} open comes first
  * @property {(size: {width: number, height: number, ratio: number}) => void} size of the arena, CSS pixels; none: it is hidden
- * @property {(palette: import("./palette.js").Palette) => void} palette
- * @property {(mode: import("./stage.js").StageMode) => void} show answered by `shown`
+ * @property {(palette: import("./arena/palette.js").Palette) => void} palette
+ * @property {(mode: import("./arena/stage.js").StageMode) => void} show answered by `shown`
  * @property {(look: {exaggeration: number, trails: boolean}) => void} look
- * @property {(overlay: import("./courses.js").Overlay | null) => void} overlay
+ * @property {(overlay: import("./state/courses.js").Overlay | null) => void} overlay
  * @property {(by: [number, number, boolean]) => void} drag
  * @property {(by: [number, number, number]) => void} zoom
  * @property {() => void} fit
@@ -40,12 +40,12 @@ const REPORT_MS = 100;
 /**
  * What the page is told.
  * @typedef {object} Told
- * @property {import("./connection.js").ConnectionState} connection its times count from the Unix epoch
+ * @property {import("./wire/connection.js").ConnectionState} connection its times count from the Unix epoch
  * @property {string | ArrayBuffer} data a message that holds no snapshot
- * @property {import("./store.js").Packed} snapshot
- * @property {import("./gauge.js").Report} report
- * @property {import("./stage.js").Sight} sight
- * @property {import("./stage.js").StageMode} shown
+ * @property {import("./state/store.js").Packed} snapshot
+ * @property {import("./state/gauge.js").Report} report
+ * @property {import("./arena/stage.js").Sight} sight
+ * @property {import("./arena/stage.js").StageMode} shown
  * @property {number | null} picked
  * @property {number | null} hovered
  */
@@ -76,10 +76,10 @@ export function runEngine(port) {
     if (store.history.newestMs === message.snapshot.poseTimeMs) tellSnapshot(message.snapshot);
   };
 
-  /** @param {import("./message.js").Snapshot} snapshot */
+  /** @param {import("./wire/message.js").Snapshot} snapshot */
   const tellSnapshot = ({ sourceId, poseTimeMs, objects }) => {
     const { history } = store;
-    const byId = (/** @type {import("./state.js").ObjectState[]} */ states) => states.sort((a, b) => a.id - b.id);
+    const byId = (/** @type {import("./state/state.js").ObjectState[]} */ states) => states.sort((a, b) => a.id - b.id);
     const there = new Set(objects.map(({ id }) => id));
     const lost = [...store.live.values()].filter(({ id }) => !there.has(id)).map(({ state }) => state);
     const [frame, gone] = [history.pack(poseTimeMs, byId([...objects])), history.pack(poseTimeMs, byId(lost))];
@@ -91,7 +91,7 @@ export function runEngine(port) {
     tell("snapshot", { sourceId, frame, lost: gone, identities, cameraNames: history.cameraNames }, arrays);
   };
 
-  /** @param {import("./connection.js").ConnectionState} state */
+  /** @param {import("./wire/connection.js").ConnectionState} state */
   const become = (state) => {
     if (state.phase !== store.connection.phase) gauge.begin(performance.now());
     store.setConnection(state);
@@ -133,7 +133,7 @@ export function runEngine(port) {
   port.onmessage = ({ data: [name, value] }) => wishes[/** @type {keyof Wishes} */ (name)](value);
 }
 
-/** @param {import("./state.js").ObjectState} state */
+/** @param {import("./state/state.js").ObjectState} state */
 function identityKey({ name, roundel, code }) {
   return `${name}\n${roundel}\n${code ? `${code.bits} ${code.number}` : ""}`;
 }

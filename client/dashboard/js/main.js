@@ -1,31 +1,31 @@
 /** Starts the page: one store, the views that read it, the line to the worker that fills it and draws the arena. */
 
-import { Arena } from "./arena.js";
-import { showCalibration } from "./calibration.js";
-import { showCameras } from "./cameras.js";
-import { showCourses } from "./courses-view.js";
-import { find, setText } from "./dom.js";
-import { showEvents } from "./events.js";
-import { showHealth } from "./health-view.js";
-import { listenForKeys } from "./keys.js";
-import { showLens } from "./lens.js";
+import { Arena } from "./arena/arena.js";
+import { showCalibration } from "./panels/calibration/calibration.js";
+import { showCameras } from "./panels/cameras/cameras.js";
+import { showCourses } from "./panels/history/courses-view.js";
+import { find, setText } from "./base/dom.js";
+import { showEvents } from "./panels/history/events.js";
+import { showHealth } from "./panels/cameras/health-view.js";
+import { listenForKeys } from "./panels/page/keys.js";
+import { showLens } from "./panels/calibration/lens.js";
 import { Link } from "./link.js";
-import { showList } from "./list.js";
-import { showMasthead } from "./masthead.js";
-import { readInfo } from "./message.js";
-import { showObjects } from "./object-form.js";
-import { showOffer } from "./offer.js";
-import { showPanel } from "./panel.js";
-import { parse } from "./parse.js";
-import { showPlan } from "./plan.js";
-import { showPrint } from "./print.js";
-import { showRecording } from "./recording.js";
-import { showReplay } from "./replay.js";
-import { showSearch } from "./search.js";
-import { showSetup } from "./setup.js";
-import { Store } from "./store.js";
-import { showTimeline } from "./timeline.js";
-import { showViews } from "./views.js";
+import { showList } from "./panels/objects/list.js";
+import { showMasthead } from "./panels/page/masthead.js";
+import { readInfo } from "./wire/message.js";
+import { showObjects } from "./panels/objects/object-form.js";
+import { showOffer } from "./panels/page/offer.js";
+import { showPanel } from "./panels/objects/panel.js";
+import { parse } from "./wire/parse.js";
+import { showPlan } from "./panels/calibration/plan.js";
+import { showPrint } from "./panels/calibration/print.js";
+import { showRecording } from "./panels/history/recording.js";
+import { showReplay } from "./panels/history/replay.js";
+import { showSearch } from "./panels/objects/search.js";
+import { showSetup } from "./panels/cameras/setup.js";
+import { Store } from "./state/store.js";
+import { showTimeline } from "./panels/history/timeline.js";
+import { showViews } from "./panels/page/views.js";
 
 /** Snapshots asked for each second: a screen's rate, and half of it where a finger says that it is a phone's. */
 const MAX_RATE_HZ = matchMedia("(pointer: coarse)").matches ? 30 : 60;

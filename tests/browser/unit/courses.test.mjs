@@ -3,9 +3,9 @@
 import assert from "node:assert/strict";
 import { test } from "node:test";
 
-import { darkness, eachPlace, heatOf, nearestPlace, readCourses } from "../../../client/dashboard/js/courses.js";
-import { minutes, size } from "../../../client/dashboard/js/format.js";
-import { stateWords } from "../../../client/dashboard/js/recording.js";
+import { darkness, eachPlace, heatOf, nearestPlace, readCourses } from "../../../client/dashboard/js/state/courses.js";
+import { minutes, size } from "../../../client/dashboard/js/base/format.js";
+import { stateWords } from "../../../client/dashboard/js/panels/history/recording.js";
 
 const BEGIN_NS = 1_700_000_000_000_000_000n;
 

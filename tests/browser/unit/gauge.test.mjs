@@ -3,7 +3,7 @@
 import assert from "node:assert/strict";
 import { describe, test } from "node:test";
 
-import { Gauge } from "../../../client/dashboard/js/gauge.js";
+import { Gauge } from "../../../client/dashboard/js/state/gauge.js";
 
 const snapshot = (more = {}) => ({ sequence: 1, sourceId: "a", poseTimeMs: 0, latencyMs: 20, objects: [], missed: 0, ...more });
 

@@ -12,7 +12,7 @@ import {
   roundStep,
   sigmasM,
   tiltRad,
-} from "../../../client/dashboard/js/geometry.js";
+} from "../../../client/dashboard/js/base/geometry.js";
 
 const near = (actual, expected, tolerance = 1e-12) =>
   assert.ok(Math.abs(actual - expected) <= tolerance, `${actual} is not ${expected}`);

@@ -3,8 +3,8 @@
 import assert from "node:assert/strict";
 import { test } from "node:test";
 
-import { illnesses, Latencies, sameIllnesses, verdict, Vitals } from "../../../client/dashboard/js/health.js";
-import { readCameras } from "../../../client/dashboard/js/message.js";
+import { illnesses, Latencies, sameIllnesses, verdict, Vitals } from "../../../client/dashboard/js/state/health.js";
+import { readCameras } from "../../../client/dashboard/js/wire/message.js";
 
 const POSE = { position: { x: 0, y: 0, z: 5 }, orientation: { x: 1, y: 0, z: 0, w: 0 } };
 

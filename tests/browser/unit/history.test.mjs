@@ -3,8 +3,8 @@
 import assert from "node:assert/strict";
 import { test } from "node:test";
 
-import { FRAME_MS, History, HISTORY_MS } from "../../../client/dashboard/js/history.js";
-import { ObjectState } from "../../../client/dashboard/js/state.js";
+import { FRAME_MS, History, HISTORY_MS } from "../../../client/dashboard/js/state/history.js";
+import { ObjectState } from "../../../client/dashboard/js/state/state.js";
 
 const START_MS = 1_700_000_000_000;
 

@@ -3,8 +3,8 @@
 import assert from "node:assert/strict";
 import { test } from "node:test";
 
-import { zonesOf } from "../../../client/dashboard/js/lens-view.js";
-import { canFinish, isRunning, missingWords, parameterCells, progressOf, reportWords, sizeOf, stageWords, subjectOf } from "../../../client/dashboard/js/lens-words.js";
+import { zonesOf } from "../../../client/dashboard/js/panels/calibration/lens-view.js";
+import { canFinish, isRunning, missingWords, parameterCells, progressOf, reportWords, sizeOf, stageWords, subjectOf } from "../../../client/dashboard/js/panels/calibration/lens-words.js";
 
 const LENS = {
   stage: "gathering",

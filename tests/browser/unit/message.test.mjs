@@ -3,9 +3,9 @@
 import assert from "node:assert/strict";
 import { test } from "node:test";
 
-import { degrees, duration, fixed, significant, whole } from "../../../client/dashboard/js/format.js";
-import { readCameras, readEvent, readInfo, readSnapshot } from "../../../client/dashboard/js/message.js";
-import { trialWords } from "../../../client/dashboard/js/trial.js";
+import { degrees, duration, fixed, significant, whole } from "../../../client/dashboard/js/base/format.js";
+import { readCameras, readEvent, readInfo, readSnapshot } from "../../../client/dashboard/js/wire/message.js";
+import { trialWords } from "../../../client/dashboard/js/panels/cameras/trial.js";
 
 const SNAPSHOT = {
   sequence: 7,

@@ -3,7 +3,7 @@
 import assert from "node:assert/strict";
 import { test } from "node:test";
 
-import { directions, turnOf } from "../../../client/dashboard/js/mounts.js";
+import { directions, turnOf } from "../../../client/dashboard/js/panels/objects/mounts.js";
 
 const close = (one, other) => assert.ok(Math.abs(one - other) < 1e-6, `${one} is not ${other}`);
 const same = (one, other) => Object.keys(other).forEach((key) => close(one[key], other[key]));

@@ -4,10 +4,10 @@ import assert from "node:assert/strict";
 import { readFile, readdir } from "node:fs/promises";
 import { test } from "node:test";
 
-import { readSnapshot } from "../../../client/dashboard/js/message.js";
-import { decode, shapes } from "../../../client/dashboard/js/protobuf.js";
-import { ENUMERATIONS, SHAPES, TABLES } from "../../../client/dashboard/js/schema.js";
-import { decodeSnapshot } from "../../../client/dashboard/js/snapshot.js";
+import { readSnapshot } from "../../../client/dashboard/js/wire/message.js";
+import { decode, shapes } from "../../../client/dashboard/js/wire/protobuf.js";
+import { ENUMERATIONS, SHAPES, TABLES } from "../../../client/dashboard/js/wire/schema.js";
+import { decodeSnapshot } from "../../../client/dashboard/js/wire/snapshot.js";
 import { encode } from "../wire.mjs";
 import { World } from "../world.mjs";
 

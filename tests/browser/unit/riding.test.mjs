@@ -3,9 +3,9 @@
 import assert from "node:assert/strict";
 import { test } from "node:test";
 
-import { compose, multiply, rotate } from "../../../client/dashboard/js/geometry.js";
-import { readCameras, readSnapshot } from "../../../client/dashboard/js/message.js";
-import { carried } from "../../../client/dashboard/js/riding.js";
+import { compose, multiply, rotate } from "../../../client/dashboard/js/base/geometry.js";
+import { readCameras, readSnapshot } from "../../../client/dashboard/js/wire/message.js";
+import { carried } from "../../../client/dashboard/js/state/riding.js";
 
 const HALF = Math.SQRT1_2;
 /** A quarter turn about z. */

@@ -3,9 +3,9 @@
 import assert from "node:assert/strict";
 import { test } from "node:test";
 
-import { aimOf, orientationOf } from "../../../client/dashboard/js/aim.js";
-import { rotate } from "../../../client/dashboard/js/geometry.js";
-import { difference, given } from "../../../client/dashboard/js/setup.js";
+import { aimOf, orientationOf } from "../../../client/dashboard/js/panels/cameras/aim.js";
+import { rotate } from "../../../client/dashboard/js/base/geometry.js";
+import { difference, given } from "../../../client/dashboard/js/panels/cameras/setup.js";
 
 const near = (a, b, message) => assert.ok(Math.abs(a - b) < 1e-9, `${message}: ${a} for ${b}`);
 const nearVector = (a, b, message) => ["x", "y", "z"].forEach((axis) => near(a[axis], b[axis], `${message} ${axis}`));

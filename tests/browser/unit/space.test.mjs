@@ -3,10 +3,10 @@
 import assert from "node:assert/strict";
 import { test } from "node:test";
 
-import { cholesky, longestSemiaxis } from "../../../client/dashboard/js/geometry.js";
-import { Orbit } from "../../../client/dashboard/js/orbit.js";
-import { fits } from "../../../client/dashboard/js/search.js";
-import { ObjectState } from "../../../client/dashboard/js/state.js";
+import { cholesky, longestSemiaxis } from "../../../client/dashboard/js/base/geometry.js";
+import { Orbit } from "../../../client/dashboard/js/arena/space/orbit.js";
+import { fits } from "../../../client/dashboard/js/panels/objects/search.js";
+import { ObjectState } from "../../../client/dashboard/js/state/state.js";
 import { Matrix4, PerspectiveCamera, Vector3 } from "../../../client/dashboard/vendor/three.js";
 
 const ENTRIES = { xx: 0, xy: 1, xz: 2, yy: 6, yz: 7, zz: 11 };

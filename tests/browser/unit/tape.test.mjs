@@ -3,9 +3,9 @@
 import assert from "node:assert/strict";
 import { test } from "node:test";
 
-import { ObjectState } from "../../../client/dashboard/js/state.js";
-import { Tape } from "../../../client/dashboard/js/tape.js";
-import { Track } from "../../../client/dashboard/js/track.js";
+import { ObjectState } from "../../../client/dashboard/js/state/state.js";
+import { Tape } from "../../../client/dashboard/js/arena/top/tape.js";
+import { Track } from "../../../client/dashboard/js/state/track.js";
 
 const object = (id, x, y, z) =>
   Track.of(

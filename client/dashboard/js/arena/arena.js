@@ -1,0 +1,189 @@
+/**
+ * The arena's place in the page: what the person does to it goes to the stage (stage.js), which draws elsewhere, and what
+ * the stage shows is said below it.
+ */
+
+import { gridStepM, RULER } from "./top/backdrop.js";
+import { nearestPlace } from "../state/courses.js";
+import { find, setText } from "../base/dom.js";
+import { fixed, timeOfDay } from "../base/format.js";
+import { listenForGestures } from "./gesture.js";
+import { readPalette } from "./palette.js";
+import { View } from "./view.js";
+
+/** What a browser without WebGL is told. */
+const NO_SPACE = "This browser draws no 3D (WebGL 2 is missing or switched off): here is the view from above.";
+/** How near the pointer a course has to pass to be told of, CSS pixels. */
+const PASSED_PX = 18;
+
+/** @typedef {import("./stage.js").StageMode} StageMode */
+
+export class Arena {
+  /**
+   * @param {import("../state/store.js").Store} store
+   * @param {import("../link.js").Link} link
+   * @param {string} url of the stream
+   */
+  constructor(store, link, url) {
+    this.store = store;
+    this.link = link;
+    this.stage = find("#arena-stage");
+    this.caption = find("#arena-caption");
+    /** What the stage shows of the floor, as it told last. */
+    this.view = new View();
+    this.stepM = gridStepM(this.view);
+    /** @type {StageMode} */
+    this.mode = "top";
+    /** Said below the arena, of a wish that could not be met. */
+    this.excuse = "";
+    this.look = { exaggeration: 10, trails: true };
+    /** @type {import("../state/courses.js").Overlay | null} what the history tells */
+    this.overlay = null;
+    /** @type {[number, number] | null} */
+    this.pointer = null;
+    /** Whether clicks measure, and what the tape says. */
+    this.measures = false;
+    this.measured = "";
+    this.tapeButton = find("#tape");
+    /** @type {((mode: StageMode) => void)[]} who waits to be shown something */
+    this.waiting = [];
+
+    this.open(url);
+    store.on("selection", () => link.send("select", { id: store.selected, following: store.following }));
+    store.on("time", () => link.send("past", store.pastMs));
+    document.addEventListener("themechange", () => link.send("palette", readPalette()));
+    document.addEventListener("visibilitychange", () => {
+      // An attempt may succeed now where the last ones did not.
+      if (document.visibilityState === "visible") link.send("retry");
+    });
+    this.tapeButton.addEventListener("click", () => this.measure(!this.measures));
+    new ResizeObserver(() => this.onResize()).observe(this.stage);
+    listenForGestures(this.stage, this.gestures());
+  }
+
+  /** @param {string} url */
+  open(url) {
+    const { link } = this;
+    const canvas = (/** @type {string} */ name) => link.hand(/** @type {HTMLCanvasElement} */ (find(`#arena-${name}`)));
+    const canvases = { backdrop: canvas("backdrop"), tracks: canvas("tracks"), space: canvas("space"), labels: canvas("labels") };
+    link.send("open", { url, canvases, palette: readPalette() }, /** @type {Transferable[]} */ (Object.values(canvases)));
+    this.onResize();
+    link.on("sight", ({ centerX, centerY, scale, stepM, measured }) => {
+      Object.assign(this.view, { centerX, centerY, scale });
+      this.stepM = stepM;
+      this.measured = measured;
+      this.describe();
+    });
+    link.on("hovered", (id) => this.stage.classList.toggle("over-object", id !== null));
+    link.on("picked", (id) => this.store.select(id));
+    link.on("shown", (mode) => this.waiting.shift()?.(mode));
+  }
+
+  /** @returns {import("./gesture.js").GestureHandlers} */
+  gestures() {
+    const { link, store } = this;
+    return {
+      drag: (dx, dy, isSecond) => {
+        if (this.mode === "top" || isSecond) store.follow(false);
+        link.send("drag", [dx, dy, isSecond]);
+      },
+      zoom: (px, py, factor) => link.send("zoom", [px, py, factor]),
+      pick: (px, py, coarse) => link.send(this.measures && this.mode === "top" ? "measure" : "pick", { px, py, coarse }),
+      hover: (px, py) => {
+        this.pointer = px === null || py === null ? null : [px, py];
+        link.send("point", this.pointer);
+        this.describe();
+      },
+    };
+  }
+
+  /** Takes the tape measure out, or away. @param {boolean} measures */
+  measure(measures) {
+    this.measures = measures;
+    this.tapeButton.setAttribute("aria-pressed", String(measures));
+    this.stage.classList.toggle("measuring", measures);
+    this.link.send("tape", measures);
+  }
+
+  /** Zooms about the middle. @param {number} factor */
+  zoomMiddle(factor) {
+    this.link.send("zoom", [this.view.width / 2, this.view.height / 2, factor]);
+  }
+
+  /**
+   * From above, or in 3D if this browser can.
+   * @param {StageMode} wanted
+   * @returns {Promise<StageMode>} what it is now
+   */
+  async show(wanted) {
+    this.onResize();
+    this.link.send("show", wanted);
+    this.mode = await new Promise((resolve) => this.waiting.push(resolve));
+    this.excuse = this.mode === wanted ? "" : NO_SPACE;
+    this.stage.dataset.mode = this.mode;
+    this.describe();
+    return this.mode;
+  }
+
+  /** Shows everything, and keeps showing it until the view is moved. */
+  fit() {
+    this.store.follow(false);
+    this.link.send("fit");
+  }
+
+  /** @param {number} exaggeration 0: no ellipses */
+  setExaggeration(exaggeration) {
+    this.look.exaggeration = exaggeration;
+    this.link.send("look", this.look);
+    this.describe();
+  }
+
+  /** @param {boolean} trails */
+  setTrails(trails) {
+    this.look.trails = trails;
+    this.link.send("look", this.look);
+  }
+
+  /** @param {import("../state/courses.js").Overlay | null} overlay */
+  setOverlay(overlay) {
+    this.overlay = overlay;
+    this.link.send("overlay", overlay);
+  }
+
+  /** What of the floor is seen from above; in 3D, what would be. @returns {import("./view.js").Bounds} metres */
+  inView() {
+    const { view } = this;
+    return { minX: view.worldX(RULER.left), maxX: view.worldX(view.width), minY: view.worldY(view.height - RULER.bottom), maxY: view.worldY(0) };
+  }
+
+  onResize() {
+    const { clientWidth: width, clientHeight: height } = this.stage;
+    if (width > 0 && height > 0) Object.assign(this.view, { width, height });
+    this.link.send("size", { width, height, ratio: devicePixelRatio || 1 });
+  }
+
+  /** Says the scale, how far the ellipses are exaggerated, and where the pointer is. */
+  describe() {
+    const isSpace = this.mode === "space";
+    const { exaggeration } = this.look;
+    const shapes = isSpace ? "ellipsoids" : "ellipses";
+    const parts = [this.excuse, this.measured, `Grid ${this.stepM} m`];
+    if (exaggeration === 1) parts.push(`95 % ${shapes} to scale`);
+    if (exaggeration > 1) parts.push(`95 % ${shapes} drawn ${exaggeration}× larger`);
+    parts.push("lines reach 0.5 s ahead");
+    if (isSpace) parts.push("drag turns, Shift and drag moves");
+    else if (this.pointer) {
+      const [px, py] = this.pointer;
+      parts.push(`x ${fixed(this.view.worldX(px), 2)}  y ${fixed(this.view.worldY(py), 2)} m`, this.passedWords(px, py));
+    }
+    setText(this.caption, parts.filter(Boolean).join("  ·  "));
+  }
+
+  /** Who passed the pointer when, of the history's courses. @param {number} px @param {number} py */
+  passedWords(px, py) {
+    const { view, overlay } = this;
+    if (!overlay || overlay.heat) return "";
+    const passed = nearestPlace(overlay.courses, view.worldX(px), view.worldY(py), PASSED_PX / view.scale);
+    return passed ? `${passed.course.label} was here at ${timeOfDay(passed.timeMs)}` : "";
+  }
+}

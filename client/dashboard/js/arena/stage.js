@@ -1,0 +1,386 @@
+/**
+ * The arena from above or in 3D, drawn when something has changed and at most once per frame of the screen. From above
+ * it is two canvases, what stands still below what moves; in 3D one of WebGL, with labels on another above it.
+ *
+ * It knows nothing of the page: it draws in a worker (engine.js), so that neither waits for the other, and is told by
+ * arena.js what the person does.
+ */
+
+import { cameraFootprint, drawBackdrop, gridStepM, RULER } from "./top/backdrop.js";
+import { Layer } from "./canvas/layer.js";
+import { discRadius } from "./top/mark.js";
+import { drawTracks } from "./top/plot.js";
+import { drawTape, Tape } from "./top/tape.js";
+import { boundsOf, View } from "./view.js";
+
+/** Kept free round what is fitted, CSS pixels; the rulers come on top. */
+const FIT_MARGIN_PX = 26;
+/** Kept in view round an object where no camera stands, metres: it will move. */
+const ROOM_M = 2;
+/** Reach of a click beyond the disc, CSS pixels; fingers are thicker. */
+const REACH_PX = 6;
+const REACH_COARSE_PX = 18;
+/** How often it is told at most what of the floor is in view, ms: while an object is followed that changes each frame. */
+const TELL_MS = 100;
+
+/** A picture that takes longer is followed by a rest, ms. */
+const LONG_MS = 25;
+
+/** @typedef {"top" | "space"} StageMode */
+/** @typedef {{backdrop: Canvas, tracks: Canvas, space: Canvas, labels: Canvas}} Canvases */
+/** @typedef {OffscreenCanvas | HTMLCanvasElement} Canvas */
+/** @typedef {{centerX: number, centerY: number, scale: number, stepM: number, measured: string}} Sight what of the floor is in view: that of view.js, the grid's step, what the tape says */
+
+export class Stage {
+  /**
+   * @param {import("../state/store.js").Store} store
+   * @param {Canvases} canvases
+   * @param {import("./palette.js").Palette} palette
+   * @param {(sight: Sight) => void} onSight is told when something else is in view
+   */
+  constructor(store, canvases, palette, onSight) {
+    this.store = store;
+    this.onSight = onSight;
+    this.view = new View();
+    this.canvases = canvases;
+    this.layers = {
+      backdrop: new Layer(canvases.backdrop),
+      tracks: new Layer(canvases.tracks),
+      labels: new Layer(canvases.labels),
+    };
+    /** @type {import("./space/space.js").SpaceView | null} made when it is first wanted: half a megabyte that most phones never load */
+    this.space = null;
+    /** @type {StageMode} */
+    this.mode = "top";
+    this.palette = palette;
+    /** Whether anybody sees it. */
+    this.isShown = true;
+    this.exaggeration = 10;
+    this.trails = true;
+    /** @type {import("../state/courses.js").Overlay | null} what the history tells */
+    this.overlay = null;
+    /** @type {number | null} */
+    this.hovered = null;
+    /** True until the person moves the view: it then no longer fits itself to what there is. */
+    this.fitsItself = true;
+    /** What the backdrop's cameras look like, to see whether they have changed. */
+    this.camerasDrawn = "";
+    this.boundsFitted = "";
+    this.bounds = boundsOf([]);
+    this.tape = new Tape();
+    this.backdropStale = true;
+    this.frameAsked = false;
+    /** Before this no other picture is drawn, `performance.now()`. */
+    this.restUntilMs = 0;
+    this.sightTold = "";
+    this.sightTimer = 0;
+
+    store.on("snapshot", () => this.onSnapshot());
+    store.on("time", () => this.onSnapshot());
+    store.on("cameras", () => this.onCameras());
+    store.on("selection", () => this.onSelection());
+  }
+
+  /** @param {import("./palette.js").Palette} palette */
+  setPalette(palette) {
+    this.palette = palette;
+    this.refresh();
+  }
+
+  /**
+   * @param {number} dx CSS pixels by which the picture goes with the hand
+   * @param {number} dy
+   * @param {boolean} isSecond in 3D: moves, where it turns otherwise
+   */
+  drag(dx, dy, isSecond) {
+    this.fitsItself = false;
+    if (this.mode === "top") this.view.pan(dx, dy);
+    else if (isSecond) this.space?.orbit.slide(dx, dy);
+    else this.space?.orbit.turn(dx, dy);
+    this.refresh();
+  }
+
+  /**
+   * @param {number} px
+   * @param {number} py
+   * @param {number} factor
+   */
+  zoom(px, py, factor) {
+    this.fitsItself = false;
+    // While following, the object is what stays in place.
+    if (this.mode === "space") this.space?.orbit.zoom(factor);
+    else if (this.store.following) this.view.zoom(this.view.width / 2, this.view.height / 2, factor);
+    else this.view.zoom(px, py, factor);
+    this.refresh();
+  }
+
+  /**
+   * From above, or in 3D if this browser can.
+   * @param {StageMode} mode
+   * @returns {Promise<StageMode>} what it is now
+   */
+  async show(mode) {
+    if (mode === "space" && !this.space) this.space = await this.makeSpace();
+    this.mode = mode === "space" && this.space ? "space" : "top";
+    this.boundsFitted = "";
+    if (this.mode === "space") this.space?.resize(this.view.width, this.view.height, this.view.ratio);
+    this.fitNow();
+    this.refresh();
+    return this.mode;
+  }
+
+  async makeSpace() {
+    const canvas = this.canvases.space;
+    // Smooth edges are for those who have a card: drawn by the processor, they would take most of its time.
+    const context = /** @type {WebGL2RenderingContext | null} */ (
+      canvas.getContext("webgl2", { alpha: false, antialias: true, failIfMajorPerformanceCaveat: true }) ??
+      canvas.getContext("webgl2", { alpha: false, antialias: false })
+    );
+    if (!context) return null;
+    try {
+      const { SpaceView } = await import("./space/space.js");
+      return new SpaceView(canvas, context);
+    } catch {
+      // The file could not be loaded, or the card gave up: the view from above is always there.
+      return null;
+    }
+  }
+
+  /** Shows everything, and keeps showing it until the view is moved. */
+  fit() {
+    this.fitsItself = true;
+    this.boundsFitted = "";
+    this.fitNow();
+    this.refresh();
+  }
+
+  /** @param {{exaggeration: number, trails: boolean}} look exaggeration 0: no ellipses */
+  setLook({ exaggeration, trails }) {
+    this.exaggeration = exaggeration;
+    this.trails = trails;
+    this.askFrame();
+  }
+
+  /** @param {import("../state/courses.js").Overlay | null} overlay */
+  setOverlay(overlay) {
+    this.overlay = overlay;
+    this.refresh();
+  }
+
+  onSnapshot() {
+    if (this.fitsItself && (this.boundsFitted === "" || this.isLeft())) {
+      this.fitNow();
+      this.backdropStale = true;
+    }
+    this.centerOnFollowed();
+    this.askFrame();
+  }
+
+  /** Whether an object has gone out of sight where no camera that stands says what there is to see. */
+  isLeft() {
+    if (this.standing().some((camera) => camera.pose)) return false;
+    const { view } = this;
+    return [...this.store.tracks.values()].some(({ state: { positionM } }) => {
+      if (!positionM) return false;
+      const [px, py] = [view.screenX(positionM.x), view.screenY(positionM.y)];
+      return px < RULER.left || px > view.width || py < 0 || py > view.height - RULER.bottom;
+    });
+  }
+
+  onCameras() {
+    const look = JSON.stringify(
+      this.standing().map(({ name, status, pose, intrinsics, width, height }) => [
+        name, status === "failed", pose, intrinsics, width, height,
+      ]),
+    );
+    if (look === this.camerasDrawn) return;
+    this.camerasDrawn = look;
+    if (this.fitsItself) this.fitNow();
+    this.refresh();
+  }
+
+  /** Cameras that stay where they are. */
+  standing() {
+    return this.store.cameras.filter((camera) => !camera.mount);
+  }
+
+  onSelection() {
+    this.tape.reach(this.store.selected);
+    this.centerOnFollowed();
+    this.askFrame();
+  }
+
+  /** Nobody sees it without a size. @param {{width: number, height: number, ratio: number}} size CSS pixels, and the screen's pixels in one */
+  resize({ width, height, ratio }) {
+    this.isShown = width > 0 && height > 0;
+    if (!this.isShown) return;
+    Object.assign(this.view, { width, height, ratio });
+    for (const layer of Object.values(this.layers)) layer.resize(width, height, ratio);
+    if (this.mode === "space") this.space?.resize(width, height, ratio);
+    this.boundsFitted = "";
+    if (this.fitsItself) this.fitNow();
+    // Drawn at once: a resized canvas is empty, and would flash until the next frame.
+    this.backdropStale = true;
+    this.draw();
+  }
+
+  centerOnFollowed() {
+    if (!this.store.following || this.store.selected === null) return;
+    const position = this.store.tracks.get(this.store.selected)?.state.positionM;
+    if (!position) return;
+    this.fitsItself = false;
+    if (this.space) this.space.orbit.target = position;
+    this.view.centerX = position.x;
+    this.view.centerY = position.y;
+    this.backdropStale = true;
+  }
+
+  /** Fits to the cameras that stand and what they see; to the objects where no such camera's place is known. */
+  fitNow() {
+    const { tracks } = this.store;
+    const places = this.standing().flatMap((camera) =>
+      camera.pose ? [camera.pose.position, ...cameraFootprint(camera)] : [],
+    );
+    if (places.length === 0) {
+      for (const { state } of tracks.values()) {
+        if (!state.positionM) continue;
+        const { x, y } = state.positionM;
+        places.push({ x: x - ROOM_M, y: y - ROOM_M }, { x: x + ROOM_M, y: y + ROOM_M });
+      }
+    }
+    if (places.length === 0) this.boundsFitted = "";
+    const bounds = boundsOf(places);
+    const wanted = places.length > 0 ? JSON.stringify(bounds) : "";
+    if (wanted !== "" && wanted === this.boundsFitted) return;
+    this.boundsFitted = wanted;
+    this.bounds = bounds;
+    if (this.space) {
+      this.space.lay(this.palette, this.standing(), bounds, this.overlay);
+      this.space.fit(bounds);
+    }
+    this.view.fit(bounds, {
+      left: RULER.left + FIT_MARGIN_PX,
+      right: FIT_MARGIN_PX,
+      top: FIT_MARGIN_PX,
+      bottom: RULER.bottom + FIT_MARGIN_PX,
+    });
+  }
+
+  /** @param {[number, number] | null} at CSS pixels; null: it has left */
+  point(at) {
+    const hovered = at && this.objectAt(...at, false);
+    this.tape.pointer = at && [this.view.worldX(at[0]), this.view.worldY(at[1])];
+    if (hovered === this.hovered && !this.tape.isOut) return;
+    this.hovered = hovered;
+    this.askFrame();
+  }
+
+  /** @param {boolean} isOut */
+  takeTape(isOut) {
+    this.tape.take(isOut, this.store.selected);
+    this.askFrame();
+  }
+
+  /** @param {number} px @param {number} py @param {boolean} coarse */
+  measureAt(px, py, coarse) {
+    const id = this.objectAt(px, py, coarse);
+    this.tape.set(id === null ? { id, x: this.view.worldX(px), y: this.view.worldY(py) } : { id });
+    this.askFrame();
+  }
+
+  /**
+   * @param {number} px
+   * @param {number} py
+   * @param {boolean} coarse
+   * @returns {number | null} id of the nearest object within reach
+   */
+  objectAt(px, py, coarse) {
+    if (this.mode === "space") return this.space?.objectAt(px, py, coarse ? REACH_COARSE_PX : REACH_PX) ?? null;
+    let nearest = null;
+    let nearestPx = discRadius(this.view) + (coarse ? REACH_COARSE_PX : REACH_PX);
+    for (const [id, { state }] of this.store.tracks) {
+      if (!state.positionM) continue;
+      const dx = this.view.screenX(state.positionM.x) - px;
+      const dy = this.view.screenY(state.positionM.y) - py;
+      const distancePx = Math.hypot(dx, dy);
+      if (distancePx > nearestPx) continue;
+      nearest = id;
+      nearestPx = distancePx;
+    }
+    return nearest;
+  }
+
+  /** Draws all anew with the next frame. */
+  refresh() {
+    this.backdropStale = true;
+    this.askFrame();
+  }
+
+  askFrame() {
+    if (this.frameAsked) return;
+    this.frameAsked = true;
+    const restMs = this.restUntilMs - performance.now();
+    if (restMs > 1) setTimeout(() => requestAnimationFrame(() => this.drawAndRest()), restMs);
+    else requestAnimationFrame(() => this.drawAndRest());
+  }
+
+  /** Where a picture takes long, as in 3D without a card, as much time again is left to what comes over the stream. */
+  drawAndRest() {
+    this.frameAsked = false;
+    const begunMs = performance.now();
+    this.draw();
+    // What the canvas has to do for it comes after this, and before the next task.
+    setTimeout(() => {
+      const tookMs = performance.now() - begunMs;
+      this.restUntilMs = tookMs > LONG_MS ? begunMs + 2 * tookMs : 0;
+    });
+  }
+
+  draw() {
+    const { view, palette, store } = this;
+    // Behind the table of health nobody sees it; it is drawn anew when it comes back, since its size changes then.
+    if (!this.isShown) return;
+    const space = this.mode === "space" ? this.space : null;
+    if (this.backdropStale) {
+      this.backdropStale = false;
+      if (space) space.lay(palette, this.standing(), this.bounds, this.overlay);
+      else drawBackdrop(this.layers.backdrop.context, view, palette, this.standing(), this.overlay);
+    }
+    this.tellSight();
+    const tracks = [...store.tracks.values()];
+    if (space) space.draw(this.layers.labels.context, palette, tracks, store.cameras, this.plotOptions());
+    else drawTracks(this.layers.tracks.context, view, palette, tracks, this.plotOptions());
+    const measured = space ? null : this.tape.places(store.tracks);
+    if (measured) drawTape(this.layers.tracks.context, view, palette, measured);
+  }
+
+  /** @returns {import("./top/plot.js").PlotOptions} */
+  plotOptions() {
+    const { store } = this;
+    return {
+      exaggeration: this.exaggeration,
+      trails: this.trails,
+      selected: store.selected,
+      hovered: this.hovered,
+      timeMs: store.shownMs,
+      history: store.history,
+      cameras: store.cameras.filter((camera) => camera.mount),
+    };
+  }
+
+  /** At once, or a little later if it was told only now. */
+  tellSight() {
+    if (this.sightTimer) return;
+    const { centerX, centerY, scale } = this.view;
+    const stepM = (this.mode === "space" ? this.space?.stepM : null) ?? gridStepM(this.view);
+    const sight = { centerX, centerY, scale, stepM, measured: this.mode === "top" ? this.tape.words(this.store.tracks) : "" };
+    const told = JSON.stringify(sight);
+    if (told === this.sightTold) return;
+    this.sightTold = told;
+    this.onSight(sight);
+    this.sightTimer = setTimeout(() => {
+      this.sightTimer = 0;
+      this.tellSight();
+    }, TELL_MS);
+  }
+}

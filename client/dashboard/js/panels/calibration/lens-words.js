@@ -1,0 +1,111 @@
+/** A lens calibration in words and numbers, as the server tells of it. */
+
+import { fixed } from "../../base/format.js";
+
+/** @typedef {{columns: number, rows: number, zones: number[], visited_from: number, share: number}} Coverage */
+/** @typedef {{name: string, value: number, deviation: number, unit: string}} Parameter */
+/** @typedef {{distortion_model: string, parameters: Parameter[], rms_px: number, views: number, views_left_out: number, outliers: number, width_warning: string}} Report */
+/**
+ * @typedef {object} Lens
+ * @property {"idle" | "gathering" | "solving" | "done" | "failed"} stage
+ * @property {string} camera
+ * @property {string} source
+ * @property {string} board
+ * @property {number} width
+ * @property {number} height
+ * @property {number} frames
+ * @property {number} taken
+ * @property {number} enough
+ * @property {number} least
+ * @property {number} most
+ * @property {string} newest
+ * @property {boolean} newest_taken
+ * @property {Coverage} coverage
+ * @property {[number, number][][]} outlines
+ * @property {[number, number][]} outline
+ * @property {string[]} missing
+ * @property {string} left_out
+ * @property {string} error
+ * @property {Report | null} report
+ * @property {boolean} can_apply
+ * @property {string} applied
+ */
+
+/** Whether it runs. @param {Lens} it */
+export function isRunning(it) {
+  return it.stage === "gathering" || it.stage === "solving";
+}
+
+/** Whose lens it is. @param {Lens} it */
+export function subjectOf(it) {
+  return it.camera || it.source;
+}
+
+/** What is going on, and what to do. @param {Lens} it */
+export function stageWords(it) {
+  switch (it.stage) {
+    case "gathering":
+      return it.frames === 0 ? "Waiting for the first picture." : `${viewsWords(it.taken)} of ${it.enough}, ${percent(it.coverage.share)} of the picture covered. ${sentence(it.newest)}`;
+    case "solving":
+      return "Working it out. The board may rest.";
+    case "done":
+      return it.applied ? `Done. It is kept as ${it.applied}${it.camera ? `, and camera ${it.camera} uses it` : ""}.` : "Done. Nothing uses it yet.";
+    case "failed":
+      return "No lens was found.";
+    default:
+      return "Print the board (Print…, Calibration board), fix it to something flat, start, and move it before the camera. Hold it still at each place.";
+  }
+}
+
+/** What is missing, for a list. @param {Lens} it @returns {string[]} */
+export function missingWords(it) {
+  if (it.stage !== "gathering" || it.frames === 0) return [];
+  if (it.missing.length > 0) return it.missing.map(sentence);
+  return it.taken < it.enough ? ["Nothing certain: more views from anywhere."] : [];
+}
+
+/** How far it is, 0 to 1: by views, and never whole while something is missing. @param {Lens} it */
+export function progressOf(it) {
+  if (it.stage !== "gathering") return it.stage === "idle" ? 0 : 1;
+  const share = Math.min(1, it.taken / Math.max(1, it.enough));
+  return it.missing.length > 0 ? Math.min(share, 0.95) : share;
+}
+
+/** Whether there is enough for a lens, as far as can be told before. @param {Lens} it */
+export function canFinish(it) {
+  return it.stage === "gathering" && it.taken >= it.least;
+}
+
+/** Value and deviation, with as many decimals as the deviation has to say. @param {Parameter} it */
+export function parameterCells(it) {
+  const decimals = it.deviation > 0 ? Math.min(8, Math.max(0, 1 - Math.floor(Math.log10(it.deviation)))) : 6;
+  const unit = it.unit ? ` ${it.unit}` : "";
+  return [`${fixed(it.value, decimals)}${unit}`, `± ${fixed(it.deviation, decimals)}${unit}`];
+}
+
+/** What the result rests on. @param {Report} it */
+export function reportWords(it) {
+  const left = it.views_left_out > 0 ? `, ${it.views_left_out} left out since they contradict the others` : "";
+  return `${it.distortion_model}, from ${viewsWords(it.views)}${left}; seen and predicted centres differ by ${fixed(it.rms_px, 3)} px rms.${it.width_warning ? ` ${sentence(it.width_warning)}` : ""}`;
+}
+
+/** Columns and rows as somebody writes them, as they go into the request. @param {string} text @returns {{width: number, height: number} | null} */
+export function sizeOf(text) {
+  const [, width, height] = /^(\d+)\s*[x×]\s*(\d+)$/iu.exec(text.trim()) ?? [];
+  return height === undefined ? null : { width: Number(width), height: Number(height) };
+}
+
+/** @param {string} text */
+export function sentence(text) {
+  return `${text.charAt(0).toUpperCase()}${text.slice(1)}`.replace(/([^.!?])$/, "$1.");
+}
+
+/** @param {number} count */
+function viewsWords(count) {
+  return count === 1 ? "1 view" : `${count} views`;
+}
+
+/** @param {number} share */
+function percent(share) {
+  return `${fixed(share * 100, 0)} %`;
+}

@@ -1,0 +1,152 @@
+/** Roundels and the calibration board to print: what is wanted, how it looks, and the file. */
+
+import { ask, askFile } from "../../wire/ask.js";
+import { findDialog } from "../forms/dialog.js";
+import { element, find, setText } from "../../base/dom.js";
+import { askKinds } from "../../wire/kinds.js";
+import { Troubles } from "../forms/troubles.js";
+
+/** After the last key, before a new preview is asked for, ms. */
+const PAUSE_MS = 300;
+const FIELDS = ["marker", "code", "ids", "copies", "polarity", "board", "pitch", "page", "sheet"];
+/** Codes beyond this are not listed: nobody looks through thousands of rows. */
+const MOST_LISTED = 500;
+/** The choice of a roundel that is none of the configuration's. */
+const OWN = "";
+
+/** @param {import("../../state/store.js").Store} store */
+export function showPrint(store) {
+  const form = new PrintForm(store);
+  find("#print-open").addEventListener("click", () => void form.open());
+}
+
+class PrintForm {
+  /** @param {import("../../state/store.js").Store} store */
+  constructor(store) {
+    this.store = store;
+    this.dialog = findDialog("#print");
+    this.form = /** @type {HTMLFormElement} */ (find("#print-form"));
+    this.kind = /** @type {HTMLSelectElement} */ (find("#print-kind"));
+    this.picture = /** @type {HTMLImageElement} */ (find("#print-picture"));
+    this.files = find("#print-files");
+    this.troubles = new Troubles("print", FIELDS);
+    /** @type {import("../../wire/kinds.js").Kind[]} */
+    this.kinds = [];
+    this.timer = 0;
+    this.asked = 0;
+    this.shown = "";
+    /** The code whose list is shown. */
+    this.listed = "";
+    this.form.addEventListener("submit", (event) => {
+      event.preventDefault();
+      void this.preview();
+    });
+    this.form.addEventListener("input", (event) => {
+      if (event.target === this.kind) this.fill();
+      this.showFields();
+      clearTimeout(this.timer);
+      this.timer = setTimeout(() => void this.preview(), PAUSE_MS);
+    });
+    this.dialog.addEventListener("close", () => this.forget());
+  }
+
+  /** @param {string} name */
+  field(name) {
+    return /** @type {HTMLInputElement} */ (find(`#print-${name}`));
+  }
+
+  async open() {
+    this.dialog.showModal();
+    // All can be printed where no kind is known beforehand.
+    this.kinds = await askKinds(this.store);
+    const options = this.kinds.map(({ name }) => element("option", { value: name }, [name]));
+    const board = element("option", { value: "/board" }, ["Calibration board, for lenses"]);
+    this.kind.replaceChildren(...options, element("option", { value: OWN }, ["Another roundel"]), board);
+    this.fill();
+    this.showFields();
+    void this.preview();
+  }
+
+  get isBoard() {
+    return this.kind.value === "/board";
+  }
+
+  /** What a kind of the configuration says of itself. */
+  fill() {
+    const kind = this.kinds.find(({ name }) => name === this.kind.value);
+    if (!kind) return;
+    this.field("marker").value = [kind.outer_mm, kind.inner_mm, kind.inner_minor_mm].filter((one) => one !== null).join(":");
+    this.field("code").value = kind.code_bits === null ? "" : [kind.code_bits, kind.code_min_distance].filter((one) => one !== null).join(":");
+    this.field("polarity").value = kind.polarity.replace("_", "-");
+    this.field("ids").value = kind.code_bits === null ? "" : "1-4";
+  }
+
+  /** Only what can be filled in is shown. */
+  showFields() {
+    find("#print-of-board").hidden = !this.isBoard;
+    find("#print-of-roundels").hidden = this.isBoard;
+    this.field("ids").disabled = this.field("code").value.trim() === "";
+  }
+
+  query() {
+    const query = new URLSearchParams();
+    for (const name of this.isBoard ? ["board", "pitch", "page"] : ["marker", "code", "ids", "copies", "polarity", "page"]) {
+      const input = this.field(name);
+      if (input.value.trim() !== "" && !input.disabled) query.set(name, input.value.trim());
+    }
+    return query;
+  }
+
+  async preview() {
+    clearTimeout(this.timer);
+    this.troubles.clear();
+    const query = this.query();
+    this.asked += 1;
+    const mine = this.asked;
+    const sheet = this.field("sheet").value || "1";
+    const { answer, refusal } = await askFile(`print?${query}&format=svg&sheet=${encodeURIComponent(sheet)}`);
+    if (mine !== this.asked || !this.dialog.open) return;
+    this.files.hidden = Boolean(refusal);
+    this.picture.hidden = Boolean(refusal);
+    if (refusal) {
+      this.troubles.refuse(refusal);
+      return;
+    }
+    this.forget();
+    this.shown = URL.createObjectURL(answer);
+    this.picture.src = this.shown;
+    this.picture.alt = `Page ${sheet}, as it is printed`;
+    find("#print-pdf").setAttribute("href", `api/v1/print?${query}`);
+    for (const format of ["svg", "png"]) {
+      find(`#print-${format}`).setAttribute("href", `api/v1/print?${query}&format=${format}&sheet=${encodeURIComponent(sheet)}`);
+      setText(find(`#print-${format}`), `${format.toUpperCase()}, page ${sheet}`);
+    }
+    await this.listCodes(mine);
+  }
+
+  /** What there is of the code that was asked for; a wrong one has been told already.
+   * @param {number} mine */
+  async listCodes(mine) {
+    const code = this.field("code").value.trim();
+    const list = find("#print-codes");
+    if (code === this.listed) return;
+    list.hidden = true;
+    this.listed = "";
+    if (code === "") return;
+    const { answer } = await ask("GET", `codes?${new URLSearchParams({ code })}`);
+    if (mine !== this.asked || !Array.isArray(answer)) return;
+    const rows = answer.slice(0, MOST_LISTED).map((one) => element("tr", {}, [one.number, one.word, one.distance, one.own_distance].map((cell) => element("td", {}, [String(cell)]))));
+    find("#print-code-rows").replaceChildren(...rows);
+    const more = answer.length > MOST_LISTED ? `, of which the first ${MOST_LISTED} are listed` : "";
+    setText(find("#print-codes > summary"), `${answer.length} codes with their Hamming distances${more}`);
+    list.hidden = false;
+    this.listed = code;
+  }
+
+  /** Lets go of the picture that is shown. */
+  forget() {
+    if (this.shown) URL.revokeObjectURL(this.shown);
+    this.shown = "";
+    this.picture.removeAttribute("src");
+  }
+}

@@ -1,0 +1,45 @@
+/** Looking back over the last minute: a slider below the arena, keys, and what instant it is. */
+
+import { find, paced, setAttribute, setText } from "../../base/dom.js";
+import { fixed, preciseTimeOfDay } from "../../base/format.js";
+import { HISTORY_MS } from "../../state/history.js";
+
+/** The slider's steps, ms. */
+const STEP_MS = 100;
+
+/**
+ * @param {import("../../state/store.js").Store} store
+ * @returns {{step: (ms: number) => void}} later by so much; earlier if negative
+ */
+export function showTimeline(store) {
+  const slider = /** @type {HTMLInputElement} */ (find("#past"));
+  const words = find("#past-words");
+  const live = /** @type {HTMLButtonElement} */ (find("#live"));
+  slider.min = String(-HISTORY_MS / 1000);
+  slider.step = String(STEP_MS / 1000);
+
+  const now = () => store.snapshot?.poseTimeMs ?? 0;
+  const show = () => {
+    const { pastMs } = store;
+    const agoS = pastMs === null ? 0 : Math.max(0, (now() - pastMs) / 1000);
+    slider.value = String(-agoS);
+    const text = pastMs === null ? "Now" : `${fixed(agoS, 1)} s ago, ${preciseTimeOfDay(pastMs)}`;
+    setText(words, text);
+    setAttribute(slider, "aria-valuetext", text);
+    live.disabled = pastMs === null;
+    document.body.classList.toggle("past", pastMs !== null);
+    // No further back than is remembered: the rest of the slider leads nowhere.
+    const reachS = Math.min(HISTORY_MS, now() - (store.history.oldestMs ?? now())) / 1000;
+    setAttribute(slider, "title", `The last ${fixed(reachS, 0)} s are remembered by this page`);
+  };
+
+  slider.addEventListener("input", () => {
+    const ago = -Number(slider.value) * 1000;
+    store.lookBack(ago < STEP_MS / 2 ? null : now() - ago);
+  });
+  live.addEventListener("click", () => store.lookBack(null));
+  store.on("time", show);
+  store.on("snapshot", paced(250, show));
+  show();
+  return { step: (ms) => store.lookBack((store.pastMs ?? now()) + ms) };
+}

@@ -1,0 +1,221 @@
+/** Adds, changes, names and removes objects by form; every error stands at its field. */
+
+import { ask } from "../../wire/ask.js";
+import { findDialog } from "../forms/dialog.js";
+import { element, find, setText } from "../../base/dom.js";
+import { Mounts } from "./mounts.js";
+import { difference, given } from "../cameras/setup.js";
+import { Troubles } from "../forms/troubles.js";
+
+/** Fields that a server's error can be about. */
+const FIELDS = ["name", "roundel", "mounts", "code", "offset_m", "motion", "height_m"];
+const AXES = /** @type {const} */ (["x", "y", "z"]);
+
+/** @typedef {{name: string, roundel: string, roundels: import("./mounts.js").Mount[], code: number | null, offset_m: {x: number, y: number, z: number} | null, motion: string, height_m: number | null}} Setup */
+
+/** @param {import("../../state/store.js").Store} store */
+export function showObjects(store) {
+  const form = new ObjectForm();
+  find("#add-object").addEventListener("click", () => void form.open(""));
+  const button = find("#name-object");
+  button.addEventListener("click", () => {
+    const state = store.selectedState;
+    if (state?.name) void form.open(state.name);
+    else if (state) form.openToName(state);
+  });
+  // A name comes and goes while an object is selected, too.
+  const showWhat = () => setText(button, store.selectedState?.name ? "Set up…" : "Name…");
+  store.on("selection", showWhat);
+  store.on("snapshot", showWhat);
+}
+
+class ObjectForm {
+  constructor() {
+    this.dialog = findDialog("#object");
+    this.form = /** @type {HTMLFormElement} */ (find("#object-form"));
+    this.choice = /** @type {HTMLSelectElement} */ (find("#object-choice"));
+    this.remove = /** @type {HTMLButtonElement} */ (find("#object-remove"));
+    this.save = /** @type {HTMLButtonElement} */ (find("#object-save"));
+    this.words = find("#object-words");
+    this.troubles = new Troubles("object", FIELDS, { offset_m: "object-offset", mounts: "object-several" });
+    this.carries = /** @type {HTMLSelectElement} */ (find("#object-carries"));
+    this.mounts = new Mounts();
+    /** @type {Setup[]} */
+    this.known = [];
+    /** @type {Setup | null} as the server has it; null: a new one */
+    this.before = null;
+    /** @type {number | null} one that is seen and only wants a name */
+    this.unnamed = null;
+    this.asksBack = false;
+
+    this.choice.addEventListener("change", () => this.fill(this.known.find(({ name }) => name === this.choice.value) ?? null));
+    this.carries.addEventListener("change", () => this.showCarried());
+    this.form.addEventListener("submit", (event) => {
+      event.preventDefault();
+      void this.store();
+    });
+    this.remove.addEventListener("click", () => void this.removeIt());
+  }
+
+  /** @param {string} name */
+  field(name) {
+    return /** @type {HTMLInputElement} */ (find(`#object-${name}`));
+  }
+
+  /** @param {string} name of a configured one; empty: a new one */
+  async open(name) {
+    this.show("Objects", null);
+    // Those of before may be others by now, and whoever chose one would see it change.
+    this.choice.replaceChildren();
+    const answer = await this.ask("GET", "configuration");
+    if (!answer || !this.dialog.open) return;
+    this.known = answer.objects;
+    this.mounts.kinds = answer.roundels.map((/** @type {{name: string}} */ kind) => kind.name);
+    const kinds = this.mounts.kinds.map((kind) => element("option", { value: kind }, [kind]));
+    this.field("roundel").replaceChildren(element("option", { value: "" }, ["none: its own camera finds it"]), ...kinds);
+    const others = this.known.map((one) => element("option", { value: one.name }, [one.name]));
+    this.choice.replaceChildren(element("option", { value: "" }, ["A new one"]), ...others);
+    this.choice.value = name;
+    this.fill(this.known.find((one) => one.name === name) ?? null);
+  }
+
+  /** @param {import("../../state/state.js").ObjectState} state */
+  openToName(state) {
+    this.show(`Name object ${state.id}`, state.id);
+    this.say(state.code ? `It is known by its code, ${state.code.number}, from now on.` : "Without a code it is known by its kind of roundel, as long as it is the only one of it.");
+    setText(this.save, "Name it");
+  }
+
+  /** @param {string} title @param {number | null} unnamed */
+  show(title, unnamed) {
+    this.unnamed = unnamed;
+    setText(find("#object-title"), title);
+    find("#object-which").hidden = unnamed !== null;
+    find("#object-rest").hidden = unnamed !== null;
+    this.fill(null);
+    this.dialog.showModal();
+    this.field("name").focus();
+  }
+
+  /** @param {Setup | null} setup */
+  fill(setup) {
+    this.before = setup;
+    this.asksBack = false;
+    this.troubles.clear();
+    this.say("");
+    const chosen = this.choice.value;
+    this.form.reset();
+    this.choice.value = chosen;
+    setText(this.save, setup ? "Save" : "Add");
+    setText(this.remove, "Remove…");
+    this.remove.hidden = setup === null;
+    this.mounts.fill(setup?.roundels ?? []);
+    this.carries.value = setup && setup.roundels.length > 0 ? "several" : "one";
+    this.showCarried();
+    if (!setup) {
+      // What most want: the first kind there is.
+      const kind = /** @type {HTMLSelectElement} */ (find("#object-roundel"));
+      if (kind.options.length > 1) kind.selectedIndex = 1;
+      return;
+    }
+    for (const key of /** @type {const} */ (["name", "roundel", "motion"])) this.field(key).value = setup[key];
+    for (const key of /** @type {const} */ (["code", "height_m"])) this.field(key).value = setup[key] === null ? "" : String(setup[key]);
+    for (const axis of AXES) this.field(`offset-${axis}`).value = setup.offset_m ? String(setup.offset_m[axis]) : "";
+  }
+
+  /** The fields of what it carries; of several there are two at least. */
+  showCarried() {
+    const several = this.carries.value === "several";
+    find("#object-one").hidden = several;
+    find("#object-several").hidden = !several;
+    if (several && this.mounts.rows.length === 0) for (let row = 0; row < 2; row += 1) this.mounts.add(null);
+  }
+
+  /** What is filled in; null if it is nothing that can be sent. @returns {Setup | null} */
+  read() {
+    const several = this.carries.value === "several";
+    const offset = several ? null : this.readOffset();
+    const roundels = several ? this.mounts.read() : [];
+    if (offset === undefined || roundels === null) return null;
+    if (several && roundels.length === 0) {
+      this.troubles.blame("mounts", "Add its roundels, or choose that it carries one.");
+      return null;
+    }
+    for (const key of ["code", "height_m"]) {
+      if (!this.field(key).validity.badInput) continue;
+      this.troubles.blame(key, "Fill in a number, or leave it empty.");
+      return null;
+    }
+    const number = (/** @type {string} */ key) => (this.field(key).value === "" ? null : Number(this.field(key).value));
+    return {
+      name: this.field("name").value.trim(),
+      roundel: several ? "" : this.field("roundel").value,
+      roundels,
+      code: several ? null : number("code"),
+      offset_m: offset,
+      motion: this.field("motion").value,
+      height_m: number("height_m"),
+    };
+  }
+
+  /** Undefined: only some of it is filled in. */
+  readOffset() {
+    const inputs = AXES.map((axis) => this.field(`offset-${axis}`));
+    if (inputs.every((input) => input.value === "" && !input.validity.badInput)) return null;
+    if (inputs.some((input) => input.value === "")) {
+      this.troubles.blame("offset_m", "Fill in all three, metres, or none.");
+      return undefined;
+    }
+    const [x, y, z] = inputs.map((input) => Number(input.value));
+    return { x, y, z };
+  }
+
+  async store() {
+    this.troubles.clear();
+    const name = this.field("name").value.trim();
+    if (name === "") return this.troubles.blame("name", "Give it a name.");
+    if (this.unnamed !== null) return this.finish(await this.ask("PUT", `objects/${this.unnamed}/name`, { name }));
+    const wanted = this.read();
+    if (!wanted) return;
+    const { before } = this;
+    if (before) this.finish(await this.ask("PATCH", `configuration/objects/${encodeURIComponent(before.name)}`, difference(before, wanted)));
+    else this.finish(await this.ask("POST", "configuration/objects", given({ ...wanted, roundels: wanted.roundels.length > 0 ? wanted.roundels : null })));
+  }
+
+  async removeIt() {
+    if (!this.before) return;
+    this.troubles.clear();
+    if (!this.asksBack) {
+      this.asksBack = true;
+      setText(this.remove, `Remove ${this.before.name}`);
+      this.say("It is taken out of the configuration as well; with a code it is followed on without a name. Press again to remove it.");
+      return;
+    }
+    this.finish(await this.ask("DELETE", `configuration/objects/${encodeURIComponent(this.before.name)}`));
+  }
+
+  /** @param {any} done */
+  finish(done) {
+    if (done) this.dialog.close();
+  }
+
+  /** The answer, or null where there is none; then it is said why. @param {string} method @param {string} path @param {object} [body] @returns {Promise<any>} */
+  async ask(method, path, body) {
+    for (const button of [this.save, this.remove]) button.disabled = true;
+    const { answer, refusal } = await ask(method, path, body);
+    for (const button of [this.save, this.remove]) button.disabled = false;
+    if (refusal) this.troubles.refuse({ ...refusal, field: this.fieldOf(refusal.field) });
+    return answer;
+  }
+
+  /** Where on the form is what the server calls so. @param {string} field */
+  fieldOf(field) {
+    if (field !== "roundel") return field;
+    return this.unnamed !== null ? "" : this.carries.value === "several" ? "mounts" : field;
+  }
+
+  /** @param {string} words */
+  say(words) {
+    setText(this.words, words);
+  }
+}

@@ -1,0 +1,135 @@
+/** The head of the page: installation, connection, counts, rates; and the banner of a loss. */
+
+import { find, glyph, paced, setText } from "../../base/dom.js";
+import { duration, fixed, timeOfDay, whole } from "../../base/format.js";
+
+/** Data older than this while connected is no longer "now", ms. */
+const STALE_MS = 500;
+const STAGES = /** @type {const} */ (["tracked", "predicted", "tentative", "lost"]);
+
+/**
+ * @param {import("../../state/store.js").Store} store
+ * @param {() => void} retryNow
+ */
+export function showMasthead(store, retryNow) {
+  const stages = showStages(store);
+  const figures = {
+    link: find("#link-text"),
+    rate: find("#rate"),
+    age: find("#age"),
+    missed: find("#missed"),
+    bannerText: find("#banner-text"),
+    bannerTitle: find("#banner-title"),
+  };
+  const banner = find("#banner");
+  const note = find("#arena-note");
+  find("#retry").addEventListener("click", retryNow);
+
+  const showFigures = () => {
+    const { phase } = store.connection;
+    // What is played is of any age.
+    const age = store.info?.replays ? null : store.dataAgeMs();
+    setText(figures.rate, phase === "live" ? fixed(store.report.rateHz, 1) : "–");
+    setText(figures.age, duration(age));
+    figures.age.classList.toggle("stale", age !== null && age > STALE_MS);
+    setText(figures.missed, whole(store.report.missed));
+    setText(figures.link, linkWords(store));
+    if (phase === "lost") setText(figures.bannerText, lossWords(store));
+    const words = noteWords(store);
+    note.hidden = words === "";
+    setText(note, words);
+  };
+
+  const showPhase = () => {
+    const { phase } = store.connection;
+    document.body.dataset.phase = phase;
+    setText(figures.bannerTitle, store.snapshot ? "Connection lost." : "No connection.");
+    banner.hidden = phase !== "lost";
+    showFigures();
+  };
+
+  store.on("connection", showPhase);
+  store.on("snapshot", paced(250, stages));
+  store.on("info", () => showInfo(store));
+  store.on("report", paced(250, showFigures));
+  // Ages grow without any report, too.
+  setInterval(showFigures, 1000);
+  showPhase();
+  stages();
+}
+
+/**
+ * @param {import("../../state/store.js").Store} store
+ * @returns {() => void} brings the counts up to date
+ */
+function showStages(store) {
+  const target = find("#stages");
+  const counts = STAGES.map((stage) => {
+    const count = document.createElement("b");
+    const item = document.createElement("span");
+    item.className = `stage-count stage-${stage}`;
+    item.dataset.stage = stage;
+    item.append(glyph(stage), count, ` ${stage}`);
+    target.append(item);
+    return { stage, item, count };
+  });
+  return () => {
+    const states = [...store.tracks.values()].map((track) => track.stage);
+    for (const { stage, item, count } of counts) {
+      const number = states.filter((each) => each === stage).length;
+      setText(count, String(number));
+      // Tracked ones are always told, the others when there are any.
+      item.hidden = number === 0 && stage !== "tracked";
+    }
+  };
+}
+
+/** @param {import("../../state/store.js").Store} store */
+function showInfo(store) {
+  const { info } = store;
+  if (!info) return;
+  const name = info.name || "Unnamed installation";
+  const title = find("#installation");
+  setText(title, name);
+  title.title = info.version ? `Roundel ${info.version}, ${fixed(info.snapshotRateHz, 0)} snapshots a second` : "";
+  document.title = `${name} – Roundel`;
+}
+
+/** @param {import("../../state/store.js").Store} store */
+function linkWords(store) {
+  const { phase } = store.connection;
+  if (phase === "connecting") return "Connecting…";
+  if (phase === "lost") return store.connection.retryAtMs === null ? "Reconnecting…" : "Disconnected";
+  // Never "Live", as long as it is not known how it is played.
+  if (store.info?.replays) return store.replay?.ended ? "Recording, at its end" : store.replay?.paused ? "Recording, paused" : "Playing a recording";
+  const age = store.dataAgeMs();
+  return age !== null && age > STALE_MS ? "Connected, no new data" : "Live";
+}
+
+/** @param {import("../../state/store.js").Store} store */
+function lossWords(store) {
+  const now = performance.now();
+  const { sinceMs, retryAtMs } = store.connection;
+  const { receivedAtMs } = store.report;
+  const shown =
+    store.snapshot && receivedAtMs !== null
+      ? `What you see is how things stood at ${timeOfDay(receivedAtMs)}, ${duration(Date.now() - receivedAtMs)} ago.`
+      : `The server has not answered for ${duration(now - sinceMs)}. Is it running at ${location.host}?`;
+  const next =
+    retryAtMs === null ? "Connecting…" : `Next attempt in ${Math.max(1, Math.ceil((retryAtMs - now) / 1000))} s.`;
+  return `${shown} ${next}`;
+}
+
+/**
+ * Said in the middle of an arena in which there is nothing to see, and why.
+ * @param {import("../../state/store.js").Store} store
+ */
+function noteWords(store) {
+  if (store.connection.phase === "connecting") return "Connecting to the server…";
+  if (store.connection.phase === "lost") return store.snapshot ? "" : "No connection to the server.";
+  if (store.tracks.size > 0 || !store.snapshot || !store.camerasKnown) return "";
+  if (store.pastMs !== null) return "Of this instant nothing is remembered.";
+  if (store.cameras.length === 0) return "No cameras are configured, so nothing can be seen.";
+  if (!store.cameras.some((camera) => camera.status === "running")) return "No camera is running.";
+  return "No object is in view of the cameras.";
+}

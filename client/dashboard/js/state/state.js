@@ -1,0 +1,149 @@
+/** One object at one instant: what the wire says of it, and what follows from that once somebody asks. */
+
+import { errorEllipse, headingRad, longestSemiaxis, sigmasM, tiltRad } from "../base/geometry.js";
+import { count, list, nanoseconds, number, numbers, quaternion, text, vector } from "../base/value.js";
+
+/** @typedef {import("../base/geometry.js").Vector3} Vector3 */
+/** @typedef {import("../base/geometry.js").Quaternion} Quaternion */
+/** @typedef {"tentative" | "tracked" | "predicted" | "lost" | "unspecified"} Stage */
+/** @typedef {{majorM: number, minorM: number, angleRad: number}} ErrorEllipse */
+
+/** Stages by their number in the wire's enumeration. @type {Stage[]} */
+export const STAGES = ["unspecified", "tentative", "tracked", "predicted", "lost"];
+/** The 0.95 quantile of chi squared with three degrees of freedom. */
+export const CHI2_95_3D = 7.814727903;
+/** The 0.975 quantile of a normal distribution: what holds 95 % to both sides. */
+const NORMAL_95 = 1.959963985;
+/** Places of the variances of rotation in the 21 numbers of the upper triangle. */
+const ROTATION_ENTRIES = [15, 18, 20];
+
+/**
+ * 21 numbers, or what gives them once somebody asks: most objects' are never looked at.
+ * @typedef {ArrayLike<number> | (() => ArrayLike<number> | null)} Covariance
+ */
+
+/**
+ * @typedef {object} Values
+ * @property {number} id
+ * @property {string} name configured, or empty
+ * @property {Stage} stage
+ * @property {Vector3 | null} positionM
+ * @property {Quaternion | null} orientation world_from_object
+ * @property {boolean} yawObserved
+ * @property {boolean} eitherWay the opposite heading looks the same
+ * @property {Vector3 | null} velocityMS
+ * @property {Covariance | null} covariance null where it was left out
+ * @property {string[]} cameras
+ * @property {number | null} ageMs
+ * @property {number | null} residual
+ * @property {string} roundel
+ * @property {{bits: number, number: number} | null} code what its teeth say, if it has any
+ */
+
+export class ObjectState {
+  /** @param {Values} values */
+  constructor(values) {
+    this.id = values.id;
+    this.name = values.name;
+    this.stage = values.stage;
+    this.positionM = values.positionM;
+    this.orientation = values.orientation;
+    this.yawObserved = values.yawObserved;
+    this.eitherWay = values.eitherWay;
+    this.velocityMS = values.velocityMS;
+    /** @type {Covariance | null} */
+    this.heldCovariance = values.covariance;
+    this.cameras = values.cameras;
+    this.ageMs = values.ageMs;
+    this.residual = values.residual;
+    this.roundel = values.roundel;
+    this.code = values.code;
+    /** @type {ErrorEllipse | null | undefined} not computed yet: most objects' is never asked for */
+    this.knownEllipse = undefined;
+  }
+
+  /** Upper triangle of the 6x6. @returns {ArrayLike<number> | null} */
+  get covariance() {
+    if (typeof this.heldCovariance === "function") this.heldCovariance = this.heldCovariance();
+    return this.heldCovariance;
+  }
+
+  /** What a person calls it. */
+  get label() {
+    return this.name || String(this.id);
+  }
+
+  /** Null while the yaw is not observed. */
+  get headingRad() {
+    return this.yawObserved && this.orientation ? headingRad(this.orientation) : null;
+  }
+
+  get tiltRad() {
+    return this.orientation ? tiltRad(this.orientation) : null;
+  }
+
+  get speedMS() {
+    const { velocityMS } = this;
+    return velocityMS && Math.hypot(velocityMS.x, velocityMS.y, velocityMS.z);
+  }
+
+  /** Standard deviations of the position. */
+  get sigmaM() {
+    return this.covariance && sigmasM(this.covariance);
+  }
+
+  /** Standard deviations of the rotation about the world's axes. @returns {Vector3 | null} */
+  get sigmaRad() {
+    const { covariance } = this;
+    if (!covariance) return null;
+    const [x, y, z] = ROTATION_ENTRIES.map((entry) => Math.sqrt(Math.max(0, covariance[entry])));
+    return { x, y, z };
+  }
+
+  /** 95 %, floor plane. */
+  get ellipse() {
+    if (this.knownEllipse === undefined) this.knownEllipse = this.covariance && errorEllipse(this.covariance);
+    return this.knownEllipse;
+  }
+
+  /** How far off the position is at most, in 95 of 100 cases: the 95 % ellipsoid's longest semiaxis. */
+  get reachM() {
+    return this.covariance && Math.sqrt(CHI2_95_3D) * longestSemiaxis(this.covariance);
+  }
+
+  /** How far off the heading is at most, in 95 of 100 cases; null without a heading. */
+  get headingReachRad() {
+    const sigma = this.yawObserved ? this.sigmaRad : null;
+    return sigma && NORMAL_95 * sigma.z;
+  }
+}
+
+/**
+ * @param {any} raw
+ * @returns {ObjectState}
+ */
+export function readObject(raw) {
+  const age = nanoseconds(raw?.observation_age_ns);
+  return new ObjectState({
+    id: count(raw?.object_id),
+    name: text(raw?.name),
+    stage: STAGES.includes(raw?.stage) ? raw.stage : "unspecified",
+    positionM: vector(raw?.position),
+    orientation: quaternion(raw?.orientation),
+    yawObserved: raw?.yaw_observed === true,
+    eitherWay: number(raw?.yaw_symmetry) === 2,
+    velocityMS: vector(raw?.velocity),
+    covariance: numbers(raw?.covariance, 21),
+    cameras: list(raw?.cameras).map(text),
+    ageMs: age === null ? null : Number(age) / 1e6,
+    residual: number(raw?.residual),
+    roundel: text(raw?.roundel),
+    code: readCode(raw?.code),
+  });
+}
+
+/** @param {any} raw */
+function readCode(raw) {
+  const [bits, code] = [number(raw?.bits), number(raw?.number)];
+  return bits && code !== null ? { bits, number: code } : null;
+}

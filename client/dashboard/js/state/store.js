@@ -1,0 +1,312 @@
+/**
+ * All that the page knows, in one place: the newest snapshot, the last minute, cameras, events, selection.
+ *
+ * Views subscribe to a topic and read; only the functions here change anything.
+ */
+
+import { Latencies, Vitals } from "./health.js";
+import { History, placeIn } from "./history.js";
+import { readCameras, readEvent } from "../wire/message.js";
+import { carried } from "./riding.js";
+import { Track } from "./track.js";
+
+/** Length of a trail, ms. */
+export const TRAIL_MS = 5000;
+/** How long an object that was given up stays in view, ms of pose time. */
+const LOST_SHOWN_MS = 4000;
+/** Events remembered. */
+const MAX_EVENTS = 200;
+/** Without a report for so long, time passes by itself, ms. */
+const SILENT_MS = 500;
+/** A pose time that is so much older than the one before is that of a recording in which somebody went back, ms. */
+const BACK_MS = 500;
+
+/** @typedef {import("./state.js").ObjectState} ObjectState */
+/** @typedef {import("./history.js").Frame} Frame */
+/**
+ * What the page needs to know of a snapshot, as engine.js packs it.
+ * @typedef {object} Packed
+ * @property {string} sourceId
+ * @property {Frame} frame
+ * @property {Frame} lost those that were given up of late and are shown for a while
+ * @property {[number, import("./history.js").Identity][]} identities that are new or have changed, by id
+ * @property {string[]} cameraNames
+ */
+/** @typedef {"snapshot" | "report" | "time" | "cameras" | "events" | "selection" | "connection" | "info"} Topic */
+/** @typedef {{paused: boolean, ended: boolean}} ReplayState */
+
+export class Store {
+  constructor() {
+    /** @type {{sourceId: string, poseTimeMs: number} | null} the newest */
+    this.snapshot = null;
+    /** @type {Map<number, Track>} by object id: as of the newest snapshot */
+    this.live = new Map();
+    /** The last minute of all of them. */
+    this.history = new History();
+    /** How cameras' counts have grown of late, and how late snapshots were. */
+    this.vitals = new Vitals();
+    this.latencies = new Latencies();
+    /** @type {number | null} what instant is shown, in pose time; null: now */
+    this.pastMs = null;
+    /** @type {Map<number, Track>} the objects of that instant */
+    this.past = new Map();
+    /** @type {import("../wire/message.js").Camera[]} */
+    this.cameras = [];
+    /** True once the server has said which cameras there are, be it none. */
+    this.camerasKnown = false;
+    /** @type {(import("../wire/message.js").Event & {connectionNumber: number})[]} newest first */
+    this.events = [];
+    /** Counts the connections, to tell what came over an earlier one. */
+    this.connectionNumber = 0;
+    /** @type {import("../wire/message.js").ServerInfo | null} */
+    this.info = null;
+    /** @type {ReplayState | null} how a recording is played; null: what comes is live */
+    this.replay = null;
+    /** @type {import("../wire/connection.js").ConnectionState} */
+    this.connection = { phase: "connecting", sinceMs: performance.now(), retryAtMs: null };
+    /** @type {import("./gauge.js").Report} how the stream fares */
+    this.report = { rateHz: null, ageMs: null, receivedAtMs: null, missed: 0, latenciesMs: [] };
+    /** `performance.now()` of that. */
+    this.reportedAtMs = 0;
+    /** @type {number | null} id of the selected object */
+    this.selected = null;
+    /** @type {ObjectState | null} last values of the selected object, also after it has gone */
+    this.selectedState = null;
+    /** True while the arena keeps the selected object in its middle. */
+    this.following = false;
+    /** @type {Map<Topic, Set<() => void>>} */
+    this.listeners = new Map();
+  }
+
+  /** What is shown: now, or the instant that is looked back at. */
+  get tracks() {
+    return this.pastMs === null ? this.live : this.past;
+  }
+
+  /** Pose time of what is shown, ms. */
+  get shownMs() {
+    return this.pastMs ?? this.snapshot?.poseTimeMs ?? 0;
+  }
+
+  /**
+   * @param {Topic} topic
+   * @param {() => void} listener
+   */
+  on(topic, listener) {
+    const listeners = this.listeners.get(topic) ?? new Set();
+    listeners.add(listener);
+    this.listeners.set(topic, listeners);
+  }
+
+  /** @param {Topic} topic */
+  emit(topic) {
+    for (const listener of this.listeners.get(topic) ?? []) listener();
+  }
+
+  /**
+   * Takes one message of the stream, its snapshot read already. Keys that this page does not know are left to newer pages.
+   * @param {any} message
+   */
+  take(message) {
+    if (message?.snapshot) this.takeSnapshot(message.snapshot);
+    if (Array.isArray(message?.cameras)) {
+      this.cameras = readCameras(message.cameras);
+      this.camerasKnown = true;
+      this.vitals.take(this.cameras, performance.now());
+      this.carryCameras();
+      this.emit("cameras");
+    }
+    if (message?.event) this.takeEvent(readEvent(message.event));
+  }
+
+  /** @param {import("../wire/message.js").Snapshot} snapshot */
+  takeSnapshot(snapshot) {
+    this.begin(snapshot);
+    const live = new Set();
+    for (const state of snapshot.objects) {
+      live.add(state.id);
+      this.takeState(state, snapshot.poseTimeMs);
+    }
+    for (const [id, track] of this.live) {
+      if (live.has(id)) continue;
+      // Given up objects are named once and then left out. They stay a while, so that an eye that
+      // was elsewhere still finds where one was last; what vanishes otherwise goes at once.
+      const shownUntilMs = track.lostAtMs === null ? 0 : track.lostAtMs + LOST_SHOWN_MS;
+      if (snapshot.poseTimeMs > shownUntilMs) this.live.delete(id);
+    }
+    this.history.take(snapshot.poseTimeMs, snapshot.objects);
+    this.finish();
+  }
+
+  /** The same of a snapshot that was read elsewhere. @param {Packed} packed */
+  takePacked({ sourceId, frame, lost, identities, cameraNames }) {
+    this.begin({ sourceId, poseTimeMs: frame.timeMs });
+    const { history, live } = this;
+    history.cameraNames = cameraNames;
+    for (const [id, identity] of identities) history.identities.set(id, identity);
+    history.adopt(frame);
+    history.forgetGone();
+    for (const [id, { place }] of live) if (!isIn(frame, id, place?.at ?? 0) && !isIn(lost, id, 0)) live.delete(id);
+    for (const part of [frame, lost]) {
+      for (let i = 0; i < part.count; i += 1) {
+        const track = live.get(part.ids[i]) ?? new Track(part.ids[i]);
+        track.lie(history, part, i);
+        live.set(track.id, track);
+      }
+    }
+    const selected = this.selected === null || this.pastMs !== null ? null : live.get(this.selected);
+    if (selected) this.selectedState = selected.state;
+    this.finish();
+  }
+
+  /** @param {{sourceId: string, poseTimeMs: number}} snapshot */
+  begin({ sourceId, poseTimeMs }) {
+    // A server that has started again counts its objects anew; old trails would be of others.
+    if (this.snapshot && this.snapshot.sourceId !== sourceId) this.forget();
+    else if (this.snapshot && poseTimeMs < this.snapshot.poseTimeMs - BACK_MS) this.forgetWay();
+    this.snapshot = { sourceId, poseTimeMs };
+  }
+
+  finish() {
+    // What is looked at must not fall out of memory under one's eyes without a word.
+    if (this.pastMs !== null && this.pastMs < (this.history.oldestMs ?? 0)) this.lookBack(this.history.oldestMs);
+    this.carryCameras();
+    this.emit("snapshot");
+  }
+
+  /** Moves the cameras that ride to where their objects are in the newest snapshot. */
+  carryCameras() {
+    if (!this.cameras.some((camera) => camera.mount)) return;
+    const objects = [...this.live.values()].map(({ state }) => state);
+    this.cameras = this.cameras.map((camera) => carried(camera, objects));
+  }
+
+  /** @param {import("./gauge.js").Report} report */
+  takeReport(report) {
+    this.report = report;
+    this.reportedAtMs = performance.now();
+    // What is played was late then, not now.
+    if (!this.info?.replays) for (const latencyMs of report.latenciesMs) this.latencies.take(latencyMs);
+    this.emit("report");
+  }
+
+  /**
+   * @param {ObjectState} state
+   * @param {number} timeMs
+   */
+  takeState(state, timeMs) {
+    let track = this.live.get(state.id);
+    if (!track) {
+      track = new Track(state.id);
+      this.live.set(state.id, track);
+    }
+    track.held = state;
+    if (state.stage === "lost") track.lostAtMs ??= timeMs;
+    else track.lostAtMs = null;
+    if (state.id === this.selected && this.pastMs === null) this.selectedState = state;
+  }
+
+  /**
+   * Shows an instant of the last minute in place of now; null: now again.
+   * @param {number | null} timeMs
+   */
+  lookBack(timeMs) {
+    const { oldestMs, newestMs } = this.history;
+    const there = timeMs !== null && oldestMs !== null && newestMs !== null && timeMs < newestMs;
+    this.pastMs = there ? Math.max(timeMs, oldestMs) : null;
+    this.past = new Map();
+    if (this.pastMs !== null) {
+      for (const state of this.history.at(this.pastMs)) this.past.set(state.id, Track.of(state));
+    }
+    if (this.selected !== null) this.selectedState = this.tracks.get(this.selected)?.state ?? this.selectedState;
+    this.emit("time");
+  }
+
+  /** @param {import("../wire/message.js").Event} event */
+  takeEvent(event) {
+    // Each connection begins with events that the server remembers; those known are replaced.
+    const others = this.events.filter((known) => known.sequence !== event.sequence);
+    others.push({ ...event, connectionNumber: this.connectionNumber });
+    others.sort((a, b) => b.sequence - a.sequence);
+    this.events = others.slice(0, MAX_EVENTS);
+    this.emit("events");
+  }
+
+  /** Drops how objects came to where they are; who they are stays. */
+  forgetWay() {
+    this.live.clear();
+    this.history.clear();
+    this.latencies.clear();
+    if (this.pastMs !== null) this.lookBack(null);
+  }
+
+  /** Drops what belongs to another run of the server. */
+  forget() {
+    this.forgetWay();
+    // The new run's first events come before its first snapshot, which is what gave it away.
+    this.events = this.events.filter((event) => event.connectionNumber === this.connectionNumber);
+    this.select(null);
+    this.emit("events");
+  }
+
+  /** @param {import("../wire/message.js").ServerInfo} info */
+  setInfo(info) {
+    this.info = info;
+    this.emit("info");
+  }
+
+  /** @param {ReplayState | null} replay */
+  setReplay(replay) {
+    this.replay = replay;
+  }
+
+  /** @param {import("../wire/connection.js").ConnectionState} connection */
+  setConnection(connection) {
+    if (connection.phase !== this.connection.phase && connection.phase === "live") this.connectionNumber += 1;
+    this.connection = connection;
+    this.emit("connection");
+  }
+
+  /** @param {number | null} id */
+  select(id) {
+    if (id === this.selected) return;
+    this.selected = id;
+    this.selectedState = id === null ? null : (this.tracks.get(id)?.state ?? null);
+    if (id === null) this.following = false;
+    this.emit("selection");
+  }
+
+  /** @param {boolean} following */
+  follow(following) {
+    const wanted = following && this.selected !== null;
+    if (wanted === this.following) return;
+    this.following = wanted;
+    this.emit("selection");
+  }
+
+  /** Selects the object after (or before) the selected one in the order of the list. @param {1 | -1} step */
+  selectNext(step) {
+    const ids = this.sortedTracks().map((track) => track.id);
+    if (ids.length === 0) return;
+    const at = this.selected === null ? -1 : ids.indexOf(this.selected);
+    const next = at < 0 ? (step > 0 ? 0 : ids.length - 1) : (at + step + ids.length) % ids.length;
+    this.select(ids[next]);
+  }
+
+  /** @returns {Track[]} by object id */
+  sortedTracks() {
+    return [...this.tracks.values()].sort((a, b) => a.id - b.id);
+  }
+
+  /** Age of the newest capture that the page shows, ms: as reported, unless no report has come since. */
+  dataAgeMs() {
+    const { ageMs } = this.report;
+    const silentMs = performance.now() - this.reportedAtMs;
+    return ageMs === null ? null : ageMs + (silentMs > SILENT_MS ? silentMs : 0);
+  }
+}
+
+/** Whether a frame has an object, which may lie where it lay before. @param {Frame} frame @param {number} id @param {number} hint */
+function isIn(frame, id, hint) {
+  return placeIn(frame, id, hint) >= 0;
+}
