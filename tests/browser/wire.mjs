@@ -1,91 +1,47 @@
-/** Writes the protobuf that the page reads, by the page's own tables, for mock.mjs. A unit test holds those tables to the .proto files. */
+/** Encodes messages as the server does, from their JSON form and the .proto files, for mock.mjs. */
 
-import { ENUMERATIONS, TABLES } from "../../client/dashboard/js/wire/schema.js";
+import { fileURLToPath } from "node:url";
 
-const [VARINT, FIXED64, LENGTH] = [0, 1, 2];
+import protobuf from "protobufjs";
 
-/** Grows as it is written. */
-class Writer {
-  constructor() {
-    this.bytes = Buffer.alloc(1 << 16);
-    this.at = 0;
-  }
+import { loadMessages } from "./protobuf-module.mjs";
 
-  room(bytes) {
-    if (this.at + bytes <= this.bytes.length) return;
-    this.bytes = Buffer.concat([this.bytes, Buffer.alloc(this.bytes.length + bytes)]);
-  }
+const root = loadMessages(fileURLToPath(new URL("../../proto", import.meta.url)));
+const StreamMessage = root.lookupType("roundel.v1.StreamMessage");
 
-  varint(value) {
-    this.room(10);
-    if (typeof value === "bigint") {
-      let rest = BigInt.asUintN(64, value);
-      for (; rest > 127n; rest >>= 7n) this.bytes[this.at++] = Number(rest & 127n) | 128;
-      this.bytes[this.at++] = Number(rest);
-      return;
-    }
-    let rest = value;
-    for (; rest > 127; rest = Math.floor(rest / 128)) this.bytes[this.at++] = (rest % 128) | 128;
-    this.bytes[this.at++] = rest;
-  }
+/** Fields that hold an enumeration at some depth, by message type. */
+const withEnums = new Map();
 
-  double(value) {
-    this.room(8);
-    this.at = this.bytes.writeDoubleLE(value, this.at);
-  }
-
-  /** What `write` writes, with its length before it, in the five bytes that are always enough. */
-  measured(write) {
-    this.room(5);
-    const start = this.at;
-    this.at += 5;
-    write();
-    let length = this.at - start - 5;
-    for (let i = 0; i < 5; i += 1, length >>>= 7) this.bytes[start + i] = (length & 127) | (i < 4 ? 128 : 0);
-  }
-
-  message(name, value) {
-    for (const [number, words] of Object.entries(TABLES[name])) {
-      const [field, ...type] = words.split(" ");
-      const isList = type[0] === "repeated";
-      const kind = type[isList ? 1 : 0];
-      const held = value[field];
-      if (held === undefined || held === null) continue;
-      const key = (wire) => this.varint(Number(number) * 8 + wire);
-      if (isList && kind === "double") {
-        key(LENGTH);
-        this.measured(() => held.forEach((one) => this.double(one)));
-      } else for (const one of isList ? held : [held]) this.field(kind, one, key, isList);
-    }
-  }
-
-  field(kind, value, key, isListed) {
-    if (TABLES[kind]) {
-      key(LENGTH);
-      this.measured(() => this.message(kind, value));
-    } else if (kind === "string") {
-      if (value === "" && !isListed) return;
-      key(LENGTH);
-      this.measured(() => {
-        this.room(4 * value.length);
-        this.at += this.bytes.write(value, this.at);
-      });
-    } else if (kind === "double") {
-      if (value === 0) return;
-      key(FIXED64);
-      this.double(value);
-    } else {
-      const number = ENUMERATIONS[kind] ? Math.max(0, ENUMERATIONS[kind].indexOf(value)) : kind === "int64" ? BigInt(value) : Number(value);
-      if (!number) return;
-      key(VARINT);
-      this.varint(number);
-    }
-  }
+function enumFields(type) {
+  const known = withEnums.get(type);
+  if (known) return known;
+  const fields = type.fieldsArray.filter(({ resolvedType: of }) => of instanceof protobuf.Enum || (of && enumFields(of).length > 0));
+  withEnums.set(type, fields);
+  return fields;
 }
 
-/** A StreamMessage: {snapshot}, {cameras: […]}, {event} or {error}. */
+/** Replaces the lower-case words of enumerations by their numbers. */
+function withNumbers(type, json) {
+  const fields = enumFields(type);
+  if (fields.length === 0) return json;
+  const made = { ...json };
+  for (const { name, resolvedType, repeated } of fields) {
+    const value = json[name];
+    if (value === undefined || value === null) continue;
+    const convert = (one) => (resolvedType instanceof protobuf.Enum ? numberOf(resolvedType, one) : withNumbers(resolvedType, one));
+    made[name] = repeated ? value.map(convert) : convert(value);
+  }
+  return made;
+}
+
+/** LIFE_STAGE_TRACKED for "tracked"; 0 for an unknown word. */
+function numberOf(enumeration, word) {
+  const prefix = enumeration.valuesById[0].slice(0, -"UNSPECIFIED".length);
+  return enumeration.values[prefix + word.toUpperCase()] ?? 0;
+}
+
+/** A StreamMessage: {snapshot}, {cameras: […]}, {event} or {error}. @returns {Uint8Array} */
 export function encode(message) {
-  const writer = new Writer();
-  writer.message("StreamMessage", Array.isArray(message.cameras) ? { cameras: { cameras: message.cameras } } : message);
-  return writer.bytes.subarray(0, writer.at);
+  const json = Array.isArray(message.cameras) ? { cameras: { cameras: message.cameras } } : message;
+  return StreamMessage.encode(withNumbers(StreamMessage, json)).finish();
 }

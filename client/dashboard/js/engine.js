@@ -67,7 +67,7 @@ export function runEngine(port) {
   /** @type {<Name extends keyof Told>(name: Name, value: Told[Name], transfer?: Transferable[]) => void} */
   const tell = (name, value, transfer = []) => port.postMessage([name, value], transfer);
 
-  /** @param {any} message @param {string | ArrayBuffer} data */
+  /** @param {import("./wire/message.js").Message} message @param {string | ArrayBuffer} data */
   const take = (message, data) => {
     store.take(message);
     if (!message.snapshot) return tell("data", data);

@@ -12,11 +12,10 @@ import { showLens } from "./panels/calibration/lens.js";
 import { Link } from "./link.js";
 import { showList } from "./panels/objects/list.js";
 import { showMasthead } from "./panels/page/masthead.js";
-import { readInfo } from "./wire/message.js";
+import { decodeMessage, readInfo } from "./wire/message.js";
 import { showObjects } from "./panels/objects/object-form.js";
 import { showOffer } from "./panels/page/offer.js";
 import { showPanel } from "./panels/objects/panel.js";
-import { parse } from "./wire/parse.js";
 import { showPlan } from "./panels/calibration/plan.js";
 import { showPrint } from "./panels/calibration/print.js";
 import { showRecording } from "./panels/history/recording.js";
@@ -82,7 +81,7 @@ find("#zoom-in").addEventListener("click", () => arena.zoomMiddle(1.4));
 find("#zoom-out").addEventListener("click", () => arena.zoomMiddle(1 / 1.4));
 
 link.on("snapshot", (packed) => store.takePacked(packed));
-link.on("data", (data) => store.take(parse(data)));
+link.on("data", (data) => store.take(decodeMessage(data) ?? {}));
 link.on("report", (report) => store.takeReport(report));
 link.on("connection", ({ phase, sinceMs, retryAtMs }) => {
   const here = (/** @type {number} */ ms) => ms - performance.timeOrigin;

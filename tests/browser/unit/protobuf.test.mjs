@@ -1,130 +1,109 @@
-/** The page's reader of protobuf, and its tables against the .proto files. */
+/** The page's decoder of protobuf: against the .proto files, the golden messages and the JSON form. */
 
 import assert from "node:assert/strict";
-import { readFile, readdir } from "node:fs/promises";
+import { readFile } from "node:fs/promises";
 import { test } from "node:test";
+import { fileURLToPath } from "node:url";
 
-import { readSnapshot } from "../../../client/dashboard/js/wire/message.js";
-import { decode, shapes } from "../../../client/dashboard/js/wire/protobuf.js";
-import { ENUMERATIONS, SHAPES, TABLES } from "../../../client/dashboard/js/wire/schema.js";
-import { decodeSnapshot } from "../../../client/dashboard/js/wire/snapshot.js";
+import protobuf from "protobufjs";
+
+import { decodeMessage, readCameras, readEvent, readSnapshot } from "../../../client/dashboard/js/wire/message.js";
+import { roundel } from "../../../client/dashboard/vendor/protobuf.js";
+import { loadUsedMessages } from "../protobuf-module.mjs";
 import { encode } from "../wire.mjs";
 import { World } from "../world.mjs";
 
-const FOLDER = new URL("../../../proto/roundel/v1/", import.meta.url);
-const files = (await readdir(FOLDER)).filter((name) => name.endsWith(".proto"));
-const proto = (await Promise.all(files.map((name) => readFile(new URL(name, FOLDER), "utf8"))))
-  .join("\n")
-  .replaceAll(/\/\/.*$/gm, "");
+const PROTO = new URL("../../../proto/", import.meta.url);
 
-/** The body of a message or an enumeration. */
-function block(keyword, name) {
-  const start = proto.indexOf(`${keyword} ${name} {`);
-  assert.ok(start >= 0, `the .proto files have no ${keyword} ${name}`);
-  let depth = 0;
-  for (let at = start; ; at += 1) {
-    if (proto[at] === "{") depth += 1;
-    if (proto[at] === "}" && (depth -= 1) === 0) return proto.slice(start, at);
-  }
+/** A message with every field set; values differ from field to field. */
+function filled(type) {
+  const value = (field) => {
+    if (field.resolvedType instanceof protobuf.Enum) return Object.values(field.resolvedType.values).at(-1);
+    if (field.resolvedType) return filled(field.resolvedType);
+    if (field.type === "string") return `${field.name} ä`;
+    return field.type === "bool" ? true : field.type === "double" ? field.id + 0.5 : 1000 * field.id;
+  };
+  return Object.fromEntries(type.fieldsArray.map((field) => [field.name, field.repeated ? [value(field), value(field)] : value(field)]));
 }
 
-test("every field of the tables is one of the .proto files, with its number and type", () => {
-  for (const [name, table] of Object.entries(TABLES)) {
-    const body = block("message", name);
-    for (const [number, words] of Object.entries(table)) {
-      const [field, ...type] = words.split(" ");
-      assert.match(body, new RegExp(`(^|[\\n {])${type.join(" ")} ${field} = ${number};`), `${name}.${field}`);
+/** Without prototypes. */
+const plain = (value) => JSON.parse(JSON.stringify(value));
+/** Evaluates what an ObjectState computes when it is asked. */
+const withCovariances = (snapshot) => ({
+  ...snapshot,
+  objects: snapshot.objects.map((state) => ({ ...state, heldCovariance: null, covariance: state.covariance, ellipse: state.ellipse, sigmas: state.sigmaM })),
+});
+/** @param {Uint8Array} bytes */
+const decode = (bytes) => decodeMessage(Uint8Array.from(bytes).buffer);
+
+test("the decoder has every field and value of the .proto files (npm run vendor generates it)", () => {
+  const messages = loadUsedMessages(fileURLToPath(PROTO)).lookup("roundel.v1");
+  for (const type of messages.nestedArray) {
+    const generated = roundel.v1[type.name];
+    if (type instanceof protobuf.Enum) assert.deepEqual({ ...generated }, { ...type.values }, type.name);
+    else {
+      // Of a oneof's fields the last one stays.
+      const oneofs = new Set(type.oneofsArray.flatMap((oneof) => oneof.fieldsArray));
+      const all = filled(type);
+      for (const field of type.fieldsArray) {
+        const message = oneofs.has(field) ? { [field.name]: all[field.name] } : all;
+        const read = generated.decode(type.encode(type.fromObject(message)).finish());
+        assert.deepEqual(plain(read[field.name]), plain(message[field.name]), `${type.name}.${field.name}`);
+      }
     }
   }
 });
 
-test("every word of the tables is one of the .proto files, with its number", () => {
-  for (const [name, words] of Object.entries(ENUMERATIONS)) {
-    const body = block("enum", name);
-    const prefix = name.replaceAll(/(?<=[a-z])([A-Z])/g, "_$1").toUpperCase();
-    for (const [number, word] of words.entries()) {
-      if (word === undefined) continue;
-      assert.match(body, new RegExp(`${prefix}_${word.toUpperCase()} = ${number};`), `${name} ${word}`);
-    }
+test("the golden messages are the same in protobuf and in JSON", async () => {
+  const { Camera, Event, Snapshot } = roundel.v1;
+  for (const [name, type, read] of [
+    ["camera", Camera, (raw) => readCameras([raw])],
+    ["event", Event, readEvent],
+    ["snapshot", Snapshot, readSnapshot],
+    ["lean_snapshot", Snapshot, readSnapshot],
+  ]) {
+    const [hex, json] = await Promise.all(["hex", "json"].map((kind) => readFile(new URL(`golden/${name}.${kind}`, PROTO), "utf8")));
+    const decoded = type.decode(Uint8Array.from(Buffer.from(hex.replaceAll(/\s/g, ""), "hex")));
+    const [fromProtobuf, fromJson] = [read(decoded), read(JSON.parse(json))];
+    if (type !== Snapshot) assert.deepEqual(fromProtobuf, fromJson, name);
+    else assert.deepEqual(withCovariances(fromProtobuf), withCovariances(fromJson), name);
   }
 });
 
-const SNAPSHOT = {
-  sequence: 2 ** 40 + 5,
-  source_id: "a source whose name is longer than what is read letter by letter: Prüfstand",
-  pose_time_ns: "1700000000123456789",
-  objects: [
-    {
-      object_id: 3,
-      name: "Gerät 7",
-      stage: "predicted",
-      position: { x: -1.5, y: 0, z: 0.3 },
-      orientation: { x: 0, y: 0, z: 0, w: 1 },
-      yaw_observed: true,
-      covariance: Array.from({ length: 21 }, (_, i) => i / 7),
-      cameras: ["north", ""],
-      observation_age_ns: "-31500000",
-      code: { bits: 8, number: 200 },
-    },
-  ],
-};
-
-test("what was written is read again, and what was not sent is its default", () => {
-  const { snapshot, event } = decode(SHAPES.StreamMessage, encode({ snapshot: SNAPSHOT }));
-  assert.equal(event, null);
+test("64-bit numbers are exact to a microsecond of Unix time", () => {
+  const { snapshot } = decode(encode({ snapshot: { sequence: 2 ** 40 + 5, pose_time_ns: "1700000000123456789", objects: [{ object_id: 3, observation_age_ns: "-31500000" }] } }));
   assert.equal(snapshot.sequence, 2 ** 40 + 5);
-  assert.equal(snapshot.source_id, SNAPSHOT.source_id);
-  assert.equal(snapshot.pose_time_ns, 1700000000123456789n);
-  assert.equal(snapshot.capture_time_ns, 0n);
+  assert.ok(Math.abs(snapshot.poseTimeMs - 1700000000123.457) < 0.001, String(snapshot.poseTimeMs));
+  assert.equal(snapshot.latencyMs, null, "times that were not sent");
   assert.equal(snapshot.missed, 0);
-  const [object] = snapshot.objects;
-  assert.deepEqual(object.position, { x: -1.5, y: 0, z: 0.3 });
-  assert.deepEqual(object.covariance, SNAPSHOT.objects[0].covariance);
-  assert.deepEqual(object.cameras, ["north", ""]);
-  assert.equal(object.observation_age_ns, -31500000n);
-  assert.equal(object.name, "Gerät 7");
-  assert.equal(object.stage, "predicted");
-  assert.equal(object.velocity, null);
-  assert.deepEqual(object.code, { bits: 8, number: 200 });
-  // Lists are of this message alone.
-  assert.notEqual(decode(SHAPES.ObjectState, new Uint8Array()).cameras, decode(SHAPES.ObjectState, new Uint8Array()).cameras);
+  assert.equal(snapshot.objects[0].ageMs, -31.5);
+  assert.equal(snapshot.objects[0].velocityMS, null);
 });
 
-test("fields and words of a newer server are passed over", () => {
-  const both = shapes({ Event: { 1: "sequence uint64" } }, {});
-  const { event } = decode(SHAPES.StreamMessage, encode({ event: { sequence: 9, message: "well", kind: "camera_failed" } }));
-  assert.equal(event.message, "well");
+test("fields and values of a newer server are skipped", () => {
+  const { event } = decode(encode({ event: { sequence: 9, message: "well", kind: "camera_failed" } }));
+  assert.deepEqual([event.sequence, event.message, event.kind], [9, "well", "camera_failed"]);
   const newer = Uint8Array.from([0x08, 9, 0x18, 99, 0x7a, 2, 1, 2, 0x79, 0, 0, 0, 0, 0, 0, 0, 0, 0x7d, 0, 0, 0, 0]);
-  assert.deepEqual(decode(SHAPES.Event, newer).kind, "unspecified");
-  assert.deepEqual(decode(both.Event, newer), { sequence: 9 });
+  const read = decode(Uint8Array.from([0x1a, newer.length, ...newer])).event;
+  assert.deepEqual([read.sequence, read.kind], [9, "unspecified"]);
+  assert.deepEqual(decode(Uint8Array.from([0x7a, 2, 1, 2])), {}, "a message of another kind");
 });
 
-test("no part of a message reads as a message, nor does nonsense", () => {
-  const whole = encode({ snapshot: SNAPSHOT });
-  for (let length = 1; length < whole.length; length += 1) {
-    assert.throws(() => decode(SHAPES.StreamMessage, whole.subarray(0, length)), RangeError, `${length} bytes`);
-  }
-  assert.throws(() => decode(SHAPES.Event, Uint8Array.from([0x0a, 1, 0])), /sequence: expected wire type 0/);
-  assert.throws(() => decode(SHAPES.Event, Uint8Array.from([0x08, ...Array(10).fill(255), 1])), /longer than ten bytes/);
-  assert.throws(() => decode(SHAPES.Event, Uint8Array.from([0x7f])), /no wire type 7/);
+test("truncated and invalid messages are rejected", () => {
+  const whole = encode({ snapshot: new World({ robots: 2 }).snapshot() });
+  assert.ok(decode(whole)?.snapshot);
+  for (let length = 1; length < whole.length; length += 1) assert.equal(decode(whole.subarray(0, length)), null, `${length} bytes`);
+  for (const bytes of [[0x1a, 12, 0x08, ...Array(10).fill(255), 1], [0x1a, 1, 0x7f]]) assert.equal(decode(Uint8Array.from(bytes)), null, String(bytes));
 });
 
-test("the quick reader of snapshots reads what the tables do", () => {
-  const world = new World({ robots: 8 });
-  const raw = world.snapshot();
+test("a snapshot is the same in protobuf and in JSON, invalid values too", () => {
+  const raw = new World({ robots: 8 }).snapshot();
   Object.assign(raw.objects[1], { position: null, orientation: null, covariance: [], code: { bits: 8, number: 77 }, yaw_symmetry: 2 });
   Object.assign(raw.objects[2], { covariance: Array(21).fill(NaN), velocity: null, cameras: [], residual: NaN, name: "Gerät" });
   Object.assign(raw.objects[3], { position: { x: Infinity, y: 0, z: 0 }, orientation: { x: 0, y: 0, z: 0, w: 0 }, observation_age_ns: "-5000000" });
-  const bytes = encode({ snapshot: raw });
-  const plain = (snapshot) => ({
-    ...snapshot,
-    objects: snapshot.objects.map((state) => ({ ...state, heldCovariance: null, covariance: state.covariance, ellipse: state.ellipse, sigmas: state.sigmaM })),
-  });
-  const expected = readSnapshot(decode(SHAPES.StreamMessage, bytes).snapshot);
-  assert.equal(expected.objects.length, 8);
-  assert.deepEqual(plain(decodeSnapshot(bytes)), plain(expected));
-  assert.equal(decodeSnapshot(encode({ event: { sequence: 1 } })), null);
-  for (let length = 1; length < bytes.length; length += 7) {
-    assert.throws(() => decodeSnapshot(bytes.subarray(0, length)), RangeError, `${length} bytes`);
-  }
+  // Multiples of 1024 ns and of 1 µs: exact in both forms.
+  for (const name of ["pose_time_ns", "capture_time_ns", "sent_time_ns"]) raw[name] = String((BigInt(raw[name]) / 1_024_000n) * 1_024_000n);
+  const { snapshot } = decode(encode({ snapshot: raw }));
+  assert.equal(snapshot.objects.length, 8);
+  assert.deepEqual(withCovariances(snapshot), withCovariances(readSnapshot(raw)));
 });

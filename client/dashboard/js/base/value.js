@@ -7,7 +7,7 @@
 
 /** @param {any} raw @returns {number | null} */
 export function number(raw) {
-  return typeof raw === "number" && Number.isFinite(raw) ? raw : null;
+  return Number.isFinite(raw) ? raw : null;
 }
 
 /** A number that counts or measures something; 0 where it is missing. @param {any} raw */
@@ -32,26 +32,26 @@ export function numbers(raw, length) {
 
 /** @param {any} raw @returns {Vector3 | null} */
 export function vector(raw) {
-  const [x, y, z] = [number(raw?.x), number(raw?.y), number(raw?.z)];
-  return x === null || y === null || z === null ? null : { x, y, z };
+  if (!raw) return null;
+  const { x, y, z } = raw;
+  return Number.isFinite(x) && Number.isFinite(y) && Number.isFinite(z) ? { x, y, z } : null;
 }
 
 /** @param {any} raw @returns {Quaternion | null} */
 export function quaternion(raw) {
-  const v = vector(raw);
-  const w = number(raw?.w);
-  if (!v || w === null) return null;
-  const norm = Math.hypot(v.x, v.y, v.z, w);
-  return norm > 0 ? { x: v.x / norm, y: v.y / norm, z: v.z / norm, w: w / norm } : null;
+  if (!raw) return null;
+  const { x, y, z, w } = raw;
+  const norm = Math.sqrt(x * x + y * y + z * z + w * w);
+  return norm > 0 && Number.isFinite(norm) ? { x: x / norm, y: y / norm, z: z / norm, w: w / norm } : null;
 }
 
-/** Exact: Unix time in nanoseconds exceeds 2^53. @param {any} raw @returns {bigint | null} */
-export function nanoseconds(raw) {
-  if (typeof raw === "bigint") return raw;
-  return typeof raw === "string" && /^-?\d+$/.test(raw) ? BigInt(raw) : null;
-}
-
-/** @param {bigint} ns */
-export function milliseconds(ns) {
-  return Number(ns / 1000n) / 1000;
+/**
+ * Nanoseconds as milliseconds. JSON sends them as a decimal string, since Unix time exceeds 2^53; protobuf's decoder gives
+ * a number, which is exact to 256 ns.
+ * @param {any} raw
+ * @returns {number | null}
+ */
+export function milliseconds(raw) {
+  if (typeof raw === "number") return Number.isFinite(raw) ? raw / 1e6 : null;
+  return typeof raw === "string" && /^-?\d+$/.test(raw) ? Number(BigInt(raw) / 1000n) / 1000 : null;
 }

@@ -4,7 +4,7 @@
  */
 
 import { roundStep } from "../base/geometry.js";
-import { count, list, milliseconds, nanoseconds, number, text, vector } from "../base/value.js";
+import { count, list, milliseconds, number, text, vector } from "../base/value.js";
 
 /** Points further apart in time than so many steps of the history are not joined: it was not there between them. */
 const GAP_STEPS = 3.5;
@@ -29,12 +29,8 @@ const LEAST_CELL_M = 0.02;
 /** @param {any} raw an answer of /api/v1/history @returns {Courses} */
 export function readCourses(raw) {
   const stepS = count(raw?.step_s);
-  const time = (/** @type {any} */ ns) => {
-    const read = nanoseconds(ns);
-    return read ? milliseconds(read) : null;
-  };
   const courses = list(raw?.objects).map((one, i) => readCourse(one, i));
-  return { courses, points: count(raw?.points), stepS, oldestMs: time(raw?.oldest_time_ns), newestMs: time(raw?.newest_time_ns) };
+  return { courses, points: count(raw?.points), stepS, oldestMs: milliseconds(raw?.oldest_time_ns) || null, newestMs: milliseconds(raw?.newest_time_ns) || null };
 }
 
 /** @param {any} raw @param {number} i @returns {Course} */
@@ -44,9 +40,9 @@ function readCourse(raw, i) {
   const places = new Float32Array(points.length * 3);
   let kept = 0;
   for (const point of points) {
-    const [at, place] = [nanoseconds(point?.time_ns), vector(point?.position)];
-    if (at === null || !place) continue;
-    timesMs[kept] = milliseconds(at);
+    const [atMs, place] = [milliseconds(point?.time_ns), vector(point?.position)];
+    if (atMs === null || !place) continue;
+    timesMs[kept] = atMs;
     places.set([place.x, place.y, place.z], kept * 3);
     kept += 1;
   }

@@ -1,7 +1,6 @@
 /** One object at one instant: what the wire says of it, and what follows from that once somebody asks. */
 
 import { errorEllipse, headingRad, longestSemiaxis, sigmasM, tiltRad } from "../base/geometry.js";
-import { count, list, nanoseconds, number, numbers, quaternion, text, vector } from "../base/value.js";
 
 /** @typedef {import("../base/geometry.js").Vector3} Vector3 */
 /** @typedef {import("../base/geometry.js").Quaternion} Quaternion */
@@ -116,34 +115,4 @@ export class ObjectState {
     const sigma = this.yawObserved ? this.sigmaRad : null;
     return sigma && NORMAL_95 * sigma.z;
   }
-}
-
-/**
- * @param {any} raw
- * @returns {ObjectState}
- */
-export function readObject(raw) {
-  const age = nanoseconds(raw?.observation_age_ns);
-  return new ObjectState({
-    id: count(raw?.object_id),
-    name: text(raw?.name),
-    stage: STAGES.includes(raw?.stage) ? raw.stage : "unspecified",
-    positionM: vector(raw?.position),
-    orientation: quaternion(raw?.orientation),
-    yawObserved: raw?.yaw_observed === true,
-    eitherWay: number(raw?.yaw_symmetry) === 2,
-    velocityMS: vector(raw?.velocity),
-    covariance: numbers(raw?.covariance, 21),
-    cameras: list(raw?.cameras).map(text),
-    ageMs: age === null ? null : Number(age) / 1e6,
-    residual: number(raw?.residual),
-    roundel: text(raw?.roundel),
-    code: readCode(raw?.code),
-  });
-}
-
-/** @param {any} raw */
-function readCode(raw) {
-  const [bits, code] = [number(raw?.bits), number(raw?.number)];
-  return bits && code !== null ? { bits, number: code } : null;
 }

@@ -6,7 +6,6 @@
 
 import { Latencies, Vitals } from "./health.js";
 import { History, placeIn } from "./history.js";
-import { readCameras, readEvent } from "../wire/message.js";
 import { carried } from "./riding.js";
 import { Track } from "./track.js";
 
@@ -103,20 +102,17 @@ export class Store {
     for (const listener of this.listeners.get(topic) ?? []) listener();
   }
 
-  /**
-   * Takes one message of the stream, its snapshot read already. Keys that this page does not know are left to newer pages.
-   * @param {any} message
-   */
-  take(message) {
-    if (message?.snapshot) this.takeSnapshot(message.snapshot);
-    if (Array.isArray(message?.cameras)) {
-      this.cameras = readCameras(message.cameras);
+  /** @param {import("../wire/message.js").Message} message */
+  take({ snapshot, cameras, event }) {
+    if (snapshot) this.takeSnapshot(snapshot);
+    if (cameras) {
+      this.cameras = cameras;
       this.camerasKnown = true;
       this.vitals.take(this.cameras, performance.now());
       this.carryCameras();
       this.emit("cameras");
     }
-    if (message?.event) this.takeEvent(readEvent(message.event));
+    if (event) this.takeEvent(event);
   }
 
   /** @param {import("../wire/message.js").Snapshot} snapshot */

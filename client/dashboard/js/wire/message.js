@@ -1,14 +1,15 @@
 /**
- * From the wire's messages to the page's own values.
+ * Converts the server's messages to the page's own types.
  *
- * The server's messages are those of `proto/roundel/v1`, with field names as there, times as nanoseconds (in JSON
- * decimal strings), enumerations as lower-case words and absent messages as null. Everything
- * the page uses passes here once: what is unknown is left out, what is missing or not finite becomes
- * null, and nothing behind this module has to ask again.
+ * The messages are those of `proto/roundel/v1`, decoded by the generated module vendor/protobuf.js or parsed from JSON.
+ * Both have the field names of the .proto files. JSON has times as decimal strings and enumerations as lower-case words,
+ * protobuf has numbers. Unknown fields are ignored, and missing or non-finite values become null, 0 or empty, so that the
+ * rest of the page needs no checks.
  */
 
-import { readObject } from "../state/state.js";
-import { count, list, milliseconds, nanoseconds, number, quaternion, text, vector } from "../base/value.js";
+import { roundel } from "../../vendor/protobuf.js";
+import { count, list, milliseconds, number, numbers, quaternion, text, vector } from "../base/value.js";
+import { ObjectState, STAGES } from "../state/state.js";
 
 /** @typedef {import("../base/geometry.js").Vector3} Vector3 */
 /** @typedef {import("../base/geometry.js").Quaternion} Quaternion */
@@ -60,6 +61,7 @@ import { count, list, milliseconds, nanoseconds, number, quaternion, text, vecto
  * @property {Agreement | null} agreement null while its place is not known, and of one that rides
  */
 
+/** @typedef {{snapshot?: Snapshot, cameras?: Camera[], event?: Event}} Message at most one of them */
 /** @typedef {{position: Vector3, orientation: Quaternion}} Pose */
 /** @typedef {{base: string, deviationMs: number}} CaptureClock which clock its capture times come from */
 /** @typedef {{offsetMs: number, skewPpm: number, deviationMs: number}} Clock how late its stamps are */
@@ -78,25 +80,108 @@ import { count, list, milliseconds, nanoseconds, number, quaternion, text, vecto
  * @property {boolean} allowsSetup of cameras and objects, by this page
  */
 
+const { AgreementState, CameraStatus, EventKind, PoseStatus, StreamMessage, TimeBase } = roundel.v1;
+const WORDS = {
+  agreement: wordsOf(AgreementState),
+  camera: wordsOf(CameraStatus),
+  event: wordsOf(EventKind),
+  pose: wordsOf(PoseStatus),
+  timeBase: wordsOf(TimeBase),
+};
 const STATUSES = new Set(["starting", "running", "failed", "finished"]);
+
+/**
+ * Values of an enumeration by number, in the words of JSON: CAMERA_STATUS_RUNNING is "running".
+ * @param {Record<string, number>} enumeration
+ * @returns {Map<number, string>}
+ */
+function wordsOf(enumeration) {
+  const [[unspecified]] = Object.entries(enumeration).filter(([, number]) => number === 0);
+  const prefix = unspecified.length - "UNSPECIFIED".length;
+  return new Map(Object.entries(enumeration).map(([name, number]) => [number, name.slice(prefix).toLowerCase()]));
+}
+
+/** @param {any} raw a number in protobuf, a word in JSON @param {Map<number, string>} words */
+function word(raw, words) {
+  return typeof raw === "number" ? (words.get(raw) ?? "unspecified") : text(raw);
+}
+
+/**
+ * Decodes one message of the stream, in protobuf or in JSON.
+ * @param {unknown} data
+ * @returns {Message | null} null for a message that cannot be read
+ */
+export function decodeMessage(data) {
+  try {
+    if (data instanceof ArrayBuffer) {
+      const message = StreamMessage.decode(new Uint8Array(data));
+      return readMessage({ ...message, cameras: message.cameras?.cameras });
+    }
+    return typeof data === "string" ? readMessage(JSON.parse(data)) : null;
+  } catch {
+    return null;
+  }
+}
+
+/** @param {any} raw @returns {Message} */
+function readMessage(raw) {
+  if (raw?.snapshot) return { snapshot: readSnapshot(raw.snapshot) };
+  if (Array.isArray(raw?.cameras)) return { cameras: readCameras(raw.cameras) };
+  return raw?.event ? { event: readEvent(raw.event) } : {};
+}
 
 /**
  * @param {any} raw
  * @returns {Snapshot}
  */
 export function readSnapshot(raw) {
-  const capture = nanoseconds(raw?.capture_time_ns);
-  const sent = nanoseconds(raw?.sent_time_ns);
-  const pose = nanoseconds(raw?.pose_time_ns);
+  const captureMs = milliseconds(raw?.capture_time_ns);
+  const sentMs = milliseconds(raw?.sent_time_ns);
   return {
     sequence: count(raw?.sequence),
     sourceId: text(raw?.source_id),
-    poseTimeMs: pose === null ? 0 : milliseconds(pose),
-    // Both times are the server's, so no clock of this machine enters. 0 is "before the first".
-    latencyMs: capture && sent ? Number(sent - capture) / 1e6 : null,
+    poseTimeMs: milliseconds(raw?.pose_time_ns) ?? 0,
+    // Both times are by the server's clock. 0 means "before the first".
+    latencyMs: captureMs && sentMs ? sentMs - captureMs : null,
     objects: list(raw?.objects).map(readObject),
     missed: count(raw?.missed),
   };
+}
+
+/**
+ * @param {any} raw
+ * @returns {ObjectState}
+ */
+function readObject(raw) {
+  return new ObjectState({
+    id: count(raw?.object_id),
+    name: text(raw?.name),
+    stage: readStage(raw?.stage),
+    positionM: vector(raw?.position),
+    orientation: quaternion(raw?.orientation),
+    yawObserved: raw?.yaw_observed === true,
+    eitherWay: raw?.yaw_symmetry === 2,
+    velocityMS: vector(raw?.velocity),
+    covariance: () => numbers(raw?.covariance, 21),
+    cameras: list(raw?.cameras).map(text),
+    ageMs: milliseconds(raw?.observation_age_ns),
+    residual: number(raw?.residual),
+    roundel: text(raw?.roundel),
+    code: readCode(raw?.code),
+  });
+}
+
+/** @param {any} raw @returns {import("../state/state.js").Stage} */
+function readStage(raw) {
+  if (typeof raw === "number") return STAGES[raw] ?? "unspecified";
+  return STAGES.includes(raw) ? raw : "unspecified";
+}
+
+/** @param {any} raw */
+function readCode(raw) {
+  const bits = number(raw?.bits);
+  const code = number(raw?.number);
+  return bits && code !== null ? { bits, number: code } : null;
 }
 
 /**
@@ -115,12 +200,12 @@ function readCamera(raw) {
   return {
     name: text(raw?.name),
     source: text(raw?.source),
-    status: STATUSES.has(raw?.status) ? raw.status : "unspecified",
+    status: readStatus(raw?.status),
     error: text(raw?.error),
     width: count(raw?.width),
     height: count(raw?.height),
     pose: readPose(raw?.pose),
-    poseStatus: text(raw?.pose_status),
+    poseStatus: word(raw?.pose_status, WORDS.pose),
     poseReason: text(raw?.pose_reason),
     carrier: text(raw?.carrier),
     mount: readPose(raw?.mount),
@@ -146,6 +231,12 @@ function readCamera(raw) {
   };
 }
 
+/** @param {any} raw @returns {CameraStatus} */
+function readStatus(raw) {
+  const status = word(raw, WORDS.camera);
+  return STATUSES.has(status) ? /** @type {CameraStatus} */ (status) : "unspecified";
+}
+
 /** @param {any} raw @returns {Link | null} */
 function readLink(raw) {
   if (!raw) return null;
@@ -162,7 +253,7 @@ function readLink(raw) {
 function readAgreement(raw) {
   if (!raw) return null;
   return {
-    state: text(raw.state),
+    state: word(raw.state, WORDS.agreement),
     positionErrorM: count(raw.position_error_m),
     positionDeviationM: count(raw.position_deviation_m),
     rotationErrorRad: count(raw.rotation_error_rad),
@@ -172,7 +263,7 @@ function readAgreement(raw) {
 
 /** @param {any} raw @returns {CaptureClock | null} */
 function readCaptureClock(raw) {
-  const base = text(raw?.base);
+  const base = word(raw?.base, WORDS.timeBase);
   return base ? { base, deviationMs: count(raw?.deviation_ms) } : null;
 }
 
@@ -211,11 +302,10 @@ function readIntrinsics(raw) {
  * @returns {Event}
  */
 export function readEvent(raw) {
-  const time = nanoseconds(raw?.time_ns);
   return {
     sequence: count(raw?.sequence),
-    timeMs: time === null ? 0 : milliseconds(time),
-    kind: text(raw?.kind),
+    timeMs: milliseconds(raw?.time_ns) ?? 0,
+    kind: word(raw?.kind, WORDS.event),
     objectId: count(raw?.object_id),
     camera: text(raw?.camera),
     message: text(raw?.message),
@@ -227,12 +317,11 @@ export function readEvent(raw) {
  * @returns {ServerInfo}
  */
 export function readInfo(raw) {
-  const started = nanoseconds(raw?.started_time_ns);
   return {
     version: text(raw?.version),
     sourceId: text(raw?.source_id),
     name: text(raw?.name),
-    startedTimeMs: started ? milliseconds(started) : null,
+    startedTimeMs: milliseconds(raw?.started_time_ns) || null,
     snapshotRateHz: count(raw?.snapshot_rate_hz),
     records: raw?.records === true,
     replays: raw?.replays === true,

@@ -5,7 +5,7 @@ import { findDialog } from "../forms/dialog.js";
 import { element, find, setAttribute, setText } from "../../base/dom.js";
 import { dateAndTime, duration, minutes, size, whole } from "../../base/format.js";
 import { Troubles } from "../forms/troubles.js";
-import { milliseconds, nanoseconds } from "../../base/value.js";
+import { milliseconds } from "../../base/value.js";
 
 /** Between two looks while the dialog is open, and while something is recorded, ms. */
 const LOOK_MS = 1000;
@@ -131,10 +131,10 @@ class RecordingView {
     if (look === this.filesShown) return;
     this.filesShown = look;
     const rows = [...answer.files].reverse().map((/** @type {any} */ file) => {
-      const started = nanoseconds(file.started_time_ns);
+      const startedMs = milliseconds(file.started_time_ns);
       return element("tr", {}, [
         element("th", { scope: "row" }, [file.name]),
-        element("td", {}, [started ? dateAndTime(milliseconds(started)) : "–"]),
+        element("td", {}, [startedMs ? dateAndTime(startedMs) : "–"]),
         element("td", {}, [file.open ? `${size(Number(file.bytes))}, being written` : size(Number(file.bytes))]),
       ]);
     });

@@ -3,7 +3,7 @@
 import { ask } from "../../wire/ask.js";
 import { find, setAttribute, setText } from "../../base/dom.js";
 import { minutes, preciseTimeOfDay } from "../../base/format.js";
-import { milliseconds, nanoseconds } from "../../base/value.js";
+import { milliseconds } from "../../base/value.js";
 
 /** Between two looks, ms: others may steer it, too. */
 const LOOK_MS = 500;
@@ -139,8 +139,8 @@ class ReplayView {
   showTime(atS) {
     const { known } = this;
     if (!known) return;
-    const begin = nanoseconds(known.begin_time_ns);
-    const clock = begin ? `, ${preciseTimeOfDay(milliseconds(begin) + atS * 1000)}` : "";
+    const beginMs = milliseconds(known.begin_time_ns);
+    const clock = beginMs ? `, ${preciseTimeOfDay(beginMs + atS * 1000)}` : "";
     const text = `${minutes(atS)} of ${minutes(known.duration_s)}${clock}`;
     setText(this.time, text);
     setAttribute(this.slider, "aria-valuetext", text);
