@@ -14,8 +14,8 @@ import { fileURLToPath, pathToFileURL } from "node:url";
 import { WebSocketServer } from "ws";
 
 import { Calibrator } from "./calibrator.mjs";
-import { Roster } from "./roster.mjs";
-import { encode } from "./wire.mjs";
+import { MockConfiguration } from "./mock-configuration.mjs";
+import { encode } from "./encode.mjs";
 import { World } from "./world.mjs";
 
 const DASHBOARD = join(dirname(fileURLToPath(import.meta.url)), "../../client/dashboard");
@@ -36,20 +36,20 @@ const TYPES = {
 };
 
 /**
- * @param {{port?: number, world?: World, calibrator?: Calibrator, roster?: Roster, protocols?: string[], mostHz?: number}} [options] port 0 takes a free one
+ * @param {{port?: number, world?: World, calibrator?: Calibrator, configuration?: MockConfiguration, protocols?: string[], mostHz?: number}} [options] port 0 takes a free one
  * @returns {Promise<{url: string, world: World, close: () => Promise<void>}>}
  */
 export async function startMock({
   port = 0,
   world = new World(),
   calibrator,
-  roster = new Roster(world),
+  configuration = new MockConfiguration(world),
   protocols = ["roundel.v1.json", "roundel.v1.protobuf"],
   mostHz = 60,
 } = {}) {
   calibrator ??= new Calibrator(world.cameras().map((camera) => camera.name));
   const server = createServer((request, response) => {
-    answer({ world, calibrator, roster }, request, response).catch((error) => {
+    answer({ world, calibrator, configuration }, request, response).catch((error) => {
       response.writeHead(500).end(String(error));
     });
   });
@@ -91,7 +91,7 @@ async function bodyOf(request) {
   return chunks.length > 0 ? JSON.parse(Buffer.concat(chunks).toString()) : null;
 }
 
-async function answer({ world, calibrator, roster }, request, response) {
+async function answer({ world, calibrator, configuration }, request, response) {
   const { pathname } = new URL(request.url, "http://mock");
   const say = ([status, message]) => {
     response.writeHead(status, { "content-type": "application/json" }).end(JSON.stringify(message));
@@ -99,7 +99,7 @@ async function answer({ world, calibrator, roster }, request, response) {
   if (pathname.startsWith("/api/v1/calibration")) {
     return say(calibrator.answer(request.method, pathname.slice("/api/v1/calibration".length), await bodyOf(request)));
   }
-  const setup = roster.answer(request.method, pathname.slice("/api/v1".length), await bodyOf(request));
+  const setup = configuration.answer(request.method, pathname.slice("/api/v1".length), await bodyOf(request));
   if (setup) return say(setup);
   const json = (value) => {
     response.writeHead(200, { "content-type": "application/json" }).end(JSON.stringify(value));

@@ -5,7 +5,7 @@ import { after, before, describe, test } from "node:test";
 
 import { assertAccessible, launch, visit } from "./harness.mjs";
 import { startMock } from "./mock.mjs";
-import { Roster } from "./roster.mjs";
+import { MockConfiguration } from "./mock-configuration.mjs";
 import { World } from "./world.mjs";
 
 let browser;
@@ -14,13 +14,13 @@ before(async () => {
 });
 after(() => browser?.close());
 
-/** @param {object} options of the roster @param {(page: import("playwright-core").Page, roster: Roster) => Promise<void>} body */
-async function withRoster(options, body, context = {}) {
+/** @param {object} options of the configuration @param {(page: import("playwright-core").Page, configuration: MockConfiguration) => Promise<void>} body */
+async function withConfiguration(options, body, context = {}) {
   const world = new World();
-  const roster = new Roster(world, options);
-  const server = await startMock({ world, roster });
+  const configuration = new MockConfiguration(world, options);
+  const server = await startMock({ world, configuration });
   try {
-    await visit(browser, server.url, context, (page) => body(page, roster));
+    await visit(browser, server.url, context, (page) => body(page, configuration));
   } finally {
     await server.close();
   }
@@ -39,11 +39,11 @@ async function openOf(page, name) {
 
 const closed = (page) => page.locator("#setup:not([open])").waitFor({ state: "attached" });
 const trouble = (page, field, text) => page.locator(`#setup-${field}-trouble`, { hasText: text }).waitFor();
-const answered = (roster, method) => roster.asked.filter((asked) => asked.method === method).at(-1);
+const answered = (configuration, method) => configuration.asked.filter((asked) => asked.method === method).at(-1);
 
 describe("the setup of cameras", () => {
   test("tries a source, and says what it gives or why it does not", async () => {
-    await withRoster({}, async (page, roster) => {
+    await withConfiguration({}, async (page, configuration) => {
       await openNew(page);
       await page.locator("#setup-try").click();
       await trouble(page, "source", "Fill in the source first.");
@@ -58,12 +58,12 @@ describe("the setup of cameras", () => {
       await page.locator("#setup-try").click();
       await trouble(page, "source", "expected a URL, found \"10.0.0.2\"");
       assert.equal(await page.locator("#setup-source").getAttribute("aria-invalid"), "true");
-      assert.deepEqual(answered(roster, "POST").body, { source: "10.0.0.2" });
+      assert.deepEqual(answered(configuration, "POST").body, { source: "10.0.0.2" });
     });
   });
 
   test("adds a camera that finds its place, once every error at its field is mended", async () => {
-    await withRoster({}, async (page, roster) => {
+    await withConfiguration({}, async (page, configuration) => {
       await openNew(page);
       await page.locator("#setup-save").click();
       await trouble(page, "name", "missing key");
@@ -83,7 +83,7 @@ describe("the setup of cameras", () => {
       await page.locator("#setup-rate_hz").fill("30");
       await page.locator("#setup-save").click();
       await closed(page);
-      assert.deepEqual(answered(roster, "POST").body, {
+      assert.deepEqual(answered(configuration, "POST").body, {
         name: "door",
         source: "v4l2:/dev/video0",
         calibration: "door.yaml",
@@ -96,7 +96,7 @@ describe("the setup of cameras", () => {
   });
 
   test("adds one where it was measured to stand", async () => {
-    await withRoster({}, async (page, roster) => {
+    await withConfiguration({}, async (page, configuration) => {
       await openNew(page);
       await page.locator("#setup-name").fill("top");
       await page.locator("#setup-source").fill("push:");
@@ -112,14 +112,14 @@ describe("the setup of cameras", () => {
       await page.locator("#setup-to-z").fill("0");
       await page.locator("#setup-save").click();
       await closed(page);
-      const { pose } = answered(roster, "POST").body;
+      const { pose } = answered(configuration, "POST").body;
       // Straight down: x to the right, y up in the picture.
       assert.deepEqual(pose, { pose: { position: { x: 1, y: 2, z: 4 }, orientation: { x: 1, y: 0, z: 0, w: 0 } } });
     });
   });
 
   test("changes only what was changed", async () => {
-    await withRoster({}, async (page, roster) => {
+    await withConfiguration({}, async (page, configuration) => {
       await openOf(page, "north-west");
       assert.equal(await page.locator("#setup-source").inputValue(), "sim:?seed=1&camera=2");
       assert.equal(await page.getByLabel("As measured").isChecked(), true);
@@ -127,7 +127,7 @@ describe("the setup of cameras", () => {
       await page.locator("#setup-name").fill("window");
       await page.locator("#setup-save").click();
       await closed(page);
-      assert.deepEqual(answered(roster, "PATCH"), { method: "PATCH", path: "/cameras/north-west", body: { name: "window" } });
+      assert.deepEqual(answered(configuration, "PATCH"), { method: "PATCH", path: "/cameras/north-west", body: { name: "window" } });
       await page.locator('[data-camera-card="window"]').waitFor();
       await page.locator('[data-camera-card="north-west"]').waitFor({ state: "detached" });
       await openOf(page, "window");
@@ -135,7 +135,7 @@ describe("the setup of cameras", () => {
       await page.locator("#setup-calibration").fill("");
       await page.locator("#setup-save").click();
       await closed(page);
-      const { body } = answered(roster, "PATCH");
+      const { body } = answered(configuration, "PATCH");
       assert.deepEqual(Object.keys(body).sort(), ["calibration", "pose"]);
       assert.equal(body.calibration, null);
       assert.equal(body.pose.pose.position.z, 4.5);
@@ -143,25 +143,25 @@ describe("the setup of cameras", () => {
   });
 
   test("removes a camera when asked twice, and asks anew the next time", async () => {
-    await withRoster({}, async (page, roster) => {
+    await withConfiguration({}, async (page, configuration) => {
       await openOf(page, "south-east");
       await page.locator("#setup-remove").click();
       await page.locator("#setup-remove", { hasText: "Remove south-east" }).waitFor();
-      assert.equal(answered(roster, "DELETE"), undefined);
+      assert.equal(answered(configuration, "DELETE"), undefined);
       await page.locator("#setup .icon-button").click();
       await openOf(page, "south-east");
       assert.equal(await page.locator("#setup-remove").textContent(), "Remove…");
       await page.locator("#setup-remove").click();
       await page.locator("#setup-remove").click();
       await closed(page);
-      assert.equal(answered(roster, "DELETE").path, "/cameras/south-east");
+      assert.equal(answered(configuration, "DELETE").path, "/cameras/south-east");
       await page.locator('[data-camera-card="south-east"]').waitFor({ state: "detached" });
       await page.locator("#event-rows", { hasText: "Camera south-east was removed" }).waitFor();
     });
   });
 
   test("says why a server lets nobody", async () => {
-    await withRoster({ refuses: "this server is open to a network: `setup = true` under [server] allows it" }, async (page) => {
+    await withConfiguration({ refuses: "this server is open to a network: `setup = true` under [server] allows it" }, async (page) => {
       await openNew(page);
       await page.locator("#setup-name").fill("door");
       await page.locator("#setup-source").fill("push:");
@@ -172,7 +172,7 @@ describe("the setup of cameras", () => {
 
   for (const context of [{}, { colorScheme: "dark", viewport: { width: 390, height: 844 } }]) {
     test(`axe finds nothing serious with ${JSON.stringify(context)}`, async () => {
-      await withRoster(
+      await withConfiguration(
         {},
         async (page) => {
           await openNew(page);

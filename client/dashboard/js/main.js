@@ -1,30 +1,30 @@
 /** Starts the page: one store, the views that read it, the line to the worker that fills it and draws the arena. */
 
 import { Arena } from "./arena/arena.js";
-import { showCalibration } from "./panels/calibration/calibration.js";
-import { showCameras } from "./panels/cameras/cameras.js";
-import { showCourses } from "./panels/history/courses-view.js";
+import { showCalibration } from "./panels/calibration/arena-calibration.js";
+import { showCameras } from "./panels/cameras/camera-cards.js";
+import { showCourses } from "./panels/history/trajectories-panel.js";
 import { find, setText } from "./base/dom.js";
-import { showEvents } from "./panels/history/events.js";
-import { showHealth } from "./panels/cameras/health-view.js";
-import { listenForKeys } from "./panels/page/keys.js";
-import { showLens } from "./panels/calibration/lens.js";
-import { Link } from "./link.js";
-import { showList } from "./panels/objects/list.js";
-import { showMasthead } from "./panels/page/masthead.js";
-import { decodeMessage, readInfo } from "./wire/message.js";
+import { showEvents } from "./panels/history/event-list.js";
+import { showHealth } from "./panels/cameras/health-panel.js";
+import { listenForKeys } from "./panels/page/keyboard.js";
+import { showLens } from "./panels/calibration/lens-calibration.js";
+import { Link } from "./worker-client.js";
+import { showList } from "./panels/objects/object-list.js";
+import { showMasthead } from "./panels/page/page-header.js";
+import { decodeMessage, readInfo } from "./wire/messages.js";
 import { showObjects } from "./panels/objects/object-form.js";
-import { showOffer } from "./panels/page/offer.js";
-import { showPanel } from "./panels/objects/panel.js";
-import { showPlan } from "./panels/calibration/plan.js";
+import { showOffer } from "./panels/page/server-capabilities.js";
+import { showPanel } from "./panels/objects/object-details.js";
+import { showPlan } from "./panels/calibration/camera-plan.js";
 import { showPrint } from "./panels/calibration/print.js";
 import { showRecording } from "./panels/history/recording.js";
 import { showReplay } from "./panels/history/replay.js";
-import { showSearch } from "./panels/objects/search.js";
-import { showSetup } from "./panels/cameras/setup.js";
+import { showSearch } from "./panels/objects/object-search.js";
+import { showSetup } from "./panels/cameras/camera-form.js";
 import { Store } from "./state/store.js";
 import { showTimeline } from "./panels/history/timeline.js";
-import { showViews } from "./panels/page/views.js";
+import { showViews } from "./panels/page/view-switch.js";
 
 /** Snapshots asked for each second: a screen's rate, and half of it where a finger says that it is a phone's. */
 const MAX_RATE_HZ = matchMedia("(pointer: coarse)").matches ? 30 : 60;

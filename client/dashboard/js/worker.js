@@ -1,5 +1,5 @@
-/** The worker's begin: see engine.js. */
+/** The worker's begin: see worker-runtime.js. */
 
-import { runEngine } from "./engine.js";
+import { runEngine } from "./worker-runtime.js";
 
-runEngine(/** @type {import("./engine.js").Port} */ (/** @type {unknown} */ (self)));
+runEngine(/** @type {import("./worker-runtime.js").Port} */ (/** @type {unknown} */ (self)));

@@ -4,7 +4,7 @@ import assert from "node:assert/strict";
 import { test } from "node:test";
 
 import { FRAME_MS, History, HISTORY_MS } from "../../../client/dashboard/js/state/history.js";
-import { ObjectState } from "../../../client/dashboard/js/state/state.js";
+import { ObjectState } from "../../../client/dashboard/js/state/object-state.js";
 
 const START_MS = 1_700_000_000_000;
 

@@ -7,10 +7,10 @@ import { fileURLToPath } from "node:url";
 
 import protobuf from "protobufjs";
 
-import { decodeMessage, readCameras, readEvent, readSnapshot } from "../../../client/dashboard/js/wire/message.js";
+import { decodeMessage, readCameras, readEvent, readSnapshot } from "../../../client/dashboard/js/wire/messages.js";
 import { roundel } from "../../../client/dashboard/vendor/protobuf.js";
 import { loadUsedMessages } from "../protobuf-module.mjs";
-import { encode } from "../wire.mjs";
+import { encode } from "../encode.mjs";
 import { World } from "../world.mjs";
 
 const PROTO = new URL("../../../proto/", import.meta.url);

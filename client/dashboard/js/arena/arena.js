@@ -4,12 +4,12 @@
  */
 
 import { gridStepM, RULER } from "./top/backdrop.js";
-import { nearestPlace } from "../state/courses.js";
+import { nearestPlace } from "../state/trajectories.js";
 import { find, setText } from "../base/dom.js";
 import { fixed, timeOfDay } from "../base/format.js";
-import { listenForGestures } from "./gesture.js";
+import { listenForGestures } from "./gestures.js";
 import { readPalette } from "./palette.js";
-import { View } from "./view.js";
+import { View } from "./viewport.js";
 
 /** What a browser without WebGL is told. */
 const NO_SPACE = "This browser draws no 3D (WebGL 2 is missing or switched off): here is the view from above.";
@@ -21,7 +21,7 @@ const PASSED_PX = 18;
 export class Arena {
   /**
    * @param {import("../state/store.js").Store} store
-   * @param {import("../link.js").Link} link
+   * @param {import("../worker-client.js").Link} link
    * @param {string} url of the stream
    */
   constructor(store, link, url) {
@@ -37,7 +37,7 @@ export class Arena {
     /** Said below the arena, of a wish that could not be met. */
     this.excuse = "";
     this.look = { exaggeration: 10, trails: true };
-    /** @type {import("../state/courses.js").Overlay | null} what the history tells */
+    /** @type {import("../state/trajectories.js").Overlay | null} what the history tells */
     this.overlay = null;
     /** @type {[number, number] | null} */
     this.pointer = null;
@@ -79,7 +79,7 @@ export class Arena {
     link.on("shown", (mode) => this.waiting.shift()?.(mode));
   }
 
-  /** @returns {import("./gesture.js").GestureHandlers} */
+  /** @returns {import("./gestures.js").GestureHandlers} */
   gestures() {
     const { link, store } = this;
     return {
@@ -144,13 +144,13 @@ export class Arena {
     this.link.send("look", this.look);
   }
 
-  /** @param {import("../state/courses.js").Overlay | null} overlay */
+  /** @param {import("../state/trajectories.js").Overlay | null} overlay */
   setOverlay(overlay) {
     this.overlay = overlay;
     this.link.send("overlay", overlay);
   }
 
-  /** What of the floor is seen from above; in 3D, what would be. @returns {import("./view.js").Bounds} metres */
+  /** What of the floor is seen from above; in 3D, what would be. @returns {import("./viewport.js").Bounds} metres */
   inView() {
     const { view } = this;
     return { minX: view.worldX(RULER.left), maxX: view.worldX(view.width), minY: view.worldY(view.height - RULER.bottom), maxY: view.worldY(0) };

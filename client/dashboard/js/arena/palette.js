@@ -15,7 +15,7 @@
  * @property {string} accent
  * @property {string} heat of places that were taken long
  * @property {boolean} isDark
- * @property {Record<import("../state/state.js").Stage, string>} stage
+ * @property {Record<import("../state/object-state.js").Stage, string>} stage
  * @property {string} font
  */
 

@@ -2,16 +2,16 @@
  * The arena from above or in 3D, drawn when something has changed and at most once per frame of the screen. From above
  * it is two canvases, what stands still below what moves; in 3D one of WebGL, with labels on another above it.
  *
- * It knows nothing of the page: it draws in a worker (engine.js), so that neither waits for the other, and is told by
+ * It knows nothing of the page: it draws in a worker (worker-runtime.js), so that neither waits for the other, and is told by
  * arena.js what the person does.
  */
 
 import { cameraFootprint, drawBackdrop, gridStepM, RULER } from "./top/backdrop.js";
-import { Layer } from "./canvas/layer.js";
-import { discRadius } from "./top/mark.js";
-import { drawTracks } from "./top/plot.js";
-import { drawTape, Tape } from "./top/tape.js";
-import { boundsOf, View } from "./view.js";
+import { Layer } from "./canvas/canvas-layer.js";
+import { discRadius } from "./top/object-symbol.js";
+import { drawTracks } from "./top/tracks.js";
+import { drawTape, Tape } from "./top/tape-measure.js";
+import { boundsOf, View } from "./viewport.js";
 
 /** Kept free round what is fitted, CSS pixels; the rulers come on top. */
 const FIT_MARGIN_PX = 26;
@@ -29,7 +29,7 @@ const LONG_MS = 25;
 /** @typedef {"top" | "space"} StageMode */
 /** @typedef {{backdrop: Canvas, tracks: Canvas, space: Canvas, labels: Canvas}} Canvases */
 /** @typedef {OffscreenCanvas | HTMLCanvasElement} Canvas */
-/** @typedef {{centerX: number, centerY: number, scale: number, stepM: number, measured: string}} Sight what of the floor is in view: that of view.js, the grid's step, what the tape says */
+/** @typedef {{centerX: number, centerY: number, scale: number, stepM: number, measured: string}} Sight what of the floor is in view: that of viewport.js, the grid's step, what the tape says */
 
 export class Stage {
   /**
@@ -48,7 +48,7 @@ export class Stage {
       tracks: new Layer(canvases.tracks),
       labels: new Layer(canvases.labels),
     };
-    /** @type {import("./space/space.js").SpaceView | null} made when it is first wanted: half a megabyte that most phones never load */
+    /** @type {import("./space/space-view.js").SpaceView | null} made when it is first wanted: half a megabyte that most phones never load */
     this.space = null;
     /** @type {StageMode} */
     this.mode = "top";
@@ -57,7 +57,7 @@ export class Stage {
     this.isShown = true;
     this.exaggeration = 10;
     this.trails = true;
-    /** @type {import("../state/courses.js").Overlay | null} what the history tells */
+    /** @type {import("../state/trajectories.js").Overlay | null} what the history tells */
     this.overlay = null;
     /** @type {number | null} */
     this.hovered = null;
@@ -138,7 +138,7 @@ export class Stage {
     );
     if (!context) return null;
     try {
-      const { SpaceView } = await import("./space/space.js");
+      const { SpaceView } = await import("./space/space-view.js");
       return new SpaceView(canvas, context);
     } catch {
       // The file could not be loaded, or the card gave up: the view from above is always there.
@@ -161,7 +161,7 @@ export class Stage {
     this.askFrame();
   }
 
-  /** @param {import("../state/courses.js").Overlay | null} overlay */
+  /** @param {import("../state/trajectories.js").Overlay | null} overlay */
   setOverlay(overlay) {
     this.overlay = overlay;
     this.refresh();
@@ -354,7 +354,7 @@ export class Stage {
     if (measured) drawTape(this.layers.tracks.context, view, palette, measured);
   }
 
-  /** @returns {import("./top/plot.js").PlotOptions} */
+  /** @returns {import("./top/tracks.js").PlotOptions} */
   plotOptions() {
     const { store } = this;
     return {

@@ -163,7 +163,7 @@ export function cholesky(covariance) {
  * left out: the outline is for orientation, and a pinhole's is within a few per cent for ordinary
  * lenses. For an equidistant (fisheye) lens the image radius is an angle, so its tangent is taken.
  * @param {{position: Vector3, orientation: Quaternion}} worldFromCamera
- * @param {import("../wire/message.js").Intrinsics} intrinsics
+ * @param {import("../wire/messages.js").Intrinsics} intrinsics
  * @param {{width: number, height: number}} image pixels
  * @param {number} [floorM]
  * @param {number} [depthM]
@@ -191,7 +191,7 @@ export function footprint(worldFromCamera, intrinsics, image, floorM = 0, depthM
 /**
  * The image's outline corners on the plane z = 1 of the camera frame. Pixel centres lie on
  * integers, so the image reaches from -0.5 to size - 0.5.
- * @param {import("../wire/message.js").Intrinsics} intrinsics
+ * @param {import("../wire/messages.js").Intrinsics} intrinsics
  * @param {{width: number, height: number}} image
  * @returns {Point2[]}
  */

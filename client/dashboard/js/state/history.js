@@ -6,7 +6,7 @@
  * that accelerates at 2 m/s² to a hundredth of a millimetre.
  */
 
-import { ObjectState, STAGES } from "./state.js";
+import { ObjectState, STAGES } from "./object-state.js";
 
 /** How far back one can look, ms. */
 export const HISTORY_MS = 60_000;

@@ -4,9 +4,9 @@
  * Views subscribe to a topic and read; only the functions here change anything.
  */
 
-import { Latencies, Vitals } from "./health.js";
+import { Latencies, Vitals } from "./camera-health.js";
 import { History, placeIn } from "./history.js";
-import { carried } from "./riding.js";
+import { carried } from "./mounted-cameras.js";
 import { Track } from "./track.js";
 
 /** Length of a trail, ms. */
@@ -20,10 +20,10 @@ const SILENT_MS = 500;
 /** A pose time that is so much older than the one before is that of a recording in which somebody went back, ms. */
 const BACK_MS = 500;
 
-/** @typedef {import("./state.js").ObjectState} ObjectState */
+/** @typedef {import("./object-state.js").ObjectState} ObjectState */
 /** @typedef {import("./history.js").Frame} Frame */
 /**
- * What the page needs to know of a snapshot, as engine.js packs it.
+ * What the page needs to know of a snapshot, as worker-runtime.js packs it.
  * @typedef {object} Packed
  * @property {string} sourceId
  * @property {Frame} frame
@@ -49,21 +49,21 @@ export class Store {
     this.pastMs = null;
     /** @type {Map<number, Track>} the objects of that instant */
     this.past = new Map();
-    /** @type {import("../wire/message.js").Camera[]} */
+    /** @type {import("../wire/messages.js").Camera[]} */
     this.cameras = [];
     /** True once the server has said which cameras there are, be it none. */
     this.camerasKnown = false;
-    /** @type {(import("../wire/message.js").Event & {connectionNumber: number})[]} newest first */
+    /** @type {(import("../wire/messages.js").Event & {connectionNumber: number})[]} newest first */
     this.events = [];
     /** Counts the connections, to tell what came over an earlier one. */
     this.connectionNumber = 0;
-    /** @type {import("../wire/message.js").ServerInfo | null} */
+    /** @type {import("../wire/messages.js").ServerInfo | null} */
     this.info = null;
     /** @type {ReplayState | null} how a recording is played; null: what comes is live */
     this.replay = null;
     /** @type {import("../wire/connection.js").ConnectionState} */
     this.connection = { phase: "connecting", sinceMs: performance.now(), retryAtMs: null };
-    /** @type {import("./gauge.js").Report} how the stream fares */
+    /** @type {import("./stream-statistics.js").Report} how the stream fares */
     this.report = { rateHz: null, ageMs: null, receivedAtMs: null, missed: 0, latenciesMs: [] };
     /** `performance.now()` of that. */
     this.reportedAtMs = 0;
@@ -102,7 +102,7 @@ export class Store {
     for (const listener of this.listeners.get(topic) ?? []) listener();
   }
 
-  /** @param {import("../wire/message.js").Message} message */
+  /** @param {import("../wire/messages.js").Message} message */
   take({ snapshot, cameras, event }) {
     if (snapshot) this.takeSnapshot(snapshot);
     if (cameras) {
@@ -115,7 +115,7 @@ export class Store {
     if (event) this.takeEvent(event);
   }
 
-  /** @param {import("../wire/message.js").Snapshot} snapshot */
+  /** @param {import("../wire/messages.js").Snapshot} snapshot */
   takeSnapshot(snapshot) {
     this.begin(snapshot);
     const live = new Set();
@@ -177,7 +177,7 @@ export class Store {
     this.cameras = this.cameras.map((camera) => carried(camera, objects));
   }
 
-  /** @param {import("./gauge.js").Report} report */
+  /** @param {import("./stream-statistics.js").Report} report */
   takeReport(report) {
     this.report = report;
     this.reportedAtMs = performance.now();
@@ -218,7 +218,7 @@ export class Store {
     this.emit("time");
   }
 
-  /** @param {import("../wire/message.js").Event} event */
+  /** @param {import("../wire/messages.js").Event} event */
   takeEvent(event) {
     // Each connection begins with events that the server remembers; those known are replaced.
     const others = this.events.filter((known) => known.sequence !== event.sequence);
@@ -245,7 +245,7 @@ export class Store {
     this.emit("events");
   }
 
-  /** @param {import("../wire/message.js").ServerInfo} info */
+  /** @param {import("../wire/messages.js").ServerInfo} info */
   setInfo(info) {
     this.info = info;
     this.emit("info");

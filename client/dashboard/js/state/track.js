@@ -1,8 +1,8 @@
 /** An object as it is now: as it was read, or where it lies in a frame of the history, to be read once somebody asks. */
 
-import { STAGES } from "./state.js";
+import { STAGES } from "./object-state.js";
 
-/** @typedef {import("./state.js").ObjectState} ObjectState */
+/** @typedef {import("./object-state.js").ObjectState} ObjectState */
 /** @typedef {import("./history.js").Frame} Frame */
 
 export class Track {
@@ -37,7 +37,7 @@ export class Track {
     return /** @type {ObjectState} */ (this.held);
   }
 
-  /** @returns {import("./state.js").Stage} */
+  /** @returns {import("./object-state.js").Stage} */
   get stage() {
     return this.held || !this.place ? this.state.stage : STAGES[this.place.frame.flags[this.place.at] & 7];
   }

@@ -5,7 +5,7 @@
  * server sends the cameras twice a second, whatever the robots do.
  */
 
-import { decodeMessage } from "./message.js";
+import { decodeMessage } from "./messages.js";
 
 /** How messages may be written, what is best first. A server that knows neither speaks JSON. */
 const PROTOCOLS = ["roundel.v1.protobuf", "roundel.v1.json"];
@@ -24,7 +24,7 @@ const LONGEST_PAUSE_MS = 8000;
 
 /**
  * @param {string} url of the WebSocket
- * @param {{onMessage: (message: import("./message.js").Message, data: string | ArrayBuffer) => void, onState: (state: ConnectionState) => void}} handlers
+ * @param {{onMessage: (message: import("./messages.js").Message, data: string | ArrayBuffer) => void, onState: (state: ConnectionState) => void}} handlers
  * @returns {{retryNow: () => void}}
  */
 export function connect(url, { onMessage, onState }) {

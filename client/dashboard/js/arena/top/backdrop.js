@@ -5,22 +5,22 @@
  */
 
 import { footprint, roundStep, rotate } from "../../base/geometry.js";
-import { writeWithHalo } from "../canvas/halo.js";
-import { drawOverlay } from "../overlay.js";
+import { writeWithHalo } from "../canvas/outlined-text.js";
+import { drawOverlay } from "../history-overlay.js";
 
 /** Width of the left ruler and height of the lower one, CSS pixels. */
 export const RULER = { left: 38, bottom: 22 };
 
-/** @typedef {import("../view.js").View} View */
+/** @typedef {import("../viewport.js").View} View */
 /** @typedef {import("../palette.js").Palette} Palette */
-/** @typedef {import("../../wire/message.js").Camera} Camera */
+/** @typedef {import("../../wire/messages.js").Camera} Camera */
 
 /**
- * @param {import("../canvas/layer.js").Context2D} context in CSS pixels
+ * @param {import("../canvas/canvas-layer.js").Context2D} context in CSS pixels
  * @param {View} view
  * @param {Palette} palette
  * @param {Camera[]} cameras
- * @param {import("../../state/courses.js").Overlay | null} overlay
+ * @param {import("../../state/trajectories.js").Overlay | null} overlay
  */
 export function drawBackdrop(context, view, palette, cameras, overlay) {
   context.fillStyle = palette.sheet;
@@ -36,7 +36,7 @@ export function drawBackdrop(context, view, palette, cameras, overlay) {
 
 /**
  * Cameras that move, with what they see of the floor.
- * @param {import("../canvas/layer.js").Context2D} context in CSS pixels
+ * @param {import("../canvas/canvas-layer.js").Context2D} context in CSS pixels
  * @param {View} view
  * @param {Palette} palette
  * @param {Camera[]} cameras
@@ -72,7 +72,7 @@ function eachStep(from, to, step, visit) {
 }
 
 /**
- * @param {import("../canvas/layer.js").Context2D} context
+ * @param {import("../canvas/canvas-layer.js").Context2D} context
  * @param {View} view
  * @param {Palette} palette
  * @param {number} stepM
@@ -103,7 +103,7 @@ function drawGrid(context, view, palette, stepM) {
 
 /**
  * World x and y at the origin, one grid step long.
- * @param {import("../canvas/layer.js").Context2D} context
+ * @param {import("../canvas/canvas-layer.js").Context2D} context
  * @param {View} view
  * @param {Palette} palette
  * @param {number} stepM
@@ -136,7 +136,7 @@ function drawAxes(context, view, palette, stepM) {
 }
 
 /**
- * @param {import("../canvas/layer.js").Context2D} context
+ * @param {import("../canvas/canvas-layer.js").Context2D} context
  * @param {View} view
  * @param {Palette} palette
  * @param {Camera} camera
@@ -166,7 +166,7 @@ function drawFootprint(context, view, palette, camera) {
 
 /**
  * The camera itself: a body with its lens turned the way it looks.
- * @param {import("../canvas/layer.js").Context2D} context
+ * @param {import("../canvas/canvas-layer.js").Context2D} context
  * @param {View} view
  * @param {Palette} palette
  * @param {Camera} camera
@@ -205,7 +205,7 @@ function drawCamera(context, view, palette, camera) {
 
 /**
  * Metres along the left and the lower edge, as on the sheet of a drawing.
- * @param {import("../canvas/layer.js").Context2D} context
+ * @param {import("../canvas/canvas-layer.js").Context2D} context
  * @param {View} view
  * @param {Palette} palette
  * @param {number} stepM

@@ -1,10 +1,10 @@
 /** Roundels and the calibration board to print: what is wanted, how it looks, and the file. */
 
-import { ask, askFile } from "../../wire/ask.js";
+import { ask, askFile } from "../../wire/api-client.js";
 import { findDialog } from "../forms/dialog.js";
 import { element, find, setText } from "../../base/dom.js";
-import { askKinds } from "../../wire/kinds.js";
-import { Troubles } from "../forms/troubles.js";
+import { askKinds } from "../../wire/roundel-kinds.js";
+import { Troubles } from "../forms/form-errors.js";
 
 /** After the last key, before a new preview is asked for, ms. */
 const PAUSE_MS = 300;
@@ -30,7 +30,7 @@ class PrintForm {
     this.picture = /** @type {HTMLImageElement} */ (find("#print-picture"));
     this.files = find("#print-files");
     this.troubles = new Troubles("print", FIELDS);
-    /** @type {import("../../wire/kinds.js").Kind[]} */
+    /** @type {import("../../wire/roundel-kinds.js").Kind[]} */
     this.kinds = [];
     this.timer = 0;
     this.asked = 0;

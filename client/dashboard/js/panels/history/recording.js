@@ -1,11 +1,11 @@
 /** Recordings: begun and ended by click, how they are doing, which files there are. */
 
-import { ask } from "../../wire/ask.js";
+import { ask } from "../../wire/api-client.js";
 import { findDialog } from "../forms/dialog.js";
 import { element, find, setAttribute, setText } from "../../base/dom.js";
 import { dateAndTime, duration, minutes, size, whole } from "../../base/format.js";
-import { Troubles } from "../forms/troubles.js";
-import { milliseconds } from "../../base/value.js";
+import { Troubles } from "../forms/form-errors.js";
+import { milliseconds } from "../../base/validate.js";
 
 /** Between two looks while the dialog is open, and while something is recorded, ms. */
 const LOOK_MS = 1000;

@@ -1,9 +1,9 @@
 /** A server that plays a recording: said plainly, with a line of time that goes where one wants. */
 
-import { ask } from "../../wire/ask.js";
+import { ask } from "../../wire/api-client.js";
 import { find, setAttribute, setText } from "../../base/dom.js";
 import { minutes, preciseTimeOfDay } from "../../base/format.js";
-import { milliseconds } from "../../base/value.js";
+import { milliseconds } from "../../base/validate.js";
 
 /** Between two looks, ms: others may steer it, too. */
 const LOOK_MS = 500;
@@ -86,7 +86,7 @@ class ReplayView {
     this.timer = setTimeout(() => void this.look(), LOOK_MS);
   }
 
-  /** @param {import("../../wire/ask.js").Reply} reply */
+  /** @param {import("../../wire/api-client.js").Reply} reply */
   take({ answer, refusal }) {
     // That nobody answers the page says already.
     setText(this.trouble, refusal && refusal.status > 0 ? refusal.message : (answer?.damage ?? ""));

@@ -1,17 +1,17 @@
 /** Adds, changes, names and removes objects by form; every error stands at its field. */
 
-import { ask } from "../../wire/ask.js";
+import { ask } from "../../wire/api-client.js";
 import { findDialog } from "../forms/dialog.js";
 import { element, find, setText } from "../../base/dom.js";
-import { Mounts } from "./mounts.js";
-import { difference, given } from "../cameras/setup.js";
-import { Troubles } from "../forms/troubles.js";
+import { Mounts } from "./mount-fields.js";
+import { difference, given } from "../cameras/camera-form.js";
+import { Troubles } from "../forms/form-errors.js";
 
 /** Fields that a server's error can be about. */
 const FIELDS = ["name", "roundel", "mounts", "code", "offset_m", "motion", "height_m"];
 const AXES = /** @type {const} */ (["x", "y", "z"]);
 
-/** @typedef {{name: string, roundel: string, roundels: import("./mounts.js").Mount[], code: number | null, offset_m: {x: number, y: number, z: number} | null, motion: string, height_m: number | null}} Setup */
+/** @typedef {{name: string, roundel: string, roundels: import("./mount-fields.js").Mount[], code: number | null, offset_m: {x: number, y: number, z: number} | null, motion: string, height_m: number | null}} Setup */
 
 /** @param {import("../../state/store.js").Store} store */
 export function showObjects(store) {
@@ -79,7 +79,7 @@ class ObjectForm {
     this.fill(this.known.find((one) => one.name === name) ?? null);
   }
 
-  /** @param {import("../../state/state.js").ObjectState} state */
+  /** @param {import("../../state/object-state.js").ObjectState} state */
   openToName(state) {
     this.show(`Name object ${state.id}`, state.id);
     this.say(state.code ? `It is known by its code, ${state.code.number}, from now on.` : "Without a code it is known by its kind of roundel, as long as it is the only one of it.");

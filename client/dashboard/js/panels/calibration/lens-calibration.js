@@ -1,0 +1,197 @@
+/** Finds a camera's lens by click: the board is moved before the camera, the page shows where it has been and what is missing. */
+
+import { ask } from "../../wire/api-client.js";
+import { findDialog } from "../forms/dialog.js";
+import { element, find, setText } from "../../base/dom.js";
+import { LensView } from "./lens-preview.js";
+import { canFinish, isRunning, missingWords, parameterCells, progressOf, reportWords, sentence, sizeOf, stageWords, subjectOf } from "./lens-text.js";
+import { Troubles } from "../forms/form-errors.js";
+
+/** Between two looks while it runs, ms: the server looks ten times a second. */
+const LOOK_MS = 300;
+/** After no answer came, ms. */
+const RETRY_MS = 2000;
+
+/** Fields of the form, and how each goes into the request. @type {Record<string, (text: string) => string | number>} */
+const FIELDS = { board: String, marker: number, pitch: number, code: String, views: number, model: String };
+
+/** @typedef {import("./lens-text.js").Lens} Lens */
+/** @typedef {{camera: string, source: string, name: string}} Subject one of the first two is empty */
+
+/** What cannot be read as a number is sent as it stands: the server says what it expected. @param {string} text */
+function number(text) {
+  const value = Number(text.replace(",", "."));
+  return Number.isFinite(value) ? value : text;
+}
+
+/** @returns {{open: (subject: Subject, kept?: (file: string) => void) => void}} */
+export function showLens() {
+  const dialog = new LensDialog();
+  return { open: (subject, kept) => dialog.open(subject, kept) };
+}
+
+class LensDialog {
+  constructor() {
+    this.dialog = findDialog("#lens");
+    this.form = /** @type {HTMLFormElement} */ (find("#lens-form"));
+    this.bar = /** @type {HTMLProgressElement} */ (find("#lens-bar"));
+    this.size = /** @type {HTMLInputElement} */ (find("#lens-size"));
+    this.missing = find("#lens-missing");
+    this.results = find("#lens-results");
+    this.view = new LensView();
+    this.troubles = new Troubles("lens", [...Object.keys(FIELDS), "size"]);
+    this.buttons = Object.fromEntries(
+      ["finish", "cancel", "apply"].map((name) => [name, /** @type {HTMLButtonElement} */ (find(`#lens-${name}`))]),
+    );
+    /** @type {Subject} */
+    this.subject = { camera: "", source: "", name: "" };
+    /** @type {(file: string) => void} */
+    this.kept = () => {};
+    this.timer = 0;
+    this.drawn = "";
+
+    this.form.addEventListener("submit", (event) => {
+      event.preventDefault();
+      void this.start();
+    });
+    this.buttons.finish.addEventListener("click", () => void this.act("PUT", "lens/finished"));
+    this.buttons.cancel.addEventListener("click", () => void this.act("DELETE", "lens"));
+    this.buttons.apply.addEventListener("click", () => void this.act("PUT", "lens/applied"));
+    this.dialog.addEventListener("close", () => {
+      clearTimeout(this.timer);
+      this.view.clear();
+    });
+  }
+
+  /** @param {Subject} subject @param {(file: string) => void} [kept] is told the file's name once it is kept */
+  open(subject, kept = () => {}) {
+    this.subject = subject;
+    this.kept = kept;
+    this.drawn = "";
+    setText(find("#lens-title"), `Lens of ${subject.camera || subject.name || subject.source}`);
+    // A camera that is served has the size of its lens file.
+    find("#lens-size-label").hidden = subject.source === "";
+    this.dialog.showModal();
+    void this.act("GET", "lens");
+  }
+
+  async start() {
+    const text = this.subject.source && this.size.value.trim();
+    const size = sizeOf(text);
+    if (text && !size) {
+      this.troubles.clear();
+      this.troubles.blame("size", `Expected columns × rows, such as 1920x1080, found ${text}.`);
+      return;
+    }
+    await this.act("POST", "lens", { ...this.request(), ...size });
+  }
+
+  /** What is filled in; what is empty is as usual. */
+  request() {
+    /** @type {Record<string, unknown>} */
+    const request = {};
+    for (const [name, value] of Object.entries(this.subject)) if (value !== "") request[name] = value;
+    for (const [name, read] of Object.entries(FIELDS)) {
+      const text = /** @type {HTMLInputElement} */ (find(`#lens-${name}`)).value.trim();
+      if (text !== "") request[name] = read(text);
+    }
+    return request;
+  }
+
+  /** @param {string} method @param {string} path @param {object} [body] */
+  async act(method, path, body) {
+    clearTimeout(this.timer);
+    this.troubles.clear();
+    const { answer, refusal } = await ask(method, path, body);
+    if (!this.dialog.open) return;
+    if (refusal) {
+      const isOfSize = refusal.field === "width" || refusal.field === "height";
+      this.troubles.refuse(isOfSize ? { ...refusal, field: "size" } : refusal);
+      // What runs goes on.
+      if (method !== "GET" || refusal.status === 0) this.again(RETRY_MS);
+      return;
+    }
+    if (path === "lens/applied") this.kept(answer.applied);
+    await this.follow(answer);
+  }
+
+  /** @param {number} ms */
+  again(ms) {
+    clearTimeout(this.timer);
+    this.timer = setTimeout(() => void this.look(), ms);
+  }
+
+  /** Looks without taking away what was said to be wrong. */
+  async look() {
+    const { answer, refusal } = await ask("GET", "lens");
+    if (!this.dialog.open) return;
+    if (refusal) this.again(RETRY_MS);
+    else await this.follow(answer);
+  }
+
+  /** Shows it, and goes on looking while it runs. @param {Lens} it */
+  async follow(it) {
+    this.fill(it);
+    if (isRunning(it) || this.isDone(it)) await this.view.show(it);
+    else this.view.clear();
+    if (!this.dialog.open) this.view.clear();
+    else if (isRunning(it)) this.again(LOOK_MS);
+  }
+
+  /** Whether there is a lens of what this dialog is open for. @param {Lens} it */
+  isDone(it) {
+    return it.stage === "done" && this.isMine(it);
+  }
+
+  /** @param {Lens} it */
+  isMine(it) {
+    return subjectOf(it) === (this.subject.camera || this.subject.source);
+  }
+
+  /** @param {Lens} it */
+  fill(it) {
+    const mine = this.isMine(it);
+    const runs = isRunning(it);
+    this.form.hidden = runs;
+    this.bar.hidden = !runs;
+    this.buttons.cancel.hidden = !runs;
+    this.buttons.finish.hidden = !canFinish(it);
+    const isDone = this.isDone(it);
+    this.buttons.apply.hidden = !(isDone && it.can_apply && it.applied === "");
+    setText(this.buttons.apply, it.camera ? `Use it for ${it.camera}` : "Keep it beside the configuration");
+    find("#lens-file").hidden = !isDone;
+    if (it.stage === "gathering") this.bar.value = progressOf(it);
+    else this.bar.removeAttribute("value");
+    // Another camera's end is none of this one's business; while it runs, it holds this one up.
+    const shown = mine || runs ? it : { ...it, stage: /** @type {"idle"} */ ("idle"), error: "" };
+    const whose = runs && !mine ? `This is the lens of ${subjectOf(it)}: one at a time. ` : "";
+    setText(find("#lens-words"), whose + stageWords(shown));
+    const error = find("#lens-error");
+    error.hidden = shown.error === "";
+    setText(error, shown.error && sentence(shown.error));
+    this.list(missingWords(shown));
+    this.showReport(isDone ? it.report : null);
+    setText(find("#lens-start"), isDone || shown.stage === "failed" ? "Start again" : "Start");
+  }
+
+  /** @param {string[]} missing */
+  list(missing) {
+    const sign = missing.join("\n");
+    if (sign === this.drawn) return;
+    this.drawn = sign;
+    find("#lens-wanted").hidden = missing.length === 0;
+    this.missing.replaceChildren(...missing.map((words) => element("li", {}, [words])));
+  }
+
+  /** @param {import("./lens-text.js").Report | null} report */
+  showReport(report) {
+    this.results.hidden = report === null;
+    if (!report) return;
+    const rows = report.parameters.map((it) =>
+      element("tr", {}, [element("th", { scope: "row" }, [it.name]), ...parameterCells(it).map((cell) => element("td", {}, [cell]))]),
+    );
+    this.results.replaceChildren(
+      element("table", {}, [element("caption", {}, [reportWords(report)]), element("tbody", {}, rows)]),
+    );
+  }
+}

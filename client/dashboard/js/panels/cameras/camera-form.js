@@ -1,0 +1,252 @@
+/** Adds, changes and removes cameras by form; every error stands at its field. */
+
+import { aimOf, orientationOf } from "./look-at.js";
+import { ask } from "../../wire/api-client.js";
+import { find, setText } from "../../base/dom.js";
+import { trialWords } from "./source-test.js";
+import { Troubles } from "../forms/form-errors.js";
+
+/** Fields of the form that a server's error can be about, by the name that it gives them. */
+const FIELDS = ["name", "source", "calibration", "pose", "rate_hz", "mode"];
+/** What is written with three decimals: a millimetre. */
+const DECIMALS = 1000;
+
+/** @typedef {{position: {x: number, y: number, z: number} | null, orientation: import("./look-at.js").Quaternion | null}} Pose */
+/** @typedef {{unknown?: boolean, pose?: Pose | null, object?: string, localizes?: boolean}} PoseSetup */
+/** @typedef {{name: string, source: string, calibration: string, pose: PoseSetup | null, rate_hz: number | null, mode: string}} Setup */
+
+/** @typedef {ReturnType<typeof import("../calibration/lens-calibration.js").showLens>["open"]} FindLens */
+
+/**
+ * @param {FindLens} findLens
+ * @returns {{edit: (name: string) => void}} for whoever shows a camera
+ */
+export function showSetup(findLens) {
+  const form = new SetupForm(findLens);
+  find("#add-camera").addEventListener("click", () => form.open(null));
+  return { edit: (name) => void form.edit(name) };
+}
+
+class SetupForm {
+  /** @param {FindLens} findLens */
+  constructor(findLens) {
+    this.findLens = findLens;
+    const dialog = find("#setup");
+    if (!(dialog instanceof HTMLDialogElement)) throw new Error("index.html's setup is no dialog");
+    this.dialog = dialog;
+    this.form = /** @type {HTMLFormElement} */ (find("#setup-form"));
+    this.words = find("#setup-words");
+    this.troubles = new Troubles("setup", FIELDS, { pose: "setup-place" });
+    this.remove = /** @type {HTMLButtonElement} */ (find("#setup-remove"));
+    this.buttons = [...dialog.querySelectorAll("button[data-acts]")].map((it) => /** @type {HTMLButtonElement} */ (it));
+    /** @type {Setup | null} as the server has it; null: a new one */
+    this.before = null;
+    this.poseTouched = false;
+
+    dialog.addEventListener("click", (event) => {
+      if (event.target === dialog) dialog.close();
+    });
+    this.form.addEventListener("submit", (event) => {
+      event.preventDefault();
+      void this.save();
+    });
+    find("#setup-try").addEventListener("click", () => void this.tryIt());
+    find("#setup-lens").addEventListener("click", () => this.lens());
+    this.remove.addEventListener("click", () => void this.removeIt());
+    find("#setup-place").addEventListener("input", () => {
+      this.poseTouched = true;
+      this.showPlace();
+    });
+  }
+
+  /** @param {string} name @returns {HTMLInputElement} */
+  field(name) {
+    return /** @type {HTMLInputElement} */ (find(`#setup-${name}`));
+  }
+
+  /** @param {Setup | null} setup */
+  open(setup) {
+    this.before = setup;
+    this.poseTouched = setup === null;
+    this.form.reset();
+    setText(find("#setup-title"), setup ? `Camera ${setup.name}` : "Add a camera");
+    setText(find("#setup-save"), setup ? "Save" : "Add");
+    this.remove.hidden = setup === null;
+    this.asksBack = false;
+    setText(this.remove, "Remove…");
+    if (setup) this.fill(setup);
+    this.showPlace();
+    this.say("");
+    this.troubles.clear();
+    this.dialog.showModal();
+    this.field("name").focus();
+  }
+
+  /** Opens with what the configuration says. @param {string} name */
+  async edit(name) {
+    this.open(null);
+    setText(find("#setup-title"), `Camera ${name}`);
+    const setup = await this.ask("GET", `cameras/${encodeURIComponent(name)}/setup`);
+    if (setup && this.dialog.open) {
+      this.dialog.close();
+      this.open(setup);
+    }
+  }
+
+  /** @param {Setup} setup */
+  fill(setup) {
+    this.field("name").value = setup.name;
+    this.field("source").value = setup.source;
+    this.field("calibration").value = setup.calibration;
+    this.field("rate_hz").value = setup.rate_hz === null ? "" : String(setup.rate_hz);
+    this.field("mode").value = setup.mode;
+    const { pose } = setup;
+    const rides = Boolean(pose?.object);
+    this.field("place-rides").disabled = !rides;
+    setText(find("#setup-carrier"), rides ? `Rides on ${pose?.object}` : "Rides on an object");
+    const stands = !rides && pose?.pose?.position && pose.pose.orientation;
+    this.field(rides ? "place-rides" : stands ? "place-stands" : pose ? "place-found" : "place-own").checked = true;
+    if (!stands) return;
+    const { position, target, turnedDeg } = aimOf({ position: pose.pose.position, orientation: pose.pose.orientation });
+    for (const axis of /** @type {("x" | "y" | "z")[]} */ (["x", "y", "z"])) {
+      this.field(`at-${axis}`).value = rounded(position[axis]);
+      this.field(`to-${axis}`).value = rounded(target[axis]);
+    }
+    this.field("turned").value = rounded(turnedDeg);
+  }
+
+  /** Only what can be filled in is shown. */
+  showPlace() {
+    find("#setup-aim").hidden = !this.field("place-stands").checked;
+  }
+
+  /** What is filled in; null if a number is missing. @returns {Setup | null} */
+  read() {
+    const rate = this.field("rate_hz").value.trim();
+    const pose = this.readPose();
+    if (pose === undefined) return null;
+    return {
+      name: this.field("name").value.trim(),
+      source: this.field("source").value.trim(),
+      calibration: this.field("calibration").value.trim(),
+      pose,
+      rate_hz: rate === "" ? null : Number(rate),
+      mode: this.field("mode").value,
+    };
+  }
+
+  /** Undefined: what is filled in is no place. @returns {PoseSetup | null | undefined} */
+  readPose() {
+    if (!this.poseTouched || this.field("place-rides").checked) return this.before?.pose ?? null;
+    if (this.field("place-own").checked) return null;
+    if (this.field("place-found").checked) return { unknown: true };
+    const numbers = ["at-x", "at-y", "at-z", "to-x", "to-y", "to-z", "turned"].map((name) => this.field(name).value.trim());
+    if (numbers.some((it) => it === "" || !Number.isFinite(Number(it)))) {
+      this.troubles.blame("pose", "Fill in all numbers of the place, metres and degrees.");
+      return undefined;
+    }
+    const [x, y, z, tx, ty, tz, turnedDeg] = numbers.map(Number);
+    const position = { x, y, z };
+    const orientation = orientationOf({ position, target: { x: tx, y: ty, z: tz }, turnedDeg });
+    if (!orientation) {
+      this.troubles.blame("pose", "The camera is to look at another place than where it stands.");
+      return undefined;
+    }
+    return { pose: { position, orientation } };
+  }
+
+  async save() {
+    this.troubles.clear();
+    const wanted = this.read();
+    if (!wanted) return;
+    const done = this.before
+      ? await this.ask("PATCH", `cameras/${encodeURIComponent(this.before.name)}`, difference(this.before, wanted))
+      : await this.ask("POST", "cameras", given(wanted));
+    if (done) this.dialog.close();
+  }
+
+  async removeIt() {
+    if (!this.before) return;
+    if (!this.asksBack) {
+      this.asksBack = true;
+      setText(this.remove, `Remove ${this.before.name}`);
+      this.say("It is taken out of the configuration as well. Press again to remove it.");
+      return;
+    }
+    const done = await this.ask("DELETE", `cameras/${encodeURIComponent(this.before.name)}`);
+    if (done) this.dialog.close();
+  }
+
+  async tryIt() {
+    this.troubles.clear();
+    const source = this.field("source").value.trim();
+    if (source === "") return this.troubles.blame("source", "Fill in the source first.");
+    this.say("Opening it. A camera that does not answer takes up to 15 s.");
+    const answer = await this.ask("POST", "sources/test", { source });
+    this.say(answer ? trialWords(answer) : "");
+    if (answer?.error) this.troubles.blame("source", answer.error);
+  }
+
+  /** Of a camera that there is, by its name; of a new one, by its source. */
+  lens() {
+    this.troubles.clear();
+    const [source, name] = [this.field("source").value.trim(), this.field("name").value.trim()];
+    if (this.before) return this.findLens({ camera: this.before.name, source: "", name: "" }, (file) => this.keep(file));
+    if (source === "") return this.troubles.blame("source", "Fill in the source first.");
+    this.findLens({ camera: "", source, name }, (file) => this.keep(file));
+  }
+
+  /** Takes a lens file over that was found meanwhile. @param {string} file */
+  keep(file) {
+    if (!this.dialog.open) return;
+    this.field("calibration").value = file;
+    if (this.before) this.before = { ...this.before, calibration: file };
+  }
+
+  /**
+   * The answer, or null where there is none; then it is said why.
+   * @param {string} method
+   * @param {string} path
+   * @param {object} [body]
+   * @returns {Promise<any>}
+   */
+  async ask(method, path, body) {
+    for (const button of this.buttons) button.disabled = true;
+    const { answer, refusal } = await ask(method, path, body);
+    for (const button of this.buttons) button.disabled = false;
+    if (refusal) this.troubles.refuse(refusal);
+    return answer;
+  }
+
+  /** @param {string} words */
+  say(words) {
+    setText(this.words, words);
+  }
+}
+
+/** Without a sign for -0. @param {number} value */
+function rounded(value) {
+  return String(Math.round(value * DECIMALS) / DECIMALS + 0);
+}
+
+/** What is not empty. @param {Setup} setup */
+export function given(setup) {
+  return Object.fromEntries(Object.entries(setup).filter(([, value]) => value !== null && value !== ""));
+}
+
+/**
+ * What a server is told of a change: nothing of what stays, null of what is to be no more.
+ * @param {Setup} before
+ * @param {Setup} after
+ */
+export function difference(before, after) {
+  /** @type {Record<string, unknown>} */
+  const changed = {};
+  for (const [key, value] of Object.entries(after)) {
+    const old = before[/** @type {keyof Setup} */ (key)] ?? null;
+    const wanted = value === "" ? null : value;
+    const is = old === "" ? null : old;
+    if (JSON.stringify(is) !== JSON.stringify(wanted)) changed[key] = wanted;
+  }
+  return changed;
+}

@@ -1,0 +1,196 @@
+/** Health at a glance: what is unwell and why, how late data is, and every camera's figures in one table. */
+
+import { element, find, glyph, paced, setAttribute, setText } from "../../base/dom.js";
+import { fixed, whole } from "../../base/format.js";
+import { illnesses, sameIllnesses, verdict } from "../../state/camera-health.js";
+
+const INTERVAL_MS = 500;
+/** Bars of the histogram of lateness. */
+const STEPS = 24;
+
+/** @typedef {import("../../wire/messages.js").Camera} Camera */
+/** @typedef {import("../../state/camera-health.js").Ill} Ill */
+/** @typedef {{camera: Camera, ills: Ill[], shares: import("../../state/camera-health.js").Shares | null}} Patient */
+
+/** @type {{key: string, name: string, title: string, value: (patient: Patient, reprojectionPx: Map<string, number>) => string}[]} */
+const COLUMNS = [
+  {
+    key: "rate",
+    name: "Rate Hz",
+    title: "Frames processed a second, and how many were promised",
+    value: ({ camera }) => fixed(camera.rateHz, 1) + (camera.promisedRateHz > 0 ? ` of ${fixed(camera.promisedRateHz, 0)}` : ""),
+  },
+  { key: "latency", name: "Late ms", title: "From capture to fused, median", value: ({ camera }) => fixed(camera.latencyMs, 0) },
+  {
+    key: "dropped",
+    name: "Left out",
+    title: "Frames of the last ten seconds that gave way to newer ones; since the start in brackets",
+    value: ({ camera, shares }) => `${percent(shares?.dropped)} (${whole(camera.dropped)})`,
+  },
+  {
+    key: "broken",
+    name: "Broken",
+    title: "Frames of the last ten seconds that arrived broken; since the start in brackets",
+    value: ({ camera, shares }) => `${percent(shares?.broken)} (${whole(camera.broken)})`,
+  },
+  {
+    key: "clock",
+    name: "Clock ms",
+    title: "By how much its clock is late against the others, give or take; times are corrected by it",
+    value: ({ camera: { clock } }) => (clock ? `${fixed(clock.offsetMs, 1)} ± ${fixed(clock.deviationMs, 2)}` : "trusted"),
+  },
+  {
+    key: "reprojection",
+    name: "Reproj. px",
+    title: "How far from where the other cameras have objects it sees them, in its picture, rms over the last eight seconds; in brackets how far off roundels were at the newest calibration of the arena",
+    value: ({ camera }, reprojectionPx) => {
+      const calibrated = reprojectionPx.get(camera.name);
+      return fixed(camera.reprojectionPx, 2) + (calibrated === undefined ? "" : ` (${fixed(calibrated, 2)})`);
+    },
+  },
+  {
+    key: "off",
+    name: "Off by",
+    title: "By how much it would have to move to agree best with the others, over about a minute",
+    value: ({ camera: { agreement } }) =>
+      agreement && agreement.state !== "alone"
+        ? `${fixed(agreement.positionErrorM * 1000, 1)} mm, ${fixed((agreement.rotationErrorRad * 180) / Math.PI, 3)}°`
+        : "–",
+  },
+  { key: "detect", name: "Detect ms", title: "Time to find the roundels in a frame, median", value: ({ camera }) => fixed(camera.detectMs, 2) },
+  { key: "blur", name: "Blur px", title: "As fitted to the rims of its roundels", value: ({ camera }) => fixed(camera.blurPx, 2) },
+];
+
+/** @param {number | undefined} share */
+function percent(share) {
+  return share === undefined ? "–" : `${fixed(share * 100, 0)} %`;
+}
+
+/**
+ * The unwell first, the gravest before all.
+ * @param {import("../../state/store.js").Store} store
+ * @returns {Patient[]}
+ */
+function patients(store) {
+  const all = store.cameras.map((camera) => {
+    const shares = store.vitals.shares(camera.name);
+    return { camera, shares, ills: illnesses(camera, shares) };
+  });
+  const rank = (/** @type {Patient} */ { ills }) => (ills.length === 0 ? 0 : ills[0].isGrave ? 2 : 1);
+  return all.sort((a, b) => rank(b) - rank(a));
+}
+
+/**
+ * @param {import("../../state/store.js").Store} store
+ * @param {{open: () => void, isOpen: () => boolean}} view of it
+ */
+export function showHealth(store, { open, isOpen }) {
+  const button = find("#verdict");
+  const words = find("#verdict-text");
+  const list = find("#unwell");
+  const rows = find("#health-rows");
+  const figures = { rate: find("#health-rate"), late: find("#health-late"), missed: find("#health-missed") };
+  const bars = makeBars(find("#health-bars"));
+  /** @type {Map<string, number>} by camera, of the newest calibration */
+  let reprojectionPx = new Map();
+  find("#health-head").replaceChildren(
+    element("th", { scope: "col" }, ["Camera"]),
+    element("th", { scope: "col" }, ["What is the matter"]),
+    ...COLUMNS.map(({ name, title }) => element("th", { scope: "col", title }, [name])),
+  );
+
+  const loadCalibration = async () => {
+    try {
+      const answer = await (await fetch("api/v1/calibration", { cache: "no-store" })).json();
+      /** @type {{camera: string, reprojection_px: number}[]} */
+      const cameras = answer.report?.cameras ?? [];
+      reprojectionPx = new Map(cameras.map((one) => [one.camera, one.reprojection_px]));
+      update();
+    } catch {
+      // Asked again with the next event of a calibration; the column stays empty meanwhile.
+    }
+  };
+
+  const update = () => {
+    const all = patients(store);
+    const ill = all.filter(({ ills }) => ills.length > 0);
+    setText(words, store.camerasKnown ? verdict(all.length, ill.length) : "–");
+    setAttribute(button, "data-health", ill.some(({ ills }) => ills[0].isGrave) ? "grave" : ill.length > 0 ? "ill" : "well");
+    showUnwell(list, ill);
+    if (!isOpen()) return;
+    const [p50, p95, p99] = store.latencies.quantiles([0.5, 0.95, 0.99]);
+    setText(figures.rate, `${fixed(store.report.rateHz, 1)} of ${fixed(store.info?.snapshotRateHz, 0)} Hz`);
+    setText(figures.late, `${fixed(p50, 0)} / ${fixed(p95, 0)} / ${fixed(p99, 0)} ms`);
+    setText(figures.missed, whole(store.report.missed));
+    bars(store.latencies.histogram(STEPS));
+    fillTable(rows, all, reprojectionPx);
+  };
+
+  button.addEventListener("click", open);
+  list.addEventListener("click", (event) => {
+    const name = event.target instanceof Element ? event.target.closest("button")?.dataset.camera : undefined;
+    const card = [...document.querySelectorAll("[data-camera-card]")].find((one) => one.getAttribute("data-camera-card") === name);
+    card?.scrollIntoView({ block: "nearest", behavior: "smooth" });
+    /** @type {HTMLElement | null | undefined} */ (card?.querySelector("button"))?.focus();
+  });
+  const updateSoon = paced(INTERVAL_MS, update, { alone: true });
+  store.on("cameras", updateSoon);
+  store.on("connection", updateSoon);
+  store.on("events", paced(2000, () => store.events[0]?.kind.startsWith("calibration_") && void loadCalibration()));
+  update();
+  return { update, opened: () => void loadCalibration().then(update) };
+}
+
+/** What is the matter with several at once is said once. @param {HTMLElement} list @param {Patient[]} ill */
+function showUnwell(list, ill) {
+  list.hidden = ill.length === 0;
+  const reasons = sameIllnesses(ill.map(({ camera, ills }) => ({ name: camera.name, ills })));
+  while (list.children.length > reasons.length) list.lastElementChild?.remove();
+  for (const [i, { names, why, isGrave }] of reasons.entries()) {
+    const item = /** @type {HTMLElement | undefined} */ (list.children[i]) ?? list.appendChild(element("li"));
+    setAttribute(item, "class", isGrave ? "grave" : "");
+    // Only words change while nobody else falls ill: who is on a button stays there.
+    if (item.dataset.names !== names.join()) {
+      item.dataset.names = names.join();
+      const buttons = names.map((name) => element("button", { type: "button", "data-camera": name }, [name]));
+      item.replaceChildren(...buttons.flatMap((button) => [button, " "]), element("span"));
+    }
+    setText(/** @type {Element} */ (item.lastElementChild), why);
+  }
+}
+
+/** @param {HTMLElement} body @param {Patient[]} all @param {Map<string, number>} reprojectionPx */
+function fillTable(body, all, reprojectionPx) {
+  while (body.children.length > all.length) body.lastElementChild?.remove();
+  while (body.children.length < all.length) {
+    body.append(element("tr", {}, [element("th", { scope: "row" }), element("td", { class: "why" }), ...COLUMNS.map(({ key }) => element("td", { "data-figure": key }))]));
+  }
+  for (const [i, patient] of all.entries()) {
+    const row = body.children[i];
+    const { camera, ills } = patient;
+    const state = ills.length === 0 ? "well" : ills[0].isGrave ? "grave" : "ill";
+    if (row.getAttribute("data-health") !== state || row.getAttribute("data-name") !== camera.name) {
+      row.setAttribute("data-health", state);
+      row.setAttribute("data-name", camera.name);
+      row.children[0].replaceChildren(glyph(state === "well" ? "running" : "failed"), ` ${camera.name}`);
+    }
+    for (const [k, { value }] of COLUMNS.entries()) setText(row.children[k + 2], value(patient, reprojectionPx));
+    setText(row.children[1], ills.map((one) => one.why).join(" ") || "Well");
+  }
+}
+
+/** @param {HTMLElement} target @returns {(histogram: {stepMs: number, shares: number[]}) => void} */
+function makeBars(target) {
+  const bars = Array.from({ length: STEPS }, () => element("span"));
+  target.append(...bars);
+  const caption = find("#health-bars-caption");
+  return ({ stepMs, shares }) => {
+    const most = Math.max(...shares, 1e-9);
+    for (const [i, share] of shares.entries()) {
+      // By the object model: a style in the markup would be against the page's policy.
+      bars[i].style.height = `${(share / most) * 100}%`;
+      bars[i].title = `${i * stepMs} ms${i + 1 < STEPS ? ` to ${(i + 1) * stepMs} ms` : " and later"}: ${fixed(share * 100, 1)} %`;
+    }
+    setText(caption, `How late snapshots were in the last minute: bars of ${stepMs} ms from 0 to ${(STEPS - 1) * stepMs} ms, the last one holds all later ones`);
+  };
+}

@@ -1,0 +1,55 @@
+/** What is wrong with a form, each error at its field; those about no field stand above the form's buttons. */
+
+import { find, setText } from "../../base/dom.js";
+
+/** A form's elements have ids that begin with its name: `print-page`, `print-page-trouble`, and `print-trouble`. */
+export class Troubles {
+  /**
+   * @param {string} form
+   * @param {string[]} fields that have a place for an error
+   * @param {Record<string, string>} [marked] elements by field that are marked in place of `form-field`
+   */
+  constructor(form, fields, marked = {}) {
+    this.form = form;
+    this.fields = fields;
+    this.marked = marked;
+    this.clear();
+  }
+
+  /** @param {import("../../wire/api-client.js").Refusal} refusal */
+  refuse({ field, message }) {
+    if (this.fields.includes(field)) this.blame(field, message);
+    else this.blame("", field ? `${field}: ${message}` : message);
+  }
+
+  /** @param {string} field empty: none of them @param {string} message */
+  blame(field, message) {
+    const trouble = this.place(field);
+    setText(trouble, message);
+    trouble.hidden = false;
+    if (field === "") return;
+    const input = this.input(field);
+    input.setAttribute("aria-invalid", "true");
+    input.closest("details")?.setAttribute("open", "");
+    if (input.tabIndex >= 0) input.focus();
+  }
+
+  clear() {
+    for (const field of ["", ...this.fields]) {
+      const trouble = this.place(field);
+      setText(trouble, "");
+      trouble.hidden = true;
+      if (field !== "") this.input(field).removeAttribute("aria-invalid");
+    }
+  }
+
+  /** @param {string} field */
+  place(field) {
+    return find(field === "" ? `#${this.form}-trouble` : `#${this.form}-${field}-trouble`);
+  }
+
+  /** @param {string} field */
+  input(field) {
+    return find(`#${this.marked[field] ?? `${this.form}-${field}`}`);
+  }
+}

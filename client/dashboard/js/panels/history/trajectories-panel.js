@@ -1,0 +1,166 @@
+/** Asks the server's history where objects were, and lays it over the arena: as courses, or as how long each place was taken. */
+
+import { ask } from "../../wire/api-client.js";
+import { heatOf, readCourses } from "../../state/trajectories.js";
+import { find, setText } from "../../base/dom.js";
+import { dateAndTime, duration, fixed, timeOfDay, whole } from "../../base/format.js";
+import { Troubles } from "../forms/form-errors.js";
+
+/** The first wish: the last ten minutes, s. */
+const FIRST_S = 600;
+/** How far the box of "what is in view" reaches down and up, metres. */
+const DEEP_M = 1000;
+
+/**
+ * @param {import("../../state/store.js").Store} store
+ * @param {import("../../arena/arena.js").Arena} arena
+ */
+export function showCourses(store, arena) {
+  const view = new CoursesView(store, arena);
+  store.on("selection", () => view.onSelection());
+  // What is no longer offered is no longer shown.
+  store.on("info", () => {
+    if (!store.info?.keepsHistory) view.close();
+  });
+}
+
+class CoursesView {
+  /** @param {import("../../state/store.js").Store} store @param {import("../../arena/arena.js").Arena} arena */
+  constructor(store, arena) {
+    this.store = store;
+    this.arena = arena;
+    this.panel = find("#history");
+    this.opener = find("#history-open");
+    this.form = /** @type {HTMLFormElement} */ (find("#history-form"));
+    this.words = find("#history-words");
+    this.troubles = new Troubles("history", ["objects", "from", "until"]);
+    /** Counts what was asked for: an answer that comes late is not shown over a newer one. */
+    this.asked = 0;
+    /** True while the field of objects says who is selected, and not what somebody has typed. */
+    this.followsSelection = true;
+
+    this.opener.addEventListener("click", () => (this.panel.hidden ? this.open() : this.close()));
+    find("#history-close").addEventListener("click", () => {
+      this.close();
+      this.opener.focus();
+    });
+    this.form.addEventListener("submit", (event) => {
+      event.preventDefault();
+      void this.show();
+    });
+    this.field("objects").addEventListener("input", () => (this.followsSelection = false));
+    for (const button of this.panel.querySelectorAll("button[data-seconds]")) {
+      button.addEventListener("click", () => {
+        this.setSpan(Number(/** @type {HTMLElement} */ (button).dataset.seconds));
+        void this.show();
+      });
+    }
+    for (const name of ["courses", "heat"]) this.field(name).addEventListener("change", () => void this.show());
+  }
+
+  /** @param {string} name */
+  field(name) {
+    return /** @type {HTMLInputElement} */ (find(`#history-${name}`));
+  }
+
+  open() {
+    this.panel.hidden = false;
+    this.opener.setAttribute("aria-expanded", "true");
+    this.followsSelection = true;
+    if (this.field("until").value === "") this.setSpan(FIRST_S);
+    this.onSelection();
+    this.field("objects").focus();
+    void this.show();
+  }
+
+  close() {
+    this.asked += 1;
+    this.panel.hidden = true;
+    this.opener.setAttribute("aria-expanded", "false");
+    this.arena.setOverlay(null);
+    setText(this.words, "");
+  }
+
+  onSelection() {
+    if (this.panel.hidden || !this.followsSelection) return;
+    const { selected, selectedState } = this.store;
+    const wanted = selected === null ? "" : selectedState?.name || String(selected);
+    if (this.field("objects").value === wanted) return;
+    this.field("objects").value = wanted;
+    void this.show();
+  }
+
+  /** The last so many seconds. @param {number} seconds */
+  setSpan(seconds) {
+    // By the server's clock, which is what its history goes by.
+    const nowMs = this.store.snapshot?.poseTimeMs ?? Date.now();
+    this.field("until").value = localInput(nowMs + 1000);
+    this.field("from").value = localInput(nowMs - seconds * 1000);
+  }
+
+  async show() {
+    this.troubles.clear();
+    const query = this.query();
+    if (!query) return;
+    this.asked += 1;
+    const mine = this.asked;
+    setText(this.words, "Looking it up…");
+    const { answer, refusal } = await ask("GET", `history?${query}`);
+    if (mine !== this.asked) return;
+    if (refusal) {
+      setText(this.words, "");
+      this.troubles.refuse(refusal);
+      return;
+    }
+    const courses = readCourses(answer);
+    const heat = this.field("heat").checked ? heatOf(courses) : null;
+    this.arena.setOverlay(courses.points > 0 ? { courses, heat } : null);
+    setText(this.words, courses.points === 0 && query.has("objects") ? `No such object was there then. ${keptWords(courses)}` : wordsOf(courses, heat));
+  }
+
+  /** What is asked for; null if it is nothing that can be asked. */
+  query() {
+    const query = new URLSearchParams();
+    const objects = this.field("objects").value.trim();
+    if (objects !== "") query.set("objects", objects.split(/\s*,\s*/).filter(Boolean).join(","));
+    for (const name of ["from", "until"]) {
+      const ms = new Date(this.field(name).value).getTime();
+      if (Number.isNaN(ms)) {
+        this.troubles.blame(name, "Fill in a day and a time.");
+        return null;
+      }
+      query.set(name, String(BigInt(Math.round(ms)) * 1_000_000n));
+    }
+    if (this.field("within").checked) {
+      const { minX, minY, maxX, maxY } = this.arena.inView();
+      query.set("min", [minX, minY, -DEEP_M].join(","));
+      query.set("max", [maxX, maxY, DEEP_M].join(","));
+    }
+    return query;
+  }
+}
+
+/** From when to when anything is kept. @param {import("../../state/trajectories.js").Courses} courses */
+function keptWords({ oldestMs, newestMs }) {
+  return oldestMs && newestMs ? `Kept are ${dateAndTime(oldestMs)} to ${dateAndTime(newestMs)}.` : "Nothing is kept yet.";
+}
+
+/** What is shown, in words. @param {import("../../state/trajectories.js").Courses} all @param {import("../../state/trajectories.js").Heat | null} heat */
+export function wordsOf(all, heat) {
+  const { courses, points, stepS } = all;
+  const kept = keptWords(all);
+  if (points === 0) return `Nobody was there then. ${kept}`;
+  const who = courses.length === 1 ? courses[0].label : `${courses.length} objects`;
+  const times = courses.flatMap(({ timesMs, count }) => (count > 0 ? [timesMs[0], timesMs[count - 1]] : []));
+  const span = `${timeOfDay(Math.min(...times))} to ${timeOfDay(Math.max(...times))}`;
+  const shown = heat
+    ? `Darkest: ${duration(heat.mostS * 1000)} in a square of ${fixed(heat.cellM, heat.cellM < 0.1 ? 2 : 1)} m.`
+    : `${whole(points)} places, one each ${duration(stepS * 1000)}; a ring is where it begins, a disc where it ends.`;
+  return `${who}, ${span}. ${shown} ${kept}`;
+}
+
+/** A time as a field of day and time has it. @param {number} unixMs */
+export function localInput(unixMs) {
+  const date = new Date(unixMs);
+  return new Date(unixMs - date.getTimezoneOffset() * 60_000).toISOString().slice(0, 19);
+}

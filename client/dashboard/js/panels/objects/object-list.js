@@ -1,0 +1,188 @@
+/**
+ * All objects as a table: for reading, for the keyboard, and for whoever cannot see the arena.
+ * Each row carries its object's id as `data-object-id`.
+ */
+
+import { element, find, glyph, paced, setAttribute, setText } from "../../base/dom.js";
+import { fixed } from "../../base/format.js";
+
+/** Faster than this, figures flicker instead of being read, ms. */
+const INTERVAL_MS = 250;
+/** Of hundreds, less often: it is the dearest that the page does. */
+const MANY_INTERVAL_MS = 400;
+/** From so many objects on only rows about those in sight are there: a table of hundreds is dear to lay out. */
+const MANY = 150;
+/** Rows beyond the edges that are there nevertheless. */
+const MARGIN_ROWS = 3;
+/** Names of so many letters fit in any case. */
+const SHORT = 8;
+/** Of fewer, rows that are scrolled out of sight are brought up to date in turns, so many each time. */
+const UNSEEN_AT_ONCE = 12;
+
+/** @typedef {import("../../state/object-state.js").ObjectState} ObjectState */
+/** @typedef {{row: HTMLElement, button: HTMLElement, sign: Element, label: Element, code: HTMLElement, cells: Element[], stage: string}} Row */
+
+/**
+ * @param {import("../../state/store.js").Store} store
+ * @returns {{narrow: (filter: ((state: ObjectState) => boolean) | null) => void}} to what fits
+ */
+export function showList(store) {
+  const body = find("#object-rows");
+  const empty = find("#objects-empty");
+  /** @type {Map<number, Row>} */
+  const rows = new Map();
+
+  body.addEventListener("click", (event) => {
+    const row = event.target instanceof Element ? event.target.closest("tr") : null;
+    if (row?.dataset.objectId) store.select(Number(row.dataset.objectId));
+  });
+
+  const scroller = /** @type {HTMLElement} */ (body.closest(".scroll"));
+  const gaps = [makeGap(), makeGap()];
+  body.before(gaps[0]);
+  body.after(gaps[1]);
+  let turn = 0;
+  /** @type {((state: ObjectState) => boolean) | null} */
+  let filter = null;
+  /** @type {import("../../state/track.js").Track[]} all that fit, also those without a row */
+  let listed = [];
+
+  const rowHeight = () => rows.values().next().value?.row.offsetHeight || 27;
+
+  /** Which of so many rows are in sight, or nearly. @param {number} count @returns {[number, number]} the first, and the one after the last */
+  const inSight = (count) => {
+    const height = rowHeight();
+    const first = Math.max(0, Math.min(count, Math.floor(scroller.scrollTop / height)) - MARGIN_ROWS);
+    return [first, Math.min(count, first + Math.ceil(scroller.clientHeight / height) + 2 * MARGIN_ROWS)];
+  };
+
+  const update = () => {
+    const all = store.sortedTracks().filter((track) => !filter || filter(track.state));
+    const [first, last] = inSight(all.length);
+    const [from, to] = all.length > MANY ? [first, last] : [0, all.length];
+    listed = all;
+    const there = all.slice(from, to);
+    keepRows(new Set(there.map(({ id }) => id)));
+    turn %= Math.max(1, all.length);
+    for (const [k, track] of there.entries()) {
+      const i = from + k;
+      let row = rows.get(track.id);
+      const isNew = !row;
+      if (!row) {
+        row = makeRow(track.id);
+        rows.set(track.id, row);
+      }
+      if (body.children[k] !== row.row) body.insertBefore(row.row, body.children[k] ?? null);
+      // Four hundred at once would hold the page up.
+      const isDue = (i >= first && i < last) || (i >= turn && i < turn + UNSEEN_AT_ONCE);
+      if (isNew || isDue || row.stage !== track.stage) fillRow(row, track.state, store.selected);
+    }
+    turn += UNSEEN_AT_ONCE;
+    fillGaps(from, all.length - to);
+    setText(empty, filter ? "No object fits." : "No object is in view.");
+    empty.hidden = all.length > 0;
+  };
+
+  /** @param {Set<number>} ids */
+  const keepRows = (ids) => {
+    for (const [id, { row }] of rows) {
+      if (ids.has(id)) continue;
+      row.remove();
+      rows.delete(id);
+    }
+  };
+
+  /** Room for rows that are not there. @param {number} before @param {number} after */
+  const fillGaps = (before, after) => {
+    const height = rowHeight();
+    for (const [i, count] of [before, after].entries()) {
+      gaps[i].hidden = count === 0;
+      /** @type {HTMLElement} */ (gaps[i].querySelector("td")).style.height = `${count * height}px`;
+    }
+  };
+
+  // What comes into sight is up to date as soon as it does.
+  scroller.addEventListener("scroll", paced(50, update), { passive: true });
+
+  const markSelected = () => {
+    const at = listed.findIndex(({ id }) => id === store.selected);
+    if (at >= 0 && store.selected !== null && !rows.has(store.selected)) {
+      scroller.scrollTop = at * rowHeight() - scroller.clientHeight / 2;
+      update();
+    }
+    for (const [id, { row, button }] of rows) {
+      const chosen = id === store.selected;
+      row.classList.toggle("selected", chosen);
+      setAttribute(button, "aria-pressed", String(chosen));
+      if (chosen) row.scrollIntoView({ block: "nearest" });
+    }
+  };
+
+  store.on("snapshot", paced(() => (store.tracks.size > MANY ? MANY_INTERVAL_MS : INTERVAL_MS), update, { alone: true }));
+  store.on("time", update);
+  store.on("selection", () => {
+    update();
+    markSelected();
+  });
+  update();
+  return {
+    narrow: (wanted) => {
+      filter = wanted;
+      update();
+    },
+  };
+}
+
+/** What stands for rows that are not there. */
+function makeGap() {
+  return element("tbody", { "aria-hidden": "true", hidden: "" }, [element("tr", {}, [element("td", { colspan: "6" })])]);
+}
+
+/**
+ * @param {number} id
+ * @returns {Row}
+ */
+function makeRow(id) {
+  const sign = element("span", { class: "sign" });
+  const label = element("span", { class: "label" });
+  const code = element("small", { class: "code", hidden: "" });
+  const button = element("button", { type: "button", "aria-pressed": "false" }, [sign, label, " ", code]);
+  const cells = Array.from({ length: 5 }, () => element("td"));
+  const row = element("tr", { "data-object-id": String(id) }, [
+    element("th", { scope: "row" }, [button]),
+    ...cells,
+  ]);
+  return { row, button, sign, label, code, cells, stage: "" };
+}
+
+/**
+ * @param {Row} row
+ * @param {ObjectState} state
+ * @param {number | null} selected
+ */
+function fillRow(row, state, selected) {
+  if (row.stage !== state.stage) {
+    row.stage = state.stage;
+    row.row.dataset.stage = state.stage;
+    row.sign.className = `sign stage-${state.stage}`;
+    row.sign.replaceChildren(glyph(state.stage));
+    row.button.title = state.stage;
+  }
+  const code = state.code ? `#${state.code.number}` : "";
+  // What is said begins with what is seen, so that either can be used to name the button.
+  setAttribute(row.button, "aria-label", `Object ${[state.label, code].join(" ").trim()}, ${state.stage}`);
+  row.code.hidden = code === "";
+  setText(row.code, code);
+  row.row.classList.toggle("selected", state.id === selected);
+  setText(row.label, state.label);
+  row.label.classList.toggle("long", state.label.length > SHORT);
+  const { positionM, sigmaM } = state;
+  const values = [
+    fixed(positionM?.x, 3),
+    fixed(positionM?.y, 3),
+    fixed(positionM?.z, 3),
+    fixed(state.speedMS, 2),
+    fixed(sigmaM && Math.max(sigmaM.x, sigmaM.y, sigmaM.z) * 1000, 1),
+  ];
+  for (const [i, value] of values.entries()) setText(row.cells[i], value);
+}

@@ -1,0 +1,50 @@
+/** What this server can do, by its own description and by what it says of itself: what it cannot is not on the page. */
+
+import { find } from "../../base/dom.js";
+
+/** @typedef {"records" | "replays" | "keepsHistory" | "allowsSetup"} Ability */
+
+/** Controls that lead nowhere without a call, or where this server refuses it. @type {{control: string, method: string, path: string, ability?: Ability}[]} */
+const NEEDS = [
+  { control: "#add-camera", method: "post", path: "/api/v1/cameras", ability: "allowsSetup" },
+  { control: "#calibrate", method: "post", path: "/api/v1/calibration" },
+  { control: "#setup-try", method: "post", path: "/api/v1/sources/test", ability: "allowsSetup" },
+  { control: "#setup-lens", method: "post", path: "/api/v1/lens", ability: "allowsSetup" },
+  { control: "#add-object", method: "post", path: "/api/v1/configuration/objects", ability: "allowsSetup" },
+  { control: "#name-object", method: "put", path: "/api/v1/objects/{id}/name", ability: "allowsSetup" },
+  { control: "#plan-open", method: "get", path: "/api/v1/plan" },
+  { control: "#print-open", method: "get", path: "/api/v1/print" },
+  { control: "#record", method: "post", path: "/api/v1/recording", ability: "records" },
+  { control: "#history-open", method: "get", path: "/api/v1/history", ability: "keepsHistory" },
+  { control: "#replay", method: "patch", path: "/api/v1/replay", ability: "replays" },
+];
+/** Edits of cameras: one button on each card. */
+const EDIT = { method: "patch", path: "/api/v1/cameras/{name}", ability: /** @type {const} */ ("allowsSetup") };
+/** Searches for their lenses, likewise. */
+const LENS = { method: "post", path: "/api/v1/lens" };
+/** What a server that plays a recording has nothing to do it with. */
+const LIVE_ONLY = ["#calibrate", "#plan-open"];
+
+/**
+ * Hides what is not offered. A server that does not describe itself is taken to have every call: its answers then say
+ * what it does not.
+ * @param {import("../../wire/messages.js").ServerInfo} info
+ */
+export async function showOffer(info) {
+  const paths = await describedPaths();
+  const offers = (/** @type {{method: string, path: string, ability?: Ability}} */ { method, path, ability }) =>
+    (!ability || info[ability]) && (!paths || Boolean(paths[path]?.[method]));
+  for (const need of NEEDS) find(need.control).hidden = !offers(need);
+  if (info.replays) for (const control of LIVE_ONLY) find(control).hidden = true;
+  document.body.classList.toggle("no-edits", !offers(EDIT));
+  document.body.classList.toggle("no-lens", info.replays || !offers(LENS));
+}
+
+async function describedPaths() {
+  try {
+    const response = await fetch("openapi.json", { cache: "no-cache" });
+    return response.ok ? ((await response.json()).paths ?? null) : null;
+  } catch {
+    return null;
+  }
+}

@@ -1,0 +1,126 @@
+/**
+ * Where objects were, as the server's history tells it: courses, and how long each place was taken. Pure functions
+ * without DOM.
+ */
+
+import { roundStep } from "../base/geometry.js";
+import { count, list, milliseconds, number, text, vector } from "../base/validate.js";
+
+/** Points further apart in time than so many steps of the history are not joined: it was not there between them. */
+const GAP_STEPS = 3.5;
+/** Cells of a heat map along the longer side, about. */
+const CELLS = 64;
+const LEAST_CELL_M = 0.02;
+
+/**
+ * One object in one run of the server.
+ * @typedef {object} Course
+ * @property {number} id
+ * @property {string} label what a person calls it
+ * @property {number} hue of its line, degrees
+ * @property {number} count
+ * @property {Float64Array} timesMs
+ * @property {Float32Array} places x, y, z of each
+ */
+/** @typedef {{courses: Course[], points: number, stepS: number, oldestMs: number | null, newestMs: number | null}} Courses */
+/** Cells from the lower left one on, row by row; what each holds is seconds. @typedef {{minX: number, minY: number, cellM: number, columns: number, rows: number, seconds: Float32Array, mostS: number}} Heat */
+/** What is laid over the arena: the heat in place of the courses, where there is one. @typedef {{courses: Courses, heat: Heat | null}} Overlay */
+
+/** @param {any} raw an answer of /api/v1/history @returns {Courses} */
+export function readCourses(raw) {
+  const stepS = count(raw?.step_s);
+  const courses = list(raw?.objects).map((one, i) => readCourse(one, i));
+  return { courses, points: count(raw?.points), stepS, oldestMs: milliseconds(raw?.oldest_time_ns) || null, newestMs: milliseconds(raw?.newest_time_ns) || null };
+}
+
+/** @param {any} raw @param {number} i @returns {Course} */
+function readCourse(raw, i) {
+  const points = list(raw?.points);
+  const timesMs = new Float64Array(points.length);
+  const places = new Float32Array(points.length * 3);
+  let kept = 0;
+  for (const point of points) {
+    const [atMs, place] = [milliseconds(point?.time_ns), vector(point?.position)];
+    if (atMs === null || !place) continue;
+    timesMs[kept] = atMs;
+    places.set([place.x, place.y, place.z], kept * 3);
+    kept += 1;
+  }
+  const code = number(raw?.code);
+  const label = text(raw?.name) || (code ? `#${code}` : String(count(raw?.object_id)));
+  // By the golden angle: neighbours differ most.
+  return { id: count(raw?.object_id), label, hue: (312 + i * 137.5) % 360, count: kept, timesMs, places };
+}
+
+/**
+ * A course's lines, one call for each place; `joined` where a line leads there from the one before.
+ * @param {Course} course
+ * @param {number} stepS
+ * @param {(i: number, joined: boolean) => void} visit
+ */
+export function eachPlace(course, stepS, visit) {
+  const gapMs = Math.max(1000, GAP_STEPS * stepS * 1000);
+  for (let i = 0; i < course.count; i += 1) {
+    visit(i, i > 0 && course.timesMs[i] - course.timesMs[i - 1] <= gapMs);
+  }
+}
+
+/**
+ * How long each cell of the floor was taken; every point stands for the time until the next one.
+ * @param {Courses} courses
+ * @returns {Heat | null} null without points
+ */
+export function heatOf({ courses, stepS }) {
+  let [minX, minY, maxX, maxY] = [Infinity, Infinity, -Infinity, -Infinity];
+  for (const { places, count } of courses) {
+    for (let i = 0; i < count; i += 1) {
+      minX = Math.min(minX, places[i * 3]);
+      maxX = Math.max(maxX, places[i * 3]);
+      minY = Math.min(minY, places[i * 3 + 1]);
+      maxY = Math.max(maxY, places[i * 3 + 1]);
+    }
+  }
+  if (minX > maxX) return null;
+  const cellM = Math.max(LEAST_CELL_M, roundStep(Math.max(LEAST_CELL_M, (Math.max(maxX - minX, maxY - minY) / CELLS) * 2)));
+  // Cells lie on round numbers, so that those of two maps are the same.
+  const [left, low] = [Math.floor(minX / cellM), Math.floor(minY / cellM)];
+  const columns = Math.floor(maxX / cellM) - left + 1;
+  const rows = Math.floor(maxY / cellM) - low + 1;
+  const seconds = new Float32Array(columns * rows);
+  let mostS = 0;
+  for (const { places, count } of courses) {
+    for (let i = 0; i < count; i += 1) {
+      const at = (Math.floor(places[i * 3 + 1] / cellM) - low) * columns + Math.floor(places[i * 3] / cellM) - left;
+      seconds[at] += stepS;
+      mostS = Math.max(mostS, seconds[at]);
+    }
+  }
+  return { minX: left * cellM, minY: low * cellM, cellM, columns, rows, seconds, mostS };
+}
+
+/** How dark a cell is drawn, 0 to 1: what was taken seldom is seen, too. @param {number} seconds @param {number} mostS */
+export function darkness(seconds, mostS) {
+  return seconds > 0 ? 0.12 + 0.68 * Math.sqrt(seconds / mostS) : 0;
+}
+
+/**
+ * The place of all courses that is nearest to a point of the floor.
+ * @param {Courses} courses
+ * @param {number} x
+ * @param {number} y
+ * @param {number} withinM
+ * @returns {{course: Course, timeMs: number} | null}
+ */
+export function nearestPlace({ courses }, x, y, withinM) {
+  let found = null;
+  let nearestM = withinM;
+  for (const course of courses) {
+    for (let i = 0; i < course.count; i += 1) {
+      const distanceM = Math.hypot(course.places[i * 3] - x, course.places[i * 3 + 1] - y);
+      if (distanceM >= nearestM) continue;
+      nearestM = distanceM;
+      found = { course, timeMs: course.timesMs[i] };
+    }
+  }
+  return found;
+}

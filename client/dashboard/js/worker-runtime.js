@@ -1,0 +1,139 @@
+/**
+ * What has to keep pace with the stream: the connection, what comes over it, and the arena's pictures. It runs in a
+ * worker (worker.js), so that four hundred objects sixty times a second do not hold up the page that a person reads and
+ * clicks; where a browser cannot draw in a worker, in the page itself (worker-client.js).
+ *
+ * The page is told what it shows as text: ten snapshots a second, read already, since that takes its time as well, and
+ * every message of another kind, as it came. What it is told and tells is `[name, value]`, with the names of `Told` and
+ * `Wishes`.
+ */
+
+import { connect } from "./wire/connection.js";
+import { Gauge } from "./state/stream-statistics.js";
+import { Stage } from "./arena/stage.js";
+import { Store } from "./state/store.js";
+
+/** Between two reports of how the stream fares, ms. */
+const REPORT_MS = 100;
+
+/**
+ * What the page tells.
+ * @typedef {object} Wishes
+ * @property {(value: {url: string, canvases: import("./arena/stage.js").Canvases, palette: import("./arena/palette.js").Palette}) => void} open comes first
+ * @property {(size: {width: number, height: number, ratio: number}) => void} size of the arena, CSS pixels; none: it is hidden
+ * @property {(palette: import("./arena/palette.js").Palette) => void} palette
+ * @property {(mode: import("./arena/stage.js").StageMode) => void} show answered by `shown`
+ * @property {(look: {exaggeration: number, trails: boolean}) => void} look
+ * @property {(overlay: import("./state/trajectories.js").Overlay | null) => void} overlay
+ * @property {(by: [number, number, boolean]) => void} drag
+ * @property {(by: [number, number, number]) => void} zoom
+ * @property {() => void} fit
+ * @property {(at: {px: number, py: number, coarse: boolean}) => void} pick answered by `picked`
+ * @property {(isOut: boolean) => void} tape
+ * @property {(at: {px: number, py: number, coarse: boolean}) => void} measure a click while the tape is out
+ * @property {(at: [number, number] | null) => void} point answered by `hovered`, if that is another
+ * @property {(value: {id: number | null, following: boolean}) => void} select
+ * @property {(timeMs: number | null) => void} past what instant is looked at
+ * @property {() => void} retry
+ */
+
+/**
+ * What the page is told.
+ * @typedef {object} Told
+ * @property {import("./wire/connection.js").ConnectionState} connection its times count from the Unix epoch
+ * @property {string | ArrayBuffer} data a message that holds no snapshot
+ * @property {import("./state/store.js").Packed} snapshot
+ * @property {import("./state/stream-statistics.js").Report} report
+ * @property {import("./arena/stage.js").Sight} sight
+ * @property {import("./arena/stage.js").StageMode} shown
+ * @property {number | null} picked
+ * @property {number | null} hovered
+ */
+
+/** @typedef {{postMessage: (message: any, transfer?: Transferable[]) => void, onmessage: ((event: MessageEvent) => any) | null}} Port */
+
+/** @param {Port} port to the page */
+export function runEngine(port) {
+  const store = new Store();
+  const gauge = new Gauge();
+  /** @type {Stage | null} */
+  let stage = null;
+  /** @type {{retryNow: () => void} | null} */
+  let connection = null;
+
+  /** What the page was told last of who is who, by id. @type {Map<number, string>} */
+  let identified = new Map();
+
+  /** @type {<Name extends keyof Told>(name: Name, value: Told[Name], transfer?: Transferable[]) => void} */
+  const tell = (name, value, transfer = []) => port.postMessage([name, value], transfer);
+
+  /** @param {import("./wire/messages.js").Message} message @param {string | ArrayBuffer} data */
+  const take = (message, data) => {
+    store.take(message);
+    if (!message.snapshot) return tell("data", data);
+    gauge.take(message.snapshot, performance.now());
+    // The page needs no more than what the last minute keeps.
+    if (store.history.newestMs === message.snapshot.poseTimeMs) tellSnapshot(message.snapshot);
+  };
+
+  /** @param {import("./wire/messages.js").Snapshot} snapshot */
+  const tellSnapshot = ({ sourceId, poseTimeMs, objects }) => {
+    const { history } = store;
+    const byId = (/** @type {import("./state/object-state.js").ObjectState[]} */ states) => states.sort((a, b) => a.id - b.id);
+    const there = new Set(objects.map(({ id }) => id));
+    const lost = [...store.live.values()].filter(({ id }) => !there.has(id)).map(({ state }) => state);
+    const [frame, gone] = [history.pack(poseTimeMs, byId([...objects])), history.pack(poseTimeMs, byId(lost))];
+    // After a new begin the page has forgotten all as well.
+    const known = history.count > 1 ? identified : new Map();
+    identified = new Map([...objects, ...lost].map((state) => [state.id, identityKey(state)]));
+    const identities = [...history.identities].filter(([id]) => identified.has(id) && identified.get(id) !== known.get(id));
+    const arrays = [frame, gone].flatMap(({ ids, values, cameras, flags }) => [ids.buffer, values.buffer, cameras.buffer, flags.buffer]);
+    tell("snapshot", { sourceId, frame, lost: gone, identities, cameraNames: history.cameraNames }, arrays);
+  };
+
+  /** @param {import("./wire/connection.js").ConnectionState} state */
+  const become = (state) => {
+    if (state.phase !== store.connection.phase) gauge.begin(performance.now());
+    store.setConnection(state);
+    const { sinceMs, retryAtMs } = state;
+    tell("connection", { ...state, sinceMs: sinceMs + performance.timeOrigin, retryAtMs: retryAtMs && retryAtMs + performance.timeOrigin });
+  };
+
+  /** @type {Wishes} */
+  const wishes = {
+    open({ url, canvases, palette }) {
+      stage = new Stage(store, canvases, palette, (sight) => tell("sight", sight));
+      connection = connect(url, { onMessage: take, onState: become });
+      setInterval(() => tell("report", gauge.report(performance.now())), REPORT_MS);
+    },
+    size: (size) => stage?.resize(size),
+    palette: (palette) => stage?.setPalette(palette),
+    show: async (mode) => stage && tell("shown", await stage.show(mode)),
+    look: (look) => stage?.setLook(look),
+    overlay: (overlay) => stage?.setOverlay(overlay),
+    drag: (by) => stage?.drag(...by),
+    zoom: (by) => stage?.zoom(...by),
+    fit: () => stage?.fit(),
+    tape: (isOut) => stage?.takeTape(isOut),
+    measure: ({ px, py, coarse }) => stage?.measureAt(px, py, coarse),
+    pick: ({ px, py, coarse }) => stage && tell("picked", stage.objectAt(px, py, coarse)),
+    point(at) {
+      if (!stage) return;
+      const before = stage.hovered;
+      stage.point(at);
+      if (stage.hovered !== before) tell("hovered", stage.hovered);
+    },
+    select({ id, following }) {
+      store.select(id);
+      store.follow(following);
+    },
+    past: (timeMs) => store.lookBack(timeMs),
+    retry: () => connection?.retryNow(),
+  };
+  port.onmessage = ({ data: [name, value] }) => wishes[/** @type {keyof Wishes} */ (name)](value);
+}
+
+/** @param {import("./state/object-state.js").ObjectState} state */
+function identityKey({ name, roundel, code }) {
+  return `${name}\n${roundel}\n${code ? `${code.bits} ${code.number}` : ""}`;
+}

@@ -1,0 +1,52 @@
+/** What the form of a camera's setup says, and what it is told. */
+
+import assert from "node:assert/strict";
+import { test } from "node:test";
+
+import { aimOf, orientationOf } from "../../../client/dashboard/js/panels/cameras/look-at.js";
+import { rotate } from "../../../client/dashboard/js/base/geometry.js";
+import { difference, given } from "../../../client/dashboard/js/panels/cameras/camera-form.js";
+
+const near = (a, b, message) => assert.ok(Math.abs(a - b) < 1e-9, `${message}: ${a} for ${b}`);
+const nearVector = (a, b, message) => ["x", "y", "z"].forEach((axis) => near(a[axis], b[axis], `${message} ${axis}`));
+
+test("a level camera has its right side level and its lower side down", () => {
+  const turn = orientationOf({ position: { x: 0, y: 0, z: 2 }, target: { x: 5, y: 0, z: 2 }, turnedDeg: 0 });
+  nearVector(rotate(turn, { x: 0, y: 0, z: 1 }), { x: 1, y: 0, z: 0 }, "ahead");
+  nearVector(rotate(turn, { x: 1, y: 0, z: 0 }), { x: 0, y: -1, z: 0 }, "right");
+  nearVector(rotate(turn, { x: 0, y: 1, z: 0 }), { x: 0, y: 0, z: -1 }, "down");
+});
+
+test("one that is turned has its right side further down", () => {
+  const turn = orientationOf({ position: { x: 0, y: 0, z: 2 }, target: { x: 5, y: 0, z: 2 }, turnedDeg: 90 });
+  nearVector(rotate(turn, { x: 1, y: 0, z: 0 }), { x: 0, y: 0, z: -1 }, "right");
+});
+
+test("straight down, the world's x is to the right", () => {
+  const turn = orientationOf({ position: { x: 1, y: 2, z: 3 }, target: { x: 1, y: 2, z: 0 }, turnedDeg: 0 });
+  nearVector(rotate(turn, { x: 1, y: 0, z: 0 }), { x: 1, y: 0, z: 0 }, "right");
+  nearVector(rotate(turn, { x: 0, y: 1, z: 0 }), { x: 0, y: -1, z: 0 }, "down");
+});
+
+test("what a camera looks at comes back, on the floor or a metre ahead", () => {
+  for (const [position, target, turnedDeg] of [
+    [{ x: 2.5, y: 2, z: 5 }, { x: 1.25, y: 1, z: 0 }, 0],
+    [{ x: -2.5, y: 2, z: 5 }, { x: 4, y: -3, z: 0 }, 37],
+    [{ x: 1, y: 1, z: 4 }, { x: 1, y: 1, z: 0 }, -120],
+    [{ x: 0, y: 0, z: 1 }, { x: 0, y: 1, z: 1 }, 180],
+  ]) {
+    const orientation = orientationOf({ position, target, turnedDeg });
+    near(Math.hypot(orientation.x, orientation.y, orientation.z, orientation.w), 1, "length");
+    const aim = aimOf({ position, orientation });
+    nearVector(aim.target, target, "target");
+    near(Math.abs(aim.turnedDeg), Math.abs(turnedDeg), "turn");
+  }
+  assert.equal(orientationOf({ position: { x: 1, y: 1, z: 1 }, target: { x: 1, y: 1, z: 1 }, turnedDeg: 0 }), null);
+});
+
+test("a server is told what changed, and of what is to be no more", () => {
+  const before = { name: "a", source: "push:", calibration: "a.yaml", pose: { unknown: true }, rate_hz: 30, mode: "" };
+  assert.deepEqual(difference(before, { ...before, pose: { unknown: true } }), {});
+  assert.deepEqual(difference(before, { ...before, rate_hz: null, mode: "fast", calibration: "" }), { rate_hz: null, mode: "fast", calibration: null });
+  assert.deepEqual(given({ ...before, rate_hz: null, calibration: "" }), { name: "a", source: "push:", pose: { unknown: true } });
+});

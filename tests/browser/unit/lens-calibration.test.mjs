@@ -1,0 +1,78 @@
+/** What is said and drawn of a lens calibration. */
+
+import assert from "node:assert/strict";
+import { test } from "node:test";
+
+import { zonesOf } from "../../../client/dashboard/js/panels/calibration/lens-preview.js";
+import { canFinish, isRunning, missingWords, parameterCells, progressOf, reportWords, sizeOf, stageWords, subjectOf } from "../../../client/dashboard/js/panels/calibration/lens-text.js";
+
+const LENS = {
+  stage: "gathering",
+  camera: "north",
+  source: "",
+  board: "7 x 5 roundels of 30 mm, 36 mm from centre to centre",
+  width: 1280,
+  height: 720,
+  frames: 12,
+  taken: 4,
+  enough: 20,
+  least: 5,
+  most: 40,
+  newest: "the board moves: hold it still for a moment",
+  newest_taken: false,
+  coverage: { columns: 3, rows: 3, zones: [0, 5, 0, 9, 40, 3, 4, 0, 0], visited_from: 4, share: 4 / 9 },
+  outlines: [],
+  outline: [],
+  missing: ["the board in the top left corner of the picture"],
+  left_out: "",
+  error: "",
+  report: null,
+  can_apply: true,
+  applied: "",
+};
+
+test("what to do is said while views are gathered, and what came of it at the end", () => {
+  assert.equal(stageWords(LENS), "4 views of 20, 44 % of the picture covered. The board moves: hold it still for a moment.");
+  assert.equal(stageWords({ ...LENS, frames: 0 }), "Waiting for the first picture.");
+  assert.match(stageWords({ ...LENS, stage: "idle" }), /^Print the board/);
+  assert.equal(stageWords({ ...LENS, stage: "done" }), "Done. Nothing uses it yet.");
+  assert.equal(stageWords({ ...LENS, stage: "done", applied: "north.lens-1.yaml" }), "Done. It is kept as north.lens-1.yaml, and camera north uses it.");
+  assert.equal(stageWords({ ...LENS, stage: "done", camera: "", applied: "x.lens-1.yaml" }), "Done. It is kept as x.lens-1.yaml.");
+  assert.deepEqual(["idle", "gathering", "solving", "done", "failed"].map((stage) => isRunning({ ...LENS, stage })), [false, true, true, false, false]);
+  assert.equal(subjectOf({ ...LENS, camera: "", source: "sim:" }), "sim:");
+});
+
+test("what is missing is listed, and progress is not whole before it is there", () => {
+  assert.deepEqual(missingWords(LENS), ["The board in the top left corner of the picture."]);
+  assert.deepEqual(missingWords({ ...LENS, missing: [] }), ["Nothing certain: more views from anywhere."]);
+  assert.deepEqual(missingWords({ ...LENS, missing: [], taken: 20 }), []);
+  assert.deepEqual(missingWords({ ...LENS, stage: "done" }), []);
+  assert.equal(progressOf(LENS), 0.2);
+  assert.equal(progressOf({ ...LENS, taken: 30 }), 0.95);
+  assert.equal(progressOf({ ...LENS, taken: 30, missing: [] }), 1);
+  assert.deepEqual([4, 5].map((taken) => canFinish({ ...LENS, taken })), [false, true]);
+  assert.equal(canFinish({ ...LENS, taken: 9, stage: "solving" }), false);
+});
+
+test("parameters have the decimals that their deviations allow", () => {
+  assert.deepEqual(parameterCells({ name: "fx", value: 912.04567, deviation: 0.0451, unit: "px" }), ["912.046 px", "± 0.045 px"]);
+  assert.deepEqual(parameterCells({ name: "k1", value: -0.14012, deviation: 0.00021, unit: "" }), ["−0.14012", "± 0.00021"]);
+  assert.deepEqual(parameterCells({ name: "fx", value: 912.4, deviation: 23, unit: "px" }), ["912 px", "± 23 px"]);
+  const report = { distortion_model: "plumb_bob", parameters: [], rms_px: 0.0312, views: 19, views_left_out: 1, outliers: 0, width_warning: "" };
+  assert.equal(reportWords(report), "plumb_bob, from 19 views, 1 left out since they contradict the others; seen and predicted centres differ by 0.031 px rms.");
+  const off = reportWords({ ...report, width_warning: "the roundels look 30.58 mm wide, not 30.00" });
+  assert.ok(off.endsWith("0.031 px rms. The roundels look 30.58 mm wide, not 30.00."), off);
+});
+
+test("zones are thirds of the picture, done from so many roundels on", () => {
+  const zones = zonesOf(LENS);
+  assert.deepEqual(zones.map((zone) => zone.isDone), [false, true, false, true, true, false, true, false, false]);
+  const { left, top, width, height } = zones[5];
+  [left - 2560 / 3, top - 240, width - 1280 / 3, height - 240].forEach((off) => assert.ok(Math.abs(off) < 1e-9));
+  assert.deepEqual(zonesOf({ ...LENS, coverage: { ...LENS.coverage, zones: [] } }), []);
+});
+
+test("a size is two numbers", () => {
+  for (const text of ["1920x1080", " 1920 x 1080 ", "1920×1080", "1920X1080"]) assert.deepEqual(sizeOf(text), { width: 1920, height: 1080 });
+  for (const text of ["", "1920", "1920x", "x1080", "1920x1080x3", "-1x5", "1e3x5"]) assert.equal(sizeOf(text), null);
+});

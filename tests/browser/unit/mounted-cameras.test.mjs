@@ -1,0 +1,67 @@
+/** Cameras that ride: placed by what carries them, in every snapshot anew. */
+
+import assert from "node:assert/strict";
+import { test } from "node:test";
+
+import { compose, multiply, rotate } from "../../../client/dashboard/js/base/geometry.js";
+import { readCameras, readSnapshot } from "../../../client/dashboard/js/wire/messages.js";
+import { carried } from "../../../client/dashboard/js/state/mounted-cameras.js";
+
+const HALF = Math.SQRT1_2;
+/** A quarter turn about z. */
+const LEFT = { x: 0, y: 0, z: HALF, w: HALF };
+
+const [CAMERA] = readCameras([
+  {
+    name: "aboard",
+    status: "running",
+    carrier: "drone",
+    pose: { position: { x: 9, y: 9, z: 9 }, orientation: { x: 0, y: 0, z: 0, w: 1 } },
+    mount: { position: { x: 0.5, y: 0, z: -0.1 }, orientation: { x: 1, y: 0, z: 0, w: 0 } },
+    pose_status: "riding",
+  },
+]);
+
+function drones(...changes) {
+  const drone = {
+    object_id: 1, name: "drone", stage: "tracked", yaw_observed: true, orientation: LEFT,
+    position: { x: 1, y: 2, z: 3 },
+  };
+  return readSnapshot({ objects: changes.map((change) => ({ ...drone, ...change })) }).objects;
+}
+
+function near(a, b) {
+  for (const key of Object.keys(b)) assert.ok(Math.abs(a[key] - b[key]) < 1e-12, `${key}: ${a[key]}, not ${b[key]}`);
+}
+
+test("rotations in a row are their product", () => {
+  const v = { x: 0.3, y: -1.2, z: 0.7 };
+  const tilt = { x: 0.6, y: 0, z: 0, w: 0.8 };
+  near(rotate(multiply(LEFT, tilt), v), rotate(LEFT, rotate(tilt, v)));
+  const there = compose({ position: v, orientation: LEFT }, { position: { x: 1, y: 0, z: 0 }, orientation: tilt });
+  near(there.position, { x: 0.3, y: -0.2, z: 0.7 });
+});
+
+test("a camera is where its object has carried it", () => {
+  const { pose } = carried(CAMERA, drones({}));
+  near(pose.position, { x: 1, y: 2.5, z: 2.9 });
+  near(rotate(pose.orientation, { x: 0, y: 0, z: 1 }), { x: 0, y: 0, z: -1 });
+  near(rotate(pose.orientation, { x: 1, y: 0, z: 0 }), { x: 0, y: 1, z: 0 });
+});
+
+test("without such an object it is where the server says, or nowhere", () => {
+  for (const objects of [
+    drones(),
+    drones({ name: "another" }),
+    drones({ stage: "lost" }),
+    drones({ yaw_observed: false }),
+    drones({ position: null }),
+    drones({}, { object_id: 2 }),
+  ]) {
+    assert.deepEqual(carried(CAMERA, objects).pose, CAMERA.pose);
+  }
+  const unplaced = { ...CAMERA, pose: null };
+  assert.equal(carried(unplaced, drones({})).pose, null);
+  const standing = { ...CAMERA, mount: null, carrier: "" };
+  assert.deepEqual(carried(standing, drones({})).pose, CAMERA.pose);
+});
