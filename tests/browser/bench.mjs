@@ -94,7 +94,7 @@ async function measureFrames(browser, url, mode) {
   await page.locator(`input[name=mode][value=${mode}]`).check();
   const draws = await countDraws(page);
   await page.waitForTimeout(WARM_UP_MS);
-  console.log(`${mode}: ${await frameWords(browser, page, mode, draws, TRACE_MS)}`);
+  console.log(`${mode}: ${await frameText(browser, page, mode, draws, TRACE_MS)}`);
   await context.close();
 }
 
@@ -109,7 +109,7 @@ async function openBusy(browser, url) {
   return opened;
 }
 
-async function frameWords(browser, page, mode, draws, lengthMs) {
+async function frameText(browser, page, mode, draws, lengthMs) {
   const events = await traced(browser, () => page.waitForTimeout(lengthMs));
   if (process.env.TRACE_FILE) writeFileSync(`${process.env.TRACE_FILE}-${mode}.json`, JSON.stringify(events));
   const [frames, drawn] = ["CrRendererMain", "DedicatedWorker thread"].map((name) => framesOf(events, name));
@@ -184,17 +184,17 @@ async function measureMinutes(browser, url) {
     const mode = minute % 2 ? "space" : "top";
     await page.locator(`input[name=mode][value=${mode}]`).check();
     if (minute > 0) await page.waitForTimeout(60_000 - SAMPLE_MS);
-    const frames = await frameWords(browser, page, mode, draws, SAMPLE_MS);
+    const frames = await frameText(browser, page, mode, draws, SAMPLE_MS);
     const { metrics } = await session.send("Performance.getMetrics");
     const { value: nodes } = metrics.find(({ name }) => name === "Nodes");
-    const of = await heapWords((method) => session.send(method));
-    console.log(`after ${minute} min, ${mode}: page ${of}, worker ${await heapWords(inWorker)}, ${nodes} nodes; ${frames}`);
+    const of = await heapText((method) => session.send(method));
+    console.log(`after ${minute} min, ${mode}: page ${of}, worker ${await heapText(inWorker)}, ${nodes} nodes; ${frames}`);
   }
   await context.close();
 }
 
 /** What is held after all that nobody holds has been let go of. */
-async function heapWords(send) {
+async function heapText(send) {
   await send("HeapProfiler.collectGarbage");
   const { usedSize, backingStorageSize = 0 } = await send("Runtime.getHeapUsage");
   return `${(usedSize / 1e6).toFixed(1)} MB of objects and ${(backingStorageSize / 1e6).toFixed(1)} MB of arrays`;

@@ -60,7 +60,7 @@ describe("calibration of the arena", () => {
   });
 
   test("a grave finding waits for a person's word", async () => {
-    await withCalibrator({ isGrave: true }, async (page, calibrator) => {
+    await withCalibrator({ isSevere: true }, async (page, calibrator) => {
       await page.locator("#calibration-start").click();
       await words(page, "The cameras have not taken it over");
       await page.locator(".findings .grave", { hasText: "Grave: Reference 2 appears 50.1 mm" }).waitFor();
@@ -108,7 +108,7 @@ describe("calibration of the arena", () => {
   for (const context of [{ colorScheme: "light" }, { colorScheme: "dark", viewport: { width: 390, height: 844 } }]) {
     test(`axe finds nothing serious with ${JSON.stringify(context)}`, async () => {
       await withCalibrator(
-        { isGrave: true },
+        { isSevere: true },
         async (page) => {
           await page.locator("#calibration-start").click();
           await page.locator(".findings .grave").waitFor();

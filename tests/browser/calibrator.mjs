@@ -4,11 +4,11 @@ const LOOKS_OF_RECORDING = 3;
 const LOOKS_OF_SOLVING = 2;
 
 export class Calibrator {
-  /** @param {string[]} cameras their names; @param {{refuses?: string, isGrave?: boolean}} [options] */
-  constructor(cameras, { refuses = "", isGrave = false } = {}) {
+  /** @param {string[]} cameras their names; @param {{refuses?: string, isSevere?: boolean}} [options] */
+  constructor(cameras, { refuses = "", isSevere = false } = {}) {
     this.cameras = cameras;
     this.refuses = refuses;
-    this.isGrave = isGrave;
+    this.isSevere = isSevere;
     this.version = 0;
     this.asked = [];
     /** Nothing goes on by itself while this holds: a slow page misses no step. */
@@ -52,7 +52,7 @@ export class Calibrator {
     if (this.looks <= LOOKS_OF_RECORDING + LOOKS_OF_SOLVING) return;
     this.stage = "done";
     const findings = [{ message: "camera south-east is weakly tied: let robots drive longer there", grave: false }];
-    if (this.isGrave) {
+    if (this.isSevere) {
       findings.unshift({ message: "reference 2 appears 50.1 mm from where it was said to be", grave: true });
     } else {
       this.version += 1;
@@ -75,7 +75,7 @@ export class Calibrator {
       length_s: this.seconds,
       steps: 12,
       solve_s: 1.3,
-      sound: !this.isGrave,
+      sound: !this.isSevere,
     };
   }
 

@@ -1,31 +1,31 @@
 /** The page's end of the line to the worker that keeps pace with the stream (worker-runtime.js). */
 
-/** @typedef {import("./worker-runtime.js").Wishes} Wishes */
-/** @typedef {import("./worker-runtime.js").Told} Told */
+/** @typedef {import("./worker-runtime.js").Commands} Commands */
+/** @typedef {import("./worker-runtime.js").Notifications} Notifications */
 
-export class Link {
+export class WorkerClient {
   /** @param {() => void} onFailure is called if the worker's program cannot be loaded, or ends */
   constructor(onFailure) {
-    /** @type {Partial<{[Name in keyof Told]: (value: Told[Name]) => void}>} */
+    /** @type {Partial<{[Name in keyof Notifications]: (value: Notifications[Name]) => void}>} */
     this.listeners = {};
     this.port = canDrawElsewhere() ? startWorker() : startHere();
     if (this.port instanceof Worker) this.port.onerror = onFailure;
-    this.port.onmessage = ({ data: [name, value] }) => this.listeners[/** @type {keyof Told} */ (name)]?.(value);
+    this.port.onmessage = ({ data: [name, value] }) => this.listeners[/** @type {keyof Notifications} */ (name)]?.(value);
   }
 
   /**
-   * @template {keyof Told} Name
+   * @template {keyof Notifications} Name
    * @param {Name} name
-   * @param {(value: Told[Name]) => void} listener
+   * @param {(value: Notifications[Name]) => void} listener
    */
   on(name, listener) {
     this.listeners[name] = listener;
   }
 
   /**
-   * @template {keyof Wishes} Name
+   * @template {keyof Commands} Name
    * @param {Name} name
-   * @param {Parameters<Wishes[Name]>[0]} [value]
+   * @param {Parameters<Commands[Name]>[0]} [value]
    * @param {Transferable[]} [transfer] goes over and is gone here
    */
   send(name, value, transfer = []) {
@@ -53,6 +53,6 @@ function startHere() {
   const there = { postMessage: (data) => queueMicrotask(() => here.onmessage?.(/** @type {MessageEvent} */ ({ data }))), onmessage: null };
   /** @type {{postMessage: (data: any, transfer?: Transferable[]) => void, onmessage: ((event: MessageEvent) => any) | null}} */
   const here = { postMessage: (data) => void ready.then(() => there.onmessage?.(/** @type {MessageEvent} */ ({ data }))), onmessage: null };
-  const ready = import("./worker-runtime.js").then(({ runEngine }) => runEngine(there));
+  const ready = import("./worker-runtime.js").then(({ runWorker }) => runWorker(there));
   return here;
 }

@@ -4,12 +4,12 @@
  * clicks; where a browser cannot draw in a worker, in the page itself (worker-client.js).
  *
  * The page is told what it shows as text: ten snapshots a second, read already, since that takes its time as well, and
- * every message of another kind, as it came. What it is told and tells is `[name, value]`, with the names of `Told` and
- * `Wishes`.
+ * every message of another kind, as it came. What it is told and tells is `[name, value]`, with the names of `Notifications` and
+ * `Commands`.
  */
 
 import { connect } from "./wire/connection.js";
-import { Gauge } from "./state/stream-statistics.js";
+import { StreamStatistics } from "./state/stream-statistics.js";
 import { Stage } from "./arena/stage.js";
 import { Store } from "./state/store.js";
 
@@ -18,13 +18,13 @@ const REPORT_MS = 100;
 
 /**
  * What the page tells.
- * @typedef {object} Wishes
+ * @typedef {object} Commands
  * @property {(value: {url: string, canvases: import("./arena/stage.js").Canvases, palette: import("./arena/palette.js").Palette}) => void} open comes first
  * @property {(size: {width: number, height: number, ratio: number}) => void} size of the arena, CSS pixels; none: it is hidden
  * @property {(palette: import("./arena/palette.js").Palette) => void} palette
  * @property {(mode: import("./arena/stage.js").StageMode) => void} show answered by `shown`
  * @property {(look: {exaggeration: number, trails: boolean}) => void} look
- * @property {(overlay: import("./state/trajectories.js").Overlay | null) => void} overlay
+ * @property {(overlay: import("./state/trajectories.js").HistoryOverlay | null) => void} overlay
  * @property {(by: [number, number, boolean]) => void} drag
  * @property {(by: [number, number, number]) => void} zoom
  * @property {() => void} fit
@@ -39,12 +39,12 @@ const REPORT_MS = 100;
 
 /**
  * What the page is told.
- * @typedef {object} Told
+ * @typedef {object} Notifications
  * @property {import("./wire/connection.js").ConnectionState} connection its times count from the Unix epoch
  * @property {string | ArrayBuffer} data a message that holds no snapshot
- * @property {import("./state/store.js").Packed} snapshot
+ * @property {import("./state/store.js").PackedSnapshot} snapshot
  * @property {import("./state/stream-statistics.js").Report} report
- * @property {import("./arena/stage.js").Sight} sight
+ * @property {import("./arena/stage.js").VisibleArea} sight
  * @property {import("./arena/stage.js").StageMode} shown
  * @property {number | null} picked
  * @property {number | null} hovered
@@ -53,9 +53,9 @@ const REPORT_MS = 100;
 /** @typedef {{postMessage: (message: any, transfer?: Transferable[]) => void, onmessage: ((event: MessageEvent) => any) | null}} Port */
 
 /** @param {Port} port to the page */
-export function runEngine(port) {
+export function runWorker(port) {
   const store = new Store();
-  const gauge = new Gauge();
+  const statistics = new StreamStatistics();
   /** @type {Stage | null} */
   let stage = null;
   /** @type {{retryNow: () => void} | null} */
@@ -64,14 +64,14 @@ export function runEngine(port) {
   /** What the page was told last of who is who, by id. @type {Map<number, string>} */
   let identified = new Map();
 
-  /** @type {<Name extends keyof Told>(name: Name, value: Told[Name], transfer?: Transferable[]) => void} */
-  const tell = (name, value, transfer = []) => port.postMessage([name, value], transfer);
+  /** @type {<Name extends keyof Notifications>(name: Name, value: Notifications[Name], transfer?: Transferable[]) => void} */
+  const notify = (name, value, transfer = []) => port.postMessage([name, value], transfer);
 
   /** @param {import("./wire/messages.js").Message} message @param {string | ArrayBuffer} data */
   const take = (message, data) => {
     store.take(message);
-    if (!message.snapshot) return tell("data", data);
-    gauge.take(message.snapshot, performance.now());
+    if (!message.snapshot) return notify("data", data);
+    statistics.take(message.snapshot, performance.now());
     // The page needs no more than what the last minute keeps.
     if (store.history.newestMs === message.snapshot.poseTimeMs) tellSnapshot(message.snapshot);
   };
@@ -88,27 +88,27 @@ export function runEngine(port) {
     identified = new Map([...objects, ...lost].map((state) => [state.id, identityKey(state)]));
     const identities = [...history.identities].filter(([id]) => identified.has(id) && identified.get(id) !== known.get(id));
     const arrays = [frame, gone].flatMap(({ ids, values, cameras, flags }) => [ids.buffer, values.buffer, cameras.buffer, flags.buffer]);
-    tell("snapshot", { sourceId, frame, lost: gone, identities, cameraNames: history.cameraNames }, arrays);
+    notify("snapshot", { sourceId, frame, lost: gone, identities, cameraNames: history.cameraNames }, arrays);
   };
 
   /** @param {import("./wire/connection.js").ConnectionState} state */
   const become = (state) => {
-    if (state.phase !== store.connection.phase) gauge.begin(performance.now());
+    if (state.phase !== store.connection.phase) statistics.begin(performance.now());
     store.setConnection(state);
     const { sinceMs, retryAtMs } = state;
-    tell("connection", { ...state, sinceMs: sinceMs + performance.timeOrigin, retryAtMs: retryAtMs && retryAtMs + performance.timeOrigin });
+    notify("connection", { ...state, sinceMs: sinceMs + performance.timeOrigin, retryAtMs: retryAtMs && retryAtMs + performance.timeOrigin });
   };
 
-  /** @type {Wishes} */
-  const wishes = {
+  /** @type {Commands} */
+  const commands = {
     open({ url, canvases, palette }) {
-      stage = new Stage(store, canvases, palette, (sight) => tell("sight", sight));
+      stage = new Stage(store, canvases, palette, (sight) => notify("sight", sight));
       connection = connect(url, { onMessage: take, onState: become });
-      setInterval(() => tell("report", gauge.report(performance.now())), REPORT_MS);
+      setInterval(() => notify("report", statistics.report(performance.now())), REPORT_MS);
     },
     size: (size) => stage?.resize(size),
     palette: (palette) => stage?.setPalette(palette),
-    show: async (mode) => stage && tell("shown", await stage.show(mode)),
+    show: async (mode) => stage && notify("shown", await stage.show(mode)),
     look: (look) => stage?.setLook(look),
     overlay: (overlay) => stage?.setOverlay(overlay),
     drag: (by) => stage?.drag(...by),
@@ -116,21 +116,21 @@ export function runEngine(port) {
     fit: () => stage?.fit(),
     tape: (isOut) => stage?.takeTape(isOut),
     measure: ({ px, py, coarse }) => stage?.measureAt(px, py, coarse),
-    pick: ({ px, py, coarse }) => stage && tell("picked", stage.objectAt(px, py, coarse)),
+    pick: ({ px, py, coarse }) => stage && notify("picked", stage.objectAt(px, py, coarse)),
     point(at) {
       if (!stage) return;
       const before = stage.hovered;
       stage.point(at);
-      if (stage.hovered !== before) tell("hovered", stage.hovered);
+      if (stage.hovered !== before) notify("hovered", stage.hovered);
     },
     select({ id, following }) {
       store.select(id);
       store.follow(following);
     },
-    past: (timeMs) => store.lookBack(timeMs),
+    past: (timeMs) => store.seekTo(timeMs),
     retry: () => connection?.retryNow(),
   };
-  port.onmessage = ({ data: [name, value] }) => wishes[/** @type {keyof Wishes} */ (name)](value);
+  port.onmessage = ({ data: [name, value] }) => commands[/** @type {keyof Commands} */ (name)](value);
 }
 
 /** @param {import("./state/object-state.js").ObjectState} state */

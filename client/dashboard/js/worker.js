@@ -1,5 +1,5 @@
 /** The worker's begin: see worker-runtime.js. */
 
-import { runEngine } from "./worker-runtime.js";
+import { runWorker } from "./worker-runtime.js";
 
-runEngine(/** @type {import("./worker-runtime.js").Port} */ (/** @type {unknown} */ (self)));
+runWorker(/** @type {import("./worker-runtime.js").Port} */ (/** @type {unknown} */ (self)));

@@ -3,9 +3,9 @@
 import assert from "node:assert/strict";
 import { test } from "node:test";
 
-import { aimOf, orientationOf } from "../../../client/dashboard/js/panels/cameras/look-at.js";
+import { lookAtOf, orientationOf } from "../../../client/dashboard/js/panels/cameras/look-at.js";
 import { rotate } from "../../../client/dashboard/js/base/geometry.js";
-import { difference, given } from "../../../client/dashboard/js/panels/cameras/camera-form.js";
+import { changedFields, withoutEmpty } from "../../../client/dashboard/js/panels/cameras/camera-form.js";
 
 const near = (a, b, message) => assert.ok(Math.abs(a - b) < 1e-9, `${message}: ${a} for ${b}`);
 const nearVector = (a, b, message) => ["x", "y", "z"].forEach((axis) => near(a[axis], b[axis], `${message} ${axis}`));
@@ -37,7 +37,7 @@ test("what a camera looks at comes back, on the floor or a metre ahead", () => {
   ]) {
     const orientation = orientationOf({ position, target, turnedDeg });
     near(Math.hypot(orientation.x, orientation.y, orientation.z, orientation.w), 1, "length");
-    const aim = aimOf({ position, orientation });
+    const aim = lookAtOf({ position, orientation });
     nearVector(aim.target, target, "target");
     near(Math.abs(aim.turnedDeg), Math.abs(turnedDeg), "turn");
   }
@@ -46,7 +46,7 @@ test("what a camera looks at comes back, on the floor or a metre ahead", () => {
 
 test("a server is told what changed, and of what is to be no more", () => {
   const before = { name: "a", source: "push:", calibration: "a.yaml", pose: { unknown: true }, rate_hz: 30, mode: "" };
-  assert.deepEqual(difference(before, { ...before, pose: { unknown: true } }), {});
-  assert.deepEqual(difference(before, { ...before, rate_hz: null, mode: "fast", calibration: "" }), { rate_hz: null, mode: "fast", calibration: null });
-  assert.deepEqual(given({ ...before, rate_hz: null, calibration: "" }), { name: "a", source: "push:", pose: { unknown: true } });
+  assert.deepEqual(changedFields(before, { ...before, pose: { unknown: true } }), {});
+  assert.deepEqual(changedFields(before, { ...before, rate_hz: null, mode: "fast", calibration: "" }), { rate_hz: null, mode: "fast", calibration: null });
+  assert.deepEqual(withoutEmpty({ ...before, rate_hz: null, calibration: "" }), { name: "a", source: "push:", pose: { unknown: true } });
 });

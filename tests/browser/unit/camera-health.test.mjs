@@ -3,7 +3,7 @@
 import assert from "node:assert/strict";
 import { test } from "node:test";
 
-import { illnesses, Latencies, sameIllnesses, verdict, Vitals } from "../../../client/dashboard/js/state/camera-health.js";
+import { cameraProblems, Latencies, groupProblems, healthSummary, FrameCounters } from "../../../client/dashboard/js/state/camera-health.js";
 import { readCameras } from "../../../client/dashboard/js/wire/messages.js";
 
 const POSE = { position: { x: 0, y: 0, z: 5 }, orientation: { x: 1, y: 0, z: 0, w: 0 } };
@@ -14,12 +14,12 @@ function camera(more = {}) {
   return readCameras([{ ...well, ...more }])[0];
 }
 
-const words = (more, shares = null) => illnesses(camera(more), shares).map(({ why }) => why).join(" ");
+const words = (more, shares = null) => cameraProblems(camera(more), shares).map(({ why }) => why).join(" ");
 
 test("one that is well has no complaint", () => {
-  assert.deepEqual(illnesses(camera(), { dropped: 0.05, broken: 0, missing: 0 }), []);
+  assert.deepEqual(cameraProblems(camera(), { dropped: 0.05, broken: 0, missing: 0 }), []);
   const agreed = { state: "agrees", position_error_m: 0.001, rotation_error_rad: 0.0001 };
-  assert.deepEqual(illnesses(camera({ agreement: agreed, clock: { offset_ms: 30, deviation_ms: 0.1 } }), null), []);
+  assert.deepEqual(cameraProblems(camera({ agreement: agreed, clock: { offset_ms: 30, deviation_ms: 0.1 } }), null), []);
 });
 
 test("what stops it is grave and told alone", () => {
@@ -32,9 +32,9 @@ test("what stops it is grave and told alone", () => {
     [{ link: { sender: "node", connected: false } }, /not connected/],
     [{ rate_hz: 0 }, /^No frames come\.$/],
   ]) {
-    const found = illnesses(camera({ ...more, blur_px: 5, rate_reason: "gives 3 frames a second" }), null);
+    const found = cameraProblems(camera({ ...more, blur_px: 5, rate_reason: "gives 3 frames a second" }), null);
     assert.equal(found.length, 1, JSON.stringify(more));
-    assert.equal(found[0].isGrave, true);
+    assert.equal(found[0].isSevere, true);
     assert.match(found[0].why, expected);
   }
 });
@@ -51,16 +51,16 @@ test("what only harms it is told in full", () => {
 });
 
 test("shares are of the last ten seconds, and begin anew with the server", () => {
-  const vitals = new Vitals();
+  const frameCounters = new FrameCounters();
   const counts = (frames, dropped) => [camera({ frames, dropped })];
-  vitals.take(counts(1000, 500), 0);
-  assert.equal(vitals.shares("north"), null, "nothing is said of one message");
-  for (let second = 1; second <= 20; second += 1) vitals.take(counts(1000 + 30 * second, 500 + (second > 10 ? 10 * (second - 10) : 0)), second * 1000);
-  assert.ok(Math.abs(vitals.shares("north").dropped - 0.25) < 0.01, `${vitals.shares("north").dropped}`);
-  vitals.take(counts(30, 0), 21_000);
-  assert.equal(vitals.shares("north"), null);
-  vitals.take([], 22_000);
-  assert.equal(vitals.counts.size, 0);
+  frameCounters.take(counts(1000, 500), 0);
+  assert.equal(frameCounters.shares("north"), null, "nothing is said of one message");
+  for (let second = 1; second <= 20; second += 1) frameCounters.take(counts(1000 + 30 * second, 500 + (second > 10 ? 10 * (second - 10) : 0)), second * 1000);
+  assert.ok(Math.abs(frameCounters.shares("north").dropped - 0.25) < 0.01, `${frameCounters.shares("north").dropped}`);
+  frameCounters.take(counts(30, 0), 21_000);
+  assert.equal(frameCounters.shares("north"), null);
+  frameCounters.take([], 22_000);
+  assert.equal(frameCounters.counts.size, 0);
 });
 
 test("lateness has quantiles and a histogram of the newest ones", () => {
@@ -76,28 +76,28 @@ test("lateness has quantiles and a histogram of the newest ones", () => {
 });
 
 test("all cameras make one sentence", () => {
-  assert.equal(verdict(0, 0), "No cameras");
-  assert.equal(verdict(1, 0), "Camera well");
-  assert.equal(verdict(16, 0), "All 16 cameras well");
-  assert.equal(verdict(16, 2), "2 of 16 cameras unwell");
+  assert.equal(healthSummary(0, 0), "No cameras");
+  assert.equal(healthSummary(1, 0), "Camera well");
+  assert.equal(healthSummary(16, 0), "All 16 cameras well");
+  assert.equal(healthSummary(16, 2), "2 of 16 cameras unwell");
 });
 
 test("who ails from the same is named together, with how much from least to most", () => {
-  const ill = (name, why, isGrave = false) => ({ name, ills: [{ isGrave, why }] });
+  const ill = (name, why, isSevere = false) => ({ name, problems: [{ isSevere, why }] });
   assert.deepEqual(
-    sameIllnesses([
+    groupProblems([
       ill("a", "39 % of its frames are left out."),
       ill("b", "It gives nothing.", true),
       ill("c", "35 % of its frames are left out."),
       ill("d", "9.5 % of its frames are left out."),
     ]),
     [
-      { names: ["a", "c", "d"], why: "9.5 to 39 % of its frames are left out.", isGrave: false },
-      { names: ["b"], why: "It gives nothing.", isGrave: true },
+      { names: ["a", "c", "d"], why: "9.5 to 39 % of its frames are left out.", isSevere: false },
+      { names: ["b"], why: "It gives nothing.", isSevere: true },
     ],
   );
   // Numbers that are part of an address, a file or a device are no amounts.
   for (const [one, other] of [["No route to host 10.0.0.4.", "No route to host 10.0.0.5."], ["/dev/video0 is gone.", "/dev/video1 is gone."], ["http://cam:81/a fails.", "http://cam:82/a fails."]]) {
-    assert.equal(sameIllnesses([ill("a", one), ill("b", other)]).length, 2, one);
+    assert.equal(groupProblems([ill("a", one), ill("b", other)]).length, 2, one);
   }
 });

@@ -18,7 +18,7 @@ function circling(id, seconds, more = {}) {
     positionM: { x: c, y: s, z: 0.3 },
     orientation: { x: 0, y: 0, z: 0, w: 1 },
     yawObserved: id === 7,
-    eitherWay: false,
+    isHeadingAmbiguous: false,
     velocityMS: { x: -s, y: c, z: 0 },
     covariance: Array.from({ length: 21 }, (_, i) => ([0, 6, 11].includes(i) ? 4e-6 : 0)),
     cameras: ["north", "south"],

@@ -4,7 +4,7 @@ import assert from "node:assert/strict";
 import { test } from "node:test";
 
 import { zonesOf } from "../../../client/dashboard/js/panels/calibration/lens-preview.js";
-import { canFinish, isRunning, missingWords, parameterCells, progressOf, reportWords, sizeOf, stageWords, subjectOf } from "../../../client/dashboard/js/panels/calibration/lens-text.js";
+import { canFinish, isRunning, missingText, parameterCells, progressOf, reportText, sizeOf, stageText, subjectOf } from "../../../client/dashboard/js/panels/calibration/lens-text.js";
 
 const LENS = {
   stage: "gathering",
@@ -32,21 +32,21 @@ const LENS = {
 };
 
 test("what to do is said while views are gathered, and what came of it at the end", () => {
-  assert.equal(stageWords(LENS), "4 views of 20, 44 % of the picture covered. The board moves: hold it still for a moment.");
-  assert.equal(stageWords({ ...LENS, frames: 0 }), "Waiting for the first picture.");
-  assert.match(stageWords({ ...LENS, stage: "idle" }), /^Print the board/);
-  assert.equal(stageWords({ ...LENS, stage: "done" }), "Done. Nothing uses it yet.");
-  assert.equal(stageWords({ ...LENS, stage: "done", applied: "north.lens-1.yaml" }), "Done. It is kept as north.lens-1.yaml, and camera north uses it.");
-  assert.equal(stageWords({ ...LENS, stage: "done", camera: "", applied: "x.lens-1.yaml" }), "Done. It is kept as x.lens-1.yaml.");
+  assert.equal(stageText(LENS), "4 views of 20, 44 % of the picture covered. The board moves: hold it still for a moment.");
+  assert.equal(stageText({ ...LENS, frames: 0 }), "Waiting for the first picture.");
+  assert.match(stageText({ ...LENS, stage: "idle" }), /^Print the board/);
+  assert.equal(stageText({ ...LENS, stage: "done" }), "Done. Nothing uses it yet.");
+  assert.equal(stageText({ ...LENS, stage: "done", applied: "north.lens-1.yaml" }), "Done. It is kept as north.lens-1.yaml, and camera north uses it.");
+  assert.equal(stageText({ ...LENS, stage: "done", camera: "", applied: "x.lens-1.yaml" }), "Done. It is kept as x.lens-1.yaml.");
   assert.deepEqual(["idle", "gathering", "solving", "done", "failed"].map((stage) => isRunning({ ...LENS, stage })), [false, true, true, false, false]);
   assert.equal(subjectOf({ ...LENS, camera: "", source: "sim:" }), "sim:");
 });
 
 test("what is missing is listed, and progress is not whole before it is there", () => {
-  assert.deepEqual(missingWords(LENS), ["The board in the top left corner of the picture."]);
-  assert.deepEqual(missingWords({ ...LENS, missing: [] }), ["Nothing certain: more views from anywhere."]);
-  assert.deepEqual(missingWords({ ...LENS, missing: [], taken: 20 }), []);
-  assert.deepEqual(missingWords({ ...LENS, stage: "done" }), []);
+  assert.deepEqual(missingText(LENS), ["The board in the top left corner of the picture."]);
+  assert.deepEqual(missingText({ ...LENS, missing: [] }), ["Nothing certain: more views from anywhere."]);
+  assert.deepEqual(missingText({ ...LENS, missing: [], taken: 20 }), []);
+  assert.deepEqual(missingText({ ...LENS, stage: "done" }), []);
   assert.equal(progressOf(LENS), 0.2);
   assert.equal(progressOf({ ...LENS, taken: 30 }), 0.95);
   assert.equal(progressOf({ ...LENS, taken: 30, missing: [] }), 1);
@@ -59,8 +59,8 @@ test("parameters have the decimals that their deviations allow", () => {
   assert.deepEqual(parameterCells({ name: "k1", value: -0.14012, deviation: 0.00021, unit: "" }), ["−0.14012", "± 0.00021"]);
   assert.deepEqual(parameterCells({ name: "fx", value: 912.4, deviation: 23, unit: "px" }), ["912 px", "± 23 px"]);
   const report = { distortion_model: "plumb_bob", parameters: [], rms_px: 0.0312, views: 19, views_left_out: 1, outliers: 0, width_warning: "" };
-  assert.equal(reportWords(report), "plumb_bob, from 19 views, 1 left out since they contradict the others; seen and predicted centres differ by 0.031 px rms.");
-  const off = reportWords({ ...report, width_warning: "the roundels look 30.58 mm wide, not 30.00" });
+  assert.equal(reportText(report), "plumb_bob, from 19 views, 1 left out since they contradict the others; seen and predicted centres differ by 0.031 px rms.");
+  const off = reportText({ ...report, width_warning: "the roundels look 30.58 mm wide, not 30.00" });
   assert.ok(off.endsWith("0.031 px rms. The roundels look 30.58 mm wide, not 30.00."), off);
 });
 

@@ -5,7 +5,7 @@ import { test } from "node:test";
 
 import { degrees, duration, fixed, significant, whole } from "../../../client/dashboard/js/base/format.js";
 import { readCameras, readEvent, readInfo, readSnapshot } from "../../../client/dashboard/js/wire/messages.js";
-import { trialWords } from "../../../client/dashboard/js/panels/cameras/source-test.js";
+import { sourceTestText } from "../../../client/dashboard/js/panels/cameras/source-test.js";
 
 const SNAPSHOT = {
   sequence: 7,
@@ -65,12 +65,12 @@ test("a heading is given where the yaw is observed", () => {
   const object = { ...SNAPSHOT.objects[0], yaw_observed: true, orientation: { x: 0, y: 0, z: 1, w: 1 } };
   const [state] = readSnapshot({ ...SNAPSHOT, objects: [object] }).objects;
   assert.ok(Math.abs(state.headingRad - Math.PI / 2) < 1e-12);
-  assert.equal(state.eitherWay, false);
+  assert.equal(state.isHeadingAmbiguous, false);
 });
 
 test("a heading whose opposite looks the same says so", () => {
   const object = { ...SNAPSHOT.objects[0], yaw_observed: true, yaw_symmetry: 2 };
-  assert.equal(readSnapshot({ ...SNAPSHOT, objects: [object] }).objects[0].eitherWay, true);
+  assert.equal(readSnapshot({ ...SNAPSHOT, objects: [object] }).objects[0].isHeadingAmbiguous, true);
 });
 
 test("a code is given once it is read", () => {
@@ -117,10 +117,10 @@ test("who feeds a camera is known where a program does", () => {
 test("what a tried source gave is said in a sentence", () => {
   const trial = { error: "", width: 1280, height: 720, frames: 60, broken: 2, rate_hz: 29.97, promised_rate_hz: 30, roundels: 1, decode_ms: 3.1, detect_ms: 0.4 };
   assert.equal(
-    trialWords(trial),
+    sourceTestText(trial),
     "1\u2009280 × 720 pixels, 30.0 frames a second (30.0 promised); one roundel in the newest frame. 2 came broken. Decoding takes 3.1 ms, searching 0.4 ms.",
   );
-  assert.equal(trialWords({ ...trial, frames: 0 }), "");
+  assert.equal(sourceTestText({ ...trial, frames: 0 }), "");
 });
 
 test("cameras without place or lens are cameras all the same", () => {

@@ -5,7 +5,7 @@ import { test } from "node:test";
 
 import { compose, multiply, rotate } from "../../../client/dashboard/js/base/geometry.js";
 import { readCameras, readSnapshot } from "../../../client/dashboard/js/wire/messages.js";
-import { carried } from "../../../client/dashboard/js/state/mounted-cameras.js";
+import { moveWithCarrier } from "../../../client/dashboard/js/state/mounted-cameras.js";
 
 const HALF = Math.SQRT1_2;
 /** A quarter turn about z. */
@@ -43,7 +43,7 @@ test("rotations in a row are their product", () => {
 });
 
 test("a camera is where its object has carried it", () => {
-  const { pose } = carried(CAMERA, drones({}));
+  const { pose } = moveWithCarrier(CAMERA, drones({}));
   near(pose.position, { x: 1, y: 2.5, z: 2.9 });
   near(rotate(pose.orientation, { x: 0, y: 0, z: 1 }), { x: 0, y: 0, z: -1 });
   near(rotate(pose.orientation, { x: 1, y: 0, z: 0 }), { x: 0, y: 1, z: 0 });
@@ -58,10 +58,10 @@ test("without such an object it is where the server says, or nowhere", () => {
     drones({ position: null }),
     drones({}, { object_id: 2 }),
   ]) {
-    assert.deepEqual(carried(CAMERA, objects).pose, CAMERA.pose);
+    assert.deepEqual(moveWithCarrier(CAMERA, objects).pose, CAMERA.pose);
   }
   const unplaced = { ...CAMERA, pose: null };
-  assert.equal(carried(unplaced, drones({})).pose, null);
+  assert.equal(moveWithCarrier(unplaced, drones({})).pose, null);
   const standing = { ...CAMERA, mount: null, carrier: "" };
-  assert.deepEqual(carried(standing, drones({})).pose, CAMERA.pose);
+  assert.deepEqual(moveWithCarrier(standing, drones({})).pose, CAMERA.pose);
 });

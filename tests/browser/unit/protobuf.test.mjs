@@ -31,7 +31,7 @@ const plain = (value) => JSON.parse(JSON.stringify(value));
 /** Evaluates what an ObjectState computes when it is asked. */
 const withCovariances = (snapshot) => ({
   ...snapshot,
-  objects: snapshot.objects.map((state) => ({ ...state, heldCovariance: null, covariance: state.covariance, ellipse: state.ellipse, sigmas: state.sigmaM })),
+  objects: snapshot.objects.map((state) => ({ ...state, covarianceSource: null, covariance: state.covariance, ellipse: state.ellipse, sigmas: state.sigmaM })),
 });
 /** @param {Uint8Array} bytes */
 const decode = (bytes) => decodeMessage(Uint8Array.from(bytes).buffer);

@@ -4,8 +4,8 @@ import assert from "node:assert/strict";
 import { test } from "node:test";
 
 import { cholesky, longestSemiaxis } from "../../../client/dashboard/js/base/geometry.js";
-import { Orbit } from "../../../client/dashboard/js/arena/space/orbit-camera.js";
-import { fits } from "../../../client/dashboard/js/panels/objects/object-search.js";
+import { OrbitCamera } from "../../../client/dashboard/js/arena/space/orbit-camera.js";
+import { matchScore } from "../../../client/dashboard/js/panels/objects/object-search.js";
 import { ObjectState } from "../../../client/dashboard/js/state/object-state.js";
 import { Matrix4, PerspectiveCamera, Vector3 } from "../../../client/dashboard/vendor/three.js";
 
@@ -40,7 +40,7 @@ test("the lower triangle makes the covariance", () => {
 });
 
 test("points are told where three.js draws them", () => {
-  const orbit = new Orbit();
+  const orbit = new OrbitCamera();
   Object.assign(orbit, { target: { x: 1, y: -2, z: 0.5 }, distanceM: 9, azimuthRad: 0.7, elevationRad: 0.6, width: 700, height: 500 });
   const camera = new PerspectiveCamera(40, 700 / 500, 0.05, 2000);
   camera.up.set(0, 0, 1);
@@ -57,7 +57,7 @@ test("points are told where three.js draws them", () => {
 });
 
 test("what is in the middle goes with the hand, and everything fits", () => {
-  const orbit = new Orbit();
+  const orbit = new OrbitCamera();
   Object.assign(orbit, { width: 700, height: 500, target: { x: 0, y: 0, z: 0 } });
   const before = { ...orbit.target };
   orbit.slide(40, 0);
@@ -76,13 +76,13 @@ test("what is in the middle goes with the hand, and everything fits", () => {
 
 test("an object is found by number, name and code", () => {
   const state = (id, name = "", code = null) => new ObjectState({ id, name, code, stage: "tracked", cameras: [] });
-  assert.equal(fits(state(7), "7"), 3);
-  assert.equal(fits(state(7), " robot 7 "), 3);
-  assert.equal(fits(state(17), "robot 7"), 0);
-  assert.equal(fits(state(71), "7"), 2);
-  assert.equal(fits(state(17), "7"), 0);
-  assert.equal(fits(state(3, "Forklift"), "fork"), 2);
-  assert.equal(fits(state(3, "Forklift"), "LIFT"), 1);
-  assert.equal(fits(state(3, "", { bits: 8, number: 45 }), "#45"), 3);
-  assert.equal(fits(state(3), ""), 1);
+  assert.equal(matchScore(state(7), "7"), 3);
+  assert.equal(matchScore(state(7), " robot 7 "), 3);
+  assert.equal(matchScore(state(17), "robot 7"), 0);
+  assert.equal(matchScore(state(71), "7"), 2);
+  assert.equal(matchScore(state(17), "7"), 0);
+  assert.equal(matchScore(state(3, "Forklift"), "fork"), 2);
+  assert.equal(matchScore(state(3, "Forklift"), "LIFT"), 1);
+  assert.equal(matchScore(state(3, "", { bits: 8, number: 45 }), "#45"), 3);
+  assert.equal(matchScore(state(3), ""), 1);
 });

@@ -4,20 +4,20 @@ import assert from "node:assert/strict";
 import { test } from "node:test";
 
 import { ObjectState } from "../../../client/dashboard/js/state/object-state.js";
-import { Tape } from "../../../client/dashboard/js/arena/top/tape-measure.js";
+import { TapeMeasure } from "../../../client/dashboard/js/arena/top/tape-measure.js";
 import { Track } from "../../../client/dashboard/js/state/track.js";
 
 const object = (id, x, y, z) =>
   Track.of(
     new ObjectState({
-      id, name: id === 2 ? "lift" : "", stage: "tracked", positionM: { x, y, z }, orientation: null, yawObserved: false, eitherWay: false,
+      id, name: id === 2 ? "lift" : "", stage: "tracked", positionM: { x, y, z }, orientation: null, yawObserved: false, isHeadingAmbiguous: false,
       velocityMS: null, covariance: null, cameras: [], ageMs: 0, residual: 1, roundel: "", code: null,
     }),
   );
 const tracks = () => new Map([[1, object(1, 0, 0, 0.3)], [2, object(2, 3, 4, 0.3)], [3, object(3, 3, 4, 1.3)]]);
 
 test("between two objects it goes with them", () => {
-  const tape = new Tape();
+  const tape = new TapeMeasure();
   tape.take(true, 1);
   assert.equal(tape.words(tracks()), "Measure: from 1 to …");
   tape.reach(2);
@@ -29,7 +29,7 @@ test("between two objects it goes with them", () => {
 });
 
 test("clicks set its begin, its end, and another begin", () => {
-  const tape = new Tape();
+  const tape = new TapeMeasure();
   tape.take(true, null);
   assert.match(tape.words(tracks()), /click where to begin/);
   tape.set({ id: null, x: 1, y: 1 });
@@ -42,7 +42,7 @@ test("clicks set its begin, its end, and another begin", () => {
 });
 
 test("what has gone is named, and nothing is measured to it", () => {
-  const tape = new Tape();
+  const tape = new TapeMeasure();
   tape.take(true, 1);
   tape.reach(9);
   assert.equal(tape.places(tracks()), null);

@@ -1,11 +1,11 @@
-/** What the history tells: courses, gaps, heat, and the words about them. */
+/** What the history tells: trajectories, gaps, heat, and the words about them. */
 
 import assert from "node:assert/strict";
 import { test } from "node:test";
 
-import { darkness, eachPlace, heatOf, nearestPlace, readCourses } from "../../../client/dashboard/js/state/trajectories.js";
+import { heatOpacity, eachPoint, computeHeatMap, nearestPoint, readTrajectories } from "../../../client/dashboard/js/state/trajectories.js";
 import { minutes, size } from "../../../client/dashboard/js/base/format.js";
-import { stateWords } from "../../../client/dashboard/js/panels/history/recording.js";
+import { stateText } from "../../../client/dashboard/js/panels/history/recording.js";
 
 const BEGIN_NS = 1_700_000_000_000_000_000n;
 
@@ -28,20 +28,20 @@ function answer(points, rest = {}) {
 test("an answer is read, and what cannot be is left out", () => {
   const raw = answer([[0, 1, 2], [0.1, 1.5, 2]]);
   raw.objects[0].points.push({ time_ns: "now", position: { x: 1, y: 1, z: 1 } }, { time_ns: "5", position: null });
-  const { courses, stepS, oldestMs, newestMs } = readCourses(raw);
-  assert.equal(courses.length, 1);
-  assert.deepEqual([courses[0].label, courses[0].count, stepS], ["7", 2, 0.1]);
-  assert.deepEqual([...courses[0].places.slice(0, 6)].map((one) => Math.round(one * 10)), [10, 20, 3, 15, 20, 3]);
+  const { trajectories, stepS, oldestMs, newestMs } = readTrajectories(raw);
+  assert.equal(trajectories.length, 1);
+  assert.deepEqual([trajectories[0].label, trajectories[0].count, stepS], ["7", 2, 0.1]);
+  assert.deepEqual([...trajectories[0].places.slice(0, 6)].map((one) => Math.round(one * 10)), [10, 20, 3, 15, 20, 3]);
   assert.equal(newestMs - oldestMs, 60_000);
-  assert.equal(readCourses(answer([], { name: "cart", code: 3 })).courses[0].label, "cart");
-  assert.equal(readCourses(answer([], { code: 3 })).courses[0].label, "#3");
-  assert.deepEqual(readCourses(null), { courses: [], points: 0, stepS: 0, oldestMs: null, newestMs: null });
+  assert.equal(readTrajectories(answer([], { name: "cart", code: 3 })).trajectories[0].label, "cart");
+  assert.equal(readTrajectories(answer([], { code: 3 })).trajectories[0].label, "#3");
+  assert.deepEqual(readTrajectories(null), { trajectories: [], points: 0, stepS: 0, oldestMs: null, newestMs: null });
 });
 
 test("places are joined but where somebody was gone", () => {
-  const { courses, stepS } = readCourses(answer([[0, 0, 0], [0.1, 1, 0], [0.9, 2, 0], [5, 3, 0], [5.1, 4, 0]]));
+  const { trajectories, stepS } = readTrajectories(answer([[0, 0, 0], [0.1, 1, 0], [0.9, 2, 0], [5, 3, 0], [5.1, 4, 0]]));
   const joined = [];
-  eachPlace(courses[0], stepS, (_, isJoined) => joined.push(isJoined));
+  eachPoint(trajectories[0], stepS, (_, isJoined) => joined.push(isJoined));
   // A second is always bridged: points of ten a second fall out now and then.
   assert.deepEqual(joined, [false, true, true, false, true]);
 });
@@ -49,32 +49,32 @@ test("places are joined but where somebody was gone", () => {
 test("heat is the time that each square was taken, on round numbers", () => {
   const standing = Array.from({ length: 30 }, (_, i) => [i / 10, 0.5, 0.5]);
   const moving = Array.from({ length: 10 }, (_, i) => [3 + i / 10, 0.5 + i, 4.5]);
-  const heat = heatOf(readCourses(answer([...standing, ...moving])));
+  const heat = computeHeatMap(readTrajectories(answer([...standing, ...moving])));
   assert.equal(heat.cellM, 0.2);
   const near = (a, b) => assert.ok(Math.abs(a - b) < 1e-4, `${a} is not ${b}`);
   near(heat.mostS, 3);
   near(heat.seconds.reduce((sum, one) => sum + one, 0), 4);
   near(heat.minX / heat.cellM, Math.round(heat.minX / heat.cellM));
   assert.ok(heat.minX <= 0.5 && heat.minX + heat.columns * heat.cellM > 9.5);
-  assert.equal(heatOf(readCourses(answer([]))), null);
+  assert.equal(computeHeatMap(readTrajectories(answer([]))), null);
 });
 
 test("of one place alone there is a map, too", () => {
-  const heat = heatOf(readCourses(answer([[0, -1, -1]])));
+  const heat = computeHeatMap(readTrajectories(answer([[0, -1, -1]])));
   assert.deepEqual([heat.columns, heat.rows], [1, 1]);
 });
 
 test("what was taken seldom is seen, and nothing where nobody was", () => {
-  assert.equal(darkness(0, 10), 0);
-  assert.ok(darkness(0.001, 10) > 0.1);
-  assert.ok(darkness(10, 10) <= 0.8 && darkness(10, 10) > darkness(5, 10));
+  assert.equal(heatOpacity(0, 10), 0);
+  assert.ok(heatOpacity(0.001, 10) > 0.1);
+  assert.ok(heatOpacity(10, 10) <= 0.8 && heatOpacity(10, 10) > heatOpacity(5, 10));
 });
 
 test("the nearest place of a course is found, and none that is too far", () => {
-  const courses = readCourses(answer([[0, 0, 0], [1, 1, 0], [2, 2, 0]]));
-  const found = nearestPlace(courses, 1.1, 0.1, 0.5);
+  const trajectories = readTrajectories(answer([[0, 0, 0], [1, 1, 0], [2, 2, 0]]));
+  const found = nearestPoint(trajectories, 1.1, 0.1, 0.5);
   assert.equal(found.timeMs, Number(BEGIN_NS / 1_000_000n) + 1000);
-  assert.equal(nearestPlace(courses, 1.1, 3, 0.5), null);
+  assert.equal(nearestPoint(trajectories, 1.1, 3, 0.5), null);
 });
 
 test("sizes and lengths are told in words that fit them", () => {
@@ -88,15 +88,15 @@ const RECORDING = {
 };
 
 test("a recording says how long there is room, and what it has lost", () => {
-  const [what, room] = stateWords(RECORDING);
+  const [what, room] = stateText(RECORDING);
   assert.equal(what, "Recording into lab-001.mcap.");
   assert.match(room, /^1:40 so far: 1\.0 GB, 10\.0 MB a second; 36\.0 GB of the disk are free, enough for 60 min\. The oldest .* exceed 20\.0 GB\.$/);
-  const troubled = stateWords({ ...RECORDING, dropped: 12_000, deleted: 2 }).join(" ");
+  const troubled = stateText({ ...RECORDING, dropped: 12_000, deleted: 2 }).join(" ");
   assert.match(troubled, /12\u2009000 messages are missing/);
   assert.match(troubled, /2 older files were deleted/);
 });
 
 test("one that ended by itself says why", () => {
-  assert.match(stateWords({ ...RECORDING, state: "failed", error: "the disk is full" })[0], /ended by itself: the disk is full/);
-  assert.match(stateWords({ ...RECORDING, state: "idle", disk_free_bytes: 0 })[0], /told once something is recorded/);
+  assert.match(stateText({ ...RECORDING, state: "failed", error: "the disk is full" })[0], /ended by itself: the disk is full/);
+  assert.match(stateText({ ...RECORDING, state: "idle", disk_free_bytes: 0 })[0], /told once something is recorded/);
 });

@@ -4,16 +4,16 @@
  */
 
 import { gridStepM, RULER } from "./top/backdrop.js";
-import { nearestPlace } from "../state/trajectories.js";
+import { nearestPoint } from "../state/trajectories.js";
 import { find, setText } from "../base/dom.js";
 import { fixed, timeOfDay } from "../base/format.js";
 import { listenForGestures } from "./gestures.js";
 import { readPalette } from "./palette.js";
-import { View } from "./viewport.js";
+import { Viewport } from "./viewport.js";
 
 /** What a browser without WebGL is told. */
 const NO_SPACE = "This browser draws no 3D (WebGL 2 is missing or switched off): here is the view from above.";
-/** How near the pointer a course has to pass to be told of, CSS pixels. */
+/** How near the pointer a trajectory has to pass to be told of, CSS pixels. */
 const PASSED_PX = 18;
 
 /** @typedef {import("./stage.js").StageMode} StageMode */
@@ -21,23 +21,23 @@ const PASSED_PX = 18;
 export class Arena {
   /**
    * @param {import("../state/store.js").Store} store
-   * @param {import("../worker-client.js").Link} link
+   * @param {import("../worker-client.js").WorkerClient} worker
    * @param {string} url of the stream
    */
-  constructor(store, link, url) {
+  constructor(store, worker, url) {
     this.store = store;
-    this.link = link;
+    this.worker = worker;
     this.stage = find("#arena-stage");
     this.caption = find("#arena-caption");
     /** What the stage shows of the floor, as it told last. */
-    this.view = new View();
+    this.view = new Viewport();
     this.stepM = gridStepM(this.view);
     /** @type {StageMode} */
     this.mode = "top";
     /** Said below the arena, of a wish that could not be met. */
     this.excuse = "";
     this.look = { exaggeration: 10, trails: true };
-    /** @type {import("../state/trajectories.js").Overlay | null} what the history tells */
+    /** @type {import("../state/trajectories.js").HistoryOverlay | null} what the history tells */
     this.overlay = null;
     /** @type {[number, number] | null} */
     this.pointer = null;
@@ -49,12 +49,12 @@ export class Arena {
     this.waiting = [];
 
     this.open(url);
-    store.on("selection", () => link.send("select", { id: store.selected, following: store.following }));
-    store.on("time", () => link.send("past", store.pastMs));
-    document.addEventListener("themechange", () => link.send("palette", readPalette()));
+    store.on("selection", () => worker.send("select", { id: store.selected, following: store.following }));
+    store.on("time", () => worker.send("past", store.pastMs));
+    document.addEventListener("themechange", () => worker.send("palette", readPalette()));
     document.addEventListener("visibilitychange", () => {
       // An attempt may succeed now where the last ones did not.
-      if (document.visibilityState === "visible") link.send("retry");
+      if (document.visibilityState === "visible") worker.send("retry");
     });
     this.tapeButton.addEventListener("click", () => this.measure(!this.measures));
     new ResizeObserver(() => this.onResize()).observe(this.stage);
@@ -63,35 +63,35 @@ export class Arena {
 
   /** @param {string} url */
   open(url) {
-    const { link } = this;
-    const canvas = (/** @type {string} */ name) => link.hand(/** @type {HTMLCanvasElement} */ (find(`#arena-${name}`)));
+    const { worker } = this;
+    const canvas = (/** @type {string} */ name) => worker.hand(/** @type {HTMLCanvasElement} */ (find(`#arena-${name}`)));
     const canvases = { backdrop: canvas("backdrop"), tracks: canvas("tracks"), space: canvas("space"), labels: canvas("labels") };
-    link.send("open", { url, canvases, palette: readPalette() }, /** @type {Transferable[]} */ (Object.values(canvases)));
+    worker.send("open", { url, canvases, palette: readPalette() }, /** @type {Transferable[]} */ (Object.values(canvases)));
     this.onResize();
-    link.on("sight", ({ centerX, centerY, scale, stepM, measured }) => {
+    worker.on("sight", ({ centerX, centerY, scale, stepM, measured }) => {
       Object.assign(this.view, { centerX, centerY, scale });
       this.stepM = stepM;
       this.measured = measured;
       this.describe();
     });
-    link.on("hovered", (id) => this.stage.classList.toggle("over-object", id !== null));
-    link.on("picked", (id) => this.store.select(id));
-    link.on("shown", (mode) => this.waiting.shift()?.(mode));
+    worker.on("hovered", (id) => this.stage.classList.toggle("over-object", id !== null));
+    worker.on("picked", (id) => this.store.select(id));
+    worker.on("shown", (mode) => this.waiting.shift()?.(mode));
   }
 
   /** @returns {import("./gestures.js").GestureHandlers} */
   gestures() {
-    const { link, store } = this;
+    const { worker, store } = this;
     return {
       drag: (dx, dy, isSecond) => {
         if (this.mode === "top" || isSecond) store.follow(false);
-        link.send("drag", [dx, dy, isSecond]);
+        worker.send("drag", [dx, dy, isSecond]);
       },
-      zoom: (px, py, factor) => link.send("zoom", [px, py, factor]),
-      pick: (px, py, coarse) => link.send(this.measures && this.mode === "top" ? "measure" : "pick", { px, py, coarse }),
+      zoom: (px, py, factor) => worker.send("zoom", [px, py, factor]),
+      pick: (px, py, coarse) => worker.send(this.measures && this.mode === "top" ? "measure" : "pick", { px, py, coarse }),
       hover: (px, py) => {
         this.pointer = px === null || py === null ? null : [px, py];
-        link.send("point", this.pointer);
+        worker.send("point", this.pointer);
         this.describe();
       },
     };
@@ -102,12 +102,12 @@ export class Arena {
     this.measures = measures;
     this.tapeButton.setAttribute("aria-pressed", String(measures));
     this.stage.classList.toggle("measuring", measures);
-    this.link.send("tape", measures);
+    this.worker.send("tape", measures);
   }
 
   /** Zooms about the middle. @param {number} factor */
   zoomMiddle(factor) {
-    this.link.send("zoom", [this.view.width / 2, this.view.height / 2, factor]);
+    this.worker.send("zoom", [this.view.width / 2, this.view.height / 2, factor]);
   }
 
   /**
@@ -117,7 +117,7 @@ export class Arena {
    */
   async show(wanted) {
     this.onResize();
-    this.link.send("show", wanted);
+    this.worker.send("show", wanted);
     this.mode = await new Promise((resolve) => this.waiting.push(resolve));
     this.excuse = this.mode === wanted ? "" : NO_SPACE;
     this.stage.dataset.mode = this.mode;
@@ -128,26 +128,26 @@ export class Arena {
   /** Shows everything, and keeps showing it until the view is moved. */
   fit() {
     this.store.follow(false);
-    this.link.send("fit");
+    this.worker.send("fit");
   }
 
   /** @param {number} exaggeration 0: no ellipses */
   setExaggeration(exaggeration) {
     this.look.exaggeration = exaggeration;
-    this.link.send("look", this.look);
+    this.worker.send("look", this.look);
     this.describe();
   }
 
   /** @param {boolean} trails */
   setTrails(trails) {
     this.look.trails = trails;
-    this.link.send("look", this.look);
+    this.worker.send("look", this.look);
   }
 
-  /** @param {import("../state/trajectories.js").Overlay | null} overlay */
+  /** @param {import("../state/trajectories.js").HistoryOverlay | null} overlay */
   setOverlay(overlay) {
     this.overlay = overlay;
-    this.link.send("overlay", overlay);
+    this.worker.send("overlay", overlay);
   }
 
   /** What of the floor is seen from above; in 3D, what would be. @returns {import("./viewport.js").Bounds} metres */
@@ -159,7 +159,7 @@ export class Arena {
   onResize() {
     const { clientWidth: width, clientHeight: height } = this.stage;
     if (width > 0 && height > 0) Object.assign(this.view, { width, height });
-    this.link.send("size", { width, height, ratio: devicePixelRatio || 1 });
+    this.worker.send("size", { width, height, ratio: devicePixelRatio || 1 });
   }
 
   /** Says the scale, how far the ellipses are exaggerated, and where the pointer is. */
@@ -174,16 +174,16 @@ export class Arena {
     if (isSpace) parts.push("drag turns, Shift and drag moves");
     else if (this.pointer) {
       const [px, py] = this.pointer;
-      parts.push(`x ${fixed(this.view.worldX(px), 2)}  y ${fixed(this.view.worldY(py), 2)} m`, this.passedWords(px, py));
+      parts.push(`x ${fixed(this.view.worldX(px), 2)}  y ${fixed(this.view.worldY(py), 2)} m`, this.passedText(px, py));
     }
     setText(this.caption, parts.filter(Boolean).join("  ·  "));
   }
 
-  /** Who passed the pointer when, of the history's courses. @param {number} px @param {number} py */
-  passedWords(px, py) {
+  /** Who passed the pointer when, of the history's trajectories. @param {number} px @param {number} py */
+  passedText(px, py) {
     const { view, overlay } = this;
     if (!overlay || overlay.heat) return "";
-    const passed = nearestPlace(overlay.courses, view.worldX(px), view.worldY(py), PASSED_PX / view.scale);
-    return passed ? `${passed.course.label} was here at ${timeOfDay(passed.timeMs)}` : "";
+    const passed = nearestPoint(overlay.trajectories, view.worldX(px), view.worldY(py), PASSED_PX / view.scale);
+    return passed ? `${passed.trajectory.label} was here at ${timeOfDay(passed.timeMs)}` : "";
   }
 }

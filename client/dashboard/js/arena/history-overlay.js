@@ -1,37 +1,37 @@
 /** What the history tells, laid over the arena: drawn once, and anew only when the view moves. */
 
-import { darkness, eachPlace } from "../state/trajectories.js";
-import { writeWithHalo } from "./canvas/outlined-text.js";
+import { heatOpacity, eachPoint } from "../state/trajectories.js";
+import { drawOutlinedText } from "./canvas/outlined-text.js";
 
-/** Courses are paler the older they are, from this on. */
+/** Trajectories are paler the older they are, from this on. */
 const OLDEST_ALPHA = 0.3;
 const BANDS = 5;
 /** Above the floor, where the heat map lies in 3D, metres. */
 const LIFT_M = 0.004;
 
-/** @typedef {import("../state/trajectories.js").Overlay} Overlay */
-/** @typedef {import("../state/trajectories.js").Course} Course */
-/** @typedef {import("./viewport.js").View} View */
+/** @typedef {import("../state/trajectories.js").HistoryOverlay} HistoryOverlay */
+/** @typedef {import("../state/trajectories.js").Trajectory} Trajectory */
+/** @typedef {import("./viewport.js").Viewport} Viewport */
 /** @typedef {import("./palette.js").Palette} Palette */
 
-/** A line's colour in this theme. @param {Course} course @param {Palette} palette */
-export function colorOf(course, palette) {
-  return `hsl(${course.hue}, 75%, ${palette.isDark ? 66 : 38}%)`;
+/** A line's colour in this theme. @param {Trajectory} trajectory @param {Palette} palette */
+export function colorOf(trajectory, palette) {
+  return `hsl(${trajectory.hue}, 75%, ${palette.isDark ? 66 : 38}%)`;
 }
 
 /**
  * From above.
  * @param {import("./canvas/canvas-layer.js").Context2D} context in CSS pixels
- * @param {View} view
+ * @param {Viewport} view
  * @param {Palette} palette
- * @param {Overlay} overlay
+ * @param {HistoryOverlay} overlay
  */
 export function drawOverlay(context, view, palette, overlay) {
   if (overlay.heat) drawHeat(context, view, palette, overlay.heat);
-  else for (const course of overlay.courses.courses) drawCourse(context, view, palette, course, overlay.courses.stepS);
+  else for (const trajectory of overlay.trajectories.trajectories) drawTrajectory(context, view, palette, trajectory, overlay.trajectories.stepS);
 }
 
-/** @param {import("./canvas/canvas-layer.js").Context2D} context @param {View} view @param {Palette} palette @param {import("../state/trajectories.js").Heat} heat */
+/** @param {import("./canvas/canvas-layer.js").Context2D} context @param {Viewport} view @param {Palette} palette @param {import("../state/trajectories.js").HeatMap} heat */
 function drawHeat(context, view, palette, heat) {
   const side = heat.cellM * view.scale;
   context.fillStyle = palette.heat;
@@ -44,7 +44,7 @@ function drawHeat(context, view, palette, heat) {
       if (seconds === 0) continue;
       const left = Math.round(view.screenX(heat.minX + column * heat.cellM));
       if (left > view.width || left + side < 0) continue;
-      context.globalAlpha = darkness(seconds, heat.mostS);
+      context.globalAlpha = heatOpacity(seconds, heat.mostS);
       const right = Math.round(view.screenX(heat.minX + (column + 1) * heat.cellM));
       context.fillRect(left, top, right - left, bottom - top);
     }
@@ -52,14 +52,14 @@ function drawHeat(context, view, palette, heat) {
   context.globalAlpha = 1;
 }
 
-/** @param {import("./canvas/canvas-layer.js").Context2D} context @param {View} view @param {Palette} palette @param {Course} course @param {number} stepS */
-function drawCourse(context, view, palette, course, stepS) {
-  if (course.count === 0) return;
-  const { places, count } = course;
-  const color = colorOf(course, palette);
+/** @param {import("./canvas/canvas-layer.js").Context2D} context @param {Viewport} view @param {Palette} palette @param {Trajectory} trajectory @param {number} stepS */
+function drawTrajectory(context, view, palette, trajectory, stepS) {
+  if (trajectory.count === 0) return;
+  const { places, count } = trajectory;
+  const color = colorOf(trajectory, palette);
   const bands = Array.from({ length: BANDS }, () => new Path2D());
   let [px, py] = [0, 0];
-  eachPlace(course, stepS, (i, joined) => {
+  eachPoint(trajectory, stepS, (i, joined) => {
     const [x, y] = [view.screenX(places[i * 3]), view.screenY(places[i * 3 + 1])];
     const band = bands[Math.min(BANDS - 1, Math.floor((i / count) * BANDS))];
     if (joined) {
@@ -89,7 +89,7 @@ function drawCourse(context, view, palette, course, stepS) {
   context.font = `600 11px ${palette.font}`;
   context.textAlign = "left";
   context.textBaseline = "middle";
-  writeWithHalo(context, palette, course.label, px + 8, py + 9, color);
+  drawOutlinedText(context, palette, trajectory.label, px + 8, py + 9, color);
 }
 
 /**
@@ -98,9 +98,9 @@ function drawCourse(context, view, palette, course, stepS) {
  * @param {import("./space/meshes.js").Tiles} tiles
  * @param {(css: string) => [number, number, number]} rgb
  * @param {Palette} palette
- * @param {Overlay | null} overlay
+ * @param {HistoryOverlay | null} overlay
  */
-export function layOverlay(lines, tiles, rgb, palette, overlay) {
+export function addOverlay(lines, tiles, rgb, palette, overlay) {
   const heat = overlay?.heat;
   tiles.clear();
   if (heat) {
@@ -109,15 +109,15 @@ export function layOverlay(lines, tiles, rgb, palette, overlay) {
       if (seconds === 0) continue;
       const x = heat.minX + (i % heat.columns) * heat.cellM;
       const y = heat.minY + Math.floor(i / heat.columns) * heat.cellM;
-      tiles.add(x, y, LIFT_M, heat.cellM, color, darkness(seconds, heat.mostS));
+      tiles.add(x, y, LIFT_M, heat.cellM, color, heatOpacity(seconds, heat.mostS));
     }
   }
   tiles.done();
   if (!overlay || heat) return;
-  for (const course of overlay.courses.courses) {
-    const color = rgb(colorOf(course, palette));
-    const { places, count } = course;
-    eachPlace(course, overlay.courses.stepS, (i, joined) => {
+  for (const trajectory of overlay.trajectories.trajectories) {
+    const color = rgb(colorOf(trajectory, palette));
+    const { places, count } = trajectory;
+    eachPoint(trajectory, overlay.trajectories.stepS, (i, joined) => {
       if (!joined) return;
       const alpha = OLDEST_ALPHA + (1 - OLDEST_ALPHA) * (i / count);
       lines.end(places[i * 3 - 3], places[i * 3 - 2], places[i * 3 - 1], color, alpha);

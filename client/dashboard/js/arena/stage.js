@@ -7,11 +7,11 @@
  */
 
 import { cameraFootprint, drawBackdrop, gridStepM, RULER } from "./top/backdrop.js";
-import { Layer } from "./canvas/canvas-layer.js";
+import { CanvasLayer } from "./canvas/canvas-layer.js";
 import { discRadius } from "./top/object-symbol.js";
 import { drawTracks } from "./top/tracks.js";
-import { drawTape, Tape } from "./top/tape-measure.js";
-import { boundsOf, View } from "./viewport.js";
+import { drawTape, TapeMeasure } from "./top/tape-measure.js";
+import { boundsOf, Viewport } from "./viewport.js";
 
 /** Kept free round what is fitted, CSS pixels; the rulers come on top. */
 const FIT_MARGIN_PX = 26;
@@ -29,24 +29,24 @@ const LONG_MS = 25;
 /** @typedef {"top" | "space"} StageMode */
 /** @typedef {{backdrop: Canvas, tracks: Canvas, space: Canvas, labels: Canvas}} Canvases */
 /** @typedef {OffscreenCanvas | HTMLCanvasElement} Canvas */
-/** @typedef {{centerX: number, centerY: number, scale: number, stepM: number, measured: string}} Sight what of the floor is in view: that of viewport.js, the grid's step, what the tape says */
+/** @typedef {{centerX: number, centerY: number, scale: number, stepM: number, measured: string}} VisibleArea what of the floor is in view: that of viewport.js, the grid's step, what the tape says */
 
 export class Stage {
   /**
    * @param {import("../state/store.js").Store} store
    * @param {Canvases} canvases
    * @param {import("./palette.js").Palette} palette
-   * @param {(sight: Sight) => void} onSight is told when something else is in view
+   * @param {(sight: VisibleArea) => void} onVisibleArea is told when something else is in view
    */
-  constructor(store, canvases, palette, onSight) {
+  constructor(store, canvases, palette, onVisibleArea) {
     this.store = store;
-    this.onSight = onSight;
-    this.view = new View();
+    this.onVisibleArea = onVisibleArea;
+    this.view = new Viewport();
     this.canvases = canvases;
     this.layers = {
-      backdrop: new Layer(canvases.backdrop),
-      tracks: new Layer(canvases.tracks),
-      labels: new Layer(canvases.labels),
+      backdrop: new CanvasLayer(canvases.backdrop),
+      tracks: new CanvasLayer(canvases.tracks),
+      labels: new CanvasLayer(canvases.labels),
     };
     /** @type {import("./space/space-view.js").SpaceView | null} made when it is first wanted: half a megabyte that most phones never load */
     this.space = null;
@@ -57,7 +57,7 @@ export class Stage {
     this.isShown = true;
     this.exaggeration = 10;
     this.trails = true;
-    /** @type {import("../state/trajectories.js").Overlay | null} what the history tells */
+    /** @type {import("../state/trajectories.js").HistoryOverlay | null} what the history tells */
     this.overlay = null;
     /** @type {number | null} */
     this.hovered = null;
@@ -67,7 +67,7 @@ export class Stage {
     this.camerasDrawn = "";
     this.boundsFitted = "";
     this.bounds = boundsOf([]);
-    this.tape = new Tape();
+    this.tape = new TapeMeasure();
     this.backdropStale = true;
     this.frameAsked = false;
     /** Before this no other picture is drawn, `performance.now()`. */
@@ -161,7 +161,7 @@ export class Stage {
     this.askFrame();
   }
 
-  /** @param {import("../state/trajectories.js").Overlay | null} overlay */
+  /** @param {import("../state/trajectories.js").HistoryOverlay | null} overlay */
   setOverlay(overlay) {
     this.overlay = overlay;
     this.refresh();
@@ -346,7 +346,7 @@ export class Stage {
       if (space) space.lay(palette, this.standing(), this.bounds, this.overlay);
       else drawBackdrop(this.layers.backdrop.context, view, palette, this.standing(), this.overlay);
     }
-    this.tellSight();
+    this.reportVisibleArea();
     const tracks = [...store.tracks.values()];
     if (space) space.draw(this.layers.labels.context, palette, tracks, store.cameras, this.plotOptions());
     else drawTracks(this.layers.tracks.context, view, palette, tracks, this.plotOptions());
@@ -369,7 +369,7 @@ export class Stage {
   }
 
   /** At once, or a little later if it was told only now. */
-  tellSight() {
+  reportVisibleArea() {
     if (this.sightTimer) return;
     const { centerX, centerY, scale } = this.view;
     const stepM = (this.mode === "space" ? this.space?.stepM : null) ?? gridStepM(this.view);
@@ -377,10 +377,10 @@ export class Stage {
     const told = JSON.stringify(sight);
     if (told === this.sightTold) return;
     this.sightTold = told;
-    this.onSight(sight);
+    this.onVisibleArea(sight);
     this.sightTimer = setTimeout(() => {
       this.sightTimer = 0;
-      this.tellSight();
+      this.reportVisibleArea();
     }, TELL_MS);
   }
 }

@@ -10,7 +10,7 @@ const MAX_SCALE = 4000;
 /** @typedef {{minX: number, minY: number, maxX: number, maxY: number}} Bounds */
 /** @typedef {{left: number, right: number, top: number, bottom: number}} Insets */
 
-export class View {
+export class Viewport {
   constructor() {
     /** World point in the middle of the canvas, metres. */
     this.centerX = 0;

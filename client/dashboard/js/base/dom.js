@@ -67,7 +67,7 @@ export function glyph(name) {
  * @param {() => void} action
  * @param {{alone?: boolean}} [how] alone: it takes its time, and has a frame of the screen for itself
  */
-export function paced(intervalMs, action, { alone = false } = {}) {
+export function throttle(intervalMs, action, { alone = false } = {}) {
   let lastMs = -Infinity;
   let waiting = false;
   const run = () => {
@@ -79,7 +79,7 @@ export function paced(intervalMs, action, { alone = false } = {}) {
     if (waiting) return;
     waiting = true;
     const pauseMs = lastMs + (typeof intervalMs === "number" ? intervalMs : intervalMs()) - performance.now();
-    const due = alone ? () => inTurn(run) : () => soon(run);
+    const due = alone ? () => inOwnFrame(run) : () => soon(run);
     if (pauseMs <= 0) due();
     else setTimeout(due, pauseMs);
   };
@@ -92,16 +92,16 @@ let isAsked = false;
 /** Calls in the next frame of the screen. @param {() => void} action */
 function soon(action) {
   turns.quick.push(action);
-  askTurn();
+  requestTurn();
 }
 
 /** Calls in one of the next frames of the screen, which it has for itself. @param {() => void} action */
-export function inTurn(action) {
+export function inOwnFrame(action) {
   turns.slow.push(action);
-  askTurn();
+  requestTurn();
 }
 
-function askTurn() {
+function requestTurn() {
   if (isAsked) return;
   isAsked = true;
   requestAnimationFrame(takeTurn);
@@ -111,6 +111,6 @@ function takeTurn() {
   isAsked = false;
   const { quick, slow } = turns;
   const actions = quick.length > 0 ? quick.splice(0) : slow.splice(0, 1);
-  if (slow.length > 0) askTurn();
+  if (slow.length > 0) requestTurn();
   for (const action of actions) action();
 }

@@ -23,11 +23,11 @@ const CLOCK_MS = 2;
 const NUMBER = /(?<![\w.:/\u2212-])\d+(?:\.\d+)?(?![\w.:/]*[\w:/])/g;
 
 /** @typedef {import("../wire/messages.js").Camera} Camera */
-/** @typedef {{isGrave: boolean, why: string}} Ill grave: nothing it sees is used */
+/** @typedef {{isSevere: boolean, why: string}} Problem grave: nothing it sees is used */
 /** @typedef {{timeMs: number, frames: number, dropped: number, broken: number, missing: number}} Counts */
 /** @typedef {{dropped: number, broken: number, missing: number}} Shares of the frames of the last seconds */
 
-export class Vitals {
+export class FrameCounters {
   constructor() {
     /** @type {Map<string, Counts[]>} by camera */
     this.counts = new Map();
@@ -65,12 +65,12 @@ export class Vitals {
  * What is the matter with a camera, the gravest first; empty while it is well.
  * @param {Camera} camera
  * @param {Shares | null} shares
- * @returns {Ill[]}
+ * @returns {Problem[]}
  */
-export function illnesses(camera, shares) {
+export function cameraProblems(camera, shares) {
   const grave = reasonForNothing(camera);
-  if (grave) return [{ isGrave: true, why: grave }];
-  return [...ofPlace(camera), ...ofFrames(camera, shares), ...ofPicture(camera)].map((why) => ({ isGrave: false, why }));
+  if (grave) return [{ isSevere: true, why: grave }];
+  return [...ofPlace(camera), ...ofFrames(camera, shares), ...ofPicture(camera)].map((why) => ({ isSevere: false, why }));
 }
 
 /** Why nothing of what it sees is used; empty if something is. @param {Camera} camera */
@@ -132,7 +132,7 @@ function sentence(words) {
  * @param {number} all
  * @param {number} ill
  */
-export function verdict(all, ill) {
+export function healthSummary(all, ill) {
   if (all === 0) return "No cameras";
   if (ill === 0) return all === 1 ? "Camera well" : `All ${whole(all)} cameras well`;
   return `${whole(ill)} of ${whole(all)} ${all === 1 ? "camera" : "cameras"} unwell`;
@@ -181,21 +181,21 @@ export class Latencies {
 /**
  * Who ails from the same, however much of it each has: "39 % of its frames" and "35 % of its frames" are told together,
  * as "35 to 39 %".
- * @param {{name: string, ills: Ill[]}[]} patients
- * @returns {{names: string[], why: string, isGrave: boolean}[]} in the order of the first of each
+ * @param {{name: string, problems: Problem[]}[]} cameras
+ * @returns {{names: string[], why: string, isSevere: boolean}[]} in the order of the first of each
  */
-export function sameIllnesses(patients) {
-  /** @type {Map<string, {names: string[], words: string[], isGrave: boolean}>} */
+export function groupProblems(cameras) {
+  /** @type {Map<string, {names: string[], words: string[], isSevere: boolean}>} */
   const groups = new Map();
-  for (const { name, ills } of patients) {
-    const why = ills.map((one) => one.why).join(" ");
+  for (const { name, problems } of cameras) {
+    const why = problems.map((one) => one.why).join(" ");
     const kind = why.replaceAll(NUMBER, "#");
-    const group = groups.get(kind) ?? { names: [], words: [], isGrave: ills[0].isGrave };
+    const group = groups.get(kind) ?? { names: [], words: [], isSevere: problems[0].isSevere };
     group.names.push(name);
     group.words.push(why);
     groups.set(kind, group);
   }
-  return [...groups.values()].map(({ names, words, isGrave }) => ({ names, why: spanned(words), isGrave }));
+  return [...groups.values()].map(({ names, words, isSevere }) => ({ names, why: spanned(words), isSevere }));
 }
 
 /** Texts that differ in their numbers alone, as one. @param {string[]} words */

@@ -103,7 +103,7 @@ export class History {
     const at = i * WIDTH;
     const { positionM: p, velocityMS: v, orientation: q, covariance } = state;
     frame.ids[i] = state.id;
-    frame.flags[i] = STAGES.indexOf(state.stage) | (state.yawObserved ? 8 : 0) | (state.eitherWay ? 16 : 0);
+    frame.flags[i] = STAGES.indexOf(state.stage) | (state.yawObserved ? 8 : 0) | (state.isHeadingAmbiguous ? 16 : 0);
     this.writeCameras(frame.cameras, i * CAMERA_WORDS, state.cameras);
     values[at] = p ? p.x : NaN;
     values[at + 1] = p ? p.y : NaN;
@@ -229,7 +229,7 @@ export class History {
       code: known?.code ?? null,
       stage: STAGES[frame.flags[i] & 7],
       yawObserved: (frame.flags[i] & 8) !== 0,
-      eitherWay: (frame.flags[i] & 16) !== 0,
+      isHeadingAmbiguous: (frame.flags[i] & 16) !== 0,
       positionM: three(0),
       velocityMS: three(VELOCITY),
       orientation: turn && { ...turn, w: values[at + TURN + 3] },

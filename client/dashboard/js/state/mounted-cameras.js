@@ -14,12 +14,12 @@ import { compose } from "../base/geometry.js";
 const FOLLOWED = new Set(["tracked", "predicted"]);
 
 /**
- * The same camera, where its object has carried it.
+ * Returns the camera at the pose that its carrier gives it.
  * @param {Camera} camera
  * @param {Iterable<ObjectState>} objects of one snapshot
  * @returns {Camera}
  */
-export function carried(camera, objects) {
+export function moveWithCarrier(camera, objects) {
   if (!camera.mount || !camera.pose || !camera.carrier) return camera;
   const own = [...objects].filter((state) => state.name === camera.carrier && FOLLOWED.has(state.stage));
   // Seen twice it is nowhere, as the server has it too.

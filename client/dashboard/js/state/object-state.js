@@ -29,7 +29,7 @@ const ROTATION_ENTRIES = [15, 18, 20];
  * @property {Vector3 | null} positionM
  * @property {Quaternion | null} orientation world_from_object
  * @property {boolean} yawObserved
- * @property {boolean} eitherWay the opposite heading looks the same
+ * @property {boolean} isHeadingAmbiguous the opposite heading looks the same
  * @property {Vector3 | null} velocityMS
  * @property {Covariance | null} covariance null where it was left out
  * @property {string[]} cameras
@@ -48,23 +48,23 @@ export class ObjectState {
     this.positionM = values.positionM;
     this.orientation = values.orientation;
     this.yawObserved = values.yawObserved;
-    this.eitherWay = values.eitherWay;
+    this.isHeadingAmbiguous = values.isHeadingAmbiguous;
     this.velocityMS = values.velocityMS;
     /** @type {Covariance | null} */
-    this.heldCovariance = values.covariance;
+    this.covarianceSource = values.covariance;
     this.cameras = values.cameras;
     this.ageMs = values.ageMs;
     this.residual = values.residual;
     this.roundel = values.roundel;
     this.code = values.code;
     /** @type {ErrorEllipse | null | undefined} not computed yet: most objects' is never asked for */
-    this.knownEllipse = undefined;
+    this.cachedEllipse = undefined;
   }
 
   /** Upper triangle of the 6x6. @returns {ArrayLike<number> | null} */
   get covariance() {
-    if (typeof this.heldCovariance === "function") this.heldCovariance = this.heldCovariance();
-    return this.heldCovariance;
+    if (typeof this.covarianceSource === "function") this.covarianceSource = this.covarianceSource();
+    return this.covarianceSource;
   }
 
   /** What a person calls it. */
@@ -101,17 +101,17 @@ export class ObjectState {
 
   /** 95 %, floor plane. */
   get ellipse() {
-    if (this.knownEllipse === undefined) this.knownEllipse = this.covariance && errorEllipse(this.covariance);
-    return this.knownEllipse;
+    if (this.cachedEllipse === undefined) this.cachedEllipse = this.covariance && errorEllipse(this.covariance);
+    return this.cachedEllipse;
   }
 
   /** How far off the position is at most, in 95 of 100 cases: the 95 % ellipsoid's longest semiaxis. */
-  get reachM() {
+  get error95M() {
     return this.covariance && Math.sqrt(CHI2_95_3D) * longestSemiaxis(this.covariance);
   }
 
   /** How far off the heading is at most, in 95 of 100 cases; null without a heading. */
-  get headingReachRad() {
+  get headingError95Rad() {
     const sigma = this.yawObserved ? this.sigmaRad : null;
     return sigma && NORMAL_95 * sigma.z;
   }

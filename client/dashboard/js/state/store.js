@@ -4,9 +4,9 @@
  * Views subscribe to a topic and read; only the functions here change anything.
  */
 
-import { Latencies, Vitals } from "./camera-health.js";
+import { Latencies, FrameCounters } from "./camera-health.js";
 import { History, placeIn } from "./history.js";
-import { carried } from "./mounted-cameras.js";
+import { moveWithCarrier } from "./mounted-cameras.js";
 import { Track } from "./track.js";
 
 /** Length of a trail, ms. */
@@ -24,7 +24,7 @@ const BACK_MS = 500;
 /** @typedef {import("./history.js").Frame} Frame */
 /**
  * What the page needs to know of a snapshot, as worker-runtime.js packs it.
- * @typedef {object} Packed
+ * @typedef {object} PackedSnapshot
  * @property {string} sourceId
  * @property {Frame} frame
  * @property {Frame} lost those that were given up of late and are shown for a while
@@ -43,7 +43,7 @@ export class Store {
     /** The last minute of all of them. */
     this.history = new History();
     /** How cameras' counts have grown of late, and how late snapshots were. */
-    this.vitals = new Vitals();
+    this.frameCounters = new FrameCounters();
     this.latencies = new Latencies();
     /** @type {number | null} what instant is shown, in pose time; null: now */
     this.pastMs = null;
@@ -63,7 +63,7 @@ export class Store {
     this.replay = null;
     /** @type {import("../wire/connection.js").ConnectionState} */
     this.connection = { phase: "connecting", sinceMs: performance.now(), retryAtMs: null };
-    /** @type {import("./stream-statistics.js").Report} how the stream fares */
+    /** @type {import("./stream-statistics.js").StreamReport} how the stream fares */
     this.report = { rateHz: null, ageMs: null, receivedAtMs: null, missed: 0, latenciesMs: [] };
     /** `performance.now()` of that. */
     this.reportedAtMs = 0;
@@ -108,7 +108,7 @@ export class Store {
     if (cameras) {
       this.cameras = cameras;
       this.camerasKnown = true;
-      this.vitals.take(this.cameras, performance.now());
+      this.frameCounters.take(this.cameras, performance.now());
       this.carryCameras();
       this.emit("cameras");
     }
@@ -134,8 +134,8 @@ export class Store {
     this.finish();
   }
 
-  /** The same of a snapshot that was read elsewhere. @param {Packed} packed */
-  takePacked({ sourceId, frame, lost, identities, cameraNames }) {
+  /** The same of a snapshot that was read elsewhere. @param {PackedSnapshot} packed */
+  takePackedSnapshot({ sourceId, frame, lost, identities, cameraNames }) {
     this.begin({ sourceId, poseTimeMs: frame.timeMs });
     const { history, live } = this;
     history.cameraNames = cameraNames;
@@ -159,13 +159,13 @@ export class Store {
   begin({ sourceId, poseTimeMs }) {
     // A server that has started again counts its objects anew; old trails would be of others.
     if (this.snapshot && this.snapshot.sourceId !== sourceId) this.forget();
-    else if (this.snapshot && poseTimeMs < this.snapshot.poseTimeMs - BACK_MS) this.forgetWay();
+    else if (this.snapshot && poseTimeMs < this.snapshot.poseTimeMs - BACK_MS) this.clearTracks();
     this.snapshot = { sourceId, poseTimeMs };
   }
 
   finish() {
     // What is looked at must not fall out of memory under one's eyes without a word.
-    if (this.pastMs !== null && this.pastMs < (this.history.oldestMs ?? 0)) this.lookBack(this.history.oldestMs);
+    if (this.pastMs !== null && this.pastMs < (this.history.oldestMs ?? 0)) this.seekTo(this.history.oldestMs);
     this.carryCameras();
     this.emit("snapshot");
   }
@@ -174,10 +174,10 @@ export class Store {
   carryCameras() {
     if (!this.cameras.some((camera) => camera.mount)) return;
     const objects = [...this.live.values()].map(({ state }) => state);
-    this.cameras = this.cameras.map((camera) => carried(camera, objects));
+    this.cameras = this.cameras.map((camera) => moveWithCarrier(camera, objects));
   }
 
-  /** @param {import("./stream-statistics.js").Report} report */
+  /** @param {import("./stream-statistics.js").StreamReport} report */
   takeReport(report) {
     this.report = report;
     this.reportedAtMs = performance.now();
@@ -206,7 +206,7 @@ export class Store {
    * Shows an instant of the last minute in place of now; null: now again.
    * @param {number | null} timeMs
    */
-  lookBack(timeMs) {
+  seekTo(timeMs) {
     const { oldestMs, newestMs } = this.history;
     const there = timeMs !== null && oldestMs !== null && newestMs !== null && timeMs < newestMs;
     this.pastMs = there ? Math.max(timeMs, oldestMs) : null;
@@ -229,16 +229,16 @@ export class Store {
   }
 
   /** Drops how objects came to where they are; who they are stays. */
-  forgetWay() {
+  clearTracks() {
     this.live.clear();
     this.history.clear();
     this.latencies.clear();
-    if (this.pastMs !== null) this.lookBack(null);
+    if (this.pastMs !== null) this.seekTo(null);
   }
 
   /** Drops what belongs to another run of the server. */
   forget() {
-    this.forgetWay();
+    this.clearTracks();
     // The new run's first events come before its first snapshot, which is what gave it away.
     this.events = this.events.filter((event) => event.connectionNumber === this.connectionNumber);
     this.select(null);

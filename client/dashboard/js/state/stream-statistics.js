@@ -6,7 +6,7 @@ const RATE_WINDOW_MS = 2000;
 const LEAST_WINDOW_MS = 500;
 
 /**
- * @typedef {object} Report
+ * @typedef {object} StreamReport
  * @property {number | null} rateHz snapshots a second over the last two; null before there is enough to say
  * @property {number | null} ageMs of the newest capture: what passed on the server until it was sent, by the server's
  *   clock, and what has passed here since it came, by this machine's. The way between is not in it, but no difference of
@@ -16,7 +16,7 @@ const LEAST_WINDOW_MS = 500;
  * @property {number[]} latenciesMs of the snapshots since the report before: from the capture to the sending
  */
 
-export class Gauge {
+export class StreamStatistics {
   constructor() {
     this.beganMs = 0;
     /** @type {number[]} */
@@ -48,7 +48,7 @@ export class Gauge {
     this.arrivals.push(nowMs);
   }
 
-  /** @param {number} nowMs @returns {Report} */
+  /** @param {number} nowMs @returns {StreamReport} */
   report(nowMs) {
     while (this.arrivals.length > 0 && this.arrivals[0] < nowMs - RATE_WINDOW_MS) this.arrivals.shift();
     const spanMs = nowMs - Math.max(this.beganMs, nowMs - RATE_WINDOW_MS);

@@ -1,5 +1,5 @@
 /**
- * Where objects were, as the server's history tells it: courses, and how long each place was taken. Pure functions
+ * Where objects were, as the server's history tells it: trajectories, and how long each place was taken. Pure functions
  * without DOM.
  */
 
@@ -14,7 +14,7 @@ const LEAST_CELL_M = 0.02;
 
 /**
  * One object in one run of the server.
- * @typedef {object} Course
+ * @typedef {object} Trajectory
  * @property {number} id
  * @property {string} label what a person calls it
  * @property {number} hue of its line, degrees
@@ -22,19 +22,19 @@ const LEAST_CELL_M = 0.02;
  * @property {Float64Array} timesMs
  * @property {Float32Array} places x, y, z of each
  */
-/** @typedef {{courses: Course[], points: number, stepS: number, oldestMs: number | null, newestMs: number | null}} Courses */
-/** Cells from the lower left one on, row by row; what each holds is seconds. @typedef {{minX: number, minY: number, cellM: number, columns: number, rows: number, seconds: Float32Array, mostS: number}} Heat */
-/** What is laid over the arena: the heat in place of the courses, where there is one. @typedef {{courses: Courses, heat: Heat | null}} Overlay */
+/** @typedef {{trajectories: Trajectory[], points: number, stepS: number, oldestMs: number | null, newestMs: number | null}} Trajectories */
+/** Cells from the lower left one on, row by row; what each holds is seconds. @typedef {{minX: number, minY: number, cellM: number, columns: number, rows: number, seconds: Float32Array, mostS: number}} HeatMap */
+/** What is laid over the arena: the heat in place of the trajectories, where there is one. @typedef {{trajectories: Trajectories, heat: HeatMap | null}} HistoryOverlay */
 
-/** @param {any} raw an answer of /api/v1/history @returns {Courses} */
-export function readCourses(raw) {
+/** @param {any} raw an answer of /api/v1/history @returns {Trajectories} */
+export function readTrajectories(raw) {
   const stepS = count(raw?.step_s);
-  const courses = list(raw?.objects).map((one, i) => readCourse(one, i));
-  return { courses, points: count(raw?.points), stepS, oldestMs: milliseconds(raw?.oldest_time_ns) || null, newestMs: milliseconds(raw?.newest_time_ns) || null };
+  const trajectories = list(raw?.objects).map((one, i) => readTrajectory(one, i));
+  return { trajectories, points: count(raw?.points), stepS, oldestMs: milliseconds(raw?.oldest_time_ns) || null, newestMs: milliseconds(raw?.newest_time_ns) || null };
 }
 
-/** @param {any} raw @param {number} i @returns {Course} */
-function readCourse(raw, i) {
+/** @param {any} raw @param {number} i @returns {Trajectory} */
+function readTrajectory(raw, i) {
   const points = list(raw?.points);
   const timesMs = new Float64Array(points.length);
   const places = new Float32Array(points.length * 3);
@@ -53,26 +53,26 @@ function readCourse(raw, i) {
 }
 
 /**
- * A course's lines, one call for each place; `joined` where a line leads there from the one before.
- * @param {Course} course
+ * A trajectory's lines, one call for each place; `joined` where a line leads there from the one before.
+ * @param {Trajectory} trajectory
  * @param {number} stepS
  * @param {(i: number, joined: boolean) => void} visit
  */
-export function eachPlace(course, stepS, visit) {
+export function eachPoint(trajectory, stepS, visit) {
   const gapMs = Math.max(1000, GAP_STEPS * stepS * 1000);
-  for (let i = 0; i < course.count; i += 1) {
-    visit(i, i > 0 && course.timesMs[i] - course.timesMs[i - 1] <= gapMs);
+  for (let i = 0; i < trajectory.count; i += 1) {
+    visit(i, i > 0 && trajectory.timesMs[i] - trajectory.timesMs[i - 1] <= gapMs);
   }
 }
 
 /**
  * How long each cell of the floor was taken; every point stands for the time until the next one.
- * @param {Courses} courses
- * @returns {Heat | null} null without points
+ * @param {Trajectories} trajectories
+ * @returns {HeatMap | null} null without points
  */
-export function heatOf({ courses, stepS }) {
+export function computeHeatMap({ trajectories, stepS }) {
   let [minX, minY, maxX, maxY] = [Infinity, Infinity, -Infinity, -Infinity];
-  for (const { places, count } of courses) {
+  for (const { places, count } of trajectories) {
     for (let i = 0; i < count; i += 1) {
       minX = Math.min(minX, places[i * 3]);
       maxX = Math.max(maxX, places[i * 3]);
@@ -88,7 +88,7 @@ export function heatOf({ courses, stepS }) {
   const rows = Math.floor(maxY / cellM) - low + 1;
   const seconds = new Float32Array(columns * rows);
   let mostS = 0;
-  for (const { places, count } of courses) {
+  for (const { places, count } of trajectories) {
     for (let i = 0; i < count; i += 1) {
       const at = (Math.floor(places[i * 3 + 1] / cellM) - low) * columns + Math.floor(places[i * 3] / cellM) - left;
       seconds[at] += stepS;
@@ -99,27 +99,27 @@ export function heatOf({ courses, stepS }) {
 }
 
 /** How dark a cell is drawn, 0 to 1: what was taken seldom is seen, too. @param {number} seconds @param {number} mostS */
-export function darkness(seconds, mostS) {
+export function heatOpacity(seconds, mostS) {
   return seconds > 0 ? 0.12 + 0.68 * Math.sqrt(seconds / mostS) : 0;
 }
 
 /**
- * The place of all courses that is nearest to a point of the floor.
- * @param {Courses} courses
+ * The place of all trajectories that is nearest to a point of the floor.
+ * @param {Trajectories} trajectories
  * @param {number} x
  * @param {number} y
  * @param {number} withinM
- * @returns {{course: Course, timeMs: number} | null}
+ * @returns {{trajectory: Trajectory, timeMs: number} | null}
  */
-export function nearestPlace({ courses }, x, y, withinM) {
+export function nearestPoint({ trajectories }, x, y, withinM) {
   let found = null;
   let nearestM = withinM;
-  for (const course of courses) {
-    for (let i = 0; i < course.count; i += 1) {
-      const distanceM = Math.hypot(course.places[i * 3] - x, course.places[i * 3 + 1] - y);
+  for (const trajectory of trajectories) {
+    for (let i = 0; i < trajectory.count; i += 1) {
+      const distanceM = Math.hypot(trajectory.places[i * 3] - x, trajectory.places[i * 3 + 1] - y);
       if (distanceM >= nearestM) continue;
       nearestM = distanceM;
-      found = { course, timeMs: course.timesMs[i] };
+      found = { trajectory, timeMs: trajectory.timesMs[i] };
     }
   }
   return found;

@@ -1,12 +1,12 @@
 /** Calls of the server's API, and what it says where it refuses. */
 
 /**
- * @typedef {object} Refusal
+ * @typedef {object} ApiError
  * @property {number} status 0: no answer came
  * @property {string} field what the error is about, as the API calls it; empty: none of the fields
  * @property {string} message without the field's name
  */
-/** @typedef {{answer: any, refusal: null} | {answer: null, refusal: Refusal}} Reply */
+/** @typedef {{answer: any, error: null} | {answer: null, error: ApiError}} Reply */
 
 /**
  * @param {string} method
@@ -14,7 +14,7 @@
  * @param {object} [body]
  * @returns {Promise<Reply>}
  */
-export async function ask(method, path, body) {
+export async function callApi(method, path, body) {
   const headers = body === undefined ? undefined : { "content-type": "application/json" };
   return answered(() => fetch(`api/v1/${path}`, { method, headers, body: body && JSON.stringify(body), cache: "no-store" }), (response) => response.json());
 }
@@ -24,7 +24,7 @@ export async function ask(method, path, body) {
  * @param {string} path below api/v1/
  * @returns {Promise<Reply>} the answer is a Blob
  */
-export function askFile(path) {
+export function fetchFile(path) {
   return answered(() => fetch(`api/v1/${path}`, { cache: "no-store" }), (response) => response.blob());
 }
 
@@ -36,11 +36,11 @@ export function askFile(path) {
 async function answered(send, read) {
   try {
     const response = await send();
-    if (response.ok) return { answer: await read(response), refusal: null };
+    if (response.ok) return { answer: await read(response), error: null };
     const said = await response.json().catch(() => null);
-    return { answer: null, refusal: readRefusal(response.status, said?.error?.message) };
+    return { answer: null, error: readApiError(response.status, said?.error?.message) };
   } catch {
-    return { answer: null, refusal: { status: 0, field: "", message: "No answer from the server. Try again." } };
+    return { answer: null, error: { status: 0, field: "", message: "No answer from the server. Try again." } };
   }
 }
 
@@ -48,9 +48,9 @@ async function answered(send, read) {
  * An error begins with the field that it is about, if it is about one.
  * @param {number} status
  * @param {string} [message]
- * @returns {Refusal}
+ * @returns {ApiError}
  */
-export function readRefusal(status, message = `The server answers with ${status}.`) {
+export function readApiError(status, message = `The server answers with ${status}.`) {
   const named = /^([a-z_]+): (.*)$/s.exec(message);
   return named ? { status, field: named[1], message: named[2] } : { status, field: "", message };
 }

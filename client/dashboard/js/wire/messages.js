@@ -160,7 +160,7 @@ function readObject(raw) {
     positionM: vector(raw?.position),
     orientation: quaternion(raw?.orientation),
     yawObserved: raw?.yaw_observed === true,
-    eitherWay: raw?.yaw_symmetry === 2,
+    isHeadingAmbiguous: raw?.yaw_symmetry === 2,
     velocityMS: vector(raw?.velocity),
     covariance: () => numbers(raw?.covariance, 21),
     cameras: list(raw?.cameras).map(text),

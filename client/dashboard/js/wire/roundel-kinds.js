@@ -1,6 +1,6 @@
 /** The kinds of roundel that the configuration has. */
 
-import { ask } from "./api-client.js";
+import { callApi } from "./api-client.js";
 
 /** @typedef {{name: string, outer_mm: number, inner_mm: number, inner_minor_mm: number | null, code_bits: number | null, code_min_distance: number | null, polarity: string}} Kind */
 
@@ -9,7 +9,7 @@ import { ask } from "./api-client.js";
  * @param {import("../state/store.js").Store} store
  * @returns {Promise<Kind[]>}
  */
-export async function askKinds(store) {
-  const { answer } = store.info?.allowsSetup ? await ask("GET", "configuration") : { answer: null };
+export async function fetchRoundelKinds(store) {
+  const { answer } = store.info?.allowsSetup ? await callApi("GET", "configuration") : { answer: null };
   return answer?.roundels ?? [];
 }

@@ -3,7 +3,7 @@
 /** @typedef {OffscreenCanvasRenderingContext2D | CanvasRenderingContext2D} Context2D */
 
 /** A canvas as sharp as the screen, with a context that counts in CSS pixels. */
-export class Layer {
+export class CanvasLayer {
   /** @param {OffscreenCanvas | HTMLCanvasElement} canvas */
   constructor(canvas) {
     const context = /** @type {Context2D | null} */ (canvas.getContext("2d"));
@@ -30,7 +30,7 @@ export class Layer {
  * @param {number} height
  * @returns {{canvas: OffscreenCanvas | HTMLCanvasElement, context: Context2D}}
  */
-export function makeSheet(width, height) {
+export function makeCanvas(width, height) {
   // Browsers that know no canvas outside the page draw in the page.
   const canvas = typeof OffscreenCanvas === "undefined" ? document.createElement("canvas") : new OffscreenCanvas(width, height);
   canvas.width = width;

@@ -4,7 +4,7 @@
  */
 
 import { fixed } from "../../base/format.js";
-import { makeSheet } from "./canvas-layer.js";
+import { makeCanvas } from "./canvas-layer.js";
 
 /** Objects higher than this carry their height, metres; a robot's roundel is mostly below. */
 const FLYING_M = 0.5;
@@ -92,7 +92,7 @@ function paint(name, height, isSelected, palette, ratio) {
   const widths = [name, height].map((text, i) => (text ? widthOf(text, fonts[i]) : 0));
   const width = Math.ceil(Math.max(...widths)) + 2 * PADDING_PX;
   const tall = (height ? 29 : 16) + 2 * PADDING_PX;
-  const { canvas, context } = makeSheet(Math.ceil(width * ratio), Math.ceil(tall * ratio));
+  const { canvas, context } = makeCanvas(Math.ceil(width * ratio), Math.ceil(tall * ratio));
   context.scale(ratio, ratio);
   context.lineJoin = "round";
   context.lineWidth = 3.5;
@@ -115,7 +115,7 @@ let ruler = null;
 
 /** @param {string} text @param {string} font */
 function widthOf(text, font) {
-  ruler ??= makeSheet(1, 1).context;
+  ruler ??= makeCanvas(1, 1).context;
   ruler.font = font;
   return ruler.measureText(text).width;
 }

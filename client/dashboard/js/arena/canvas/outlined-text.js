@@ -8,7 +8,7 @@
  * @param {string} color
  * @param {number} [widthPx] of the outline, both sides together
  */
-export function writeWithHalo(context, palette, words, px, py, color, widthPx = 3) {
+export function drawOutlinedText(context, palette, words, px, py, color, widthPx = 3) {
   context.lineWidth = widthPx;
   context.lineJoin = "round";
   context.strokeStyle = palette.sheet;

@@ -95,7 +95,7 @@ export class Lines {
 }
 
 /** One shape drawn many times, with a place and a colour for each. */
-export class Swarm {
+export class InstancedShapes {
   /**
    * @param {BufferGeometry} geometry
    * @param {number} opacity
@@ -135,10 +135,10 @@ export class Swarm {
     old.dispose();
   }
 
-  /** @param {boolean} isCrowd whether there are many */
-  clear(isCrowd) {
+  /** @param {boolean} hasManyObjects whether there are many */
+  clear(hasManyObjects) {
     this.count = 0;
-    this.geometry = isCrowd ? this.coarse : this.fine;
+    this.geometry = hasManyObjects ? this.coarse : this.fine;
     this.object.geometry = this.geometry;
   }
 
@@ -237,7 +237,7 @@ function joined(parts) {
  * @param {import("../viewport.js").Bounds} bounds
  * @returns {number} metres between two lines
  */
-export function layFloor(lines, palette, bounds) {
+export function addFloor(lines, palette, bounds) {
   const span = Math.max(bounds.maxX - bounds.minX, bounds.maxY - bounds.minY, 1);
   let step = roundStep(span / 8);
   if (span / step > MOST_LINES) step *= 10;

@@ -15,7 +15,7 @@ const FARTHEST_M = 500;
 
 /** @typedef {import("../../base/geometry.js").Vector3} Vector3 */
 
-export class Orbit {
+export class OrbitCamera {
   constructor() {
     /** What lies in the middle of the picture, metres. @type {Vector3} */
     this.target = { x: 0, y: 0, z: 0 };

@@ -7,14 +7,14 @@
 
 import { BoxGeometry, CircleGeometry, Color, Matrix4, PerspectiveCamera, Quaternion, RingGeometry, Scene, SphereGeometry, Vector3, WebGLRenderer } from "../../../vendor/three.js";
 import { cholesky } from "../../base/geometry.js";
-import { writeWithHalo } from "../canvas/outlined-text.js";
+import { drawOutlinedText } from "../canvas/outlined-text.js";
 import { FRAME_MS, GAP_MS } from "../../state/history.js";
 import { drawLabels } from "../canvas/labels.js";
-import { LEAD_S } from "../top/object-symbol.js";
-import { Orbit, VIEW_RAD } from "./orbit-camera.js";
-import { layOverlay } from "../history-overlay.js";
-import { CROWD, trailPlan } from "../top/tracks.js";
-import { Coverage, drawFrustum, layFloor, Lines, rgb, stageShapes, Swarm, Tiles } from "./meshes.js";
+import { VELOCITY_LINE_S } from "../top/object-symbol.js";
+import { OrbitCamera, VIEW_RAD } from "./orbit-camera.js";
+import { addOverlay } from "../history-overlay.js";
+import { MANY_OBJECTS, trailPlan } from "../top/tracks.js";
+import { Coverage, drawFrustum, addFloor, Lines, rgb, stageShapes, InstancedShapes, Tiles } from "./meshes.js";
 import { CHI2_95_3D } from "../../state/object-state.js";
 
 /** Half a robot's width, metres; further away objects are drawn larger, to stay legible. */
@@ -43,7 +43,7 @@ export class SpaceView {
    * @param {WebGL2RenderingContext} context of that canvas
    */
   constructor(canvas, context) {
-    this.orbit = new Orbit();
+    this.orbit = new OrbitCamera();
     this.renderer = new WebGLRenderer({ canvas, context });
     const { antialias } = context.getContextAttributes() ?? {};
     this.mostPixels = antialias ? 2 : 1;
@@ -56,27 +56,27 @@ export class SpaceView {
     this.heat = new Tiles();
     this.moving = new Lines();
     this.trails = new Lines();
-    this.bodies = new Swarm(new BoxGeometry(1, 0.8, 1.2), 1, 0);
-    this.sheets = new Swarm(new CircleGeometry(0.98, 24), 1, 0);
-    this.ellipsoids = new Swarm(new SphereGeometry(1, 20, 14), 0.2, 3, new SphereGeometry(1, 10, 7));
-    this.marks = new Swarm(new RingGeometry(1.35, 1.6, 40), 1, 0);
+    this.bodies = new InstancedShapes(new BoxGeometry(1, 0.8, 1.2), 1, 0);
+    this.sheets = new InstancedShapes(new CircleGeometry(0.98, 24), 1, 0);
+    this.ellipsoids = new InstancedShapes(new SphereGeometry(1, 20, 14), 0.2, 3, new SphereGeometry(1, 10, 7));
+    this.marks = new InstancedShapes(new RingGeometry(1.35, 1.6, 40), 1, 0);
     // Without a card each corner costs a microsecond, and of hundreds nobody sees how round they are.
     const [shapes, coarse] = [stageShapes(3), stageShapes(1)];
-    /** @type {Record<import("../../state/object-state.js").Stage, Swarm>} */
+    /** @type {Record<import("../../state/object-state.js").Stage, InstancedShapes>} */
     this.stages = {
-      tracked: new Swarm(shapes.tracked, 1, 0, coarse.tracked),
-      predicted: new Swarm(shapes.predicted, 1, 0, coarse.predicted),
-      tentative: new Swarm(shapes.tentative, 1, 0),
-      lost: new Swarm(shapes.lost, 1, 0),
-      unspecified: new Swarm(shapes.unspecified, 1, 0),
+      tracked: new InstancedShapes(shapes.tracked, 1, 0, coarse.tracked),
+      predicted: new InstancedShapes(shapes.predicted, 1, 0, coarse.predicted),
+      tentative: new InstancedShapes(shapes.tentative, 1, 0),
+      lost: new InstancedShapes(shapes.lost, 1, 0),
+      unspecified: new InstancedShapes(shapes.unspecified, 1, 0),
     };
-    const swarms = [this.bodies, this.sheets, this.marks, this.ellipsoids, ...Object.values(this.stages)];
-    for (const { object } of [this.coverage, this.heat, this.still, this.trails, this.moving, ...swarms]) this.scene.add(object);
+    const instanced = [this.bodies, this.sheets, this.marks, this.ellipsoids, ...Object.values(this.stages)];
+    for (const { object } of [this.coverage, this.heat, this.still, this.trails, this.moving, ...instanced]) this.scene.add(object);
     /** @type {Seen[]} what was drawn, for whoever points at it */
     this.seen = [];
     this.stepM = 1;
     /** Whether there are so many that they are drawn less finely. */
-    this.isCrowd = false;
+    this.hasManyObjects = false;
     this.ratio = 1;
     this.scratch = { matrix: new Matrix4(), turn: new Quaternion(), place: new Vector3(), size: new Vector3() };
   }
@@ -97,14 +97,14 @@ export class SpaceView {
    * @param {Palette} palette
    * @param {Camera[]} cameras
    * @param {import("../viewport.js").Bounds} bounds
-   * @param {import("../../state/trajectories.js").Overlay | null} overlay
+   * @param {import("../../state/trajectories.js").HistoryOverlay | null} overlay
    */
   lay(palette, cameras, bounds, overlay) {
     /** @type {Color} */ (this.scene.background).set(palette.sheet);
     this.still.clear();
-    this.stepM = layFloor(this.still, palette, bounds);
+    this.stepM = addFloor(this.still, palette, bounds);
     for (const camera of cameras) drawFrustum(this.still, palette, camera);
-    layOverlay(this.still, this.heat, rgb, palette, overlay);
+    addOverlay(this.still, this.heat, rgb, palette, overlay);
     this.still.done();
     this.coverage.show(cameras, palette);
     this.heightM = Math.max(LEAST_HEIGHT_M, ...cameras.map((camera) => camera.pose?.position.z ?? 0));
@@ -129,9 +129,9 @@ export class SpaceView {
     this.camera.lookAt(orbit.target.x, orbit.target.y, orbit.target.z);
     this.moving.clear();
     this.trails.clear();
-    const swarms = [this.bodies, this.sheets, this.marks, this.ellipsoids, ...Object.values(this.stages)];
-    this.isCrowd = tracks.length >= CROWD;
-    for (const swarm of swarms) swarm.clear(this.isCrowd);
+    const instanced = [this.bodies, this.sheets, this.marks, this.ellipsoids, ...Object.values(this.stages)];
+    this.hasManyObjects = tracks.length >= MANY_OBJECTS;
+    for (const shape of instanced) shape.clear(this.hasManyObjects);
     this.seen = [];
     const plan = trailPlan(tracks.length, TRAIL_POINTS);
     for (const { state } of tracks) {
@@ -140,7 +140,7 @@ export class SpaceView {
     }
     for (const camera of cameras) this.addCamera(camera, palette);
     for (const camera of options.cameras) drawFrustum(this.moving, palette, camera);
-    for (const part of [this.moving, this.trails, ...swarms]) part.done();
+    for (const part of [this.moving, this.trails, ...instanced]) part.done();
     this.renderer.render(this.scene, this.camera);
     this.label(labels, palette, cameras, options);
   }
@@ -159,7 +159,7 @@ export class SpaceView {
     this.stages[state.stage].add(matrix, color);
     if (state.id === options.selected || state.id === options.hovered) this.marks.add(matrix, rgb(palette.accent));
     // A hair below its sign, so that the floor's lines do not shine through.
-    if (!this.isCrowd && (state.stage === "tracked" || state.stage === "predicted")) {
+    if (!this.hasManyObjects && (state.stage === "tracked" || state.stage === "predicted")) {
       this.sheets.add(matrix.setPosition(p.x, p.y, p.z - 0.004), rgb(palette.sheet));
     }
     this.seen.push({ state, px: seen.px, py: seen.py, radiusPx: radiusM / pixelM });
@@ -168,11 +168,11 @@ export class SpaceView {
     if (p.z > 0.02) this.moving.line(p, { x: p.x, y: p.y, z: 0 }, soft, 0.45);
     if (state.stage === "lost") return;
     const v = state.velocityMS;
-    if (v) this.moving.line(p, { x: p.x + v.x * LEAD_S, y: p.y + v.y * LEAD_S, z: p.z + v.z * LEAD_S }, color);
+    if (v) this.moving.line(p, { x: p.x + v.x * VELOCITY_LINE_S, y: p.y + v.y * VELOCITY_LINE_S, z: p.z + v.z * VELOCITY_LINE_S }, color);
     const heading = state.headingRad;
     if (heading !== null) {
       const [hx, hy] = [Math.cos(heading) * radiusM * 1.7, Math.sin(heading) * radiusM * 1.7];
-      const back = state.eitherWay ? -1 : 0;
+      const back = state.isHeadingAmbiguous ? -1 : 0;
       this.moving.line({ x: p.x + back * hx, y: p.y + back * hy, z: p.z }, { x: p.x + hx, y: p.y + hy, z: p.z }, rgb(palette.ink));
     }
     this.addEllipsoid(state, p, color, options.exaggeration, radiusM);
@@ -248,7 +248,7 @@ export class SpaceView {
       if (!seen) continue;
       const isFailed = camera.status === "failed";
       const words = isFailed ? `${camera.name} – failed` : camera.name;
-      writeWithHalo(context, palette, words, seen.px, seen.py - 10, isFailed ? palette.failed : palette.inkSoft);
+      drawOutlinedText(context, palette, words, seen.px, seen.py - 10, isFailed ? palette.failed : palette.inkSoft);
     }
   }
 

@@ -5,22 +5,22 @@
  */
 
 import { footprint, roundStep, rotate } from "../../base/geometry.js";
-import { writeWithHalo } from "../canvas/outlined-text.js";
+import { drawOutlinedText } from "../canvas/outlined-text.js";
 import { drawOverlay } from "../history-overlay.js";
 
 /** Width of the left ruler and height of the lower one, CSS pixels. */
 export const RULER = { left: 38, bottom: 22 };
 
-/** @typedef {import("../viewport.js").View} View */
+/** @typedef {import("../viewport.js").Viewport} Viewport */
 /** @typedef {import("../palette.js").Palette} Palette */
 /** @typedef {import("../../wire/messages.js").Camera} Camera */
 
 /**
  * @param {import("../canvas/canvas-layer.js").Context2D} context in CSS pixels
- * @param {View} view
+ * @param {Viewport} view
  * @param {Palette} palette
  * @param {Camera[]} cameras
- * @param {import("../../state/trajectories.js").Overlay | null} overlay
+ * @param {import("../../state/trajectories.js").HistoryOverlay | null} overlay
  */
 export function drawBackdrop(context, view, palette, cameras, overlay) {
   context.fillStyle = palette.sheet;
@@ -37,7 +37,7 @@ export function drawBackdrop(context, view, palette, cameras, overlay) {
 /**
  * Cameras that move, with what they see of the floor.
  * @param {import("../canvas/canvas-layer.js").Context2D} context in CSS pixels
- * @param {View} view
+ * @param {Viewport} view
  * @param {Palette} palette
  * @param {Camera[]} cameras
  */
@@ -46,7 +46,7 @@ export function drawCameras(context, view, palette, cameras) {
   for (const camera of cameras) drawCamera(context, view, palette, camera);
 }
 
-/** Distance between the grid's lines: about 70 pixels or a little less. @param {View} view */
+/** Distance between the grid's lines: about 70 pixels or a little less. @param {Viewport} view */
 export function gridStepM(view) {
   return roundStep(90 / view.scale);
 }
@@ -73,7 +73,7 @@ function eachStep(from, to, step, visit) {
 
 /**
  * @param {import("../canvas/canvas-layer.js").Context2D} context
- * @param {View} view
+ * @param {Viewport} view
  * @param {Palette} palette
  * @param {number} stepM
  */
@@ -104,7 +104,7 @@ function drawGrid(context, view, palette, stepM) {
 /**
  * World x and y at the origin, one grid step long.
  * @param {import("../canvas/canvas-layer.js").Context2D} context
- * @param {View} view
+ * @param {Viewport} view
  * @param {Palette} palette
  * @param {number} stepM
  */
@@ -137,7 +137,7 @@ function drawAxes(context, view, palette, stepM) {
 
 /**
  * @param {import("../canvas/canvas-layer.js").Context2D} context
- * @param {View} view
+ * @param {Viewport} view
  * @param {Palette} palette
  * @param {Camera} camera
  */
@@ -167,7 +167,7 @@ function drawFootprint(context, view, palette, camera) {
 /**
  * The camera itself: a body with its lens turned the way it looks.
  * @param {import("../canvas/canvas-layer.js").Context2D} context
- * @param {View} view
+ * @param {Viewport} view
  * @param {Palette} palette
  * @param {Camera} camera
  */
@@ -200,13 +200,13 @@ function drawCamera(context, view, palette, camera) {
   context.font = `11px ${palette.font}`;
   context.textAlign = "center";
   context.textBaseline = "top";
-  writeWithHalo(context, palette, note, px, py + 12, color);
+  drawOutlinedText(context, palette, note, px, py + 12, color);
 }
 
 /**
  * Metres along the left and the lower edge, as on the sheet of a drawing.
  * @param {import("../canvas/canvas-layer.js").Context2D} context
- * @param {View} view
+ * @param {Viewport} view
  * @param {Palette} palette
  * @param {number} stepM
  */

@@ -3,10 +3,10 @@
  * as tracks.js draws few, they would hold the page up where no graphics card helps.
  */
 
-import { makeSheet } from "../canvas/canvas-layer.js";
-import { discRadius, drawMark, drawObject, LEAD_S } from "./object-symbol.js";
+import { makeCanvas } from "../canvas/canvas-layer.js";
+import { discRadius, drawSymbol, drawObject, VELOCITY_LINE_S } from "./object-symbol.js";
 
-/** @typedef {import("../viewport.js").View} View */
+/** @typedef {import("../viewport.js").Viewport} Viewport */
 /** @typedef {import("../palette.js").Palette} Palette */
 /** @typedef {import("../../state/store.js").Track} Track */
 
@@ -17,12 +17,12 @@ const MOST_STAMPS = 100;
 
 /**
  * @param {import("../canvas/canvas-layer.js").Context2D} context in CSS pixels
- * @param {View} view
+ * @param {Viewport} view
  * @param {Palette} palette
  * @param {Track[]} tracks those in view
  * @param {{selected: number | null, hovered: number | null}} options
  */
-export function drawCrowd(context, view, palette, tracks, options) {
+export function drawManyObjects(context, view, palette, tracks, options) {
   const { ratio } = view;
   const radius = discRadius(view);
   drawLines(context, view, palette, tracks, radius);
@@ -43,7 +43,7 @@ export function drawCrowd(context, view, palette, tracks, options) {
 /**
  * Velocities by stage, and all headings.
  * @param {import("../canvas/canvas-layer.js").Context2D} context
- * @param {View} view
+ * @param {Viewport} view
  * @param {Palette} palette
  * @param {Track[]} tracks
  * @param {number} radius
@@ -60,12 +60,12 @@ function drawLines(context, view, palette, tracks, radius) {
       const path = velocities.get(stage) ?? new Path2D();
       velocities.set(stage, path);
       path.moveTo(px, py);
-      path.lineTo(px + velocityMS.x * LEAD_S * view.scale, py - velocityMS.y * LEAD_S * view.scale);
+      path.lineTo(px + velocityMS.x * VELOCITY_LINE_S * view.scale, py - velocityMS.y * VELOCITY_LINE_S * view.scale);
     }
     const heading = state.headingRad;
     if (heading === null) continue;
     const [hx, hy] = [Math.cos(heading) * radius * 1.5, -Math.sin(heading) * radius * 1.5];
-    headings.moveTo(px - (state.eitherWay ? hx : 0), py - (state.eitherWay ? hy : 0));
+    headings.moveTo(px - (state.isHeadingAmbiguous ? hx : 0), py - (state.isHeadingAmbiguous ? hy : 0));
     headings.lineTo(px + hx, py + hy);
   }
   context.lineWidth = 1;
@@ -92,11 +92,11 @@ function stampOf(stage, radius, palette, ratio) {
   if (known) return known;
   if (stamps.size > MOST_STAMPS) stamps.clear();
   const side = 2 * Math.ceil((size + 2) * ratio) + 1;
-  const { canvas, context } = makeSheet(side, side);
+  const { canvas, context } = makeCanvas(side, side);
   context.scale(ratio, ratio);
   context.lineCap = "round";
   context.lineJoin = "round";
-  drawMark(context, side / ratio / 2, side / ratio / 2, size, stage, palette.stage[stage], palette.sheet);
+  drawSymbol(context, side / ratio / 2, side / ratio / 2, size, stage, palette.stage[stage], palette.sheet);
   stamps.set(key, canvas);
   return canvas;
 }

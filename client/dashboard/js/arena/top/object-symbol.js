@@ -6,20 +6,20 @@
  */
 
 /** The line of the velocity ends where the object will be after this time, s. */
-export const LEAD_S = 0.5;
+export const VELOCITY_LINE_S = 0.5;
 
-/** @typedef {import("../viewport.js").View} View */
+/** @typedef {import("../viewport.js").Viewport} Viewport */
 /** @typedef {import("../palette.js").Palette} Palette */
 /** @typedef {import("../../state/store.js").Track} Track */
 
 /** Radius of an object's disc, CSS pixels: about 0.3 m wide in the world, but always legible. */
-export function discRadius(/** @type {View} */ view) {
+export function discRadius(/** @type {Viewport} */ view) {
   return Math.min(15, Math.max(6.5, 0.13 * view.scale));
 }
 
 /**
  * @param {import("../canvas/canvas-layer.js").Context2D} context
- * @param {View} view
+ * @param {Viewport} view
  * @param {Palette} palette
  * @param {Track} track
  * @param {{selected: number | null, hovered: number | null}} options
@@ -34,8 +34,8 @@ export function drawObject(context, view, palette, { state }, options) {
     context.beginPath();
     context.moveTo(px, py);
     context.lineTo(
-      px + velocityMS.x * LEAD_S * view.scale,
-      py - velocityMS.y * LEAD_S * view.scale,
+      px + velocityMS.x * VELOCITY_LINE_S * view.scale,
+      py - velocityMS.y * VELOCITY_LINE_S * view.scale,
     );
     context.strokeStyle = color;
     context.lineWidth = 1.25;
@@ -48,11 +48,11 @@ export function drawObject(context, view, palette, { state }, options) {
     context.lineWidth = state.id === options.selected ? 2.5 : 1.25;
     context.stroke();
   }
-  drawMark(context, px, py, radius, state.stage, color, palette.sheet);
+  drawSymbol(context, px, py, radius, state.stage, color, palette.sheet);
   if (state.headingRad !== null && state.stage !== "lost") {
     const [hx, hy] = [Math.cos(state.headingRad), -Math.sin(state.headingRad)];
     context.beginPath();
-    for (const side of state.eitherWay ? [1, -1] : [1]) {
+    for (const side of state.isHeadingAmbiguous ? [1, -1] : [1]) {
       context.moveTo(px + hx * radius * 0.2 * side, py + hy * radius * 0.2 * side);
       context.lineTo(px + hx * radius * 1.5 * side, py + hy * radius * 1.5 * side);
     }
@@ -72,7 +72,7 @@ export function drawObject(context, view, palette, { state }, options) {
  * @param {string} color
  * @param {string} sheet
  */
-export function drawMark(context, px, py, radius, stage, color, sheet) {
+export function drawSymbol(context, px, py, radius, stage, color, sheet) {
   const width = Math.max(2.5, radius * 0.38);
   context.beginPath();
   context.strokeStyle = color;

@@ -4,9 +4,9 @@
  */
 
 import { fixed } from "../../base/format.js";
-import { writeWithHalo } from "../canvas/outlined-text.js";
+import { drawOutlinedText } from "../canvas/outlined-text.js";
 
-/** @typedef {import("../viewport.js").View} View */
+/** @typedef {import("../viewport.js").Viewport} Viewport */
 /** @typedef {import("../../state/track.js").Track} Track */
 /** @typedef {{x: number, y: number, z: number | null}} Place metres; z is known of objects alone */
 /** @typedef {{id: number} | {id: null, x: number, y: number}} End */
@@ -15,7 +15,7 @@ const LEVEL_M = 0.01;
 /** Of the small bar across either end, CSS pixels. */
 const TICK_PX = 5;
 
-export class Tape {
+export class TapeMeasure {
   constructor() {
     this.isOut = false;
     /** @type {End[]} none, one or both */
@@ -57,12 +57,12 @@ export class Tape {
     const between = this.places(tracks);
     const [from, to] = [this.ends[0], this.ends[1]].map((end) => end && nameOf(end, tracks));
     if (!between) return `Measure: from ${from} to …`;
-    return `${from} to ${to ?? "pointer"}: ${distanceWords(between)}`;
+    return `${from} to ${to ?? "pointer"}: ${distanceText(between)}`;
   }
 }
 
 /** @param {[Place, Place]} places */
-export function distanceWords([from, to]) {
+export function distanceText([from, to]) {
   const level = Math.hypot(to.x - from.x, to.y - from.y);
   const rise = from.z === null || to.z === null ? 0 : to.z - from.z;
   if (Math.abs(rise) < LEVEL_M) return `${fixed(level, 3)} m`;
@@ -82,7 +82,7 @@ function nameOf(end, tracks) {
 
 /**
  * @param {import("../canvas/canvas-layer.js").Context2D} context in CSS pixels
- * @param {View} view
+ * @param {Viewport} view
  * @param {import("../palette.js").Palette} palette
  * @param {[Place, Place]} places
  */
@@ -103,5 +103,5 @@ export function drawTape(context, view, palette, places) {
   context.font = `600 12px ${palette.font}`;
   context.textAlign = "center";
   context.textBaseline = "middle";
-  writeWithHalo(context, palette, distanceWords(places), (ax + bx) / 2, (ay + by) / 2 - 12, palette.accent, 4);
+  drawOutlinedText(context, palette, distanceText(places), (ax + bx) / 2, (ay + by) / 2 - 12, palette.accent, 4);
 }

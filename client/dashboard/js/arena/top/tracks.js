@@ -4,7 +4,7 @@
 
 import { drawCameras, RULER } from "./backdrop.js";
 import { FRAME_MS, GAP_MS } from "../../state/history.js";
-import { drawCrowd } from "./many-objects.js";
+import { drawManyObjects } from "./many-objects.js";
 import { drawLabels } from "../canvas/labels.js";
 import { discRadius, drawObject } from "./object-symbol.js";
 import { TRAIL_MS } from "../../state/store.js";
@@ -16,10 +16,10 @@ const TRAIL_BANDS = 4;
 /** Points of all trails together, about: with many objects each has fewer. */
 const TRAIL_POINTS = 3000;
 /** From so many objects in view on they are drawn as a crowd: less fine, and in a fraction of the time. */
-export const CROWD = 120;
-const CROWD_TRAIL_MS = 2000;
+export const MANY_OBJECTS = 120;
+const MANY_OBJECTS_TRAIL_MS = 2000;
 
-/** @typedef {import("../viewport.js").View} View */
+/** @typedef {import("../viewport.js").Viewport} Viewport */
 /** @typedef {import("../palette.js").Palette} Palette */
 /** @typedef {import("../../state/store.js").Track} Track */
 /** @typedef {import("../../state/history.js").History} History */
@@ -37,7 +37,7 @@ const CROWD_TRAIL_MS = 2000;
 
 /**
  * @param {import("../canvas/canvas-layer.js").Context2D} context in CSS pixels
- * @param {View} view
+ * @param {Viewport} view
  * @param {Palette} palette
  * @param {Track[]} tracks
  * @param {PlotOptions} options
@@ -61,8 +61,8 @@ export function drawTracks(context, view, palette, tracks, options) {
   if (options.exaggeration > 0) {
     for (const track of seen) drawEllipse(context, view, palette, track, options);
   }
-  if (seen.length < CROWD) for (const track of seen) drawObject(context, view, palette, track, options);
-  else drawCrowd(context, view, palette, seen, options);
+  if (seen.length < MANY_OBJECTS) for (const track of seen) drawObject(context, view, palette, track, options);
+  else drawManyObjects(context, view, palette, seen, options);
   const radius = discRadius(view);
   const labels = seen.map(({ state }) => ({
     state,
@@ -79,23 +79,23 @@ export function drawTracks(context, view, palette, tracks, options) {
  * @param {number} points of all together, about
  */
 export function trailPlan(objects, points) {
-  const spanMs = objects < CROWD ? TRAIL_MS : CROWD_TRAIL_MS;
+  const spanMs = objects < MANY_OBJECTS ? TRAIL_MS : MANY_OBJECTS_TRAIL_MS;
   return { spanMs, stride: Math.max(1, Math.ceil((objects * spanMs) / FRAME_MS / points)) };
 }
 
 /**
  * @param {import("../canvas/canvas-layer.js").Context2D} context
- * @param {View} view
+ * @param {Viewport} view
  * @param {Palette} palette
  * @param {Track[]} tracks
  * @param {PlotOptions} options
  */
 function drawTrails(context, view, palette, tracks, options) {
-  const isCrowd = tracks.length >= CROWD;
+  const hasManyObjects = tracks.length >= MANY_OBJECTS;
   // Lines of a pixel without joins are drawn by the quickest way there is.
-  context.lineWidth = isCrowd ? 1 : 1.75;
-  context.lineJoin = isCrowd ? "bevel" : "round";
-  context.lineCap = isCrowd ? "butt" : "round";
+  context.lineWidth = hasManyObjects ? 1 : 1.75;
+  context.lineJoin = hasManyObjects ? "bevel" : "round";
+  context.lineCap = hasManyObjects ? "butt" : "round";
   const plan = trailPlan(tracks.length, TRAIL_POINTS);
   for (const stage of /** @type {const} */ (["tracked", "predicted", "tentative", "lost"])) {
     const members = tracks.filter((track) => track.state.stage === stage);
@@ -116,7 +116,7 @@ function drawTrails(context, view, palette, tracks, options) {
 /**
  * Adds an object's trail to the paths of its bands, the oldest first.
  * @param {Path2D[]} bands
- * @param {View} view
+ * @param {Viewport} view
  * @param {import("../../state/object-state.js").ObjectState} state
  * @param {{spanMs: number, stride: number}} plan
  * @param {PlotOptions} options
@@ -143,7 +143,7 @@ function traceTrail(bands, view, state, { spanMs, stride }, { history, timeMs })
 
 /**
  * @param {import("../canvas/canvas-layer.js").Context2D} context
- * @param {View} view
+ * @param {Viewport} view
  * @param {Palette} palette
  * @param {Track} track
  * @param {PlotOptions} options

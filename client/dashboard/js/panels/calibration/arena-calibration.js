@@ -12,7 +12,7 @@ const LOOK_MS = 400;
 /** @typedef {{stage: string, seconds: number, recorded_s: number, recorded: Recorded[], steps: number, error: string, report: Report | null, applied_version: number, version: number}} Calibration */
 
 /** @param {import("../../state/store.js").Store} store */
-export function showCalibration(store) {
+export function showArenaCalibration(store) {
   const dialog = find("#calibration");
   if (!(dialog instanceof HTMLDialogElement)) throw new Error("index.html's calibration is no dialog");
   const form = /** @type {HTMLFormElement} */ (find("#calibration-form"));
@@ -37,23 +37,23 @@ export function showCalibration(store) {
   form.addEventListener("submit", (event) => {
     event.preventDefault();
     const body = JSON.stringify({ seconds: Number(seconds.value), refine_lenses: lenses.checked });
-    void ask("POST", "", body);
+    void callApi("POST", "", body);
   });
-  cancel.addEventListener("click", () => void ask("DELETE"));
-  apply.addEventListener("click", () => void ask("PUT", "/applied"));
+  cancel.addEventListener("click", () => void callApi("DELETE"));
+  apply.addEventListener("click", () => void callApi("PUT", "/applied"));
   // Somebody else may have begun one.
   store.on("events", () => {
     if (dialog.open && timer === 0) void look();
   });
 
-  const look = () => ask("GET");
+  const look = () => callApi("GET");
 
   /**
    * @param {string} method
    * @param {string} [path]
    * @param {string} [body]
    */
-  async function ask(method, path = "", body) {
+  async function callApi(method, path = "", body) {
     clearTimeout(timer);
     timer = 0;
     try {
@@ -84,7 +84,7 @@ export function showCalibration(store) {
     // Without a value it moves without end.
     if (isRecording) bar.value = it.recorded_s / Math.max(it.seconds, 1e-3);
     else bar.removeAttribute("value");
-    setText(words, stageWords(it));
+    setText(words, stageText(it));
     say(it.error ? sentence(it.error) : "");
     const canApply = it.report !== null && it.applied_version === 0;
     apply.hidden = !canApply;
@@ -101,7 +101,7 @@ function sentence(text) {
 }
 
 /** @param {Calibration} it */
-function stageWords(it) {
+function stageText(it) {
   const inUse = it.version > 0 ? `Version ${it.version} is in use.` : "The cameras stand as configured.";
   switch (it.stage) {
     case "recording":

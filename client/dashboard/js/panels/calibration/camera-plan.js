@@ -1,22 +1,22 @@
 /** How exactly roundels would be located all over the arena, or by how many cameras, as the server foretells it. */
 
-import { askFile } from "../../wire/api-client.js";
+import { fetchFile } from "../../wire/api-client.js";
 import { findDialog } from "../forms/dialog.js";
 import { element, find } from "../../base/dom.js";
-import { askKinds } from "../../wire/roundel-kinds.js";
-import { Troubles } from "../forms/form-errors.js";
+import { fetchRoundelKinds } from "../../wire/roundel-kinds.js";
+import { FormErrors } from "../forms/form-errors.js";
 
 /** After the last key, before the map is asked for anew, ms. */
 const PAUSE_MS = 400;
 
 /** @param {import("../../state/store.js").Store} store */
-export function showPlan(store) {
+export function showCameraPlan(store) {
   const dialog = findDialog("#plan");
   const form = /** @type {HTMLFormElement} */ (find("#plan-form"));
   const roundel = /** @type {HTMLSelectElement} */ (find("#plan-roundel"));
   const picture = /** @type {HTMLImageElement} */ (find("#plan-picture"));
   const words = find("#plan-words");
-  const troubles = new Troubles("plan", ["show", "roundel", "height"]);
+  const errors = new FormErrors("plan", ["show", "roundel", "height"]);
   let timer = 0;
   let asked = 0;
   let shown = "";
@@ -29,7 +29,7 @@ export function showPlan(store) {
 
   const look = async () => {
     clearTimeout(timer);
-    troubles.clear();
+    errors.clear();
     const query = new URLSearchParams({ format: "svg" });
     for (const name of ["show", "roundel", "height"]) {
       const { value } = /** @type {HTMLInputElement} */ (find(`#plan-${name}`));
@@ -38,11 +38,11 @@ export function showPlan(store) {
     asked += 1;
     const mine = asked;
     words.hidden = false;
-    const { answer, refusal } = await askFile(`plan?${query}`);
+    const { answer, error } = await fetchFile(`plan?${query}`);
     if (mine !== asked || !dialog.open) return;
     words.hidden = true;
-    picture.hidden = Boolean(refusal);
-    if (refusal) return troubles.refuse(refusal);
+    picture.hidden = Boolean(error);
+    if (error) return errors.showApiError(error);
     forget();
     shown = URL.createObjectURL(answer);
     picture.src = shown;
@@ -50,7 +50,7 @@ export function showPlan(store) {
 
   const open = async () => {
     dialog.showModal();
-    const kinds = await askKinds(store);
+    const kinds = await fetchRoundelKinds(store);
     const before = roundel.value;
     const options = kinds.map(({ name }) => element("option", { value: name }, [name]));
     roundel.replaceChildren(...(options.length > 0 ? options : [element("option", { value: "" }, ["the first one"])]));

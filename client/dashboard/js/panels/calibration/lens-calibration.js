@@ -1,11 +1,11 @@
 /** Finds a camera's lens by click: the board is moved before the camera, the page shows where it has been and what is missing. */
 
-import { ask } from "../../wire/api-client.js";
+import { callApi } from "../../wire/api-client.js";
 import { findDialog } from "../forms/dialog.js";
 import { element, find, setText } from "../../base/dom.js";
-import { LensView } from "./lens-preview.js";
-import { canFinish, isRunning, missingWords, parameterCells, progressOf, reportWords, sentence, sizeOf, stageWords, subjectOf } from "./lens-text.js";
-import { Troubles } from "../forms/form-errors.js";
+import { LensPreview } from "./lens-preview.js";
+import { canFinish, isRunning, missingText, parameterCells, progressOf, reportText, sentence, sizeOf, stageText, subjectOf } from "./lens-text.js";
+import { FormErrors } from "../forms/form-errors.js";
 
 /** Between two looks while it runs, ms: the server looks ten times a second. */
 const LOOK_MS = 300;
@@ -25,7 +25,7 @@ function number(text) {
 }
 
 /** @returns {{open: (subject: Subject, kept?: (file: string) => void) => void}} */
-export function showLens() {
+export function showLensCalibration() {
   const dialog = new LensDialog();
   return { open: (subject, kept) => dialog.open(subject, kept) };
 }
@@ -38,8 +38,8 @@ class LensDialog {
     this.size = /** @type {HTMLInputElement} */ (find("#lens-size"));
     this.missing = find("#lens-missing");
     this.results = find("#lens-results");
-    this.view = new LensView();
-    this.troubles = new Troubles("lens", [...Object.keys(FIELDS), "size"]);
+    this.view = new LensPreview();
+    this.errors = new FormErrors("lens", [...Object.keys(FIELDS), "size"]);
     this.buttons = Object.fromEntries(
       ["finish", "cancel", "apply"].map((name) => [name, /** @type {HTMLButtonElement} */ (find(`#lens-${name}`))]),
     );
@@ -79,8 +79,8 @@ class LensDialog {
     const text = this.subject.source && this.size.value.trim();
     const size = sizeOf(text);
     if (text && !size) {
-      this.troubles.clear();
-      this.troubles.blame("size", `Expected columns × rows, such as 1920x1080, found ${text}.`);
+      this.errors.clear();
+      this.errors.showError("size", `Expected columns × rows, such as 1920x1080, found ${text}.`);
       return;
     }
     await this.act("POST", "lens", { ...this.request(), ...size });
@@ -101,14 +101,14 @@ class LensDialog {
   /** @param {string} method @param {string} path @param {object} [body] */
   async act(method, path, body) {
     clearTimeout(this.timer);
-    this.troubles.clear();
-    const { answer, refusal } = await ask(method, path, body);
+    this.errors.clear();
+    const { answer, error } = await callApi(method, path, body);
     if (!this.dialog.open) return;
-    if (refusal) {
-      const isOfSize = refusal.field === "width" || refusal.field === "height";
-      this.troubles.refuse(isOfSize ? { ...refusal, field: "size" } : refusal);
+    if (error) {
+      const isOfSize = error.field === "width" || error.field === "height";
+      this.errors.showApiError(isOfSize ? { ...error, field: "size" } : error);
       // What runs goes on.
-      if (method !== "GET" || refusal.status === 0) this.again(RETRY_MS);
+      if (method !== "GET" || error.status === 0) this.again(RETRY_MS);
       return;
     }
     if (path === "lens/applied") this.kept(answer.applied);
@@ -123,9 +123,9 @@ class LensDialog {
 
   /** Looks without taking away what was said to be wrong. */
   async look() {
-    const { answer, refusal } = await ask("GET", "lens");
+    const { answer, error } = await callApi("GET", "lens");
     if (!this.dialog.open) return;
-    if (refusal) this.again(RETRY_MS);
+    if (error) this.again(RETRY_MS);
     else await this.follow(answer);
   }
 
@@ -165,11 +165,11 @@ class LensDialog {
     // Another camera's end is none of this one's business; while it runs, it holds this one up.
     const shown = mine || runs ? it : { ...it, stage: /** @type {"idle"} */ ("idle"), error: "" };
     const whose = runs && !mine ? `This is the lens of ${subjectOf(it)}: one at a time. ` : "";
-    setText(find("#lens-words"), whose + stageWords(shown));
+    setText(find("#lens-words"), whose + stageText(shown));
     const error = find("#lens-error");
     error.hidden = shown.error === "";
     setText(error, shown.error && sentence(shown.error));
-    this.list(missingWords(shown));
+    this.list(missingText(shown));
     this.showReport(isDone ? it.report : null);
     setText(find("#lens-start"), isDone || shown.stage === "failed" ? "Start again" : "Start");
   }
@@ -191,7 +191,7 @@ class LensDialog {
       element("tr", {}, [element("th", { scope: "row" }, [it.name]), ...parameterCells(it).map((cell) => element("td", {}, [cell]))]),
     );
     this.results.replaceChildren(
-      element("table", {}, [element("caption", {}, [reportWords(report)]), element("tbody", {}, rows)]),
+      element("table", {}, [element("caption", {}, [reportText(report)]), element("tbody", {}, rows)]),
     );
   }
 }

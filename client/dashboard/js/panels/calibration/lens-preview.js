@@ -1,6 +1,6 @@
 /** The picture that a lens calibration has looked at last, with where the board has been drawn over it. */
 
-import { askFile } from "../../wire/api-client.js";
+import { fetchFile } from "../../wire/api-client.js";
 import { find } from "../../base/dom.js";
 
 /** Over a picture, whatever the page's theme: zones that are done and that are not, views, the board now. */
@@ -24,7 +24,7 @@ export function zonesOf({ coverage, width, height }) {
   }));
 }
 
-export class LensView {
+export class LensPreview {
   constructor() {
     this.image = /** @type {HTMLImageElement} */ (find("#lens-picture"));
     this.canvas = /** @type {HTMLCanvasElement} */ (find("#lens-coverage"));
@@ -35,7 +35,7 @@ export class LensView {
   /** Asks for the picture, and draws over it what is known with it. @param {Lens} it */
   async show(it) {
     if (it.frames === 0) return this.clear();
-    const { answer } = await askFile("lens/picture.jpg");
+    const { answer } = await fetchFile("lens/picture.jpg");
     if (!answer) return;
     const before = this.shown;
     this.shown = URL.createObjectURL(answer);

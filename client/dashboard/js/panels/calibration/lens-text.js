@@ -42,10 +42,10 @@ export function subjectOf(it) {
 }
 
 /** What is going on, and what to do. @param {Lens} it */
-export function stageWords(it) {
+export function stageText(it) {
   switch (it.stage) {
     case "gathering":
-      return it.frames === 0 ? "Waiting for the first picture." : `${viewsWords(it.taken)} of ${it.enough}, ${percent(it.coverage.share)} of the picture covered. ${sentence(it.newest)}`;
+      return it.frames === 0 ? "Waiting for the first picture." : `${viewsText(it.taken)} of ${it.enough}, ${percent(it.coverage.share)} of the picture covered. ${sentence(it.newest)}`;
     case "solving":
       return "Working it out. The board may rest.";
     case "done":
@@ -58,7 +58,7 @@ export function stageWords(it) {
 }
 
 /** What is missing, for a list. @param {Lens} it @returns {string[]} */
-export function missingWords(it) {
+export function missingText(it) {
   if (it.stage !== "gathering" || it.frames === 0) return [];
   if (it.missing.length > 0) return it.missing.map(sentence);
   return it.taken < it.enough ? ["Nothing certain: more views from anywhere."] : [];
@@ -84,9 +84,9 @@ export function parameterCells(it) {
 }
 
 /** What the result rests on. @param {Report} it */
-export function reportWords(it) {
+export function reportText(it) {
   const left = it.views_left_out > 0 ? `, ${it.views_left_out} left out since they contradict the others` : "";
-  return `${it.distortion_model}, from ${viewsWords(it.views)}${left}; seen and predicted centres differ by ${fixed(it.rms_px, 3)} px rms.${it.width_warning ? ` ${sentence(it.width_warning)}` : ""}`;
+  return `${it.distortion_model}, from ${viewsText(it.views)}${left}; seen and predicted centres differ by ${fixed(it.rms_px, 3)} px rms.${it.width_warning ? ` ${sentence(it.width_warning)}` : ""}`;
 }
 
 /** Columns and rows as somebody writes them, as they go into the request. @param {string} text @returns {{width: number, height: number} | null} */
@@ -101,7 +101,7 @@ export function sentence(text) {
 }
 
 /** @param {number} count */
-function viewsWords(count) {
+function viewsText(count) {
   return count === 1 ? "1 view" : `${count} views`;
 }
 

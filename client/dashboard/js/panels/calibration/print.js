@@ -1,10 +1,10 @@
 /** Roundels and the calibration board to print: what is wanted, how it looks, and the file. */
 
-import { ask, askFile } from "../../wire/api-client.js";
+import { callApi, fetchFile } from "../../wire/api-client.js";
 import { findDialog } from "../forms/dialog.js";
 import { element, find, setText } from "../../base/dom.js";
-import { askKinds } from "../../wire/roundel-kinds.js";
-import { Troubles } from "../forms/form-errors.js";
+import { fetchRoundelKinds } from "../../wire/roundel-kinds.js";
+import { FormErrors } from "../forms/form-errors.js";
 
 /** After the last key, before a new preview is asked for, ms. */
 const PAUSE_MS = 300;
@@ -29,7 +29,7 @@ class PrintForm {
     this.kind = /** @type {HTMLSelectElement} */ (find("#print-kind"));
     this.picture = /** @type {HTMLImageElement} */ (find("#print-picture"));
     this.files = find("#print-files");
-    this.troubles = new Troubles("print", FIELDS);
+    this.errors = new FormErrors("print", FIELDS);
     /** @type {import("../../wire/roundel-kinds.js").Kind[]} */
     this.kinds = [];
     this.timer = 0;
@@ -58,7 +58,7 @@ class PrintForm {
   async open() {
     this.dialog.showModal();
     // All can be printed where no kind is known beforehand.
-    this.kinds = await askKinds(this.store);
+    this.kinds = await fetchRoundelKinds(this.store);
     const options = this.kinds.map(({ name }) => element("option", { value: name }, [name]));
     const board = element("option", { value: "/board" }, ["Calibration board, for lenses"]);
     this.kind.replaceChildren(...options, element("option", { value: OWN }, ["Another roundel"]), board);
@@ -99,17 +99,17 @@ class PrintForm {
 
   async preview() {
     clearTimeout(this.timer);
-    this.troubles.clear();
+    this.errors.clear();
     const query = this.query();
     this.asked += 1;
     const mine = this.asked;
     const sheet = this.field("sheet").value || "1";
-    const { answer, refusal } = await askFile(`print?${query}&format=svg&sheet=${encodeURIComponent(sheet)}`);
+    const { answer, error } = await fetchFile(`print?${query}&format=svg&sheet=${encodeURIComponent(sheet)}`);
     if (mine !== this.asked || !this.dialog.open) return;
-    this.files.hidden = Boolean(refusal);
-    this.picture.hidden = Boolean(refusal);
-    if (refusal) {
-      this.troubles.refuse(refusal);
+    this.files.hidden = Boolean(error);
+    this.picture.hidden = Boolean(error);
+    if (error) {
+      this.errors.showApiError(error);
       return;
     }
     this.forget();
@@ -133,7 +133,7 @@ class PrintForm {
     list.hidden = true;
     this.listed = "";
     if (code === "") return;
-    const { answer } = await ask("GET", `codes?${new URLSearchParams({ code })}`);
+    const { answer } = await callApi("GET", `codes?${new URLSearchParams({ code })}`);
     if (mine !== this.asked || !Array.isArray(answer)) return;
     const rows = answer.slice(0, MOST_LISTED).map((one) => element("tr", {}, [one.number, one.word, one.distance, one.own_distance].map((cell) => element("td", {}, [String(cell)]))));
     find("#print-code-rows").replaceChildren(...rows);

@@ -1,8 +1,8 @@
 /** A card for each camera: how it is doing, in words and numbers, and what it sees. */
 
-import { element, find, glyph, inTurn, setAttribute, setText } from "../../base/dom.js";
+import { element, find, glyph, inOwnFrame, setAttribute, setText } from "../../base/dom.js";
 import { fixed, whole } from "../../base/format.js";
-import { illnesses } from "../../state/camera-health.js";
+import { cameraProblems } from "../../state/camera-health.js";
 import { Picture } from "./live-picture.js";
 
 /** So many cards are brought up to date in a frame of the screen. */
@@ -57,7 +57,7 @@ function clockText(clock) {
  * @param {import("../../state/store.js").Store} store
  * @param {Actions} actions
  */
-export function showCameras(store, actions) {
+export function showCameraCards(store, actions) {
   const list = find("#camera-cards");
   const empty = find("#cameras-empty");
   const summary = find("#cameras-summary");
@@ -68,7 +68,7 @@ export function showCameras(store, actions) {
   const fill = (/** @type {string} */ name, /** @type {Card} */ card) => {
     const camera = store.cameras.find((one) => one.name === name);
     if (!camera) return;
-    card.fill(camera, store.connection.phase === "live", illnesses(camera, store.vitals.shares(name)));
+    card.fill(camera, store.connection.phase === "live", cameraProblems(camera, store.frameCounters.shares(name)));
     setText(card.noPicture, store.info?.replays ? "No picture recorded here" : `No picture from ${name} yet`);
   };
 
@@ -88,11 +88,11 @@ export function showCameras(store, actions) {
     }
     const all = [...cards];
     // All at once would hold up the page where there are many.
-    for (let i = 0; i < all.length; i += AT_ONCE) inTurn(() => all.slice(i, i + AT_ONCE).forEach(([name, card]) => fill(name, card)));
+    for (let i = 0; i < all.length; i += AT_ONCE) inOwnFrame(() => all.slice(i, i + AT_ONCE).forEach(([name, card]) => fill(name, card)));
     empty.hidden = store.cameras.length > 0 || !store.camerasKnown;
     const failed = store.cameras.filter((camera) => camera.status === "failed").length;
     summary.classList.toggle("bad", failed > 0);
-    setText(summary, summaryWords(store.cameras, failed));
+    setText(summary, summaryText(store.cameras, failed));
   };
 
   store.on("cameras", update);
@@ -103,7 +103,7 @@ export function showCameras(store, actions) {
  * @param {Camera[]} cameras
  * @param {number} failed
  */
-function summaryWords(cameras, failed) {
+function summaryText(cameras, failed) {
   if (cameras.length === 0) return "";
   if (failed > 0) return `${failed} of ${cameras.length} failed`;
   const running = cameras.filter((camera) => camera.status === "running").length;
@@ -111,7 +111,7 @@ function summaryWords(cameras, failed) {
 }
 
 /** Where it is, and what carries it. @param {Camera} camera */
-function placeWords(camera) {
+function placeText(camera) {
   const on = camera.carrier ? `on ${camera.carrier}` : "stands";
   if (!camera.pose) return camera.carrier ? on : "";
   const { x, y, z } = camera.pose.position;
@@ -119,7 +119,7 @@ function placeWords(camera) {
 }
 
 /** The program that feeds it; empty of a camera that no program has fed. @param {Camera} camera */
-function senderWords({ link }) {
+function senderText({ link }) {
   if (!link?.sender) return "";
   const lost = link.missing > 0 ? `, ${whole(link.missing)} frames lost on the way` : "";
   if (!link.connected) return `was fed by ${link.sender}${lost}`;
@@ -170,9 +170,9 @@ class Card {
   /**
    * @param {Camera} camera
    * @param {boolean} live whether the server can be asked for pictures
-   * @param {import("../../state/camera-health.js").Ill[]} ills
+   * @param {import("../../state/camera-health.js").Problem[]} problems
    */
-  fill(camera, live, ills) {
+  fill(camera, live, problems) {
     setAttribute(this.root, "data-status", camera.status);
     if (this.statusShown !== camera.status) {
       this.statusShown = camera.status;
@@ -180,12 +180,12 @@ class Card {
     }
     const blur = camera.blurPx === null ? "" : `, blurred by ${fixed(camera.blurPx, 2)} px`;
     setAttribute(this.head, "title", `${camera.source}, ${camera.width} × ${camera.height} px${blur}`);
-    const words = ills.map((one) => one.why).join(" ");
-    setAttribute(this.root, "data-health", ills.length === 0 ? "well" : ills[0].isGrave ? "grave" : "ill");
+    const words = problems.map((one) => one.why).join(" ");
+    setAttribute(this.root, "data-health", problems.length === 0 ? "well" : problems[0].isSevere ? "grave" : "ill");
     this.note.hidden = words === "";
     setText(this.note, words);
-    setText(this.place, placeWords(camera));
-    const sender = senderWords(camera);
+    setText(this.place, placeText(camera));
+    const sender = senderText(camera);
     this.sender.hidden = sender === "";
     setText(this.sender, sender);
     for (const [i, { value }] of FIGURES.entries()) setText(this.values[i], value(camera));

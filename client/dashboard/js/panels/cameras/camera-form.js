@@ -1,10 +1,10 @@
 /** Adds, changes and removes cameras by form; every error stands at its field. */
 
-import { aimOf, orientationOf } from "./look-at.js";
-import { ask } from "../../wire/api-client.js";
+import { lookAtOf, orientationOf } from "./look-at.js";
+import { callApi } from "../../wire/api-client.js";
 import { find, setText } from "../../base/dom.js";
-import { trialWords } from "./source-test.js";
-import { Troubles } from "../forms/form-errors.js";
+import { sourceTestText } from "./source-test.js";
+import { FormErrors } from "../forms/form-errors.js";
 
 /** Fields of the form that a server's error can be about, by the name that it gives them. */
 const FIELDS = ["name", "source", "calibration", "pose", "rate_hz", "mode"];
@@ -15,19 +15,19 @@ const DECIMALS = 1000;
 /** @typedef {{unknown?: boolean, pose?: Pose | null, object?: string, localizes?: boolean}} PoseSetup */
 /** @typedef {{name: string, source: string, calibration: string, pose: PoseSetup | null, rate_hz: number | null, mode: string}} Setup */
 
-/** @typedef {ReturnType<typeof import("../calibration/lens-calibration.js").showLens>["open"]} FindLens */
+/** @typedef {ReturnType<typeof import("../calibration/lens-calibration.js").showLensCalibration>["open"]} FindLens */
 
 /**
  * @param {FindLens} findLens
  * @returns {{edit: (name: string) => void}} for whoever shows a camera
  */
-export function showSetup(findLens) {
-  const form = new SetupForm(findLens);
+export function showCameraForm(findLens) {
+  const form = new CameraForm(findLens);
   find("#add-camera").addEventListener("click", () => form.open(null));
   return { edit: (name) => void form.edit(name) };
 }
 
-class SetupForm {
+class CameraForm {
   /** @param {FindLens} findLens */
   constructor(findLens) {
     this.findLens = findLens;
@@ -36,7 +36,7 @@ class SetupForm {
     this.dialog = dialog;
     this.form = /** @type {HTMLFormElement} */ (find("#setup-form"));
     this.words = find("#setup-words");
-    this.troubles = new Troubles("setup", FIELDS, { pose: "setup-place" });
+    this.errors = new FormErrors("setup", FIELDS, { pose: "setup-place" });
     this.remove = /** @type {HTMLButtonElement} */ (find("#setup-remove"));
     this.buttons = [...dialog.querySelectorAll("button[data-acts]")].map((it) => /** @type {HTMLButtonElement} */ (it));
     /** @type {Setup | null} as the server has it; null: a new one */
@@ -77,7 +77,7 @@ class SetupForm {
     if (setup) this.fill(setup);
     this.showPlace();
     this.say("");
-    this.troubles.clear();
+    this.errors.clear();
     this.dialog.showModal();
     this.field("name").focus();
   }
@@ -86,7 +86,7 @@ class SetupForm {
   async edit(name) {
     this.open(null);
     setText(find("#setup-title"), `Camera ${name}`);
-    const setup = await this.ask("GET", `cameras/${encodeURIComponent(name)}/setup`);
+    const setup = await this.callApi("GET", `cameras/${encodeURIComponent(name)}/setup`);
     if (setup && this.dialog.open) {
       this.dialog.close();
       this.open(setup);
@@ -107,7 +107,7 @@ class SetupForm {
     const stands = !rides && pose?.pose?.position && pose.pose.orientation;
     this.field(rides ? "place-rides" : stands ? "place-stands" : pose ? "place-found" : "place-own").checked = true;
     if (!stands) return;
-    const { position, target, turnedDeg } = aimOf({ position: pose.pose.position, orientation: pose.pose.orientation });
+    const { position, target, turnedDeg } = lookAtOf({ position: pose.pose.position, orientation: pose.pose.orientation });
     for (const axis of /** @type {("x" | "y" | "z")[]} */ (["x", "y", "z"])) {
       this.field(`at-${axis}`).value = rounded(position[axis]);
       this.field(`to-${axis}`).value = rounded(target[axis]);
@@ -142,26 +142,26 @@ class SetupForm {
     if (this.field("place-found").checked) return { unknown: true };
     const numbers = ["at-x", "at-y", "at-z", "to-x", "to-y", "to-z", "turned"].map((name) => this.field(name).value.trim());
     if (numbers.some((it) => it === "" || !Number.isFinite(Number(it)))) {
-      this.troubles.blame("pose", "Fill in all numbers of the place, metres and degrees.");
+      this.errors.showError("pose", "Fill in all numbers of the place, metres and degrees.");
       return undefined;
     }
     const [x, y, z, tx, ty, tz, turnedDeg] = numbers.map(Number);
     const position = { x, y, z };
     const orientation = orientationOf({ position, target: { x: tx, y: ty, z: tz }, turnedDeg });
     if (!orientation) {
-      this.troubles.blame("pose", "The camera is to look at another place than where it stands.");
+      this.errors.showError("pose", "The camera is to look at another place than where it stands.");
       return undefined;
     }
     return { pose: { position, orientation } };
   }
 
   async save() {
-    this.troubles.clear();
+    this.errors.clear();
     const wanted = this.read();
     if (!wanted) return;
     const done = this.before
-      ? await this.ask("PATCH", `cameras/${encodeURIComponent(this.before.name)}`, difference(this.before, wanted))
-      : await this.ask("POST", "cameras", given(wanted));
+      ? await this.callApi("PATCH", `cameras/${encodeURIComponent(this.before.name)}`, changedFields(this.before, wanted))
+      : await this.callApi("POST", "cameras", withoutEmpty(wanted));
     if (done) this.dialog.close();
   }
 
@@ -173,26 +173,26 @@ class SetupForm {
       this.say("It is taken out of the configuration as well. Press again to remove it.");
       return;
     }
-    const done = await this.ask("DELETE", `cameras/${encodeURIComponent(this.before.name)}`);
+    const done = await this.callApi("DELETE", `cameras/${encodeURIComponent(this.before.name)}`);
     if (done) this.dialog.close();
   }
 
   async tryIt() {
-    this.troubles.clear();
+    this.errors.clear();
     const source = this.field("source").value.trim();
-    if (source === "") return this.troubles.blame("source", "Fill in the source first.");
+    if (source === "") return this.errors.showError("source", "Fill in the source first.");
     this.say("Opening it. A camera that does not answer takes up to 15 s.");
-    const answer = await this.ask("POST", "sources/test", { source });
-    this.say(answer ? trialWords(answer) : "");
-    if (answer?.error) this.troubles.blame("source", answer.error);
+    const answer = await this.callApi("POST", "sources/test", { source });
+    this.say(answer ? sourceTestText(answer) : "");
+    if (answer?.error) this.errors.showError("source", answer.error);
   }
 
   /** Of a camera that there is, by its name; of a new one, by its source. */
   lens() {
-    this.troubles.clear();
+    this.errors.clear();
     const [source, name] = [this.field("source").value.trim(), this.field("name").value.trim()];
     if (this.before) return this.findLens({ camera: this.before.name, source: "", name: "" }, (file) => this.keep(file));
-    if (source === "") return this.troubles.blame("source", "Fill in the source first.");
+    if (source === "") return this.errors.showError("source", "Fill in the source first.");
     this.findLens({ camera: "", source, name }, (file) => this.keep(file));
   }
 
@@ -210,11 +210,11 @@ class SetupForm {
    * @param {object} [body]
    * @returns {Promise<any>}
    */
-  async ask(method, path, body) {
+  async callApi(method, path, body) {
     for (const button of this.buttons) button.disabled = true;
-    const { answer, refusal } = await ask(method, path, body);
+    const { answer, error } = await callApi(method, path, body);
     for (const button of this.buttons) button.disabled = false;
-    if (refusal) this.troubles.refuse(refusal);
+    if (error) this.errors.showApiError(error);
     return answer;
   }
 
@@ -230,7 +230,7 @@ function rounded(value) {
 }
 
 /** What is not empty. @param {Setup} setup */
-export function given(setup) {
+export function withoutEmpty(setup) {
   return Object.fromEntries(Object.entries(setup).filter(([, value]) => value !== null && value !== ""));
 }
 
@@ -239,7 +239,7 @@ export function given(setup) {
  * @param {Setup} before
  * @param {Setup} after
  */
-export function difference(before, after) {
+export function changedFields(before, after) {
   /** @type {Record<string, unknown>} */
   const changed = {};
   for (const [key, value] of Object.entries(after)) {

@@ -1,18 +1,18 @@
 /** Health at a glance: what is unwell and why, how late data is, and every camera's figures in one table. */
 
-import { element, find, glyph, paced, setAttribute, setText } from "../../base/dom.js";
+import { element, find, glyph, throttle, setAttribute, setText } from "../../base/dom.js";
 import { fixed, whole } from "../../base/format.js";
-import { illnesses, sameIllnesses, verdict } from "../../state/camera-health.js";
+import { cameraProblems, groupProblems, healthSummary } from "../../state/camera-health.js";
 
 const INTERVAL_MS = 500;
 /** Bars of the histogram of lateness. */
 const STEPS = 24;
 
 /** @typedef {import("../../wire/messages.js").Camera} Camera */
-/** @typedef {import("../../state/camera-health.js").Ill} Ill */
-/** @typedef {{camera: Camera, ills: Ill[], shares: import("../../state/camera-health.js").Shares | null}} Patient */
+/** @typedef {import("../../state/camera-health.js").Problem} Problem */
+/** @typedef {{camera: Camera, problems: Problem[], shares: import("../../state/camera-health.js").Shares | null}} CameraHealth */
 
-/** @type {{key: string, name: string, title: string, value: (patient: Patient, reprojectionPx: Map<string, number>) => string}[]} */
+/** @type {{key: string, name: string, title: string, value: (health: CameraHealth, reprojectionPx: Map<string, number>) => string}[]} */
 const COLUMNS = [
   {
     key: "rate",
@@ -69,14 +69,14 @@ function percent(share) {
 /**
  * The unwell first, the gravest before all.
  * @param {import("../../state/store.js").Store} store
- * @returns {Patient[]}
+ * @returns {CameraHealth[]}
  */
-function patients(store) {
+function camerasByHealth(store) {
   const all = store.cameras.map((camera) => {
-    const shares = store.vitals.shares(camera.name);
-    return { camera, shares, ills: illnesses(camera, shares) };
+    const shares = store.frameCounters.shares(camera.name);
+    return { camera, shares, problems: cameraProblems(camera, shares) };
   });
-  const rank = (/** @type {Patient} */ { ills }) => (ills.length === 0 ? 0 : ills[0].isGrave ? 2 : 1);
+  const rank = (/** @type {CameraHealth} */ { problems }) => (problems.length === 0 ? 0 : problems[0].isSevere ? 2 : 1);
   return all.sort((a, b) => rank(b) - rank(a));
 }
 
@@ -84,7 +84,7 @@ function patients(store) {
  * @param {import("../../state/store.js").Store} store
  * @param {{open: () => void, isOpen: () => boolean}} view of it
  */
-export function showHealth(store, { open, isOpen }) {
+export function showHealthPanel(store, { open, isOpen }) {
   const button = find("#verdict");
   const words = find("#verdict-text");
   const list = find("#unwell");
@@ -112,10 +112,10 @@ export function showHealth(store, { open, isOpen }) {
   };
 
   const update = () => {
-    const all = patients(store);
-    const ill = all.filter(({ ills }) => ills.length > 0);
-    setText(words, store.camerasKnown ? verdict(all.length, ill.length) : "–");
-    setAttribute(button, "data-health", ill.some(({ ills }) => ills[0].isGrave) ? "grave" : ill.length > 0 ? "ill" : "well");
+    const all = camerasByHealth(store);
+    const ill = all.filter(({ problems }) => problems.length > 0);
+    setText(words, store.camerasKnown ? healthSummary(all.length, ill.length) : "–");
+    setAttribute(button, "data-health", ill.some(({ problems }) => problems[0].isSevere) ? "grave" : ill.length > 0 ? "ill" : "well");
     showUnwell(list, ill);
     if (!isOpen()) return;
     const [p50, p95, p99] = store.latencies.quantiles([0.5, 0.95, 0.99]);
@@ -133,22 +133,22 @@ export function showHealth(store, { open, isOpen }) {
     card?.scrollIntoView({ block: "nearest", behavior: "smooth" });
     /** @type {HTMLElement | null | undefined} */ (card?.querySelector("button"))?.focus();
   });
-  const updateSoon = paced(INTERVAL_MS, update, { alone: true });
+  const updateSoon = throttle(INTERVAL_MS, update, { alone: true });
   store.on("cameras", updateSoon);
   store.on("connection", updateSoon);
-  store.on("events", paced(2000, () => store.events[0]?.kind.startsWith("calibration_") && void loadCalibration()));
+  store.on("events", throttle(2000, () => store.events[0]?.kind.startsWith("calibration_") && void loadCalibration()));
   update();
   return { update, opened: () => void loadCalibration().then(update) };
 }
 
-/** What is the matter with several at once is said once. @param {HTMLElement} list @param {Patient[]} ill */
+/** What is the matter with several at once is said once. @param {HTMLElement} list @param {CameraHealth[]} ill */
 function showUnwell(list, ill) {
   list.hidden = ill.length === 0;
-  const reasons = sameIllnesses(ill.map(({ camera, ills }) => ({ name: camera.name, ills })));
+  const reasons = groupProblems(ill.map(({ camera, problems }) => ({ name: camera.name, problems })));
   while (list.children.length > reasons.length) list.lastElementChild?.remove();
-  for (const [i, { names, why, isGrave }] of reasons.entries()) {
+  for (const [i, { names, why, isSevere }] of reasons.entries()) {
     const item = /** @type {HTMLElement | undefined} */ (list.children[i]) ?? list.appendChild(element("li"));
-    setAttribute(item, "class", isGrave ? "grave" : "");
+    setAttribute(item, "class", isSevere ? "grave" : "");
     // Only words change while nobody else falls ill: who is on a button stays there.
     if (item.dataset.names !== names.join()) {
       item.dataset.names = names.join();
@@ -159,23 +159,23 @@ function showUnwell(list, ill) {
   }
 }
 
-/** @param {HTMLElement} body @param {Patient[]} all @param {Map<string, number>} reprojectionPx */
+/** @param {HTMLElement} body @param {CameraHealth[]} all @param {Map<string, number>} reprojectionPx */
 function fillTable(body, all, reprojectionPx) {
   while (body.children.length > all.length) body.lastElementChild?.remove();
   while (body.children.length < all.length) {
     body.append(element("tr", {}, [element("th", { scope: "row" }), element("td", { class: "why" }), ...COLUMNS.map(({ key }) => element("td", { "data-figure": key }))]));
   }
-  for (const [i, patient] of all.entries()) {
+  for (const [i, health] of all.entries()) {
     const row = body.children[i];
-    const { camera, ills } = patient;
-    const state = ills.length === 0 ? "well" : ills[0].isGrave ? "grave" : "ill";
+    const { camera, problems } = health;
+    const state = problems.length === 0 ? "well" : problems[0].isSevere ? "grave" : "ill";
     if (row.getAttribute("data-health") !== state || row.getAttribute("data-name") !== camera.name) {
       row.setAttribute("data-health", state);
       row.setAttribute("data-name", camera.name);
       row.children[0].replaceChildren(glyph(state === "well" ? "running" : "failed"), ` ${camera.name}`);
     }
-    for (const [k, { value }] of COLUMNS.entries()) setText(row.children[k + 2], value(patient, reprojectionPx));
-    setText(row.children[1], ills.map((one) => one.why).join(" ") || "Well");
+    for (const [k, { value }] of COLUMNS.entries()) setText(row.children[k + 2], value(health, reprojectionPx));
+    setText(row.children[1], problems.map((one) => one.why).join(" ") || "Well");
   }
 }
 

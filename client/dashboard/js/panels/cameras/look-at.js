@@ -9,7 +9,7 @@ import { rotate } from "../../base/geometry.js";
 
 /** @typedef {import("../../base/geometry.js").Vector3} Vector */
 /** @typedef {import("../../base/geometry.js").Quaternion} Quaternion */
-/** @typedef {{position: Vector, target: Vector, turnedDeg: number}} Aim */
+/** @typedef {{position: Vector, target: Vector, turnedDeg: number}} LookAt */
 
 /** Below this sine a view is straight up or down. */
 const UPRIGHT = 1e-6;
@@ -32,7 +32,7 @@ function level(z) {
 
 /**
  * How a camera is turned; null if it is to look at where it stands.
- * @param {Aim} aim
+ * @param {LookAt} aim
  * @returns {Quaternion | null}
  */
 export function orientationOf({ position, target, turnedDeg }) {
@@ -69,9 +69,9 @@ function ofAxes(x, y, z) {
 /**
  * The same back: of a camera that looks down, where its axis meets the floor; else a metre ahead.
  * @param {{position: Vector, orientation: Quaternion}} pose
- * @returns {Aim}
+ * @returns {LookAt}
  */
-export function aimOf({ position, orientation }) {
+export function lookAtOf({ position, orientation }) {
   const x = rotate(orientation, { x: 1, y: 0, z: 0 });
   const z = rotate(orientation, { x: 0, y: 0, z: 1 });
   const meets = z.z < -LEAST_FALL && position.z > 0 ? position.z / -z.z : 1;

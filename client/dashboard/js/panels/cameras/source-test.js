@@ -2,10 +2,10 @@
 
 import { fixed, whole } from "../../base/format.js";
 
-/** @typedef {{error: string, width: number, height: number, frames: number, broken: number, rate_hz: number, promised_rate_hz: number, roundels: number, decode_ms: number, detect_ms: number}} Trial */
+/** @typedef {{error: string, width: number, height: number, frames: number, broken: number, rate_hz: number, promised_rate_hz: number, roundels: number, decode_ms: number, detect_ms: number}} SourceTest */
 
-/** What came, in a sentence or two; empty if nothing did. @param {Trial} it */
-export function trialWords(it) {
+/** What came, in a sentence or two; empty if nothing did. @param {SourceTest} it */
+export function sourceTestText(it) {
   if (!(it.frames > 0)) return "";
   const rate = it.rate_hz > 0 ? `${fixed(it.rate_hz, 1)} frames a second` : "one frame";
   const promised = it.promised_rate_hz > 0 ? ` (${fixed(it.promised_rate_hz, 1)} promised)` : "";

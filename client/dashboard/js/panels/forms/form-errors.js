@@ -3,7 +3,7 @@
 import { find, setText } from "../../base/dom.js";
 
 /** A form's elements have ids that begin with its name: `print-page`, `print-page-trouble`, and `print-trouble`. */
-export class Troubles {
+export class FormErrors {
   /**
    * @param {string} form
    * @param {string[]} fields that have a place for an error
@@ -16,14 +16,14 @@ export class Troubles {
     this.clear();
   }
 
-  /** @param {import("../../wire/api-client.js").Refusal} refusal */
-  refuse({ field, message }) {
-    if (this.fields.includes(field)) this.blame(field, message);
-    else this.blame("", field ? `${field}: ${message}` : message);
+  /** @param {import("../../wire/api-client.js").ApiError} error */
+  showApiError({ field, message }) {
+    if (this.fields.includes(field)) this.showError(field, message);
+    else this.showError("", field ? `${field}: ${message}` : message);
   }
 
   /** @param {string} field empty: none of them @param {string} message */
-  blame(field, message) {
+  showError(field, message) {
     const trouble = this.place(field);
     setText(trouble, message);
     trouble.hidden = false;

@@ -41,7 +41,7 @@ const SIGNS = new Map([
 ]);
 
 /** @param {import("../../state/store.js").Store} store */
-export function showEvents(store) {
+export function showEventList(store) {
   const list = find("#event-rows");
   const empty = find("#events-empty");
   /** @type {Map<string, HTMLElement>} by what tells events apart, also those of two servers */

@@ -1,10 +1,10 @@
 /** Recordings: begun and ended by click, how they are doing, which files there are. */
 
-import { ask } from "../../wire/api-client.js";
+import { callApi } from "../../wire/api-client.js";
 import { findDialog } from "../forms/dialog.js";
 import { element, find, setAttribute, setText } from "../../base/dom.js";
 import { dateAndTime, duration, minutes, size, whole } from "../../base/format.js";
-import { Troubles } from "../forms/form-errors.js";
+import { FormErrors } from "../forms/form-errors.js";
 import { milliseconds } from "../../base/validate.js";
 
 /** Between two looks while the dialog is open, and while something is recorded, ms. */
@@ -17,7 +17,7 @@ const RATE_S = 3;
 
 /** @param {import("../../state/store.js").Store} store */
 export function showRecording(store) {
-  const view = new RecordingView(store);
+  const view = new RecordingPanel(store);
   store.on("info", () => void view.look());
   // Somebody else may begin one, or it ends by itself.
   let newest = 0;
@@ -29,7 +29,7 @@ export function showRecording(store) {
   });
 }
 
-class RecordingView {
+class RecordingPanel {
   /** @param {import("../../state/store.js").Store} store */
   constructor(store) {
     this.store = store;
@@ -40,7 +40,7 @@ class RecordingView {
     this.stop = /** @type {HTMLButtonElement} */ (find("#recording-stop"));
     this.words = find("#recording-words");
     this.list = find("#recording-files");
-    this.troubles = new Troubles("recording", ["name", "frames_every", "seconds"]);
+    this.errors = new FormErrors("recording", ["name", "frames_every", "seconds"]);
     this.timer = 0;
     /** @type {Recording | null} */
     this.known = null;
@@ -48,7 +48,7 @@ class RecordingView {
     this.filesShown = "";
 
     this.button.addEventListener("click", () => {
-      this.troubles.clear();
+      this.errors.clear();
       this.dialog.showModal();
       void this.look();
     });
@@ -72,8 +72,8 @@ class RecordingView {
       const input = this.field(field);
       // What a browser cannot read as a number it gives as nothing.
       if (input.validity.badInput) {
-        this.troubles.clear();
-        return this.troubles.blame(field, words);
+        this.errors.clear();
+        return this.errors.showError(field, words);
       }
       if (input.value !== "") wanted[field] = Number(input.value);
     }
@@ -82,9 +82,9 @@ class RecordingView {
 
   /** @param {string} method @param {object} [body] */
   async act(method, body) {
-    this.troubles.clear();
-    const { answer, refusal } = await ask(method, "recording", body);
-    if (refusal) this.troubles.refuse(refusal);
+    this.errors.clear();
+    const { answer, error } = await callApi(method, "recording", body);
+    if (error) this.errors.showApiError(error);
     else this.show(answer);
     await this.look();
   }
@@ -92,7 +92,7 @@ class RecordingView {
   async look() {
     clearTimeout(this.timer);
     if (!this.store.info?.records) return;
-    const { answer } = await ask("GET", "recording");
+    const { answer } = await callApi("GET", "recording");
     if (answer) this.show(answer);
     if (this.dialog.open) await this.listFiles();
     clearTimeout(this.timer);
@@ -107,7 +107,7 @@ class RecordingView {
     const isRecording = it.state === "recording";
     this.form.hidden = isRecording;
     this.stop.hidden = !isRecording;
-    this.words.replaceChildren(...stateWords(it).map((words) => element("p", {}, [words])));
+    this.words.replaceChildren(...stateText(it).map((words) => element("p", {}, [words])));
     this.words.classList.toggle("trouble", it.state === "failed" || it.dropped > 0);
     this.showButton();
   }
@@ -125,7 +125,7 @@ class RecordingView {
   }
 
   async listFiles() {
-    const { answer } = await ask("GET", "recordings");
+    const { answer } = await callApi("GET", "recordings");
     if (!answer) return;
     const look = JSON.stringify(answer);
     if (look === this.filesShown) return;
@@ -146,7 +146,7 @@ class RecordingView {
 }
 
 /** How it is doing. @param {Recording} it */
-export function stateWords(it) {
+export function stateText(it) {
   const [bytes, free, budget] = [Number(it.bytes), Number(it.disk_free_bytes), Number(it.budget_bytes)];
   // It is looked up when something is recorded.
   const room = free > 0 ? `${size(free)} of the disk are free` : "How much of the disk is free is told once something is recorded";

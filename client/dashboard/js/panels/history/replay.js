@@ -1,6 +1,6 @@
 /** A server that plays a recording: said plainly, with a line of time that goes where one wants. */
 
-import { ask } from "../../wire/api-client.js";
+import { callApi } from "../../wire/api-client.js";
 import { find, setAttribute, setText } from "../../base/dom.js";
 import { minutes, preciseTimeOfDay } from "../../base/format.js";
 import { milliseconds } from "../../base/validate.js";
@@ -17,12 +17,12 @@ const SEEK_MS = 150;
  * @returns {{togglePause: () => void}}
  */
 export function showReplay(store) {
-  const view = new ReplayView(store);
+  const view = new ReplayPanel(store);
   store.on("info", () => void view.look());
   return { togglePause: () => view.togglePause() };
 }
 
-class ReplayView {
+class ReplayPanel {
   /** @param {import("../../state/store.js").Store} store */
   constructor(store) {
     this.store = store;
@@ -69,7 +69,7 @@ class ReplayView {
 
   /** @param {object} wish */
   async control(wish) {
-    this.take(await ask("PATCH", "replay", wish));
+    this.take(await callApi("PATCH", "replay", wish));
   }
 
   async look() {
@@ -81,15 +81,15 @@ class ReplayView {
       this.known = null;
       return;
     }
-    if (document.visibilityState === "visible") this.take(await ask("GET", "replay"));
+    if (document.visibilityState === "visible") this.take(await callApi("GET", "replay"));
     clearTimeout(this.timer);
     this.timer = setTimeout(() => void this.look(), LOOK_MS);
   }
 
   /** @param {import("../../wire/api-client.js").Reply} reply */
-  take({ answer, refusal }) {
+  take({ answer, error }) {
     // That nobody answers the page says already.
-    setText(this.trouble, refusal && refusal.status > 0 ? refusal.message : (answer?.damage ?? ""));
+    setText(this.trouble, error && error.status > 0 ? error.message : (answer?.damage ?? ""));
     this.trouble.hidden = this.trouble.textContent === "";
     if (!answer) return;
     this.known = answer;

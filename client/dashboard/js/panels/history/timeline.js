@@ -1,6 +1,6 @@
 /** Looking back over the last minute: a slider below the arena, keys, and what instant it is. */
 
-import { find, paced, setAttribute, setText } from "../../base/dom.js";
+import { find, throttle, setAttribute, setText } from "../../base/dom.js";
 import { fixed, preciseTimeOfDay } from "../../base/format.js";
 import { HISTORY_MS } from "../../state/history.js";
 
@@ -35,11 +35,11 @@ export function showTimeline(store) {
 
   slider.addEventListener("input", () => {
     const ago = -Number(slider.value) * 1000;
-    store.lookBack(ago < STEP_MS / 2 ? null : now() - ago);
+    store.seekTo(ago < STEP_MS / 2 ? null : now() - ago);
   });
-  live.addEventListener("click", () => store.lookBack(null));
+  live.addEventListener("click", () => store.seekTo(null));
   store.on("time", show);
-  store.on("snapshot", paced(250, show));
+  store.on("snapshot", throttle(250, show));
   show();
-  return { step: (ms) => store.lookBack((store.pastMs ?? now()) + ms) };
+  return { step: (ms) => store.seekTo((store.pastMs ?? now()) + ms) };
 }

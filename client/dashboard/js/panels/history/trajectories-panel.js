@@ -1,10 +1,10 @@
-/** Asks the server's history where objects were, and lays it over the arena: as courses, or as how long each place was taken. */
+/** Asks the server's history where objects were, and lays it over the arena: as trajectories, or as how long each place was taken. */
 
-import { ask } from "../../wire/api-client.js";
-import { heatOf, readCourses } from "../../state/trajectories.js";
+import { callApi } from "../../wire/api-client.js";
+import { computeHeatMap, readTrajectories } from "../../state/trajectories.js";
 import { find, setText } from "../../base/dom.js";
 import { dateAndTime, duration, fixed, timeOfDay, whole } from "../../base/format.js";
-import { Troubles } from "../forms/form-errors.js";
+import { FormErrors } from "../forms/form-errors.js";
 
 /** The first wish: the last ten minutes, s. */
 const FIRST_S = 600;
@@ -15,8 +15,8 @@ const DEEP_M = 1000;
  * @param {import("../../state/store.js").Store} store
  * @param {import("../../arena/arena.js").Arena} arena
  */
-export function showCourses(store, arena) {
-  const view = new CoursesView(store, arena);
+export function showTrajectories(store, arena) {
+  const view = new TrajectoriesPanel(store, arena);
   store.on("selection", () => view.onSelection());
   // What is no longer offered is no longer shown.
   store.on("info", () => {
@@ -24,7 +24,7 @@ export function showCourses(store, arena) {
   });
 }
 
-class CoursesView {
+class TrajectoriesPanel {
   /** @param {import("../../state/store.js").Store} store @param {import("../../arena/arena.js").Arena} arena */
   constructor(store, arena) {
     this.store = store;
@@ -33,7 +33,7 @@ class CoursesView {
     this.opener = find("#history-open");
     this.form = /** @type {HTMLFormElement} */ (find("#history-form"));
     this.words = find("#history-words");
-    this.troubles = new Troubles("history", ["objects", "from", "until"]);
+    this.errors = new FormErrors("history", ["objects", "from", "until"]);
     /** Counts what was asked for: an answer that comes late is not shown over a newer one. */
     this.asked = 0;
     /** True while the field of objects says who is selected, and not what somebody has typed. */
@@ -99,23 +99,23 @@ class CoursesView {
   }
 
   async show() {
-    this.troubles.clear();
+    this.errors.clear();
     const query = this.query();
     if (!query) return;
     this.asked += 1;
     const mine = this.asked;
     setText(this.words, "Looking it up…");
-    const { answer, refusal } = await ask("GET", `history?${query}`);
+    const { answer, error } = await callApi("GET", `history?${query}`);
     if (mine !== this.asked) return;
-    if (refusal) {
+    if (error) {
       setText(this.words, "");
-      this.troubles.refuse(refusal);
+      this.errors.showApiError(error);
       return;
     }
-    const courses = readCourses(answer);
-    const heat = this.field("heat").checked ? heatOf(courses) : null;
-    this.arena.setOverlay(courses.points > 0 ? { courses, heat } : null);
-    setText(this.words, courses.points === 0 && query.has("objects") ? `No such object was there then. ${keptWords(courses)}` : wordsOf(courses, heat));
+    const trajectories = readTrajectories(answer);
+    const heat = this.field("heat").checked ? computeHeatMap(trajectories) : null;
+    this.arena.setOverlay(trajectories.points > 0 ? { trajectories, heat } : null);
+    setText(this.words, trajectories.points === 0 && query.has("objects") ? `No such object was there then. ${keptText(trajectories)}` : wordsOf(trajectories, heat));
   }
 
   /** What is asked for; null if it is nothing that can be asked. */
@@ -126,7 +126,7 @@ class CoursesView {
     for (const name of ["from", "until"]) {
       const ms = new Date(this.field(name).value).getTime();
       if (Number.isNaN(ms)) {
-        this.troubles.blame(name, "Fill in a day and a time.");
+        this.errors.showError(name, "Fill in a day and a time.");
         return null;
       }
       query.set(name, String(BigInt(Math.round(ms)) * 1_000_000n));
@@ -140,18 +140,18 @@ class CoursesView {
   }
 }
 
-/** From when to when anything is kept. @param {import("../../state/trajectories.js").Courses} courses */
-function keptWords({ oldestMs, newestMs }) {
+/** From when to when anything is kept. @param {import("../../state/trajectories.js").Trajectories} trajectories */
+function keptText({ oldestMs, newestMs }) {
   return oldestMs && newestMs ? `Kept are ${dateAndTime(oldestMs)} to ${dateAndTime(newestMs)}.` : "Nothing is kept yet.";
 }
 
-/** What is shown, in words. @param {import("../../state/trajectories.js").Courses} all @param {import("../../state/trajectories.js").Heat | null} heat */
+/** What is shown, in words. @param {import("../../state/trajectories.js").Trajectories} all @param {import("../../state/trajectories.js").HeatMap | null} heat */
 export function wordsOf(all, heat) {
-  const { courses, points, stepS } = all;
-  const kept = keptWords(all);
+  const { trajectories, points, stepS } = all;
+  const kept = keptText(all);
   if (points === 0) return `Nobody was there then. ${kept}`;
-  const who = courses.length === 1 ? courses[0].label : `${courses.length} objects`;
-  const times = courses.flatMap(({ timesMs, count }) => (count > 0 ? [timesMs[0], timesMs[count - 1]] : []));
+  const who = trajectories.length === 1 ? trajectories[0].label : `${trajectories.length} objects`;
+  const times = trajectories.flatMap(({ timesMs, count }) => (count > 0 ? [timesMs[0], timesMs[count - 1]] : []));
   const span = `${timeOfDay(Math.min(...times))} to ${timeOfDay(Math.max(...times))}`;
   const shown = heat
     ? `Darkest: ${duration(heat.mostS * 1000)} in a square of ${fixed(heat.cellM, heat.cellM < 0.1 ? 2 : 1)} m.`

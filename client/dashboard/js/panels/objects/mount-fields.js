@@ -156,11 +156,11 @@ class Row {
   /** @returns {Mount | null} */
   read() {
     this.clear();
-    if (this.code.validity.badInput) return this.blame([this.code], "The code is a number from 1, or empty for a kind without codes.");
+    if (this.code.validity.badInput) return this.showError([this.code], "The code is a number from 1, or empty for a kind without codes.");
     const bad = Object.values(this.numbers).filter((field) => field.validity.badInput);
-    if (bad.length > 0) return this.blame(bad, "Fill in numbers: metres from the object's origin, and degrees.");
+    if (bad.length > 0) return this.showError(bad, "Fill in numbers: metres from the object's origin, and degrees.");
     const empty = AXES.map((axis) => this.numbers[axis]).filter((field) => field.value === "");
-    if (empty.length > 0) return this.blame(empty, "Say where the print's centre is: x, y and z from the object's origin, metres.");
+    if (empty.length > 0) return this.showError(empty, "Say where the print's centre is: x, y and z from the object's origin, metres.");
     // As it was written: numbers that go round and back are not quite the same.
     if (this.mount && this.said() === this.filled) return this.mount;
     const [x, y, z, rollDeg, pitchDeg, yawDeg] = NUMBERS.map((name) => Number(this.numbers[name].value));
@@ -172,7 +172,7 @@ class Row {
   }
 
   /** @param {HTMLElement[]} fields @param {string} words @returns {null} */
-  blame(fields, words) {
+  showError(fields, words) {
     for (const field of fields) field.setAttribute("aria-invalid", "true");
     setText(this.trouble, words);
     this.trouble.hidden = false;

@@ -1,6 +1,6 @@
 /** The selected object with all its values. */
 
-import { element, find, glyph, paced, setAttribute, setText } from "../../base/dom.js";
+import { element, find, glyph, throttle, setAttribute, setText } from "../../base/dom.js";
 import { degrees, duration, fixed, significant } from "../../base/format.js";
 import { showPlots } from "./object-plots.js";
 
@@ -28,9 +28,9 @@ const VALUES = [
   {
     key: "heading",
     name: "Heading",
-    value: ({ headingRad, eitherWay, code }) =>
+    value: ({ headingRad, isHeadingAmbiguous, code }) =>
       headingRad !== null
-        ? `${degrees(headingRad)}${eitherWay ? " or opposite" : ""}`
+        ? `${degrees(headingRad)}${isHeadingAmbiguous ? " or opposite" : ""}`
         : code
           ? "not observed"
           : "not observed (plain roundel)",
@@ -64,16 +64,16 @@ const VALUES = [
 ];
 
 /** How precise, by whom, how old: what most people want to know. @param {ObjectState} state */
-function precisionWords(state) {
-  const { reachM, headingReachRad, cameras, ageMs } = state;
-  const known = reachM === null ? "Without a covariance" : `Known to ${significant(reachM * 1000)} mm`;
-  const heading = headingReachRad === null ? "" : ` and ${significant((headingReachRad * 180) / Math.PI)}°`;
+function precisionText(state) {
+  const { error95M, headingError95Rad, cameras, ageMs } = state;
+  const known = error95M === null ? "Without a covariance" : `Known to ${significant(error95M * 1000)} mm`;
+  const heading = headingError95Rad === null ? "" : ` and ${significant((headingError95Rad * 180) / Math.PI)}°`;
   const by = cameras.length === 0 ? "seen by no camera now" : `seen by ${cameras.length === 1 ? "one camera" : `${cameras.length} cameras`}`;
-  return `${known}${heading}${reachM === null ? "" : " (95 %)"}, ${by}, ${duration(ageMs && Math.max(0, ageMs))} ago`;
+  return `${known}${heading}${error95M === null ? "" : " (95 %)"}, ${by}, ${duration(ageMs && Math.max(0, ageMs))} ago`;
 }
 
 /** @param {import("../../state/store.js").Store} store */
-export function showPanel(store) {
+export function showObjectDetails(store) {
   const panel = find("#selection");
   const title = find("#selection-title");
   const follow = find("#follow");
@@ -98,7 +98,7 @@ export function showPanel(store) {
     panel.classList.toggle("gone", gone);
     const past = store.pastMs !== null;
     setText(body.stage, !gone ? STAGE_WORDS[state.stage] : past ? GONE_WORDS : STAGE_WORDS.lost);
-    setText(body.precision, precisionWords(state));
+    setText(body.precision, precisionText(state));
     fillAxes(body, state);
     const before = store.history.one(state.id, store.shownMs - AGO_MS)?.positionM;
     setText(body.ago, past ? "10 s before" : "10 s ago");
@@ -110,10 +110,10 @@ export function showPanel(store) {
   follow.addEventListener("click", () => store.follow(!store.following));
   find("#deselect").addEventListener("click", () => store.select(null));
   store.on("selection", update);
-  store.on("snapshot", paced(INTERVAL_MS, () => store.pastMs === null && update()));
+  store.on("snapshot", throttle(INTERVAL_MS, () => store.pastMs === null && update()));
   store.on("time", update);
   store.on("selection", updatePlots);
-  store.on("snapshot", paced(PLOT_INTERVAL_MS, updatePlots));
+  store.on("snapshot", throttle(PLOT_INTERVAL_MS, updatePlots));
   update();
 }
 

@@ -1,11 +1,11 @@
 /** Adds, changes, names and removes objects by form; every error stands at its field. */
 
-import { ask } from "../../wire/api-client.js";
+import { callApi } from "../../wire/api-client.js";
 import { findDialog } from "../forms/dialog.js";
 import { element, find, setText } from "../../base/dom.js";
 import { Mounts } from "./mount-fields.js";
-import { difference, given } from "../cameras/camera-form.js";
-import { Troubles } from "../forms/form-errors.js";
+import { changedFields, withoutEmpty } from "../cameras/camera-form.js";
+import { FormErrors } from "../forms/form-errors.js";
 
 /** Fields that a server's error can be about. */
 const FIELDS = ["name", "roundel", "mounts", "code", "offset_m", "motion", "height_m"];
@@ -14,7 +14,7 @@ const AXES = /** @type {const} */ (["x", "y", "z"]);
 /** @typedef {{name: string, roundel: string, roundels: import("./mount-fields.js").Mount[], code: number | null, offset_m: {x: number, y: number, z: number} | null, motion: string, height_m: number | null}} Setup */
 
 /** @param {import("../../state/store.js").Store} store */
-export function showObjects(store) {
+export function showObjectForm(store) {
   const form = new ObjectForm();
   find("#add-object").addEventListener("click", () => void form.open(""));
   const button = find("#name-object");
@@ -37,7 +37,7 @@ class ObjectForm {
     this.remove = /** @type {HTMLButtonElement} */ (find("#object-remove"));
     this.save = /** @type {HTMLButtonElement} */ (find("#object-save"));
     this.words = find("#object-words");
-    this.troubles = new Troubles("object", FIELDS, { offset_m: "object-offset", mounts: "object-several" });
+    this.errors = new FormErrors("object", FIELDS, { offset_m: "object-offset", mounts: "object-several" });
     this.carries = /** @type {HTMLSelectElement} */ (find("#object-carries"));
     this.mounts = new Mounts();
     /** @type {Setup[]} */
@@ -67,7 +67,7 @@ class ObjectForm {
     this.show("Objects", null);
     // Those of before may be others by now, and whoever chose one would see it change.
     this.choice.replaceChildren();
-    const answer = await this.ask("GET", "configuration");
+    const answer = await this.callApi("GET", "configuration");
     if (!answer || !this.dialog.open) return;
     this.known = answer.objects;
     this.mounts.kinds = answer.roundels.map((/** @type {{name: string}} */ kind) => kind.name);
@@ -101,7 +101,7 @@ class ObjectForm {
   fill(setup) {
     this.before = setup;
     this.asksBack = false;
-    this.troubles.clear();
+    this.errors.clear();
     this.say("");
     const chosen = this.choice.value;
     this.form.reset();
@@ -138,12 +138,12 @@ class ObjectForm {
     const roundels = several ? this.mounts.read() : [];
     if (offset === undefined || roundels === null) return null;
     if (several && roundels.length === 0) {
-      this.troubles.blame("mounts", "Add its roundels, or choose that it carries one.");
+      this.errors.showError("mounts", "Add its roundels, or choose that it carries one.");
       return null;
     }
     for (const key of ["code", "height_m"]) {
       if (!this.field(key).validity.badInput) continue;
-      this.troubles.blame(key, "Fill in a number, or leave it empty.");
+      this.errors.showError(key, "Fill in a number, or leave it empty.");
       return null;
     }
     const number = (/** @type {string} */ key) => (this.field(key).value === "" ? null : Number(this.field(key).value));
@@ -163,7 +163,7 @@ class ObjectForm {
     const inputs = AXES.map((axis) => this.field(`offset-${axis}`));
     if (inputs.every((input) => input.value === "" && !input.validity.badInput)) return null;
     if (inputs.some((input) => input.value === "")) {
-      this.troubles.blame("offset_m", "Fill in all three, metres, or none.");
+      this.errors.showError("offset_m", "Fill in all three, metres, or none.");
       return undefined;
     }
     const [x, y, z] = inputs.map((input) => Number(input.value));
@@ -171,27 +171,27 @@ class ObjectForm {
   }
 
   async store() {
-    this.troubles.clear();
+    this.errors.clear();
     const name = this.field("name").value.trim();
-    if (name === "") return this.troubles.blame("name", "Give it a name.");
-    if (this.unnamed !== null) return this.finish(await this.ask("PUT", `objects/${this.unnamed}/name`, { name }));
+    if (name === "") return this.errors.showError("name", "Give it a name.");
+    if (this.unnamed !== null) return this.finish(await this.callApi("PUT", `objects/${this.unnamed}/name`, { name }));
     const wanted = this.read();
     if (!wanted) return;
     const { before } = this;
-    if (before) this.finish(await this.ask("PATCH", `configuration/objects/${encodeURIComponent(before.name)}`, difference(before, wanted)));
-    else this.finish(await this.ask("POST", "configuration/objects", given({ ...wanted, roundels: wanted.roundels.length > 0 ? wanted.roundels : null })));
+    if (before) this.finish(await this.callApi("PATCH", `configuration/objects/${encodeURIComponent(before.name)}`, changedFields(before, wanted)));
+    else this.finish(await this.callApi("POST", "configuration/objects", withoutEmpty({ ...wanted, roundels: wanted.roundels.length > 0 ? wanted.roundels : null })));
   }
 
   async removeIt() {
     if (!this.before) return;
-    this.troubles.clear();
+    this.errors.clear();
     if (!this.asksBack) {
       this.asksBack = true;
       setText(this.remove, `Remove ${this.before.name}`);
       this.say("It is taken out of the configuration as well; with a code it is followed on without a name. Press again to remove it.");
       return;
     }
-    this.finish(await this.ask("DELETE", `configuration/objects/${encodeURIComponent(this.before.name)}`));
+    this.finish(await this.callApi("DELETE", `configuration/objects/${encodeURIComponent(this.before.name)}`));
   }
 
   /** @param {any} done */
@@ -200,11 +200,11 @@ class ObjectForm {
   }
 
   /** The answer, or null where there is none; then it is said why. @param {string} method @param {string} path @param {object} [body] @returns {Promise<any>} */
-  async ask(method, path, body) {
+  async callApi(method, path, body) {
     for (const button of [this.save, this.remove]) button.disabled = true;
-    const { answer, refusal } = await ask(method, path, body);
+    const { answer, error } = await callApi(method, path, body);
     for (const button of [this.save, this.remove]) button.disabled = false;
-    if (refusal) this.troubles.refuse({ ...refusal, field: this.fieldOf(refusal.field) });
+    if (error) this.errors.showApiError({ ...error, field: this.fieldOf(error.field) });
     return answer;
   }
 

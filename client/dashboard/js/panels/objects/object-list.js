@@ -3,7 +3,7 @@
  * Each row carries its object's id as `data-object-id`.
  */
 
-import { element, find, glyph, paced, setAttribute, setText } from "../../base/dom.js";
+import { element, find, glyph, throttle, setAttribute, setText } from "../../base/dom.js";
 import { fixed } from "../../base/format.js";
 
 /** Faster than this, figures flicker instead of being read, ms. */
@@ -24,9 +24,9 @@ const UNSEEN_AT_ONCE = 12;
 
 /**
  * @param {import("../../state/store.js").Store} store
- * @returns {{narrow: (filter: ((state: ObjectState) => boolean) | null) => void}} to what fits
+ * @returns {{setFilter: (filter: ((state: ObjectState) => boolean) | null) => void}} to what fits
  */
-export function showList(store) {
+export function showObjectList(store) {
   const body = find("#object-rows");
   const empty = find("#objects-empty");
   /** @type {Map<number, Row>} */
@@ -102,7 +102,7 @@ export function showList(store) {
   };
 
   // What comes into sight is up to date as soon as it does.
-  scroller.addEventListener("scroll", paced(50, update), { passive: true });
+  scroller.addEventListener("scroll", throttle(50, update), { passive: true });
 
   const markSelected = () => {
     const at = listed.findIndex(({ id }) => id === store.selected);
@@ -118,7 +118,7 @@ export function showList(store) {
     }
   };
 
-  store.on("snapshot", paced(() => (store.tracks.size > MANY ? MANY_INTERVAL_MS : INTERVAL_MS), update, { alone: true }));
+  store.on("snapshot", throttle(() => (store.tracks.size > MANY ? MANY_INTERVAL_MS : INTERVAL_MS), update, { alone: true }));
   store.on("time", update);
   store.on("selection", () => {
     update();
@@ -126,7 +126,7 @@ export function showList(store) {
   });
   update();
   return {
-    narrow: (wanted) => {
+    setFilter: (wanted) => {
       filter = wanted;
       update();
     },

@@ -1,7 +1,7 @@
 /** The selected object's last minute in small plots; a click looks back at the instant. */
 
 import uPlot from "../../../vendor/uplot.js";
-import { element, inTurn, setAttribute, setText } from "../../base/dom.js";
+import { element, inOwnFrame, setAttribute, setText } from "../../base/dom.js";
 import { significant } from "../../base/format.js";
 import { HISTORY_MS } from "../../state/history.js";
 
@@ -9,7 +9,7 @@ const HEIGHT_PX = 54;
 /** @typedef {import("../../state/object-state.js").ObjectState} ObjectState */
 /** @type {{key: string, name: string, unit: string, least: number, value: (state: ObjectState) => number | null}[]} */
 const PLOTS = [
-  { key: "reach", name: "Known to", unit: "mm", least: 0.2, value: (state) => state.reachM && state.reachM * 1000 },
+  { key: "reach", name: "Known to", unit: "mm", least: 0.2, value: (state) => state.error95M && state.error95M * 1000 },
   { key: "speed", name: "Speed", unit: "m/s", least: 0.1, value: (state) => state.speedMS },
   { key: "height", name: "Height", unit: "m", least: 0.02, value: (state) => state.positionM?.z ?? null },
   { key: "age", name: "Seen", unit: "ms ago", least: 20, value: (state) => state.ageMs && Math.max(0, state.ageMs) },
@@ -21,7 +21,7 @@ const PLOTS = [
  * @returns {() => void} brings them up to date
  */
 export function showPlots(store, target) {
-  const courses = new Courses(store);
+  const series = new Series(store);
   const plots = PLOTS.map((plot, i) => {
     const range = element("small");
     const box = element("div", { class: "plot", "data-plot": plot.key });
@@ -31,14 +31,14 @@ export function showPlots(store, target) {
     const chart = new uPlot(options(plot.least), [[], []], picture);
     picture.addEventListener("click", () => {
       const at = chart.cursor.left === undefined || chart.cursor.left < 0 ? null : chart.posToVal(chart.cursor.left, "x");
-      if (at !== null && store.snapshot) store.lookBack(at * 1000);
+      if (at !== null && store.snapshot) store.seekTo(at * 1000);
     });
     new ResizeObserver(() => picture.clientWidth > 0 && chart.setSize({ width: picture.clientWidth, height: HEIGHT_PX })).observe(picture);
     const { name, unit } = plot;
     const draw = () => {
-      const [values, end] = [courses.values[i], (store.history.newestMs ?? 0) / 1000];
+      const [values, end] = [series.values[i], (store.history.newestMs ?? 0) / 1000];
       chart.batch(() => {
-        chart.setData([courses.times, values], false);
+        chart.setData([series.times, values], false);
         chart.setScale("x", { min: end - HISTORY_MS / 1000, max: end });
       });
       const known = values.filter((one) => one !== null);
@@ -53,13 +53,13 @@ export function showPlots(store, target) {
 
   return () => {
     if (store.selected === null || !store.snapshot) return;
-    courses.renew(store.selected);
-    for (const { draw } of plots) inTurn(draw);
+    series.renew(store.selected);
+    for (const { draw } of plots) inOwnFrame(draw);
   };
 }
 
 /** What the plots show of an object: only what is new is worked out. */
-class Courses {
+class Series {
   /** @param {import("../../state/store.js").Store} store */
   constructor(store) {
     this.store = store;

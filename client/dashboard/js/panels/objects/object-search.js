@@ -5,11 +5,11 @@ import { find, setText } from "../../base/dom.js";
 /** @typedef {import("../../state/object-state.js").ObjectState} ObjectState */
 
 /**
- * How well an object fits what was typed: 0 not at all, 3 exactly.
+ * Returns how well an object matches what was typed: 0 not at all, 3 exactly.
  * @param {ObjectState} state
  * @param {string} typed
  */
-export function fits(state, typed) {
+export function matchScore(state, typed) {
   const wanted = typed.trim().toLowerCase();
   if (wanted === "") return 1;
   const id = String(state.id);
@@ -25,16 +25,16 @@ export function fits(state, typed) {
 
 /**
  * @param {import("../../state/store.js").Store} store
- * @param {(filter: ((state: ObjectState) => boolean) | null) => void} narrow what the list shows
+ * @param {(filter: ((state: ObjectState) => boolean) | null) => void} setFilter what the list shows
  * @returns {() => boolean} empties the field; whether there was anything in it
  */
-export function showSearch(store, narrow) {
+export function showObjectSearch(store, setFilter) {
   const input = /** @type {HTMLInputElement} */ (find("#search"));
   const note = find("#search-note");
   const found = () =>
     store
       .sortedTracks()
-      .map(({ state }) => ({ state, fit: fits(state, input.value) }))
+      .map(({ state }) => ({ state, fit: matchScore(state, input.value) }))
       .filter(({ fit }) => fit > 0)
       .sort((a, b) => b.fit - a.fit);
 
@@ -47,7 +47,7 @@ export function showSearch(store, narrow) {
 
   input.addEventListener("input", () => {
     const typed = input.value;
-    narrow(typed.trim() === "" ? null : (state) => fits(state, typed) > 0);
+    setFilter(typed.trim() === "" ? null : (state) => matchScore(state, typed) > 0);
     const count = typed.trim() === "" ? null : found().length;
     setText(note, count === null ? "" : count === 0 ? "None fits" : `${count} fit`);
   });

@@ -1,6 +1,6 @@
 /** The head of the page: installation, connection, counts, rates; and the banner of a loss. */
 
-import { find, glyph, paced, setText } from "../../base/dom.js";
+import { find, glyph, throttle, setText } from "../../base/dom.js";
 import { duration, fixed, timeOfDay, whole } from "../../base/format.js";
 
 /** Data older than this while connected is no longer "now", ms. */
@@ -11,7 +11,7 @@ const STAGES = /** @type {const} */ (["tracked", "predicted", "tentative", "lost
  * @param {import("../../state/store.js").Store} store
  * @param {() => void} retryNow
  */
-export function showMasthead(store, retryNow) {
+export function showPageHeader(store, retryNow) {
   const stages = showStages(store);
   const figures = {
     link: find("#link-text"),
@@ -33,9 +33,9 @@ export function showMasthead(store, retryNow) {
     setText(figures.age, duration(age));
     figures.age.classList.toggle("stale", age !== null && age > STALE_MS);
     setText(figures.missed, whole(store.report.missed));
-    setText(figures.link, linkWords(store));
-    if (phase === "lost") setText(figures.bannerText, lossWords(store));
-    const words = noteWords(store);
+    setText(figures.link, linkText(store));
+    if (phase === "lost") setText(figures.bannerText, lossText(store));
+    const words = noteText(store);
     note.hidden = words === "";
     setText(note, words);
   };
@@ -49,9 +49,9 @@ export function showMasthead(store, retryNow) {
   };
 
   store.on("connection", showPhase);
-  store.on("snapshot", paced(250, stages));
+  store.on("snapshot", throttle(250, stages));
   store.on("info", () => showInfo(store));
-  store.on("report", paced(250, showFigures));
+  store.on("report", throttle(250, showFigures));
   // Ages grow without any report, too.
   setInterval(showFigures, 1000);
   showPhase();
@@ -96,7 +96,7 @@ function showInfo(store) {
 }
 
 /** @param {import("../../state/store.js").Store} store */
-function linkWords(store) {
+function linkText(store) {
   const { phase } = store.connection;
   if (phase === "connecting") return "Connecting…";
   if (phase === "lost") return store.connection.retryAtMs === null ? "Reconnecting…" : "Disconnected";
@@ -107,7 +107,7 @@ function linkWords(store) {
 }
 
 /** @param {import("../../state/store.js").Store} store */
-function lossWords(store) {
+function lossText(store) {
   const now = performance.now();
   const { sinceMs, retryAtMs } = store.connection;
   const { receivedAtMs } = store.report;
@@ -124,7 +124,7 @@ function lossWords(store) {
  * Said in the middle of an arena in which there is nothing to see, and why.
  * @param {import("../../state/store.js").Store} store
  */
-function noteWords(store) {
+function noteText(store) {
   if (store.connection.phase === "connecting") return "Connecting to the server…";
   if (store.connection.phase === "lost") return store.snapshot ? "" : "No connection to the server.";
   if (store.tracks.size > 0 || !store.snapshot || !store.camerasKnown) return "";

@@ -7,7 +7,7 @@ import { find } from "../../base/dom.js";
 const KEY = "roundel-view";
 
 /** @param {import("../../arena/arena.js").Arena} arena */
-export function showViews(arena) {
+export function showViewSwitch(arena) {
   const inputs = /** @type {NodeListOf<HTMLInputElement>} */ (document.querySelectorAll("input[name=mode]"));
   const panel = /** @type {HTMLElement} */ (find("#arena-stage").parentElement);
   const health = find("#health");
