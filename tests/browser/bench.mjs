@@ -12,7 +12,7 @@
  * A frame is what lies between two animation frames of the page; its time is that of all tasks of the page's main thread
  * in it, by the thread's own clock and by the wall's. Where the machine does other work, only the first is the page's.
  * The page itself asks for few of them, since it draws in a worker; the bench asks for every one, so that each frame of
- * the screen counts. How often the worker draws, and what that takes of its thread, is told beside it.
+ * the screen counts. It also prints how often the worker draws and the time of its thread.
  */
 
 import { fork, spawn } from "node:child_process";
@@ -28,7 +28,7 @@ const ROBOTS = Number(process.env.ROBOTS ?? 400);
 const CAMERAS = Number(process.env.CAMERAS ?? 16);
 const MINUTES = Number(process.env.MINUTES ?? 2);
 const TRACE_MS = 10_000;
-/** Of each minute of the long run so much is traced. */
+/** Traced part of each minute of the long run. */
 const SAMPLE_MS = 5000;
 /** Trails have to grow first. */
 const WARM_UP_MS = 8000;
@@ -152,7 +152,7 @@ function framesOf(events, wanted) {
   let tasks = events.filter((event) => isTask(event) && thread(event) === main);
   // Both names tell of the same tasks.
   if (tasks.some(({ name }) => name === "RunTask")) tasks = tasks.filter(({ name }) => name === "RunTask");
-  // Whoever asks for a frame is called by itself: calls of one task are of one frame.
+  // Each callback is an event of its own: those of one task belong to one frame.
   tasks.sort((a, b) => a.ts - b.ts);
   const taskAt = (ts) => tasks.findLast((task) => task.ts <= ts);
   const bounds = [...new Set(starts.filter((event) => thread(event) === main).map(({ ts }) => taskAt(ts)?.ts ?? ts))].sort((a, b) => a - b);
@@ -193,7 +193,7 @@ async function measureMinutes(browser, url) {
   await context.close();
 }
 
-/** What is held after all that nobody holds has been let go of. */
+/** Memory in use after a garbage collection. */
 async function heapText(send) {
   await send("HeapProfiler.collectGarbage");
   const { usedSize, backingStorageSize = 0 } = await send("Runtime.getHeapUsage");

@@ -62,7 +62,7 @@ function photograph(page, { at, lean: [a, b] }) {
   return Buffer.concat([Buffer.from(`P5 ${WIDTH} ${HEIGHT} 255\n`), pixels]);
 }
 
-/** Of a matrix of 3 by 3, row by row. @param {number[]} m */
+/** For a 3x3 matrix, row by row. @param {number[]} m */
 function inverse([a, b, c, d, e, f, g, h, i]) {
   const [A, B, C] = [e * i - f * h, f * g - d * i, d * h - e * g];
   const determinant = a * A + b * B + c * C;

@@ -11,7 +11,7 @@ export class Calibrator {
     this.isSevere = isSevere;
     this.version = 0;
     this.asked = [];
-    /** Nothing goes on by itself while this holds: a slow page misses no step. */
+    /** While true, stages do not advance, so that a slow page misses no step. */
     this.isHeld = false;
     this.reset("idle");
   }

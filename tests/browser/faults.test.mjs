@@ -33,7 +33,7 @@ describe("trouble with cameras", () => {
       await page.locator('[data-camera-card="north-west"][data-status="failed"]').waitFor();
       const words = await card.textContent();
       assert.match(words, /Failed/);
-      assert.match(words, /No images in frames\/north-west\. It is tried again by itself\./);
+      assert.match(words, /No images in frames\/north-west\. It is retried automatically\./);
       await page.locator("#cameras-summary", { hasText: "1 of 4 failed" }).waitFor();
       await page.locator(".event.sign-failed", { hasText: "north-west" }).waitFor();
       world.restoreCamera("north-west");
@@ -95,13 +95,13 @@ describe("a camera that rides", () => {
 });
 
 describe("a page that came only in part", () => {
-  test("says so, and can be loaded anew", async () => {
+  test("says so, and can be reloaded", async () => {
     await withWorld(new World(), async (page) => {
       await page.context().route("**/js/worker.js", (route) => route.abort());
       await page.reload();
       await page.locator("#banner-title", { hasText: "could not be loaded" }).waitFor();
       await page.context().unroute("**/js/worker.js");
-      await page.getByRole("button", { name: "Load the page anew" }).click();
+      await page.getByRole("button", { name: "Reload the page" }).click();
       await page.locator('body[data-phase="live"]').waitFor();
     });
   });

@@ -37,7 +37,7 @@ for (const [where, options] of Object.entries({ "on a desk": {}, "on a phone": P
         const row = table.locator("tbody tr").first();
         await row.waitFor();
         const first = await row.innerText();
-        // Whoever is unwell stands first, in words.
+        // Cameras with problems come first.
         if (/unwell/.test(await said.innerText())) assert.match(first, /\S+\s+.*[a-z]{4,}.*\./s);
         if (server.world) {
           assert.match(first, /is its cable plugged in/);

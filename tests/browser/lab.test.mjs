@@ -106,7 +106,7 @@ describe("a recording that is played", { skip: lacking }, () => {
   });
   after(() => play?.close());
 
-  test("is told plainly, pauses, goes where one wants, at any speed, again and again", async () => {
+  test("is announced, pauses, seeks, changes its speed, and loops", async () => {
     await withPage(play.url, async (page) => {
       await holds(page, "#replay", "A recording, not live");
       await holds(page, "#replay-file", "played-");
@@ -221,7 +221,7 @@ describe("where objects were", { skip: lacking }, () => {
 });
 
 describe("prints", { skip: lacking }, () => {
-  test("are previewed and saved, and what is wrong is told at its field", async () => {
+  test("are previewed and saved, with errors at their fields", async () => {
     await withPage(lab.url, async (page) => {
       await page.locator("#print-open").click();
       await page.waitForFunction(() => document.querySelector("#print-picture").naturalWidth > 0);

@@ -10,7 +10,7 @@ import { assertAccessible, launch, visit } from "./harness.mjs";
 import { BINARY, CONFIG, call, cameraFile, lacking, startLab } from "./lab.mjs";
 
 const PATIENCE_MS = 60_000;
-/** Of another focal length, so that it is seen which lens is in use. */
+/** Has another focal length, to see which lens is in use. */
 const ROUGH = cameraFile("bench", [WIDTH, HEIGHT], 500);
 const BENCH = `
 [[camera]]
@@ -45,7 +45,7 @@ describe("the lens of a camera", { skip: lacking }, () => {
 
   const words = (page, text) => page.locator("#lens-words", { hasText: text }).waitFor();
 
-  test("is found while the board moves, told with deviations, and taken into use", async () => {
+  test("is found while the board moves, shown with deviations, and applied", async () => {
     await withPage(async (page) => {
       await page.getByRole("button", { name: "Find the lens of camera bench" }).click();
       await words(page, "Print the board");
@@ -86,7 +86,7 @@ describe("the lens of a camera", { skip: lacking }, () => {
       assert.equal(await readFile(join(lab.folder, "bench.lens-1.yaml"), "utf8"), yaml);
       const { answer } = await call(lab, "GET", "cameras/bench");
       assert.ok(Math.abs(answer.intrinsics.fx_px / FOCAL_PX - 1) < 3e-3, JSON.stringify(answer.intrinsics));
-      // Of another camera nothing is said.
+      // Nothing is shown for another camera.
       await page.keyboard.press("Escape");
       await page.getByRole("button", { name: "Find the lens of camera door" }).click();
       await words(page, "Print the board");

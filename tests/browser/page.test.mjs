@@ -34,7 +34,7 @@ after(async () => {
 const withPage = (options, body, url = server.url) => visitObjects(browser, url, options, body);
 
 describe("the page", () => {
-  test("opens without a complaint and asks nobody but its server", async () => {
+  test("opens without errors and sends requests to its server only", async () => {
     await withPage({}, async (page, { complaints, foreign }) => {
       await page.waitForFunction(() => document.querySelector("#installation").textContent !== "–");
       const info = await (await fetch(new URL("api/v1/info", server.url))).json();
@@ -86,7 +86,7 @@ describe("the page", () => {
     });
   });
 
-  test("draws the arena, and draws it anew as things move", async () => {
+  test("draws the arena, and redraws it as things move", async () => {
     await withPage({}, async (page) => {
       await assertPicture(page, "arena-tracks", (sum) => sum !== 0, "stays empty");
       const before = await canvasSum(page, "arena-tracks");
@@ -394,7 +394,7 @@ describe("a lost connection", () => {
     }
   }
 
-  test("that breaks is said plainly, and comes back by itself", () => seeThroughLoss((line) => line.cut()));
+  test("that breaks is shown, and is reopened automatically", () => seeThroughLoss((line) => line.cut()));
 
   test("that falls silent is noticed too", () => seeThroughLoss((line) => line.freeze()));
 

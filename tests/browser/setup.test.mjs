@@ -142,7 +142,7 @@ describe("the setup of cameras", () => {
     });
   });
 
-  test("removes a camera when asked twice, and asks anew the next time", async () => {
+  test("removes a camera when asked twice, and asks again the next time", async () => {
     await withConfiguration({}, async (page, configuration) => {
       await openOf(page, "south-east");
       await page.locator("#setup-remove").click();
@@ -160,7 +160,7 @@ describe("the setup of cameras", () => {
     });
   });
 
-  test("says why a server lets nobody", async () => {
+  test("says why a server allows no setup", async () => {
     await withConfiguration({ refuses: "this server is open to a network: `setup = true` under [server] allows it" }, async (page) => {
       await openNew(page);
       await page.locator("#setup-name").fill("door");

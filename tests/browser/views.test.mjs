@@ -175,7 +175,7 @@ describe("health", () => {
       await page.locator("#verdict-text", { hasText: "1 of 4 cameras unwell" }).waitFor();
       assert.equal(await page.locator("#verdict").getAttribute("data-health"), "grave");
       const item = page.locator("#unwell li");
-      assert.match(await item.textContent(), /^north-west No images in frames\/north-west\. It is tried again by itself\.$/);
+      assert.match(await item.textContent(), /^north-west No images in frames\/north-west\. It is retried automatically\.$/);
       await item.getByRole("button").click();
       await page.waitForFunction(() => document.activeElement?.closest("[data-camera-card]")?.dataset.cameraCard === "north-west");
       await page.keyboard.press("3");
@@ -199,7 +199,7 @@ describe("health", () => {
       );
       await page.keyboard.press("3");
       await page.locator('#health-rows tr[data-name="north-east"] [data-figure=reprojection]', { hasText: /^(0\.2\d|–) \(0\.37\)$/ }).waitFor();
-      // Of one that no other sees the same as, nothing can be told.
+      // A camera that shares no view with another has no reprojection error.
       const figures = await page.locator("#health-rows [data-figure=reprojection]").allTextContents();
       assert.equal(figures.filter((text) => text.startsWith("–")).length, 1, figures.join());
       assert.equal(figures.filter((text) => /^0\.2\d/.test(text)).length, 3, figures.join());
@@ -317,7 +317,7 @@ describe("finding", () => {
 });
 
 describe("what the cameras cover", () => {
-  test("is shown as the server foretells it, and what it refuses at its field", async () => {
+  test("is shown as the server predicts it, with errors at their fields", async () => {
     await withWorld(new World(), {}, async (page) => {
       const asked = [];
       await page.route("**/openapi.json", (route) => route.fulfill({ json: { paths: { "/api/v1/plan": { get: {} } } } }));
@@ -353,7 +353,7 @@ describe("what the cameras cover", () => {
 });
 
 describe("a list of hundreds", () => {
-  test("has rows for those in sight only, and for whoever comes into sight or is looked for", async () => {
+  test("has rows only for objects in view, and for those scrolled to or searched", async () => {
     await withWorld(new World({ robots: 400, cameras: 1 }), {}, async (page) => {
       await page.locator('[data-object-id="1"]').waitFor();
       const rows = page.locator("#object-rows tr");
@@ -415,7 +415,7 @@ describe("what a server does not offer", () => {
     await withWorld(new World(), {}, async (page) => {
       await page.locator("#add-camera").waitFor();
       await page.locator("#calibrate").waitFor();
-      // Of these its description says nothing.
+      // Not in its OpenAPI description.
       for (const control of ["#record", "#replay", "#history-open", "#print-open", "#add-object"]) {
         assert.equal(await page.locator(control).isVisible(), false, control);
       }

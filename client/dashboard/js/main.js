@@ -98,7 +98,7 @@ function showWorkerFailure() {
   setText(find("#banner-title"), "A part of this page could not be loaded, or broke.");
   setText(find("#banner-text"), "What you see does not change any more.");
   const button = find("#retry");
-  setText(button, "Load the page anew");
+  setText(button, "Reload the page");
   button.addEventListener("click", () => location.reload());
 }
 

@@ -1,4 +1,4 @@
-/** The page's end of the line to the worker that keeps pace with the stream (worker-runtime.js). */
+/** The page's interface to the worker (worker-runtime.js). */
 
 /** @typedef {import("./worker-runtime.js").Commands} Commands */
 /** @typedef {import("./worker-runtime.js").Notifications} Notifications */

@@ -1,11 +1,9 @@
 /**
- * What has to keep pace with the stream: the connection, what comes over it, and the arena's pictures. It runs in a
- * worker (worker.js), so that four hundred objects sixty times a second do not hold up the page that a person reads and
- * clicks; where a browser cannot draw in a worker, in the page itself (worker-client.js).
+ * Receives and decodes the stream and draws the arena. Runs in a worker (worker.js), so that 400 objects at 60 Hz do not
+ * block the page, or in the page itself in browsers without OffscreenCanvas (worker-client.js).
  *
- * The page is told what it shows as text: ten snapshots a second, read already, since that takes its time as well, and
- * every message of another kind, as it came. What it is told and tells is `[name, value]`, with the names of `Notifications` and
- * `Commands`.
+ * The page receives what it shows as text: ten decoded snapshots a second, and every other message undecoded. Messages in
+ * both directions are `[name, value]`, with the names of `Notifications` and `Commands`.
  */
 
 import { connect } from "./wire/connection.js";
@@ -17,7 +15,7 @@ import { Store } from "./state/store.js";
 const REPORT_MS = 100;
 
 /**
- * What the page tells.
+ * Messages from the page.
  * @typedef {object} Commands
  * @property {(value: {url: string, canvases: import("./arena/stage.js").Canvases, palette: import("./arena/palette.js").Palette}) => void} open comes first
  * @property {(size: {width: number, height: number, ratio: number}) => void} size of the arena, CSS pixels; none: it is hidden
@@ -38,7 +36,7 @@ const REPORT_MS = 100;
  */
 
 /**
- * What the page is told.
+ * Messages to the page.
  * @typedef {object} Notifications
  * @property {import("./wire/connection.js").ConnectionState} connection its times count from the Unix epoch
  * @property {string | ArrayBuffer} data a message that holds no snapshot
@@ -61,7 +59,7 @@ export function runWorker(port) {
   /** @type {{retryNow: () => void} | null} */
   let connection = null;
 
-  /** What the page was told last of who is who, by id. @type {Map<number, string>} */
+  /** Identities last sent to the page, by id. @type {Map<number, string>} */
   let identified = new Map();
 
   /** @type {<Name extends keyof Notifications>(name: Name, value: Notifications[Name], transfer?: Transferable[]) => void} */

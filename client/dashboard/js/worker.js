@@ -1,4 +1,4 @@
-/** The worker's begin: see worker-runtime.js. */
+/** Entry point of the worker: see worker-runtime.js. */
 
 import { runWorker } from "./worker-runtime.js";
 

@@ -1,4 +1,4 @@
-/** What the form of a camera's setup says, and what it is told. */
+/** The camera form's conversions. */
 
 import assert from "node:assert/strict";
 import { test } from "node:test";
@@ -44,7 +44,7 @@ test("what a camera looks at comes back, on the floor or a metre ahead", () => {
   assert.equal(orientationOf({ position: { x: 1, y: 1, z: 1 }, target: { x: 1, y: 1, z: 1 }, turnedDeg: 0 }), null);
 });
 
-test("a server is told what changed, and of what is to be no more", () => {
+test("a PATCH request has the changed fields, and null for removed ones", () => {
   const before = { name: "a", source: "push:", calibration: "a.yaml", pose: { unknown: true }, rate_hz: 30, mode: "" };
   assert.deepEqual(changedFields(before, { ...before, pose: { unknown: true } }), {});
   assert.deepEqual(changedFields(before, { ...before, rate_hz: null, mode: "fast", calibration: "" }), { rate_hz: null, mode: "fast", calibration: null });

@@ -22,9 +22,9 @@ test("one that is well has no complaint", () => {
   assert.deepEqual(cameraProblems(camera({ agreement: agreed, clock: { offset_ms: 30, deviation_ms: 0.1 } }), null), []);
 });
 
-test("what stops it is grave and told alone", () => {
+test("a severe problem is shown alone", () => {
   for (const [more, expected] of [
-    [{ status: "failed", error: "no route to host" }, /^No route to host\. It is tried again by itself\.$/],
+    [{ status: "failed", error: "no route to host" }, /^No route to host\. It is retried automatically\.$/],
     [{ status: "failed" }, /The source gave no reason\./],
     [{ status: "finished" }, /no more frames/],
     [{ status: "starting", error: "waiting for a sender" }, /^Waiting for a sender\.$/],
@@ -39,7 +39,7 @@ test("what stops it is grave and told alone", () => {
   }
 });
 
-test("what only harms it is told in full", () => {
+test("other problems are all shown", () => {
   assert.match(words({ rate_reason: "gives 12.0 frames a second, not 30" }), /^It gives 12\.0 frames a second, not 30\.$/);
   assert.match(words({ agreement: { state: "suspected", position_error_m: 0.021, rotation_error_rad: 0.0175 } }), /moved by 21 mm and 1\.00°/);
   assert.match(words({ agreement: { state: "quarantined" } }), /bumped/);
@@ -50,7 +50,7 @@ test("what only harms it is told in full", () => {
   assert.match(lost, /41 % of its frames are left out.*10 % of its frames arrive broken.*5 % of its frames are lost on the way/);
 });
 
-test("shares are of the last ten seconds, and begin anew with the server", () => {
+test("shares are of the last ten seconds, and restart with the server", () => {
   const frameCounters = new FrameCounters();
   const counts = (frames, dropped) => [camera({ frames, dropped })];
   frameCounters.take(counts(1000, 500), 0);

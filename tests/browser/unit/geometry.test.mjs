@@ -30,7 +30,7 @@ function turn(axis, rad) {
   return { x: axis.x * s, y: axis.y * s, z: axis.z * s, w: Math.cos(rad / 2) };
 }
 
-/** Of a polygon whose corners go counter-clockwise; negative for clockwise. */
+/** Area of a polygon, negative for clockwise corners. */
 function area(points) {
   return points.reduce((sum, p, i) => {
     const q = points[(i + 1) % points.length];

@@ -8,7 +8,7 @@ import { ObjectState } from "../../../client/dashboard/js/state/object-state.js"
 
 const START_MS = 1_700_000_000_000;
 
-/** A robot that turns on a circle of 1 m at 1 m/s, as it is after so many seconds. */
+/** A robot that turns on a circle of 1 m at 1 m/s, at a time in seconds. */
 function circling(id, seconds, more = {}) {
   const [s, c] = [Math.sin(seconds), Math.cos(seconds)];
   return new ObjectState({

@@ -64,7 +64,7 @@ test("parameters have the decimals that their deviations allow", () => {
   assert.ok(off.endsWith("0.031 px rms. The roundels look 30.58 mm wide, not 30.00."), off);
 });
 
-test("zones are thirds of the picture, done from so many roundels on", () => {
+test("zones are thirds of the picture, done from a number of roundels on", () => {
   const zones = zonesOf(LENS);
   assert.deepEqual(zones.map((zone) => zone.isDone), [false, true, false, true, true, false, true, false, false]);
   const { left, top, width, height } = zones[5];

@@ -142,7 +142,7 @@ test("a blur that was not fitted is not known", () => {
   assert.deepEqual(blurs, [0.72, null, null]);
 });
 
-test("a reprojection error that nobody could tell is not known", () => {
+test("a reprojection error of 0 is unknown", () => {
   const errors = readCameras([{ reprojection_px: 0.21 }, { reprojection_px: 0 }, {}]).map((camera) => camera.reprojectionPx);
   assert.deepEqual(errors, [0.21, null, null]);
 });

@@ -19,7 +19,7 @@ test("yaw turns it counter-clockwise, pitch its right down, roll its top up", ()
 });
 
 test("a print on the front of a robot looks ahead with its top up", () => {
-  // Its right is to the left of whoever drives, since it is looked at from ahead.
+  // Its right is the vehicle's left, since it is seen from ahead.
   const front = turnOf({ x: 0, y: 1, z: 0 }, { x: 0, y: 0, z: 1 });
   assert.deepEqual(front, { rollDeg: 90, pitchDeg: 0, yawDeg: 90 });
 });

@@ -1,4 +1,4 @@
-/** Cameras that ride: placed by what carries them, in every snapshot anew. */
+/** Mounted cameras: their poses follow their carriers in every snapshot. */
 
 import assert from "node:assert/strict";
 import { test } from "node:test";

@@ -42,7 +42,7 @@ test("the decoder has every field and value of the .proto files (npm run vendor 
     const generated = roundel.v1[type.name];
     if (type instanceof protobuf.Enum) assert.deepEqual({ ...generated }, { ...type.values }, type.name);
     else {
-      // Of a oneof's fields the last one stays.
+      // Only one field of a oneof can be set.
       const oneofs = new Set(type.oneofsArray.flatMap((oneof) => oneof.fieldsArray));
       const all = filled(type);
       for (const field of type.fieldsArray) {

@@ -39,7 +39,7 @@ test("the lower triangle makes the covariance", () => {
   assert.ok(cholesky(Array(21).fill(0)).every(Number.isFinite));
 });
 
-test("points are told where three.js draws them", () => {
+test("points are projected to where three.js draws them", () => {
   const orbit = new OrbitCamera();
   Object.assign(orbit, { target: { x: 1, y: -2, z: 0.5 }, distanceM: 9, azimuthRad: 0.7, elevationRad: 0.6, width: 700, height: 500 });
   const camera = new PerspectiveCamera(40, 700 / 500, 0.05, 2000);

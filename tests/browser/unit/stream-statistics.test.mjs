@@ -1,4 +1,4 @@
-/** How the stream fares, told the time. */
+/** Statistics of the stream. */
 
 import assert from "node:assert/strict";
 import { describe, test } from "node:test";
@@ -22,7 +22,7 @@ describe("the gauge", () => {
     assert.equal(statistics.report(9000).rateHz, 0, "none have come for so long");
   });
 
-  test("begins to count anew with a connection", () => {
+  test("restarts with a connection", () => {
     const statistics = new StreamStatistics();
     statistics.begin(0);
     for (let ms = 0; ms < 3000; ms += 20) statistics.take(snapshot(), ms);

@@ -64,7 +64,7 @@ test("of one place alone there is a map, too", () => {
   assert.deepEqual([heat.columns, heat.rows], [1, 1]);
 });
 
-test("what was taken seldom is seen, and nothing where nobody was", () => {
+test("what was taken seldom is seen, and nothing elsewhere", () => {
   assert.equal(heatOpacity(0, 10), 0);
   assert.ok(heatOpacity(0.001, 10) > 0.1);
   assert.ok(heatOpacity(10, 10) <= 0.8 && heatOpacity(10, 10) > heatOpacity(5, 10));
@@ -77,7 +77,7 @@ test("the nearest place of a course is found, and none that is too far", () => {
   assert.equal(nearestPoint(trajectories, 1.1, 3, 0.5), null);
 });
 
-test("sizes and lengths are told in words that fit them", () => {
+test("sizes and durations have fitting units", () => {
   assert.deepEqual([0, 999, 1000, 12_345, 999_400, 31e9, 2e15].map(size), ["0 B", "999 B", "1.0 kB", "12.3 kB", "999 kB", "31.0 GB", "2000 TB"]);
   assert.deepEqual([0, 7.9, 61, 3599, 3601, 90_061].map(minutes), ["0:00", "0:07", "1:01", "59:59", "1:00:01", "25:01:01"]);
 });
@@ -96,7 +96,7 @@ test("a recording says how long there is room, and what it has lost", () => {
   assert.match(troubled, /2 older files were deleted/);
 });
 
-test("one that ended by itself says why", () => {
-  assert.match(stateText({ ...RECORDING, state: "failed", error: "the disk is full" })[0], /ended by itself: the disk is full/);
-  assert.match(stateText({ ...RECORDING, state: "idle", disk_free_bytes: 0 })[0], /told once something is recorded/);
+test("a failed recording says why", () => {
+  assert.match(stateText({ ...RECORDING, state: "failed", error: "the disk is full" })[0], /failed: the disk is full/);
+  assert.match(stateText({ ...RECORDING, state: "idle", disk_free_bytes: 0 })[0], /shown once something is recorded/);
 });

@@ -1,6 +1,6 @@
 /**
- * The arena's place in the page: what the person does to it goes to the stage (stage.js), which draws elsewhere, and what
- * the stage shows is said below it.
+ * The arena's element in the page. Sends the user's input to the stage (stage.js), which draws in a worker, and writes the
+ * caption below it.
  */
 
 import { gridStepM, RULER } from "./top/backdrop.js";
@@ -11,9 +11,9 @@ import { listenForGestures } from "./gestures.js";
 import { readPalette } from "./palette.js";
 import { Viewport } from "./viewport.js";
 
-/** What a browser without WebGL is told. */
+/** Shown by browsers without WebGL. */
 const NO_SPACE = "This browser draws no 3D (WebGL 2 is missing or switched off): here is the view from above.";
-/** How near the pointer a trajectory has to pass to be told of, CSS pixels. */
+/** Largest distance between pointer and trajectory for its time to be shown, CSS pixels. */
 const PASSED_PX = 18;
 
 /** @typedef {import("./stage.js").StageMode} StageMode */
@@ -29,23 +29,23 @@ export class Arena {
     this.worker = worker;
     this.stage = find("#arena-stage");
     this.caption = find("#arena-caption");
-    /** What the stage shows of the floor, as it told last. */
+    /** The visible part of the floor, as last reported by the stage. */
     this.view = new Viewport();
     this.stepM = gridStepM(this.view);
     /** @type {StageMode} */
     this.mode = "top";
-    /** Said below the arena, of a wish that could not be met. */
+    /** Why the requested mode is not shown, for the caption. */
     this.excuse = "";
     this.look = { exaggeration: 10, trails: true };
-    /** @type {import("../state/trajectories.js").HistoryOverlay | null} what the history tells */
+    /** @type {import("../state/trajectories.js").HistoryOverlay | null} of the history */
     this.overlay = null;
     /** @type {[number, number] | null} */
     this.pointer = null;
-    /** Whether clicks measure, and what the tape says. */
+    /** Whether clicks measure, and the measured distance in words. */
     this.measures = false;
     this.measured = "";
     this.tapeButton = find("#tape");
-    /** @type {((mode: StageMode) => void)[]} who waits to be shown something */
+    /** @type {((mode: StageMode) => void)[]} callers of `show` that wait for the worker */
     this.waiting = [];
 
     this.open(url);
@@ -179,7 +179,7 @@ export class Arena {
     setText(this.caption, parts.filter(Boolean).join("  ·  "));
   }
 
-  /** Who passed the pointer when, of the history's trajectories. @param {number} px @param {number} py */
+  /** The nearest trajectory at the pointer, with its time. @param {number} px @param {number} py */
   passedText(px, py) {
     const { view, overlay } = this;
     if (!overlay || overlay.heat) return "";

@@ -1,4 +1,4 @@
-/** Mouse, touch and keyboard on the arena, told as what the person means: drag, zoom, pick. */
+/** Translates mouse, touch and keyboard input on the arena to drag, zoom, pick and hover. */
 
 /** A press that moves less than this is a click, CSS pixels. */
 const CLICK_SLACK_PX = 5;

@@ -1,4 +1,4 @@
-/** What the history tells, laid over the arena: drawn once, and anew only when the view moves. */
+/** Draws trajectories or a heat map of the history over the arena. Redrawn only when the view changes. */
 
 import { heatOpacity, eachPoint } from "../state/trajectories.js";
 import { drawOutlinedText } from "./canvas/outlined-text.js";

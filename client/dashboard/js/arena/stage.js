@@ -2,8 +2,7 @@
  * The arena from above or in 3D, drawn when something has changed and at most once per frame of the screen. From above
  * it is two canvases, what stands still below what moves; in 3D one of WebGL, with labels on another above it.
  *
- * It knows nothing of the page: it draws in a worker (worker-runtime.js), so that neither waits for the other, and is told by
- * arena.js what the person does.
+ * It runs in a worker (worker-runtime.js) without access to the page, and receives the user's input from arena.js.
  */
 
 import { cameraFootprint, drawBackdrop, gridStepM, RULER } from "./top/backdrop.js";
@@ -20,8 +19,8 @@ const ROOM_M = 2;
 /** Reach of a click beyond the disc, CSS pixels; fingers are thicker. */
 const REACH_PX = 6;
 const REACH_COARSE_PX = 18;
-/** How often it is told at most what of the floor is in view, ms: while an object is followed that changes each frame. */
-const TELL_MS = 100;
+/** Shortest interval between two reports of the visible area, ms. It changes each frame while an object is followed. */
+const REPORT_MS = 100;
 
 /** A picture that takes longer is followed by a rest, ms. */
 const LONG_MS = 25;
@@ -29,14 +28,14 @@ const LONG_MS = 25;
 /** @typedef {"top" | "space"} StageMode */
 /** @typedef {{backdrop: Canvas, tracks: Canvas, space: Canvas, labels: Canvas}} Canvases */
 /** @typedef {OffscreenCanvas | HTMLCanvasElement} Canvas */
-/** @typedef {{centerX: number, centerY: number, scale: number, stepM: number, measured: string}} VisibleArea what of the floor is in view: that of viewport.js, the grid's step, what the tape says */
+/** @typedef {{centerX: number, centerY: number, scale: number, stepM: number, measured: string}} VisibleArea the viewport's centre and scale, the grid's step, and the measured distance in words */
 
 export class Stage {
   /**
    * @param {import("../state/store.js").Store} store
    * @param {Canvases} canvases
    * @param {import("./palette.js").Palette} palette
-   * @param {(sight: VisibleArea) => void} onVisibleArea is told when something else is in view
+   * @param {(sight: VisibleArea) => void} onVisibleArea receives each change of the visible area
    */
   constructor(store, canvases, palette, onVisibleArea) {
     this.store = store;
@@ -53,11 +52,11 @@ export class Stage {
     /** @type {StageMode} */
     this.mode = "top";
     this.palette = palette;
-    /** Whether anybody sees it. */
+    /** Whether it has a size. */
     this.isShown = true;
     this.exaggeration = 10;
     this.trails = true;
-    /** @type {import("../state/trajectories.js").HistoryOverlay | null} what the history tells */
+    /** @type {import("../state/trajectories.js").HistoryOverlay | null} of the history */
     this.overlay = null;
     /** @type {number | null} */
     this.hovered = null;
@@ -72,7 +71,7 @@ export class Stage {
     this.frameAsked = false;
     /** Before this no other picture is drawn, `performance.now()`. */
     this.restUntilMs = 0;
-    this.sightTold = "";
+    this.reportedSight = "";
     this.sightTimer = 0;
 
     store.on("snapshot", () => this.onSnapshot());
@@ -210,7 +209,7 @@ export class Stage {
     this.askFrame();
   }
 
-  /** Nobody sees it without a size. @param {{width: number, height: number, ratio: number}} size CSS pixels, and the screen's pixels in one */
+  /** A size of zero hides it. @param {{width: number, height: number, ratio: number}} size CSS pixels, and the screen's pixels in one */
   resize({ width, height, ratio }) {
     this.isShown = width > 0 && height > 0;
     if (!this.isShown) return;
@@ -310,7 +309,7 @@ export class Stage {
     return nearest;
   }
 
-  /** Draws all anew with the next frame. */
+  /** Requests a redraw of all layers. */
   refresh() {
     this.backdropStale = true;
     this.askFrame();
@@ -338,7 +337,7 @@ export class Stage {
 
   draw() {
     const { view, palette, store } = this;
-    // Behind the table of health nobody sees it; it is drawn anew when it comes back, since its size changes then.
+    // Hidden behind the health table. The change of size when it is shown again triggers a redraw.
     if (!this.isShown) return;
     const space = this.mode === "space" ? this.space : null;
     if (this.backdropStale) {
@@ -368,19 +367,19 @@ export class Stage {
     };
   }
 
-  /** At once, or a little later if it was told only now. */
+  /** Reports at once, or after REPORT_MS if the last report is recent. */
   reportVisibleArea() {
     if (this.sightTimer) return;
     const { centerX, centerY, scale } = this.view;
     const stepM = (this.mode === "space" ? this.space?.stepM : null) ?? gridStepM(this.view);
     const sight = { centerX, centerY, scale, stepM, measured: this.mode === "top" ? this.tape.words(this.store.tracks) : "" };
-    const told = JSON.stringify(sight);
-    if (told === this.sightTold) return;
-    this.sightTold = told;
+    const report = JSON.stringify(sight);
+    if (report === this.reportedSight) return;
+    this.reportedSight = report;
     this.onVisibleArea(sight);
     this.sightTimer = setTimeout(() => {
       this.sightTimer = 0;
       this.reportVisibleArea();
-    }, TELL_MS);
+    }, REPORT_MS);
   }
 }

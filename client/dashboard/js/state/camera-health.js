@@ -40,7 +40,7 @@ export class FrameCounters {
     for (const { name, frames, dropped, broken, link } of cameras) {
       const held = this.counts.get(name) ?? [];
       const fresh = { timeMs: nowMs, frames, dropped, broken, missing: link?.missing ?? 0 };
-      // A server that has started again counts anew.
+      // A restarted server counts from zero.
       if (held.some((one) => one.frames > frames)) held.length = 0;
       held.push(fresh);
       while (held.length > 2 && held[1].timeMs <= nowMs - WINDOW_MS) held.shift();
@@ -77,7 +77,7 @@ export function cameraProblems(camera, shares) {
 function reasonForNothing(camera) {
   switch (camera.status) {
     case "failed":
-      return `${sentence(camera.error || "The source gave no reason")} It is tried again by itself.`;
+      return `${sentence(camera.error || "The source gave no reason")} It is retried automatically.`;
     case "starting":
       return sentence(camera.error || "The source is being opened");
     case "finished":
@@ -179,7 +179,7 @@ export class Latencies {
 }
 
 /**
- * Who ails from the same, however much of it each has: "39 % of its frames" and "35 % of its frames" are told together,
+ * Groups cameras with the same problems. Numbers may differ: "39 % of its frames" and "35 % of its frames" are combined
  * as "35 to 39 %".
  * @param {{name: string, problems: Problem[]}[]} cameras
  * @returns {{names: string[], why: string, isSevere: boolean}[]} in the order of the first of each

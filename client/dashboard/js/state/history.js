@@ -12,7 +12,7 @@ import { ObjectState, STAGES } from "./object-state.js";
 export const HISTORY_MS = 60_000;
 /** Between two frames, ms. */
 export const FRAME_MS = 100;
-/** Between frames further apart than this nobody knows how it went from one to the other. */
+/** Frames further apart than this are not interpolated, ms. */
 export const GAP_MS = 500;
 /** For so long what was last known counts; further from any frame nothing is known: the page was not connected. */
 const HELD_MS = 2500;
@@ -23,7 +23,7 @@ const [VELOCITY, TURN, COVARIANCE, ROTATION, AGE, RESIDUAL] = [3, 6, 10, 16, 19,
 /** Places of what is kept of the 21 numbers of a covariance. */
 const POSITION_ENTRIES = [0, 1, 2, 6, 7, 11];
 const ROTATION_ENTRIES = [15, 18, 20];
-/** Cameras of an object are bits of so many numbers; further ones are forgotten. */
+/** 32-bit words of an object's camera bits. Further cameras are not stored. */
 const CAMERA_WORDS = 4;
 
 /** @typedef {{timeMs: number, count: number, ids: Float64Array, values: Float32Array, cameras: Int32Array, flags: Uint8Array}} Frame */
@@ -87,7 +87,7 @@ export class History {
     this.count = Math.min(this.count + 1, this.frames.length);
   }
 
-  /** The frame to be written next, with room for so many objects. @param {number} objects @returns {Frame} */
+  /** The frame to be written next, with capacity for the objects. @param {number} objects @returns {Frame} */
   slot(objects) {
     if (this.frames.length === 0) {
       const length = HISTORY_MS / FRAME_MS + 1;
@@ -245,13 +245,13 @@ export class History {
    * @param {number} id
    * @param {number} fromMs
    * @param {number} toMs
-   * @param {number} stride of how many frames one is told
+   * @param {number} stride in frames
    * @param {(timeMs: number, x: number, y: number, z: number) => void} visit
    */
   trace(id, fromMs, toMs, stride, visit) {
     const newest = this.backTo(toMs);
     let hint = 0;
-    // Counted from the ring's own places, so that the same frames are told from snapshot to snapshot.
+    // Counted from the ring's own places, so that consecutive snapshots visit the same frames.
     for (let back = Math.min(this.backTo(fromMs), this.count - 1); back >= newest; back -= 1) {
       if (stride > 1 && (this.next - 1 - back + this.frames.length) % stride !== 0) continue;
       const frame = this.frame(back);

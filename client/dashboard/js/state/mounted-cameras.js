@@ -1,5 +1,5 @@
 /**
- * Cameras that ride on objects: where they are at a snapshot's instant.
+ * Poses of cameras that are mounted on objects, at the time of a snapshot.
  *
  * The server says where its cameras are twice a second, which a drone outruns; with the object's pose in each
  * snapshot and the camera's place on it, the page knows as often as snapshots come.

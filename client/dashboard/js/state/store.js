@@ -15,9 +15,9 @@ export const TRAIL_MS = 5000;
 const LOST_SHOWN_MS = 4000;
 /** Events remembered. */
 const MAX_EVENTS = 200;
-/** Without a report for so long, time passes by itself, ms. */
+/** Without a report for this time, the data's age grows with the clock, ms. */
 const SILENT_MS = 500;
-/** A pose time that is so much older than the one before is that of a recording in which somebody went back, ms. */
+/** A pose time older than the previous one by this means that a replay went back, ms. */
 const BACK_MS = 500;
 
 /** @typedef {import("./object-state.js").ObjectState} ObjectState */
@@ -157,7 +157,7 @@ export class Store {
 
   /** @param {{sourceId: string, poseTimeMs: number}} snapshot */
   begin({ sourceId, poseTimeMs }) {
-    // A server that has started again counts its objects anew; old trails would be of others.
+    // A restarted server reuses object ids.
     if (this.snapshot && this.snapshot.sourceId !== sourceId) this.forget();
     else if (this.snapshot && poseTimeMs < this.snapshot.poseTimeMs - BACK_MS) this.clearTracks();
     this.snapshot = { sourceId, poseTimeMs };

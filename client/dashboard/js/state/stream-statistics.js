@@ -1,4 +1,4 @@
-/** How the stream fares: how many snapshots come, how late, and how old what is known is. Pure: it is told the time. */
+/** Rate, latency and age of the stream's snapshots. Pure: the time is an argument. */
 
 /** Window over which the snapshots are counted, ms. */
 const RATE_WINDOW_MS = 2000;

@@ -1,12 +1,11 @@
 /**
- * Where objects were, as the server's history tells it: trajectories, and how long each place was taken. Pure functions
- * without DOM.
+ * Trajectories of the server's history, and a heat map of how long each place was occupied. Pure functions without DOM.
  */
 
 import { roundStep } from "../base/geometry.js";
 import { count, list, milliseconds, number, text, vector } from "../base/validate.js";
 
-/** Points further apart in time than so many steps of the history are not joined: it was not there between them. */
+/** Points further apart than this number of the history's steps are not joined. */
 const GAP_STEPS = 3.5;
 /** Cells of a heat map along the longer side, about. */
 const CELLS = 64;

@@ -1,4 +1,4 @@
-/** Calls of the server's API, and what it says where it refuses. */
+/** Calls the server's REST API and returns its answer or its error. */
 
 /**
  * @typedef {object} ApiError

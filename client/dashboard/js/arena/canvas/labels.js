@@ -8,14 +8,14 @@ import { makeCanvas } from "./canvas-layer.js";
 
 /** Objects higher than this carry their height, metres; a robot's roundel is mostly below. */
 const FLYING_M = 0.5;
-/** Up to so many objects all labels are drawn, even on one another: few enough to be told apart. */
+/** Up to this number of objects all labels are drawn, even where they overlap. */
 const ALWAYS_DRAWN = 40;
 /** Cells of the raster that tells whether a place is taken, CSS pixels. */
 const CELL_PX = 11;
 /** Cells of a screen of 5632 by 2816 CSS pixels. */
 const COLUMNS = 512;
 const ROWS = 256;
-/** Of a crowd so many at most: more nobody reads. */
+/** Most labels drawn of many objects. */
 const MOST_DRAWN = 160;
 const PADDING_PX = 3;
 /** Labels kept painted; heights change all the time. */
@@ -65,7 +65,7 @@ export function drawLabels(context, palette, labels, options, ratio) {
   }
 }
 
-/** Takes a label's place, if nobody has it. @param {Label} label @param {Painted} picture */
+/** Reserves a label's cells, unless they are taken. @param {Label} label @param {Painted} picture */
 function claims(label, picture) {
   const row = Math.floor(label.py / CELL_PX);
   const first = Math.max(0, Math.floor(label.px / CELL_PX));

@@ -1,5 +1,5 @@
 /**
- * Words that stay legible on whatever lies below them: with an outline in the sheet's colour.
+ * Draws text with an outline in the background's colour, legible on any content.
  * @param {import("./canvas-layer.js").Context2D} context with its font and alignment
  * @param {import("../palette.js").Palette} palette
  * @param {string} words

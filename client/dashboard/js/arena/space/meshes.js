@@ -1,4 +1,4 @@
-/** What the 3D view is made of: lines that change, signs that are drawn many at once, cameras, the floor. */
+/** Meshes of the 3D view: line buffers, instanced symbols, camera frusta, the floor. */
 
 import {
   BufferAttribute, BufferGeometry, CircleGeometry, Color, DoubleSide, DynamicDrawUsage, InstancedBufferAttribute, InstancedMesh,
@@ -32,7 +32,7 @@ export function rgb(css) {
   return parts;
 }
 
-/** Many lines of many colours, drawn at once and written anew each time. */
+/** Line segments with vertex colours in one draw call. The buffer is rewritten for each frame. */
 export class Lines {
   constructor() {
     this.room = 0;

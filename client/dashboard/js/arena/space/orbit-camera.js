@@ -59,7 +59,7 @@ export class OrbitCamera {
   slide(dx, dy) {
     const step = this.pixelM(this.distanceM);
     const [sin, cos] = [Math.sin(this.azimuthRad), Math.cos(this.azimuthRad)];
-    // Seen flatly, a pixel up is a long way on the floor; more than thrice nobody can aim.
+    // Seen flatly, a pixel up is a long way on the floor; the factor is limited to three.
     const ahead = (dy * step) / Math.max(0.33, Math.sin(this.elevationRad));
     this.target = {
       x: this.target.x + sin * dx * step - cos * ahead,

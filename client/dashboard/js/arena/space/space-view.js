@@ -1,6 +1,6 @@
 /**
  * The arena in 3D: objects where they are and how they are turned, their trails and uncertainty, cameras with what they
- * see. About fifteen draws a frame, whatever the number of objects: each kind of thing is one buffer, written anew.
+ * see. About fifteen draws a frame, whatever the number of objects: each kind is one buffer, rewritten for each frame.
  *
  * Signs, colours and words are those of the view from above (tracks.js); labels are painted on a canvas of their own.
  */
@@ -23,7 +23,7 @@ const DISC_PX = 5.5;
 const CAMERA_M = 0.16;
 /** Ellipsoids are filled up to this part of the picture's height, in its middle. */
 const LARGEST_FILL = 0.1;
-/** Points of all trails together, about: each is a line that is drawn by itself. */
+/** Points of all trails together, about. */
 const TRAIL_POINTS = 1600;
 /** Sides of the polygon that stands for an ellipse. */
 const OUTLINE = 48;
@@ -60,7 +60,7 @@ export class SpaceView {
     this.sheets = new InstancedShapes(new CircleGeometry(0.98, 24), 1, 0);
     this.ellipsoids = new InstancedShapes(new SphereGeometry(1, 20, 14), 0.2, 3, new SphereGeometry(1, 10, 7));
     this.marks = new InstancedShapes(new RingGeometry(1.35, 1.6, 40), 1, 0);
-    // Without a card each corner costs a microsecond, and of hundreds nobody sees how round they are.
+    // Without a card each corner costs a microsecond, and many objects need less detail.
     const [shapes, coarse] = [stageShapes(3), stageShapes(1)];
     /** @type {Record<import("../../state/object-state.js").Stage, InstancedShapes>} */
     this.stages = {
@@ -72,10 +72,10 @@ export class SpaceView {
     };
     const instanced = [this.bodies, this.sheets, this.marks, this.ellipsoids, ...Object.values(this.stages)];
     for (const { object } of [this.coverage, this.heat, this.still, this.trails, this.moving, ...instanced]) this.scene.add(object);
-    /** @type {Seen[]} what was drawn, for whoever points at it */
+    /** @type {Seen[]} what was drawn, to find the object under the pointer */
     this.seen = [];
     this.stepM = 1;
-    /** Whether there are so many that they are drawn less finely. */
+    /** Whether objects are drawn with less detail. */
     this.hasManyObjects = false;
     this.ratio = 1;
     this.scratch = { matrix: new Matrix4(), turn: new Quaternion(), place: new Vector3(), size: new Vector3() };
@@ -196,7 +196,7 @@ export class SpaceView {
     this.ellipsoids.add(matrix, color);
   }
 
-  /** Of what is known to metres only: filled, it would hide the arena. @param {ObjectState} state @param {import("../../base/geometry.js").Vector3} p @param {[number, number, number]} color @param {number} exaggeration */
+  /** Draws a large ellipsoid as an outline, since a filled one would hide the arena. @param {ObjectState} state @param {import("../../base/geometry.js").Vector3} p @param {[number, number, number]} color @param {number} exaggeration */
   addOutline({ ellipse }, p, color, exaggeration) {
     if (!ellipse) return;
     const [sin, cos] = [Math.sin(ellipse.angleRad), Math.cos(ellipse.angleRad)];

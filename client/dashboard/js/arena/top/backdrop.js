@@ -153,7 +153,7 @@ function drawFootprint(context, view, palette, camera) {
   context.closePath();
   const failed = camera.status === "failed";
   if (!failed) {
-    // Thin fills add up where views overlap: coverage shows by itself.
+    // Thin fills add up where views overlap: the overlap looks darker.
     context.fillStyle = palette.viewFill;
     context.fill();
   }

@@ -1,6 +1,6 @@
 /**
- * A tape measure on the floor plan: from a place or an object to another, to the pointer while only its begin is set. Ends
- * that are objects go with them, so that the distance of two robots is told as it changes.
+ * Measures the distance between two points of the floor or objects, or to the pointer while only the first end is set. Ends
+ * that are objects move with them.
  */
 
 import { fixed } from "../../base/format.js";
@@ -10,9 +10,9 @@ import { drawOutlinedText } from "../canvas/outlined-text.js";
 /** @typedef {import("../../state/track.js").Track} Track */
 /** @typedef {{x: number, y: number, z: number | null}} Place metres; z is known of objects alone */
 /** @typedef {{id: number} | {id: null, x: number, y: number}} End */
-/** Heights that differ by less need not be told, metres. */
+/** Smaller height differences are not shown, metres. */
 const LEVEL_M = 0.01;
-/** Of the small bar across either end, CSS pixels. */
+/** Half the length of the bar across either end, CSS pixels. */
 const TICK_PX = 5;
 
 export class TapeMeasure {

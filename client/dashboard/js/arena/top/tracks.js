@@ -11,11 +11,11 @@ import { TRAIL_MS } from "../../state/store.js";
 
 /** Ellipses are filled up to this part of the arena's smaller side. */
 const LARGEST_FILL = 0.25;
-/** Trails fade in so many steps; each step is one stroke for all objects of a stage. */
+/** Steps in which trails fade. Each step is one stroke for all objects of a stage. */
 const TRAIL_BANDS = 4;
 /** Points of all trails together, about: with many objects each has fewer. */
 const TRAIL_POINTS = 3000;
-/** From so many objects in view on they are drawn as a crowd: less fine, and in a fraction of the time. */
+/** From this number of objects in view on they are drawn by many-objects.js: faster, with less detail. */
 export const MANY_OBJECTS = 120;
 const MANY_OBJECTS_TRAIL_MS = 2000;
 
@@ -152,7 +152,7 @@ function drawEllipse(context, view, palette, { state }, options) {
   const { ellipse, positionM } = state;
   if (!ellipse || !positionM || state.stage === "lost") return;
   const stretch = view.scale * options.exaggeration;
-  // Under its disc nobody would see it, and with hundreds of objects it would take its time.
+  // Hidden by its disc.
   if (ellipse.majorM * stretch < discRadius(view) - 1) return;
   context.beginPath();
   context.ellipse(

@@ -1,4 +1,4 @@
-/** How exactly roundels would be located all over the arena, or by how many cameras, as the server foretells it. */
+/** Dialog that shows the predicted precision or coverage over the arena. */
 
 import { fetchFile } from "../../wire/api-client.js";
 import { findDialog } from "../forms/dialog.js";
@@ -6,7 +6,7 @@ import { element, find } from "../../base/dom.js";
 import { fetchRoundelKinds } from "../../wire/roundel-kinds.js";
 import { FormErrors } from "../forms/form-errors.js";
 
-/** After the last key, before the map is asked for anew, ms. */
+/** Delay between the last input and the request of a new map, ms. */
 const PAUSE_MS = 400;
 
 /** @param {import("../../state/store.js").Store} store */

@@ -63,7 +63,7 @@ class LensDialog {
     });
   }
 
-  /** @param {Subject} subject @param {(file: string) => void} [kept] is told the file's name once it is kept */
+  /** @param {Subject} subject @param {(file: string) => void} [kept] receives the name of the saved file */
   open(subject, kept = () => {}) {
     this.subject = subject;
     this.kept = kept;

@@ -1,4 +1,4 @@
-/** The picture that a lens calibration has looked at last, with where the board has been drawn over it. */
+/** The newest picture of a lens calibration, with the board's coverage drawn over it. */
 
 import { fetchFile } from "../../wire/api-client.js";
 import { find } from "../../base/dom.js";

@@ -71,7 +71,7 @@ export function progressOf(it) {
   return it.missing.length > 0 ? Math.min(share, 0.95) : share;
 }
 
-/** Whether there is enough for a lens, as far as can be told before. @param {Lens} it */
+/** Whether there are enough views to estimate a lens. @param {Lens} it */
 export function canFinish(it) {
   return it.stage === "gathering" && it.taken >= it.least;
 }

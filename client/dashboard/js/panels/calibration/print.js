@@ -9,7 +9,7 @@ import { FormErrors } from "../forms/form-errors.js";
 /** After the last key, before a new preview is asked for, ms. */
 const PAUSE_MS = 300;
 const FIELDS = ["marker", "code", "ids", "copies", "polarity", "board", "pitch", "page", "sheet"];
-/** Codes beyond this are not listed: nobody looks through thousands of rows. */
+/** Most codes listed. */
 const MOST_LISTED = 500;
 /** The choice of a roundel that is none of the configuration's. */
 const OWN = "";
@@ -124,7 +124,7 @@ class PrintForm {
     await this.listCodes(mine);
   }
 
-  /** What there is of the code that was asked for; a wrong one has been told already.
+  /** Shows the codes of the selected family. An invalid code has been reported already.
    * @param {number} mine */
   async listCodes(mine) {
     const code = this.field("code").value.trim();

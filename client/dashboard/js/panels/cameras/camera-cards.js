@@ -5,7 +5,7 @@ import { fixed, whole } from "../../base/format.js";
 import { cameraProblems } from "../../state/camera-health.js";
 import { Picture } from "./live-picture.js";
 
-/** So many cards are brought up to date in a frame of the screen. */
+/** Cards updated per animation frame. */
 const AT_ONCE = 4;
 
 const STATUS_WORDS = {

@@ -19,7 +19,7 @@ const DECIMALS = 1000;
 
 /**
  * @param {FindLens} findLens
- * @returns {{edit: (name: string) => void}} for whoever shows a camera
+ * @returns {{edit: (name: string) => void}} opens the form for a camera
  */
 export function showCameraForm(findLens) {
   const form = new CameraForm(findLens);
@@ -187,7 +187,7 @@ class CameraForm {
     if (answer?.error) this.errors.showError("source", answer.error);
   }
 
-  /** Of a camera that there is, by its name; of a new one, by its source. */
+  /** Finds the lens of an existing camera by its name, of a new one by its source. */
   lens() {
     this.errors.clear();
     const [source, name] = [this.field("source").value.trim(), this.field("name").value.trim()];
@@ -229,13 +229,13 @@ function rounded(value) {
   return String(Math.round(value * DECIMALS) / DECIMALS + 0);
 }
 
-/** What is not empty. @param {Setup} setup */
+/** Returns the fields that are not empty. @param {Setup} setup */
 export function withoutEmpty(setup) {
   return Object.fromEntries(Object.entries(setup).filter(([, value]) => value !== null && value !== ""));
 }
 
 /**
- * What a server is told of a change: nothing of what stays, null of what is to be no more.
+ * Returns the changed fields for a PATCH request: unchanged ones are absent, removed ones null.
  * @param {Setup} before
  * @param {Setup} after
  */

@@ -149,7 +149,7 @@ function showUnwell(list, ill) {
   for (const [i, { names, why, isSevere }] of reasons.entries()) {
     const item = /** @type {HTMLElement | undefined} */ (list.children[i]) ?? list.appendChild(element("li"));
     setAttribute(item, "class", isSevere ? "grave" : "");
-    // Only words change while nobody else falls ill: who is on a button stays there.
+    // While the set of cameras is the same, only the text changes, so that a focused button keeps its focus.
     if (item.dataset.names !== names.join()) {
       item.dataset.names = names.join();
       const buttons = names.map((name) => element("button", { type: "button", "data-camera": name }, [name]));

@@ -1,5 +1,5 @@
 /**
- * Where a camera stands and looks, as people say it, and as the configuration does.
+ * Converts a camera's pose between position, target and roll (as in the form) and a quaternion (as in the configuration).
  *
  * Camera frame: x right, y down, z forward; world frame: z up. A camera that is not turned about its axis has its x
  * level; of one that looks straight up or down, the world's x is to its right.

@@ -1,4 +1,4 @@
-/** What a try of a camera's source has given, in words. */
+/** Describes the result of a source test in words. */
 
 import { fixed, whole } from "../../base/format.js";
 

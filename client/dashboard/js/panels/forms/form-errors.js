@@ -1,4 +1,4 @@
-/** What is wrong with a form, each error at its field; those about no field stand above the form's buttons. */
+/** Shows errors of a form beside their fields, and other errors above the form's buttons. */
 
 import { find, setText } from "../../base/dom.js";
 

@@ -10,7 +10,7 @@ import { milliseconds } from "../../base/validate.js";
 /** Between two looks while the dialog is open, and while something is recorded, ms. */
 const LOOK_MS = 1000;
 const LOOK_CLOSED_MS = 5000;
-/** A rate is told once it is one, s. */
+/** Shortest recording for which a rate is shown, s. */
 const RATE_S = 3;
 
 /** @typedef {{state: string, file: string, folder: string, seconds: number, bytes: number, files: number, messages: number, dropped: number, disk_free_bytes: number, budget_bytes: number, deleted: number, error: string, frames_every: number}} Recording */
@@ -19,7 +19,7 @@ const RATE_S = 3;
 export function showRecording(store) {
   const view = new RecordingPanel(store);
   store.on("info", () => void view.look());
-  // Somebody else may begin one, or it ends by itself.
+  // Another client may start one, or it ends automatically.
   let newest = 0;
   store.on("events", () => {
     const latest = store.events.find(({ kind }) => kind.startsWith("recording_"))?.timeMs ?? 0;
@@ -149,7 +149,7 @@ class RecordingPanel {
 export function stateText(it) {
   const [bytes, free, budget] = [Number(it.bytes), Number(it.disk_free_bytes), Number(it.budget_bytes)];
   // It is looked up when something is recorded.
-  const room = free > 0 ? `${size(free)} of the disk are free` : "How much of the disk is free is told once something is recorded";
+  const room = free > 0 ? `${size(free)} of the disk are free` : "How much of the disk is free is shown once something is recorded";
   const kept = budget > 0 ? ` The oldest recordings make room once all of them exceed ${size(budget)}.` : "";
   const words = [];
   if (it.state === "recording") {
@@ -158,7 +158,7 @@ export function stateText(it) {
     const pictures = it.frames_every > 0 ? (it.frames_every === 1 ? ", every frame as a picture" : `, one in ${it.frames_every} frames as a picture`) : "";
     words.push(`Recording into ${it.file}${pictures}.`, `${minutes(it.seconds)} so far: ${size(bytes)}${lasts}${kept}`);
   } else {
-    if (it.state === "failed") words.push(`The last recording ended by itself: ${it.error}`);
+    if (it.state === "failed") words.push(`The last recording failed: ${it.error}`);
     if (it.state === "stopped") words.push(`The last recording, ${it.file}, is ${minutes(it.seconds)} long: ${size(bytes)}.`);
     words.push(`${room}.${kept}`);
   }

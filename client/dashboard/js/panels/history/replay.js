@@ -88,7 +88,7 @@ class ReplayPanel {
 
   /** @param {import("../../wire/api-client.js").Reply} reply */
   take({ answer, error }) {
-    // That nobody answers the page says already.
+    // The page shows a lost connection elsewhere.
     setText(this.trouble, error && error.status > 0 ? error.message : (answer?.damage ?? ""));
     this.trouble.hidden = this.trouble.textContent === "";
     if (!answer) return;

@@ -34,7 +34,7 @@ class TrajectoriesPanel {
     this.form = /** @type {HTMLFormElement} */ (find("#history-form"));
     this.words = find("#history-words");
     this.errors = new FormErrors("history", ["objects", "from", "until"]);
-    /** Counts what was asked for: an answer that comes late is not shown over a newer one. */
+    /** Number of the newest request. Answers of older ones are ignored. */
     this.asked = 0;
     /** True while the field of objects says who is selected, and not what somebody has typed. */
     this.followsSelection = true;
@@ -90,7 +90,7 @@ class TrajectoriesPanel {
     void this.show();
   }
 
-  /** The last so many seconds. @param {number} seconds */
+  /** Selects the last seconds. @param {number} seconds */
   setSpan(seconds) {
     // By the server's clock, which is what its history goes by.
     const nowMs = this.store.snapshot?.poseTimeMs ?? Date.now();
@@ -149,7 +149,7 @@ function keptText({ oldestMs, newestMs }) {
 export function wordsOf(all, heat) {
   const { trajectories, points, stepS } = all;
   const kept = keptText(all);
-  if (points === 0) return `Nobody was there then. ${kept}`;
+  if (points === 0) return `No object was there then. ${kept}`;
   const who = trajectories.length === 1 ? trajectories[0].label : `${trajectories.length} objects`;
   const times = trajectories.flatMap(({ timesMs, count }) => (count > 0 ? [timesMs[0], timesMs[count - 1]] : []));
   const span = `${timeOfDay(Math.min(...times))} to ${timeOfDay(Math.max(...times))}`;

@@ -3,7 +3,7 @@
  *
  * A row says how a print is turned by roll, pitch and yaw: R = Rz(yaw) Ry(pitch) Rx(roll) from the print's axes (its right,
  * its top, out of its face) to the object's; all 0 is a print that lies flat, face up, its right along the object's x. The
- * server is told the yaw of one that lies flat, and the directions of right and top of any other.
+ * server receives the yaw of a flat one, and the directions of right and top of any other.
  */
 
 import { element, find, setText } from "../../base/dom.js";
@@ -38,7 +38,7 @@ export function turnOf(right, top) {
   const a = { x: right.x / length, y: right.y / length, z: right.z / length };
   const along = a.x * top.x + a.y * top.y + a.z * top.z;
   const b = { x: top.x - along * a.x, y: top.y - along * a.y, z: top.z - along * a.z };
-  // Straight up or down, yaw and roll turn the same way: it is told as roll.
+  // Straight up or down, yaw and roll turn the same way: only roll is set.
   const isUpright = Math.hypot(a.x, a.y) < SAME;
   const pitch = Math.atan2(-a.z, Math.hypot(a.x, a.y));
   const yaw = isUpright ? 0 : Math.atan2(a.y, a.x);
@@ -79,7 +79,7 @@ export class Mounts {
     this.rows.splice(at, 1);
     row.root.remove();
     this.number();
-    // Whoever has come by keyboard goes on from there.
+    // Keeps the keyboard focus in the form.
     (this.rows[at] ?? this.rows[at - 1])?.focus();
     if (this.rows.length === 0) find("#object-mount-add").focus();
   }

@@ -6,7 +6,7 @@ import { showPlots } from "./object-plots.js";
 
 const INTERVAL_MS = 250;
 const PLOT_INTERVAL_MS = 500;
-/** Where it was so long before is told beside where it is, ms. */
+/** Age of the earlier position that is shown, ms. */
 const AGO_MS = 10_000;
 const AXES = /** @type {const} */ (["x", "y", "z"]);
 const GONE_WORDS = "Not in view at that time; these are other values of it";

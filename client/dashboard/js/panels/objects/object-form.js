@@ -65,7 +65,7 @@ class ObjectForm {
   /** @param {string} name of a configured one; empty: a new one */
   async open(name) {
     this.show("Objects", null);
-    // Those of before may be others by now, and whoever chose one would see it change.
+    // The old choices may be outdated.
     this.choice.replaceChildren();
     const answer = await this.callApi("GET", "configuration");
     if (!answer || !this.dialog.open) return;

@@ -1,5 +1,5 @@
 /**
- * All objects as a table: for reading, for the keyboard, and for whoever cannot see the arena.
+ * All objects as a table, for reading, keyboard use and screen readers.
  * Each row carries its object's id as `data-object-id`.
  */
 
@@ -8,15 +8,15 @@ import { fixed } from "../../base/format.js";
 
 /** Faster than this, figures flicker instead of being read, ms. */
 const INTERVAL_MS = 250;
-/** Of hundreds, less often: it is the dearest that the page does. */
+/** Update interval for many objects, which are the most expensive part of the page. */
 const MANY_INTERVAL_MS = 400;
-/** From so many objects on only rows about those in sight are there: a table of hundreds is dear to lay out. */
+/** From this number of objects on, only rows in view exist, since a long table is expensive to lay out. */
 const MANY = 150;
 /** Rows beyond the edges that are there nevertheless. */
 const MARGIN_ROWS = 3;
-/** Names of so many letters fit in any case. */
+/** Names up to this length always fit. */
 const SHORT = 8;
-/** Of fewer, rows that are scrolled out of sight are brought up to date in turns, so many each time. */
+/** With fewer objects, this number of rows outside the view is updated each time. */
 const UNSEEN_AT_ONCE = 12;
 
 /** @typedef {import("../../state/object-state.js").ObjectState} ObjectState */
@@ -49,7 +49,7 @@ export function showObjectList(store) {
 
   const rowHeight = () => rows.values().next().value?.row.offsetHeight || 27;
 
-  /** Which of so many rows are in sight, or nearly. @param {number} count @returns {[number, number]} the first, and the one after the last */
+  /** Range of rows in view, or nearly. @param {number} count @returns {[number, number]} the first, and the one after the last */
   const inSight = (count) => {
     const height = rowHeight();
     const first = Math.max(0, Math.min(count, Math.floor(scroller.scrollTop / height)) - MARGIN_ROWS);

@@ -76,7 +76,7 @@ class Series {
   /** @param {number} id */
   renew(id) {
     const { history } = this.store;
-    // Of another object, or of another time: somebody went back in a recording.
+    // Another object, or an earlier time of a replay.
     if (id !== this.id || (history.newestMs ?? -Infinity) < this.lastMs) {
       this.id = id;
       this.lastMs = -Infinity;

@@ -78,7 +78,7 @@ function showStages(store) {
     for (const { stage, item, count } of counts) {
       const number = states.filter((each) => each === stage).length;
       setText(count, String(number));
-      // Tracked ones are always told, the others when there are any.
+      // Tracked ones are always shown, the others when there are any.
       item.hidden = number === 0 && stage !== "tracked";
     }
   };

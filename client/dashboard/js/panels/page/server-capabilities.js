@@ -1,4 +1,4 @@
-/** What this server can do, by its own description and by what it says of itself: what it cannot is not on the page. */
+/** Hides the controls of features that the server does not offer, by its OpenAPI description and its info. */
 
 import { find } from "../../base/dom.js";
 
