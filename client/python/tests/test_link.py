@@ -30,7 +30,7 @@ from roundel import (
     aio,
     v1,
 )
-from roundel._follower import Follower
+from roundel._stream_state import StreamState
 
 NOBODY = "http://127.0.0.1:9"
 SEEN_BY_NONE = Subscription(ids=[10**9], max_rate_hz=0.01)
@@ -172,10 +172,10 @@ def reason(update: object) -> str:
 
 
 def test_a_bug_while_reading_reaches_who_waits(server: Server, monkeypatch: pytest.MonkeyPatch) -> None:
-    def fails(follower: Follower, message: v1.Snapshot) -> None:
+    def fails(follower: StreamState, message: v1.Snapshot) -> None:
         raise ZeroDivisionError("a bug")
 
-    monkeypatch.setattr(Follower, "received", fails)
+    monkeypatch.setattr(StreamState, "received", fails)
     with Client(server.url) as client, client.latest() as latest:
         for _ in range(2):
             with pytest.raises(ZeroDivisionError, match="a bug"):

@@ -31,7 +31,7 @@ from roundel import (
 from roundel._address import target
 from roundel._backoff import FIRST_S, LONGEST_S, Backoff
 from roundel._calls import ANSWERS, LONG_CALLS, calibration_request, deadline_s, drive_request, history_request
-from roundel._follower import Follower
+from roundel._stream_state import StreamState
 from roundel.clock import best
 from roundel.errors import from_rpc
 
@@ -141,7 +141,7 @@ def test_prediction_follows_velocity_fading_acceleration_and_turn() -> None:
 
 def test_a_follower_counts_gaps_and_tells_a_new_server() -> None:
     now_s = 100.0
-    follower = Follower(lambda: now_s)
+    follower = StreamState(lambda: now_s)
     message = lambda sequence, source="a", missed=0: v1.Snapshot(sequence=sequence, source_id=source, missed=missed)  # noqa: E731
     assert [type(u) for u in follower.received(message(5))] == [Snapshot]
     follower.received(message(9, missed=3))
@@ -162,7 +162,7 @@ def test_a_follower_counts_gaps_and_tells_a_new_server() -> None:
 
 def test_a_link_tells_what_became_of_it_and_the_first_connection_is_none_that_is_back() -> None:
     now_s = 10.0
-    follower = Follower(lambda: now_s)
+    follower = StreamState(lambda: now_s)
     assert follower.link == Link(LinkState.CONNECTING, None, 0, 0) and follower.age_s == float("inf")
     with pytest.raises(Stale, match="none has come yet; the connection is connecting"):
         follower.recent(None, 1.0)
@@ -198,11 +198,11 @@ def test_who_speaks_no_http2_is_asked_again_where_a_server_was() -> None:
     def failure() -> RoundelError:
         return from_rpc("http://a:9", NoHttp2())
 
-    nobodys = Follower()
+    nobodys = StreamState()
     with pytest.raises(NotRoundel, match="http://a:9 answers, but is no Roundel server"):
         nobodys.lost(failure())
     assert nobodys.link.state is LinkState.ENDED
-    follower = Follower()
+    follower = StreamState()
     follower.received(v1.Snapshot(sequence=5, source_id="a"))
     follower.lost(Unreachable("http://a:9", "reset"))
     word = follower.lost(failure())
@@ -215,7 +215,7 @@ def test_who_speaks_no_http2_is_asked_again_where_a_server_was() -> None:
 
 @pytest.mark.parametrize("logs", [True, False])
 def test_losses_are_logged_where_nobody_else_tells_of_them(logs: bool, caplog: pytest.LogCaptureFixture) -> None:
-    follower = Follower(logs=logs)
+    follower = StreamState(logs=logs)
     follower.received(v1.Snapshot(sequence=1, source_id="a"))
     follower.lost(Unreachable("here", "reset by peer"))
     follower.received(v1.Snapshot(sequence=4, source_id="a"))

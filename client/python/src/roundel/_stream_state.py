@@ -16,7 +16,7 @@ from roundel.snapshot import Disconnected, Reconnected, Snapshot, Update
 log = logging.getLogger("roundel")
 
 
-class Follower:
+class StreamState:
     """Turns messages and errors into updates; it neither waits nor sends. `logs`, if nobody else tells of losses."""
 
     def __init__(self, clock_s: Callable[[], float] = time.monotonic, logs: bool = False) -> None:
