@@ -1,11 +1,11 @@
-"""Drives simulated robots into a circle, pushes one away, and has them keep the circle: a closed control loop.
+"""A closed control loop: drives simulated robots into a circle, pushes one away, and restores the circle.
 
     cargo run --release -- demo --robots 12              # in one terminal
     python client/python/examples/formation.py           # in another
 
-Every 50 ms: the newest poses are predicted to when the robots will obey, each robot is drawn to its place on the circle
-and away from whoever is near, and told so. Ends with an error if the circle is not as wanted, if the push moved
-nobody, and as soon as there is no news of where the robots are: they stop by themselves when they are told nothing.
+Every 50 ms, the loop predicts the newest poses to the time at which a command takes effect, and commands each robot towards
+its place on the circle and away from robots nearby. Ends with an error if the circle is not reached, if the push moves no
+robot, or if no recent snapshot arrives. Robots without commands stop automatically.
 """
 
 from __future__ import annotations
@@ -22,42 +22,42 @@ from roundel import Client, Latest, RoundelError, Snapshot, Stale
 Floats = NDArray[np.float64]
 
 PERIOD_S = 0.05
-OBEYED_AFTER_S = 0.05
-"""From a command until robots obey it."""
+COMMAND_DELAY_S = 0.05
+"""Time from a command until it takes effect."""
 GAIN_HZ = 1.0
-"""Velocity for each metre off the place. The robots follow a command within half a second: more would swing."""
+"""Velocity per metre of position error. The robots reach a commanded velocity within half a second; more gain would oscillate."""
 TOP_SPEED_M_S = 0.9
-NEAR_M = 0.6
-"""Robots nearer than this give way to each other."""
-GIVE_WAY_HZ = 1.5
-GOOD_M = 0.03
-"""Root mean square distance from the places at which the circle stands."""
+AVOIDANCE_DISTANCE_M = 0.6
+"""Robots closer than this avoid each other."""
+AVOIDANCE_GAIN_HZ = 1.5
+TOLERANCE_M = 0.03
+"""RMS position error at which the circle counts as reached."""
 SETTLED_S = 2.0
-PUSHED_M = 0.3
-"""So far the push must take its robot at least: it moves at 1 m/s for a second, and draws back meanwhile."""
-PATIENCE_S = 60.0
-BLIND_S = 2.0
-"""Nobody is driven by what is older, nor waited for longer with an answer."""
+MIN_PUSH_M = 0.3
+"""Minimum displacement by the push, which moves a robot at 1 m/s for a second against its control loop."""
+TIMEOUT_S = 60.0
+MAX_AGE_S = 2.0
+"""Limit for the age of a snapshot and for the duration of a call."""
 
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--server", default="http://127.0.0.1:7670")
     parser.add_argument("--robots", type=int, default=12)
-    parser.add_argument("--radius", type=float, default=2.0, help="of the circle, metres")
+    parser.add_argument("--radius", type=float, default=2.0, help="radius of the circle, metres")
     arguments = parser.parse_args()
-    with Client.connect(arguments.server, timeout_s=BLIND_S) as client, client.latest() as latest:
+    with Client.connect(arguments.server, timeout_s=MAX_AGE_S) as client, client.latest() as latest:
         formation = Formation(client, arguments.robots, arguments.radius)
         formation.assign(wait_for(latest, arguments.robots))
         formed_s = formation.hold(latest, "forming")
         pushed = formation.ids[0]
-        outwards = formation.places_m[0] / arguments.radius
+        outwards = formation.targets_m[0] / arguments.radius
         client.push(pushed, outwards, duration_s=1.0)
         print(f"pushing robot {pushed} away", flush=True)
         back_s = formation.hold(latest, "holding", least_s=3.0)
-        if formation.worst_m[0] < PUSHED_M:
+        if formation.worst_m[0] < MIN_PUSH_M:
             sys.exit(
-                f"expected the push to take robot {pushed} at least {PUSHED_M} m away, found {formation.worst_m[0]:.2f} m"
+                f"expected the push to take robot {pushed} at least {MIN_PUSH_M} m away, found {formation.worst_m[0]:.2f} m"
             )
         print(
             f"formed in {formed_s:.1f} s, again {back_s:.1f} s after the push, which took robot {pushed} "
@@ -67,95 +67,95 @@ def main() -> None:
 
 
 def wait_for(latest: Latest, robots: int) -> Snapshot:
-    """The first snapshot with enough robots that are seen."""
-    end = time.monotonic() + PATIENCE_S
+    """The first snapshot in which enough robots are observed."""
+    end = time.monotonic() + TIMEOUT_S
     tracked = 0
     while time.monotonic() < end:
         try:
-            snapshot = latest.next(BLIND_S)
+            snapshot = latest.next(MAX_AGE_S)
         except Stale:
-            # A server that has just begun makes none before it has seen something.
+            # A server publishes no snapshot before its first observation.
             continue
         tracked = int(snapshot.tracked.sum())
         if tracked >= robots:
             return snapshot
-    sys.exit(f"expected {robots} robots to be seen within {PATIENCE_S:.0f} s, found {tracked}; {latest.link}")
+    sys.exit(f"expected {robots} observed robots within {TIMEOUT_S:.0f} s, found {tracked}; {latest.link}")
 
 
 class Formation:
-    """Robots and their places on a circle."""
+    """Robots and their target positions on a circle."""
 
     def __init__(self, client: Client, robots: int, radius_m: float) -> None:
         self.client = client
         self.clock = client.clock_offset()
         angles = np.arange(robots) * (2.0 * np.pi / robots)
-        self.places_m: Floats = radius_m * np.stack([np.cos(angles), np.sin(angles)], axis=-1)
+        self.targets_m: Floats = radius_m * np.stack([np.cos(angles), np.sin(angles)], axis=-1)
         self.ids: list[int] = []
         self.rms_m = float("inf")
         self.worst_m: Floats = np.zeros(robots)
-        """Farthest that each robot was from its place, since the circle stood."""
+        """Largest position error of each robot during the current `hold`."""
 
     def assign(self, snapshot: Snapshot) -> None:
-        """Gives each robot a place: in the order in which they stand round the middle, so that ways hardly cross."""
-        rows = np.flatnonzero(snapshot.tracked)[: len(self.places_m)]
+        """Assigns targets in the order of the robots' bearings from their centroid, so that paths rarely cross."""
+        rows = np.flatnonzero(snapshot.tracked)[: len(self.targets_m)]
         at_m = snapshot.positions_m[rows, :2]
         around = at_m - at_m.mean(axis=0)
         order = np.argsort(np.arctan2(around[:, 1], around[:, 0]))
         rows, at_m = rows[order], at_m[order]
-        turns = range(len(rows))
-        best = min(turns, key=lambda turn: float(((np.roll(at_m, turn, axis=0) - self.places_m) ** 2).sum()))
+        shifts = range(len(rows))
+        best = min(shifts, key=lambda shift: float(((np.roll(at_m, shift, axis=0) - self.targets_m) ** 2).sum()))
         self.ids = [int(i) for i in snapshot.ids[np.roll(rows, best)]]
 
-    def hold(self, latest: Latest, word: str, least_s: float = 0.0) -> float:
-        """Drives until the circle has stood for a while; how long it took until then."""
+    def hold(self, latest: Latest, phase: str, least_s: float = 0.0) -> float:
+        """Drives until the circle has been kept for `SETTLED_S`. Returns the time until it was reached."""
         begin = time.monotonic()
-        good_since: float | None = None
-        told = begin
+        settled_since: float | None = None
+        reported = begin
         self.worst_m[:] = 0.0
         while True:
             now = time.monotonic()
-            snapshot = latest.next(BLIND_S)
-            off_m = self.step(snapshot)
-            self.worst_m = np.maximum(self.worst_m, off_m)
-            self.rms_m = float(np.sqrt((off_m**2).mean()))
-            is_good = self.rms_m <= GOOD_M
-            good_since = (good_since or now) if is_good else None
-            if now - told >= 1.0:
-                told = now
-                print(f"{now - begin:5.1f} s  {word}: rms {self.rms_m * 1e3:6.1f} mm", flush=True)
-            if good_since and now - good_since >= SETTLED_S and now - begin >= least_s:
-                return good_since - begin
-            if now - begin > PATIENCE_S:
-                sys.exit(f"{word}: expected rms {GOOD_M * 1e3:.0f} mm within {PATIENCE_S:.0f} s, found {self.rms_m * 1e3:.1f}")
+            snapshot = latest.next(MAX_AGE_S)
+            error_m = self.step(snapshot)
+            self.worst_m = np.maximum(self.worst_m, error_m)
+            self.rms_m = float(np.sqrt((error_m**2).mean()))
+            is_settled = self.rms_m <= TOLERANCE_M
+            settled_since = (settled_since or now) if is_settled else None
+            if now - reported >= 1.0:
+                reported = now
+                print(f"{now - begin:5.1f} s  {phase}: rms {self.rms_m * 1e3:6.1f} mm", flush=True)
+            if settled_since and now - settled_since >= SETTLED_S and now - begin >= least_s:
+                return settled_since - begin
+            if now - begin > TIMEOUT_S:
+                sys.exit(f"{phase}: expected rms {TOLERANCE_M * 1e3:.0f} mm within {TIMEOUT_S:.0f} s, found {self.rms_m * 1e3:.1f}")
             time.sleep(max(0.0, PERIOD_S - (time.monotonic() - now)))
 
     def step(self, snapshot: Snapshot) -> Floats:
-        """Tells all robots how to move; how far each one is from its place, metres."""
-        ahead = snapshot.predicted_to(self.clock.server_now_ns() + round(OBEYED_AFTER_S * 1e9))
+        """Commands all robots. Returns their position errors, metres."""
+        ahead = snapshot.predicted_to(self.clock.server_now_ns() + round(COMMAND_DELAY_S * 1e9))
         rows = [ahead.index(object_id) for object_id in self.ids]
         lost = [object_id for object_id, row in zip(self.ids, rows) if row is None]
         if lost:
-            sys.exit(f"the server follows robots {lost} no more")
-        places = np.array(rows)
-        at_m = ahead.positions_m[places, :2]
-        wanted = GAIN_HZ * (self.places_m - at_m) + giving_way(at_m)
-        speeds = np.linalg.norm(wanted, axis=1, keepdims=True)
-        wanted *= np.minimum(1.0, TOP_SPEED_M_S / np.maximum(speeds, 1e-9))
-        # Whoever is not seen may be elsewhere than expected: it is told nothing, and stops if that lasts.
-        seen = snapshot.tracked[places]
-        self.client.drive({robot: v for robot, v, is_seen in zip(self.ids, wanted.tolist(), seen) if is_seen})
-        now_m = snapshot.positions_m[places, :2]
-        off_m: Floats = np.linalg.norm(now_m - self.places_m, axis=1)
-        return off_m
+            sys.exit(f"the server no longer tracks robots {lost}")
+        rows_array = np.array(rows)
+        at_m = ahead.positions_m[rows_array, :2]
+        velocities = GAIN_HZ * (self.targets_m - at_m) + avoidance(at_m)
+        speeds = np.linalg.norm(velocities, axis=1, keepdims=True)
+        velocities *= np.minimum(1.0, TOP_SPEED_M_S / np.maximum(speeds, 1e-9))
+        # Predicted positions may be wrong, so robots that are not observed get no commands, and stop.
+        observed = snapshot.tracked[rows_array]
+        self.client.drive({robot: v for robot, v, ok in zip(self.ids, velocities.tolist(), observed) if ok})
+        now_m = snapshot.positions_m[rows_array, :2]
+        error_m: Floats = np.linalg.norm(now_m - self.targets_m, axis=1)
+        return error_m
 
 
-def giving_way(at_m: Floats) -> Floats:
-    """Velocities away from whoever is near."""
-    apart = at_m[:, None] - at_m[None, :]
-    distance_m = np.linalg.norm(apart, axis=-1)
+def avoidance(at_m: Floats) -> Floats:
+    """Velocities away from robots nearby."""
+    offsets_m = at_m[:, None] - at_m[None, :]
+    distance_m = np.linalg.norm(offsets_m, axis=-1)
     np.fill_diagonal(distance_m, np.inf)
-    strength = np.maximum(0.0, NEAR_M - distance_m) * GIVE_WAY_HZ / np.maximum(distance_m, 0.05)
-    velocities: Floats = (apart * strength[..., None]).sum(axis=1)
+    strength = np.maximum(0.0, AVOIDANCE_DISTANCE_M - distance_m) * AVOIDANCE_GAIN_HZ / np.maximum(distance_m, 0.05)
+    velocities: Floats = (offsets_m * strength[..., None]).sum(axis=1)
     return velocities
 
 

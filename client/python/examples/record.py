@@ -1,9 +1,9 @@
-"""Records every robot to a CSV file: a line for each robot of each snapshot.
+"""Records every robot to a CSV file, with one line for each robot of each snapshot.
 
     python client/python/examples/record.py run.csv --seconds 10
 
-Standard deviations are those of the position along x, y and z. What was missed on the way is counted and told. A server
-that is started anew gives ids and sequences anew: `source_id` tells its robots from those before.
+`sx_m`, `sy_m` and `sz_m` are standard deviations of the position. Reports the number of missed snapshots. A restarted server
+assigns new ids and sequence numbers; `source_id` distinguishes the runs.
 """
 
 from __future__ import annotations
@@ -23,10 +23,10 @@ COLUMNS = [
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("file", help="where to write; - for standard output")
+    parser.add_argument("file", help="output file; - for standard output")
     parser.add_argument("--server", default="http://127.0.0.1:7670")
-    parser.add_argument("--seconds", type=float, help="end after so long, whatever comes")
-    parser.add_argument("--rate", type=float, help="at most so many snapshots a second")
+    parser.add_argument("--seconds", type=float, help="duration of the recording")
+    parser.add_argument("--rate", type=float, help="maximum rate of snapshots, Hz")
     arguments = parser.parse_args()
     file = sys.stdout if arguments.file == "-" else open(arguments.file, "w", newline="", encoding="utf-8")
     count = 0
@@ -41,17 +41,17 @@ def main() -> None:
                     writer.writerows(rows(update))
                     count += 1
                 elif isinstance(update, Disconnected):
-                    print(f"lost the server ({update.reason}); next try in {update.retry_in_s:.1f} s", file=sys.stderr)
+                    print(f"connection lost ({update.reason}); next attempt in {update.retry_in_s:.1f} s", file=sys.stderr)
                 elif isinstance(update, Reconnected):
-                    told = f", missed {update.missed}"
+                    outcome = f"missed {update.missed}"
                     if update.restarted:
-                        told = ": the server was started anew, and gives ids anew"
-                    print(f"back after {update.gap_s:.1f} s{told}", file=sys.stderr)
+                        outcome = "server restarted with new ids"
+                    print(f"connected again after {update.gap_s:.1f} s, {outcome}", file=sys.stderr)
             print(f"{count} snapshots written, {updates.missed} missed", file=sys.stderr)
 
 
 def close_after(seconds: float, updates: Snapshots) -> None:
-    """Also while nothing comes: a paused replay, a lost server."""
+    """Ends the stream after a time, also while no snapshots arrive."""
     timer = threading.Timer(seconds, updates.close)
     timer.daemon = True
     timer.start()

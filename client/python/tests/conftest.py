@@ -15,12 +15,12 @@ ROOT = Path(__file__).resolve().parents[3]
 
 
 def binary() -> Path:
-    """The server: named by ROUNDEL_BINARY, or as `cargo build` leaves it."""
-    named = os.environ.get("ROUNDEL_BINARY")
-    candidates = [Path(named)] if named else [ROOT / "target/debug/roundel", ROOT / "target/release/roundel"]
+    """The server binary: ROUNDEL_BINARY, or the output of `cargo build`."""
+    given = os.environ.get("ROUNDEL_BINARY")
+    candidates = [Path(given)] if given else [ROOT / "target/debug/roundel", ROOT / "target/release/roundel"]
     found = next((path for path in candidates if path.is_file()), None)
     if found is None:
-        pytest.fail(f"expected a server at one of {[str(c) for c in candidates]}: cargo build, or ROUNDEL_BINARY=…")
+        pytest.fail(f"expected a server binary at one of {[str(c) for c in candidates]}: cargo build, or ROUNDEL_BINARY=…")
     return found
 
 
@@ -33,17 +33,17 @@ class Server:
             command, cwd=folder, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True
         )
         assert self.process.stdout is not None
-        said = []
+        output = []
         for line in self.process.stdout:
-            said.append(line)
+            output.append(line)
             found = re.search(r"listening on http://(\S+?)/?\s", line)
             if found:
                 self.address = found[1]
                 self.url = f"http://{self.address}"
                 break
         else:
-            pytest.fail(f"the server ended before it listened:\n{''.join(said)}")
-        # Nobody reads on; a full pipe would stop the server from reporting, and nothing else.
+            pytest.fail(f"the server ended before it listened:\n{''.join(output)}")
+        # The rest is not read. A full pipe only blocks the log of the server.
 
     def kill(self) -> None:
         self.process.kill()
@@ -54,7 +54,7 @@ class Server:
 
 @pytest.fixture(scope="session")
 def server() -> Iterator[Server]:
-    """One server for all tests that do not end it."""
+    """One server, shared by the tests that do not stop it."""
     running = Server()
     yield running
     running.kill()
@@ -62,7 +62,7 @@ def server() -> Iterator[Server]:
 
 @pytest.fixture
 def own_server() -> Iterator[list[Server]]:
-    """A place for servers of a test's own; all of them end with it."""
+    """Collects the servers that a test starts, and stops them after it."""
     servers: list[Server] = []
     yield servers
     for running in servers:

@@ -1,4 +1,4 @@
-"""The plain client and the asyncio one, against a real server."""
+"""The blocking and the asyncio client against a real server."""
 
 from __future__ import annotations
 
@@ -30,23 +30,23 @@ from roundel import (
     v1,
 )
 
-PATIENCE_S = 60.0
+TIMEOUT_S = 60.0
 T = TypeVar("T")
 
 
-def until_all_are_there(client: Client) -> Snapshot:
+def wait_until_all_tracked(client: Client) -> Snapshot:
     """The first snapshot with every robot tracked."""
-    deadline = time.monotonic() + PATIENCE_S
+    deadline = time.monotonic() + TIMEOUT_S
     for snapshot in client.snapshots():
         if len(snapshot) == ROBOTS and all(snapshot.stages == v1.LIFE_STAGE_TRACKED):
             return snapshot
-        assert time.monotonic() < deadline, f"{len(snapshot)} of {ROBOTS} robots are there"
+        assert time.monotonic() < deadline, f"{len(snapshot)} of {ROBOTS} robots are tracked"
     raise AssertionError("the stream ended")
 
 
-def test_everything_that_can_be_asked_is_answered(server: Server) -> None:
+def test_every_query_gets_a_response(server: Server) -> None:
     with Client.connect(server.url) as client:
-        snapshot = until_all_are_there(client)
+        snapshot = wait_until_all_tracked(client)
         assert client.info().name == "demo"
         assert client.info().source_id == snapshot.source_id
         assert [camera.name for camera in client.cameras()] == [f"camera-{i}" for i in range(4)]
@@ -70,30 +70,30 @@ def test_everything_that_can_be_asked_is_answered(server: Server) -> None:
         assert newest[0].frame >= frames[2].frame
 
 
-def test_a_recording_is_begun_ended_and_listed(tmp_path: Path, own_server: list[Server]) -> None:
+def test_a_recording_is_started_stopped_and_listed(tmp_path: Path, own_server: list[Server]) -> None:
     own_server.append(Server("127.0.0.1:0", folder=tmp_path))
     with Client.connect(own_server[0].url) as client:
         assert client.recording().state == v1.RECORDING_STATE_IDLE
         with pytest.raises(Refused, match="nothing is being recorded"):
             client.stop_recording()
-        begun = client.start_recording("trial", frames_every=0)
-        assert begun.state == v1.RECORDING_STATE_RECORDING and begun.file.startswith("trial-")
-        until_all_are_there(client)
-        ended = client.stop_recording()
-        assert ended.state == v1.RECORDING_STATE_STOPPED and ended.messages > begun.messages
+        started = client.start_recording("trial", frames_every=0)
+        assert started.state == v1.RECORDING_STATE_RECORDING and started.file.startswith("trial-")
+        wait_until_all_tracked(client)
+        stopped = client.stop_recording()
+        assert stopped.state == v1.RECORDING_STATE_STOPPED and stopped.messages > started.messages
         listed = client.recordings()
-        assert [(file.name, file.bytes, file.open) for file in listed] == [(begun.file, ended.bytes, False)]
-        assert (tmp_path / "recordings" / begun.file).stat().st_size == ended.bytes
-        # This server plays none and keeps no history: it says so.
+        assert [(file.name, file.bytes, file.open) for file in listed] == [(started.file, stopped.bytes, False)]
+        assert (tmp_path / "recordings" / started.file).stat().st_size == stopped.bytes
+        # This server has neither a replay nor a history.
         with pytest.raises(Refused, match="roundel replay"):
             client.control_replay(paused=True)
         with pytest.raises(Refused, match="history"):
             client.history([1, "robot"], region_m=((-1, -1, 0), (1, 1, float("inf"))))
 
 
-def test_what_is_configured_is_read_checked_and_changed(server: Server) -> None:
+def test_the_configuration_is_read_checked_and_changed(server: Server) -> None:
     with Client.connect(server.url) as client:
-        until_all_are_there(client)
+        wait_until_all_tracked(client)
         before = client.configuration()
         assert before.name == "demo" and [camera.name for camera in before.cameras][0] == "camera-0"
         kind = before.roundels[0].name
@@ -118,9 +118,9 @@ def test_what_is_configured_is_read_checked_and_changed(server: Server) -> None:
         assert client.apply_configuration(before.toml).version == before.version
 
 
-def test_a_subscription_is_kept_to(server: Server) -> None:
+def test_a_subscription_filters_snapshots(server: Server) -> None:
     with Client.connect(server.url) as client:
-        chosen = until_all_are_there(client).ids[:2].tolist()
+        chosen = wait_until_all_tracked(client).ids[:2].tolist()
         with client.updates(Subscription(ids=chosen, covariance=False, max_rate_hz=20.0)) as updates:
             snapshots = [u for u in itertools.islice(updates, 5) if isinstance(u, Snapshot)]
         assert all(snapshot.ids.tolist() == chosen for snapshot in snapshots)
@@ -131,18 +131,18 @@ def test_a_subscription_is_kept_to(server: Server) -> None:
         assert np.all(np.linalg.eigvalsh(whole.covariances) > 0.0)
         kind = whole[0].roundel
         assert len(next(client.snapshots(Subscription(roundels=[kind])))) > 0
-        for wrong, why in [
-            (Subscription(roundels=["unheard"]), f"roundels: expected any of .*{kind}"),
+        for subscription, reason in [
+            (Subscription(roundels=["unknown"]), f"roundels: expected any of .*{kind}"),
             (Subscription(max_rate_hz=-1.0), "max_rate_hz: expected a rate above 0"),
             (Subscription(horizon_s=2.0), "horizon_ms: expected milliseconds from 0 to 1000"),
         ]:
-            with pytest.raises(Refused, match=why):
-                next(client.snapshots(wrong))
+            with pytest.raises(Refused, match=reason):
+                next(client.snapshots(subscription))
 
 
-def until(client: Client, subscription: Subscription, holds: Callable[[Snapshot], bool]) -> Snapshot:
-    """The first snapshot of which it holds."""
-    deadline = time.monotonic() + PATIENCE_S
+def wait_until(client: Client, subscription: Subscription, holds: Callable[[Snapshot], bool]) -> Snapshot:
+    """The first snapshot for which `holds` is true."""
+    deadline = time.monotonic() + TIMEOUT_S
     for snapshot in client.snapshots(subscription):
         if holds(snapshot):
             return snapshot
@@ -150,29 +150,29 @@ def until(client: Client, subscription: Subscription, holds: Callable[[Snapshot]
     raise AssertionError("the stream ended")
 
 
-def test_objects_are_chosen_by_name_code_and_id(own_server: list[Server]) -> None:
+def test_objects_are_selected_by_name_code_and_id(own_server: list[Server]) -> None:
     own_server.append(Server("127.0.0.1:0", "--preset", "r4"))
     with Client.connect(own_server[0].url) as client:
         parked = {reference.code for reference in client.configuration().references}
-        seen = until(client, Subscription(), lambda s: len(set(s.codes) - {None, *parked}) >= 2)
+        seen = wait_until(client, Subscription(), lambda s: len(set(s.codes) - {None, *parked}) >= 2)
         first, second = [robot for robot in map(seen.__getitem__, range(len(seen))) if robot.code not in {None, *parked}][:2]
         client.name_object(second.object_id, "cart")
-        # Names and codes stay with the robots, also of one that is lost on a busy machine and comes back with another id.
+        # A robot lost on a busy machine gets another id, but keeps its name and code.
         subscription = Subscription(names=["cart"], codes=[first.code or 0], covariance=False)
-        both = until(client, subscription, lambda s: s.robot("cart") is not None and s.coded(first.code or 0) is not None)
+        both = wait_until(client, subscription, lambda s: s.robot("cart") is not None and s.coded(first.code or 0) is not None)
         assert both.covariances is None and set(both.codes) == {first.code, second.code}
         assert set(client.snapshot(subscription).codes) <= {first.code, second.code}
         assert set(client.snapshot(Subscription(ids=[first.object_id])).ids.tolist()) <= {first.object_id}
-        assert len(client.snapshot(Subscription(names=["nobody"]))) == 0
+        assert len(client.snapshot(Subscription(names=["missing"]))) == 0
         with pytest.raises(Refused, match="names") as refused:
             client.snapshot(Subscription(names=[""]))
         assert (refused.value.field or "").startswith("names")
 
 
-def test_prediction_is_the_servers_own(server: Server) -> None:
+def test_prediction_matches_the_server(server: Server) -> None:
     horizon_s = 0.2
     with Client.connect(server.url) as client:
-        until_all_are_there(client)
+        wait_until_all_tracked(client)
         now, ahead = {}, {}
         streams = [(now, client.snapshots()), (ahead, client.snapshots(Subscription(horizon_s=horizon_s)))]
         while not (both := now.keys() & ahead.keys()):
@@ -180,19 +180,19 @@ def test_prediction_is_the_servers_own(server: Server) -> None:
                 snapshot = next(stream)
                 kept[snapshot.sequence] = snapshot
         sequence = both.pop()
-        own, theirs = now[sequence].predicted(horizon_s), ahead[sequence]
-        assert own.pose_time_ns == theirs.pose_time_ns
-        np.testing.assert_allclose(own.positions_m, theirs.positions_m, atol=1e-9)
-        np.testing.assert_allclose(own.velocities_m_s, theirs.velocities_m_s, atol=1e-9)
-        # Of plain roundels the yaw is a convention; the normal is not.
-        np.testing.assert_allclose(own.rotations[:, :, 2], theirs.rotations[:, :, 2], atol=1e-9)
-        assert np.abs(own.positions_m - now[sequence].positions_m).max() > 0.01
+        predicted, expected = now[sequence].predicted(horizon_s), ahead[sequence]
+        assert predicted.pose_time_ns == expected.pose_time_ns
+        np.testing.assert_allclose(predicted.positions_m, expected.positions_m, atol=1e-9)
+        np.testing.assert_allclose(predicted.velocities_m_s, expected.velocities_m_s, atol=1e-9)
+        # The yaw of a plain roundel is only a convention, so compare the normals.
+        np.testing.assert_allclose(predicted.rotations[:, :, 2], expected.rotations[:, :, 2], atol=1e-9)
+        assert np.abs(predicted.positions_m - now[sequence].positions_m).max() > 0.01
 
 
-def test_the_clocks_of_one_machine_differ_by_less_than_their_bound(server: Server) -> None:
+def test_the_clock_offset_on_one_machine_is_within_its_bound(server: Server) -> None:
     with Client.connect(server.url) as client:
         offset = client.clock_offset()
-        # The server's clock was set to Unix time when it started, and drifts at most a little since.
+        # The server's clock was set to Unix time at its start and has drifted little since.
         assert abs(offset.offset_ns) < offset.round_trip_ns + 50_000_000
         assert 0 <= offset.deviation_ns <= offset.round_trip_ns
         snapshot = client.snapshot()
@@ -200,15 +200,15 @@ def test_the_clocks_of_one_machine_differ_by_less_than_their_bound(server: Serve
         assert -0.05 < age_s < 5.0
 
 
-def test_the_newest_value_is_always_at_hand(server: Server) -> None:
+def test_the_newest_snapshot_is_always_available(server: Server) -> None:
     with Client.connect(server.url) as client, client.latest() as latest:
-        first = latest.next(PATIENCE_S)
+        first = latest.next(TIMEOUT_S)
         while latest.skipped < 5:
             time.sleep(0.02)
         newest = latest.value
         assert newest is not None
         assert newest.sequence >= first.sequence + 6
-        following = latest.next(PATIENCE_S)
+        following = latest.next(TIMEOUT_S)
         assert following.sequence > newest.sequence
         assert (newest.sequence - first.sequence) + 1 >= latest.skipped - latest.missed
         with pytest.raises(TimeoutError):
@@ -216,23 +216,23 @@ def test_the_newest_value_is_always_at_hand(server: Server) -> None:
                 latest.next(timeout_s=0.0)
 
 
-def test_a_refused_subscription_ends_the_newest_value_with_its_error(server: Server) -> None:
+def test_latest_raises_the_error_of_a_rejected_subscription(server: Server) -> None:
     with Client.connect(server.url) as client, client.latest(Subscription(ids=[0])) as latest:
         with pytest.raises(Refused, match="object_ids"):
-            latest.next(PATIENCE_S)
+            latest.next(TIMEOUT_S)
 
 
-def test_what_a_slow_reader_missed_is_counted(server: Server) -> None:
+def test_snapshots_missed_by_a_slow_reader_are_counted(server: Server) -> None:
     with Client.connect(server.url) as client:
-        until_all_are_there(client)
+        wait_until_all_tracked(client)
         with client.updates() as updates:
             first = next(updates)
             assert isinstance(first, Snapshot)
             newest, accounted = first, first.sequence
-            deadline = time.monotonic() + PATIENCE_S
+            deadline = time.monotonic() + TIMEOUT_S
             while updates.missed == 0:
                 assert time.monotonic() < deadline
-                # Longer than what is under way lasts.
+                # Longer than buffered snapshots last.
                 time.sleep(1.5)
                 for _ in range(3):
                     update = next(updates)
@@ -241,7 +241,7 @@ def test_what_a_slow_reader_missed_is_counted(server: Server) -> None:
             assert newest.sequence == accounted
 
 
-def test_closing_from_another_thread_lets_go(server: Server) -> None:
+def test_close_from_another_thread_ends_iteration(server: Server) -> None:
     with Client.connect(server.url) as client:
         updates = client.updates(Subscription(ids=[10**9], max_rate_hz=0.01))
         next(updates)
@@ -249,14 +249,14 @@ def test_closing_from_another_thread_lets_go(server: Server) -> None:
         assert list(updates) == []
 
 
-def test_a_killed_server_comes_back_and_the_gap_is_told(own_server: list[Server]) -> None:
+def test_a_restarted_server_is_reported_with_its_gap(own_server: list[Server]) -> None:
     own_server.append(Server())
     address = own_server[0].address
     with Client.connect(own_server[0].url) as client, client.updates() as updates:
         assert isinstance(next(updates), Snapshot)
         own_server[0].kill()
         seen: list[object] = []
-        deadline = time.monotonic() + PATIENCE_S
+        deadline = time.monotonic() + TIMEOUT_S
         for update in updates:
             assert time.monotonic() < deadline
             if isinstance(update, Snapshot):
@@ -269,21 +269,21 @@ def test_a_killed_server_comes_back_and_the_gap_is_told(own_server: list[Server]
         losses = [one for one in seen if isinstance(one, Disconnected)]
         assert [one.tries for one in losses] == list(range(len(losses)))
         assert all(0.05 <= one.retry_in_s <= 5.0 and one.reason for one in losses)
-        # Another server: what was missed of it cannot be known.
+        # Sequence numbers of another run cannot be compared.
         assert isinstance(seen[-1], Reconnected) and seen[-1].missed is None and seen[-1].restarted
-        assert 0.0 < seen[-1].gap_s < PATIENCE_S
+        assert 0.0 < seen[-1].gap_s < TIMEOUT_S
 
 
-def test_nobody_and_an_older_server_are_told_apart(server: Server, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_an_unused_port_and_an_older_server_raise_different_errors(server: Server, monkeypatch: pytest.MonkeyPatch) -> None:
     with pytest.raises(Unreachable, match="no answer from http://127.0.0.1:9"):
         Client.connect("http://127.0.0.1:9")
-    monkeypatch.setitem(_calls.ANSWERS, "Unheard", v1.ServerInfo)
-    with Client(server.url) as client, pytest.raises(NotRoundel, match="does not know this call"):
-        client._call("Unheard", v1.GetServerInfoRequest())
+    monkeypatch.setitem(_calls.RESPONSES, "UnknownCall", v1.ServerInfo)
+    with Client(server.url) as client, pytest.raises(NotRoundel, match="does not support this call"):
+        client._call("UnknownCall", v1.GetServerInfoRequest())
 
 
-def test_a_server_that_takes_its_time_to_answer_is_waited_for(server: Server) -> None:
-    """As over a radio link, or on a busy machine."""
+def test_a_slow_connection_succeeds(server: Server) -> None:
+    """As over a radio link or on a busy machine."""
     host, port = server.address.split(":")
 
     def pump(source: socket.socket, sink: socket.socket) -> None:
@@ -310,9 +310,9 @@ def test_a_server_that_takes_its_time_to_answer_is_waited_for(server: Server) ->
         relaying.join()
 
 
-def test_only_what_is_simulated_and_sound_is_driven(server: Server) -> None:
+def test_invalid_robot_commands_are_rejected(server: Server) -> None:
     with Client.connect(server.url) as client:
-        one = int(until_all_are_there(client).ids[0])
+        one = int(wait_until_all_tracked(client).ids[0])
         for velocities, why in [
             ({one: [1.5, 0.0]}, "at most 1 m/s"),
             ({one: [float("nan"), 0.0]}, "at most 1 m/s"),
@@ -324,11 +324,11 @@ def test_only_what_is_simulated_and_sound_is_driven(server: Server) -> None:
             client.push(one, [1.0, 0.0], 60.0)
 
 
-def run(what: "asyncio.Future[T] | object") -> T:
-    return asyncio.run(asyncio.wait_for(what, PATIENCE_S))  # type: ignore[arg-type]
+def run(session: "asyncio.Future[T] | object") -> T:
+    return asyncio.run(asyncio.wait_for(session, TIMEOUT_S))  # type: ignore[arg-type]
 
 
-def test_asyncio_gives_the_same(server: Server) -> None:
+def test_the_asyncio_client_gives_the_same(server: Server) -> None:
     async def session() -> None:
         async with await aio.Client.connect(server.url) as client:
             assert (await client.info()).name == "demo"
@@ -336,8 +336,8 @@ def test_asyncio_gives_the_same(server: Server) -> None:
             assert await client.objects()
             assert (await client.snapshot()).sequence > 0
             assert (await client.configuration()).name == "demo"
-            with pytest.raises(Refused, match="no object \"nobody\""):
-                await client.object_setup("nobody")
+            with pytest.raises(Refused, match="no object \"missing\""):
+                await client.object_setup("missing")
             assert [frame.camera for frame in await client.newest_observations(["camera-1"])] == ["camera-1"]
             assert (await client.picture("camera-1")).jpeg[:2] == b"\xff\xd8"
             assert (await client.recording()).state == v1.RECORDING_STATE_IDLE
@@ -371,7 +371,7 @@ def test_asyncio_gives_the_same(server: Server) -> None:
     run(session())
 
 
-def test_asyncio_resumes_too(own_server: list[Server]) -> None:
+def test_the_asyncio_client_reconnects(own_server: list[Server]) -> None:
     async def session() -> list[object]:
         own_server.append(await asyncio.to_thread(Server))
         client = aio.Client(own_server[0].url)
@@ -393,7 +393,7 @@ def test_asyncio_resumes_too(own_server: list[Server]) -> None:
     assert seen[-1].restarted and seen[-1].missed is None
 
 
-def test_asyncio_says_when_nobody_is_there() -> None:
+def test_the_asyncio_client_reports_an_unreachable_server() -> None:
     async def session() -> None:
         with pytest.raises(RoundelError, match="no answer"):
             await aio.Client.connect("http://127.0.0.1:9")

@@ -1,4 +1,4 @@
-"""The Python of the documents runs as it stands there, against a real server."""
+"""Runs the Python code blocks of the documents against a real server."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from typing import Iterator
 
 import pytest
 from conftest import ROOT, Server
-from test_client import PATIENCE_S, until, until_all_are_there
+from test_client import TIMEOUT_S, wait_until, wait_until_all_tracked
 
 from roundel import Client, Subscription
 
@@ -20,29 +20,29 @@ DOCUMENTS = [path for path in (PACKAGE / "README.md", ROOT / "client/README.md",
 BLOCK = re.compile(r"^```python\n(.*?)^```$", re.MULTILINE | re.DOTALL)
 ADDRESS = "http://127.0.0.1:7670"
 CART = "cart"
-"""Who is followed by name in the documents."""
+"""Name of the robot in the documents."""
 POSITION = re.compile(r"\[( *-?[\d.]+(e[+-]?\d+)?){3} *\]")
-"""As NumPy prints three numbers."""
+"""Three numbers as printed by NumPy."""
 
 
 def blocks() -> list[object]:
-    """Every block of Python, under its document's name and its place in it."""
+    """Every Python block, identified by document and index."""
     found = []
     for document in DOCUMENTS:
         name = document.relative_to(PACKAGE.parent if document.is_relative_to(PACKAGE.parent) else document.parent)
-        for place, code in enumerate(BLOCK.findall(document.read_text(encoding="utf-8"))):
-            found.append(pytest.param(code, id=f"{name}-{place}"))
+        for index, code in enumerate(BLOCK.findall(document.read_text(encoding="utf-8"))):
+            found.append(pytest.param(code, id=f"{name}-{index}"))
     return found
 
 
 @pytest.fixture(scope="module")
 def server_with_cart() -> Iterator[Server]:
-    """One of coded robots, which can be told apart: one of them has the name that the documents follow."""
+    """A server with coded robots, one of which has the name used in the documents."""
     running = Server("127.0.0.1:0", "--preset", "r4")
     try:
         with Client.connect(running.url) as client:
             parked = {None, *(reference.code for reference in client.configuration().references)}
-            seen = until(client, Subscription(), lambda snapshot: bool(set(snapshot.codes) - parked))
+            seen = wait_until(client, Subscription(), lambda snapshot: bool(set(snapshot.codes) - parked))
             robot = next(seen[row] for row, code in enumerate(seen.codes) if code not in parked)
             client.name_object(robot.object_id, CART)
         yield running
@@ -50,29 +50,29 @@ def server_with_cart() -> Iterator[Server]:
         running.kill()
 
 
-def test_there_are_blocks_to_try() -> None:
+def test_blocks_are_found() -> None:
     assert len(blocks()) >= 2
 
 
 @pytest.mark.parametrize("code", blocks())
-def test_a_block_runs_as_it_stands(code: str, request: pytest.FixtureRequest) -> None:
+def test_a_block_runs(code: str, request: pytest.FixtureRequest) -> None:
     assert ADDRESS in code
     follows = f'"{CART}"' in code
     server: Server = request.getfixturevalue("server_with_cart" if follows else "server")
     if not follows:
         with Client.connect(server.url) as client:
-            until_all_are_there(client)
+            wait_until_all_tracked(client)
     command = [sys.executable, "-u", "-W", "error", "-c", code.replace(ADDRESS, server.url)]
     if not follows:
-        ended = subprocess.run(command, capture_output=True, text=True, timeout=PATIENCE_S)
+        ended = subprocess.run(command, capture_output=True, text=True, timeout=TIMEOUT_S)
         assert ended.returncode == 0, ended.stderr
         return
-    # It follows for ever, and is ended once it has said where the robot is.
+    # It runs forever, so it is killed after the first position.
     with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True) as running:
         assert running.stdout is not None and running.stderr is not None
-        late = threading.Timer(PATIENCE_S, running.kill)
-        late.start()
-        said = next((line for line in running.stdout if POSITION.match(line)), None)
-        late.cancel()
+        timer = threading.Timer(TIMEOUT_S, running.kill)
+        timer.start()
+        position = next((line for line in running.stdout if POSITION.match(line)), None)
+        timer.cancel()
         running.kill()
-        assert said is not None, running.stderr.read()
+        assert position is not None, running.stderr.read()

@@ -1,4 +1,4 @@
-"""Known values as the server puts them on the wire (`proto/golden`, held to by the server's tests), and as they are read here."""
+"""Decodes the golden messages of `proto/golden`, which the server's tests check too."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from roundel import LifeStage, Snapshot, v1
 GOLDEN = Path(__file__).resolve().parents[3] / "proto/golden"
 POSE_TIME_NS = 1_696_248_000_000_000_007
 
-pytestmark = pytest.mark.skipif(not GOLDEN.is_dir(), reason="the golden messages are in the repository only")
+pytestmark = pytest.mark.skipif(not GOLDEN.is_dir(), reason="the golden messages are only in the repository")
 
 
 def wire(name: str) -> bytes:
@@ -20,12 +20,12 @@ def wire(name: str) -> bytes:
 
 
 def numbered(size: int, base: float) -> np.ndarray:
-    """Ten times the row plus the column, from 1, of a symmetric matrix."""
+    """A symmetric matrix of base + 10 row + column above the diagonal, counted from 1."""
     row, column = np.meshgrid(np.arange(1, size + 1), np.arange(1, size + 1), indexing="ij")
     return base + 10.0 * np.minimum(row, column) + np.maximum(row, column)
 
 
-def test_a_snapshot_is_read_as_it_was_meant() -> None:
+def test_a_snapshot_is_decoded() -> None:
     snapshot = Snapshot(v1.Snapshot.FromString(wire("snapshot")))
     assert (snapshot.sequence, snapshot.source_id, snapshot.pose_time_ns) == (41, "run-1", POSE_TIME_NS)
     assert snapshot.capture_time_ns == POSE_TIME_NS - 12_500_000
@@ -38,14 +38,14 @@ def test_a_snapshot_is_read_as_it_was_meant() -> None:
     np.testing.assert_array_equal(snapshot.orientations, [[0.1, 0.5, -0.5, 0.7], [0.0, 0.0, 0.0, 1.0]])
     assert snapshot.covariances is not None and snapshot.velocity_covariances is not None
     np.testing.assert_array_equal(snapshot.covariances[0], numbered(6, 0.0))
-    # The velocity's block of the covariance over position and velocity.
+    # The velocity block of the covariance over position and velocity.
     np.testing.assert_array_equal(snapshot.velocity_covariances[0], numbered(6, 100.0)[3:, 3:])
     carrier, other = snapshot[0], snapshot[1]
     assert carrier.position_sigma_m is not None
     np.testing.assert_allclose(carrier.position_sigma_m, np.sqrt([11.0, 22.0, 33.0]))
     assert (carrier.age_ns, other.age_ns) == (12_500_000, 200_000_000)
     assert carrier.roundel == "coded" and other.roundel == "plain"
-    # Where its x axis points: the first column of the matrix of the quaternion 0.7 + 0.1 i + 0.5 j - 0.5 k.
+    # Direction of its x axis: the first column of the matrix of the quaternion 0.7 + 0.1 i + 0.5 j - 0.5 k.
     x_axis = snapshot.rotations[0, :, 0]
     np.testing.assert_allclose(x_axis, [0.0, -0.6, -0.8], atol=1e-12)
     assert carrier.yaw_rad == pytest.approx(np.arctan2(x_axis[1], x_axis[0])) and other.yaw_rad is None
@@ -59,14 +59,14 @@ def test_a_lean_snapshot_is_the_same_without_covariances() -> None:
     np.testing.assert_array_equal(lean.orientations, whole.orientations)
 
 
-def test_the_other_messages_are_read_as_they_were_meant() -> None:
+def test_the_other_messages_are_decoded() -> None:
     frame = v1.FrameObservations.FromString(wire("observations"))
     assert (frame.camera, frame.frame, frame.capture_time_ns) == ("south", 1234, POSE_TIME_NS)
-    seen, bare = frame.detections
-    assert (seen.outer.center.u, seen.outer.center.v) == (640.25, 359.75)
-    assert (seen.outer.semi_major_px, seen.inner.semi_major_px, seen.outer.angle_rad) == (20.0, 8.0, -0.5)
-    assert (seen.pose.normal.y, seen.pose.normal.z, seen.pose.yaw_rad) == (0.6, -0.8, 1.25)
-    assert (seen.code.number, seen.code.zero.u) == (12, 651.5) and not bare.HasField("pose")
+    full, empty = frame.detections
+    assert (full.outer.center.u, full.outer.center.v) == (640.25, 359.75)
+    assert (full.outer.semi_major_px, full.inner.semi_major_px, full.outer.angle_rad) == (20.0, 8.0, -0.5)
+    assert (full.pose.normal.y, full.pose.normal.z, full.pose.yaw_rad) == (0.6, -0.8, 1.25)
+    assert (full.code.number, full.code.zero.u) == (12, 651.5) and not empty.HasField("pose")
     camera = v1.Camera.FromString(wire("camera"))
     assert (camera.pose.position.x, camera.pose.orientation.w) == (-2.5, 0.7)
     # 1/64 s late, 2^-18 s/s, 2^-10 s.

@@ -1,4 +1,4 @@
-"""Client for Roundel servers: where every robot is, live.
+"""Client for Roundel servers: live poses of every tracked robot.
 
     from roundel import Client, Subscription
 
@@ -6,7 +6,10 @@
         for snapshot in client.snapshots(Subscription(names=["cart"])):
             print(snapshot.position_m("cart"))
 
-:mod:`roundel.aio` has the same for asyncio; :mod:`roundel.v1` the messages of the .proto files.
+A client may be used from several threads, but only `close` of an iterator may be called from another thread than its
+reader. Once a client is closed, its calls raise `Closed` and its iterators end.
+
+:mod:`roundel.aio` has the same client for asyncio, :mod:`roundel.v1` the messages of the .proto files.
 """
 
 from roundel.client import Client, Latest, Snapshots

@@ -1,29 +1,29 @@
-"""How long to wait before the next try."""
+"""Exponential backoff between connection attempts."""
 
 from __future__ import annotations
 
 import random
 
-FIRST_S = 0.1
-LONGEST_S = 5.0
+INITIAL_S = 0.1
+MAX_S = 5.0
 
 
 class Backoff:
-    """Pauses that double up to a cap, each shortened at random by up to a half.
+    """Pauses that double up to a cap, with random jitter of up to half of each.
 
-    So the clients of a restarted server do not come back all at once.
+    The jitter spreads the reconnections of many clients after a server restart.
     """
 
     def __init__(self) -> None:
         self.tries = 0
-        """Since the last success."""
+        """Attempts since the last success."""
 
     def next_pause_s(self) -> float:
-        """The pause before the next try."""
-        doubled_s = FIRST_S * 2.0 ** min(self.tries, 16)
+        """The pause before the next attempt."""
+        doubled_s = INITIAL_S * 2.0 ** min(self.tries, 16)
         self.tries += 1
-        return min(doubled_s, LONGEST_S) * (1.0 - 0.5 * random.random())
+        return min(doubled_s, MAX_S) * (1.0 - 0.5 * random.random())
 
     def reset(self) -> None:
-        """It worked: the next pause is short again."""
+        """Starts over with a short pause, after a success."""
         self.tries = 0

@@ -1,4 +1,4 @@
-"""The calls of the service, and the channel that they go over, for both clients."""
+"""Requests, response types and channel options, shared by both clients."""
 
 from __future__ import annotations
 
@@ -8,36 +8,35 @@ from typing import Any, Mapping, Sequence
 from roundel import v1
 
 MAX_MESSAGE_BYTES = 64 * 1024 * 1024
-"""Largest message; a snapshot of 10,000 objects with covariances takes 5 MB."""
+"""Limit for one message. A snapshot of 10,000 objects with covariances takes 5 MB."""
 
 CONNECT_TIMEOUT_S = 5.0
-TIMEOUT_S = 15.0
-"""Longest that a call may take, if nobody says otherwise …"""
+DEFAULT_TIMEOUT_S = 15.0
 LONG_TIMEOUT_S = 60.0
-"""… and one of those for which the server opens, writes or searches something."""
+"""Default timeout of calls for which the server opens, writes or searches something."""
 
 LONG_CALLS = frozenset({
     "TestSource", "AddCamera", "ChangeCamera", "RemoveCamera", "ApplyConfiguration", "StopRecording", "QueryHistory",
 })  # fmt: skip
 
-OPTIONS: list[tuple[str, Any]] = [
+CHANNEL_OPTIONS: list[tuple[str, Any]] = [
     ("grpc.max_receive_message_length", MAX_MESSAGE_BYTES),
-    # A client that does not read is to find the newest snapshot when it comes back, and not seconds of old ones.
+    # A growing flow-control window would buffer seconds of old snapshots for a slow reader.
     ("grpc.http2.bdp_probe", 0),
-    # A server that is silent for so long is asked whether it lives, and has as long to answer.
+    # Keep-alive: pings a silent server, and drops the connection without an answer.
     ("grpc.keepalive_time_ms", 5000),
     ("grpc.keepalive_timeout_ms", 5000),
     ("grpc.keepalive_permit_without_calls", 1),
-    # Each client has a connection of its own, and its own pauses before the next try; see _backoff.
+    # One connection per client, with its own backoff.
     ("grpc.use_local_subchannel_pool", 1),
     ("grpc.initial_reconnect_backoff_ms", 100),
-    # Despite its name: how long one try to connect may take. A busy server, or a radio link, takes its time.
+    # Despite its name, this is the timeout of one connection attempt.
     ("grpc.min_reconnect_backoff_ms", int(1000 * CONNECT_TIMEOUT_S)),
     ("grpc.max_reconnect_backoff_ms", 1000),
     ("grpc.enable_http_proxy", 0),
 ]
 
-ANSWERS: dict[str, Any] = {
+RESPONSES: dict[str, Any] = {
     "SubscribeSnapshots": v1.Snapshot,
     "SubscribeObservations": v1.FrameObservations,
     "GetObservations": v1.GetObservationsResponse,
@@ -76,68 +75,63 @@ ANSWERS: dict[str, Any] = {
     "ControlReplay": v1.Replay,
     "QueryHistory": v1.QueryHistoryResponse,
 }
-"""What each call answers with."""
+"""Response type of each call."""
 
 
-def timeout(timeout_s: float | None) -> float | None:
-    """As given, if a call can end by it."""
+def checked_timeout_s(timeout_s: float | None) -> float | None:
+    """Returns `timeout_s`; raises ValueError unless it is None or a positive number."""
     if timeout_s is not None and not 0.0 < timeout_s < math.inf:
-        raise ValueError(f"timeout_s: expected seconds above 0, or None for the usual ones, found {timeout_s}")
+        raise ValueError(f"timeout_s: expected seconds above 0, or None for the default, found {timeout_s}")
     return timeout_s
 
 
-def deadline_s(call: str, timeout_s: float | None) -> float:
-    """How long this call may take, where `timeout_s` is what a client was told."""
+def call_timeout_s(call: str, timeout_s: float | None) -> float:
+    """The timeout of a call of a client whose own timeout is `timeout_s`."""
     if timeout_s is not None:
         return timeout_s
-    return LONG_TIMEOUT_S if call in LONG_CALLS else TIMEOUT_S
+    return LONG_TIMEOUT_S if call in LONG_CALLS else DEFAULT_TIMEOUT_S
 
 
-def path(call: str) -> str:
-    """Where gRPC finds a call."""
+def method_path(call: str) -> str:
     return f"/roundel.v1.Roundel/{call}"
 
 
-def encoded(message: Any) -> bytes:
-    """A request as bytes."""
+def serialize(message: Any) -> bytes:
     data: bytes = message.SerializeToString()
     return data
 
 
 def drive_request(velocities_m_s: Mapping[int, Sequence[float]]) -> v1.DriveRobotsRequest:
-    """Of velocities by object_id."""
     robots = [v1.RobotDrive(object_id=i, velocity=vector(v)) for i, v in velocities_m_s.items()]
     return v1.DriveRobotsRequest(robots=robots)
 
 
 def vector(values: Sequence[float]) -> v1.Vector3:
-    """Two numbers, or three; without the third it is 0."""
+    """A vector of two or three numbers; z defaults to 0."""
     if len(values) not in (2, 3):
         raise ValueError(f"expected a velocity of two or three numbers, found {list(values)}")
     x, y, *rest = (float(value) for value in values)
     return v1.Vector3(x=x, y=y, z=rest[0] if rest else 0.0)
 
 
-def calibration_request(
-    seconds: float | None, refine_lenses: bool, apply: str
-) -> v1.StartCalibrationRequest:
+def calibration_request(seconds: float | None, refine_lenses: bool, apply: str) -> v1.StartCalibrationRequest:
     """`apply` is one of if_sound, always, never."""
-    words = {"if_sound", "always", "never"}
-    if apply not in words:
-        raise ValueError(f"apply: expected one of {', '.join(sorted(words))}, found {apply!r}")
-    word = f"CALIBRATION_APPLY_{apply.upper()}"
-    return v1.StartCalibrationRequest(seconds=seconds, refine_lenses=refine_lenses, apply=word)
+    policies = {"if_sound", "always", "never"}
+    if apply not in policies:
+        raise ValueError(f"apply: expected one of {', '.join(sorted(policies))}, found {apply!r}")
+    policy = f"CALIBRATION_APPLY_{apply.upper()}"
+    return v1.StartCalibrationRequest(seconds=seconds, refine_lenses=refine_lenses, apply=policy)
 
 
 def recording_request(name: str, frames_every: int | None, seconds: float | None) -> v1.StartRecordingRequest:
-    """What is None is as configured."""
+    """None stands for the configured value."""
     return v1.StartRecordingRequest(name=name, frames_every=frames_every, seconds=seconds)
 
 
 def replay_request(
     paused: bool | None, speed: float | None, position_s: float | None, looping: bool | None
 ) -> v1.ControlReplayRequest:
-    """What is None stays as it is."""
+    """None leaves a value unchanged."""
     request = v1.ControlReplayRequest(speed=speed, position_s=position_s)
     if paused is not None:
         request.paused = paused
@@ -152,19 +146,19 @@ def history_request(
     times_ns: tuple[int, int],
     max_points: int,
 ) -> v1.QueryHistoryRequest:
-    """Objects by id, name or number of their code; the region between two corners; 0: an hour before, until now."""
+    """Objects by id, name or code. Times of 0 stand for the last hour until now."""
     from_ns, until_ns = times_ns
     return v1.QueryHistoryRequest(
         objects=[str(each) for each in objects],
-        region=None if region_m is None else region(region_m),
+        region=None if region_m is None else box(region_m),
         from_time_ns=from_ns,
         until_time_ns=until_ns,
         max_points=max_points,
     )
 
 
-def region(corners_m: tuple[Sequence[float], Sequence[float]]) -> v1.Box:
-    """The box between two corners, metres; a side may be infinite."""
+def box(corners_m: tuple[Sequence[float], Sequence[float]]) -> v1.Box:
+    """The box between two corners, which may be infinite."""
     low, high = (_corner(corner) for corner in corners_m)
     return v1.Box(min=low, max=high)
 

@@ -143,7 +143,7 @@ class _Channel:
 
     def _method(self, kind: Any, name: str) -> Any:
         self._raise_if_closed(None)
-        return kind(_calls.path(name), _calls.encoded, _calls.ANSWERS[name].FromString)
+        return kind(_calls.method_path(name), _calls.serialize, _calls.RESPONSES[name].FromString)
 
     def _raise_if_closed(self, cause: BaseException | None) -> None:
         if self._closed.is_set():
@@ -154,7 +154,7 @@ class AsyncChannel(_Channel):
     """A channel to a server. Calls raise `Closed` once `closed` is set."""
 
     def __init__(self, target: str, closed: AsyncEvent) -> None:
-        self._channel = grpc.aio.insecure_channel(target, options=_calls.OPTIONS)
+        self._channel = grpc.aio.insecure_channel(target, options=_calls.CHANNEL_OPTIONS)
         self._closed = closed
 
     async def unary(self, name: str, request: Any, timeout_s: float) -> Any:
@@ -185,7 +185,7 @@ class SyncChannel(_Channel):
     """A channel to a server. Calls raise `Closed` once `closed` is set."""
 
     def __init__(self, target: str, closed: SyncEvent) -> None:
-        self._channel = grpc.insecure_channel(target, options=_calls.OPTIONS)
+        self._channel = grpc.insecure_channel(target, options=_calls.CHANNEL_OPTIONS)
         self._closed = closed
 
     def unary(self, name: str, request: Any, timeout_s: float) -> Any:

@@ -1,4 +1,4 @@
-"""Hamilton quaternions, stored x y z w, many at once."""
+"""Arrays of Hamilton quaternions, stored x y z w."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ Floats = NDArray[np.float64]
 
 
 def product(a: Floats, b: Floats) -> Floats:
-    """The rotations by `b`, then by `a`; shapes (n, 4)."""
+    """Rotations by `b`, then by `a`; shapes (n, 4)."""
     ax, ay, az, aw = a.T
     bx, by, bz, bw = b.T
     return np.stack(
@@ -26,9 +26,9 @@ def product(a: Floats, b: Floats) -> Floats:
 def from_rotation_vector(vector_rad: Floats) -> Floats:
     """Axis times angle (n, 3) as quaternions (n, 4)."""
     angle_rad = np.linalg.norm(vector_rad, axis=-1, keepdims=True)
-    # sin(x/2)/x, which is 1/2 at 0.
-    share = 0.5 * np.sinc(angle_rad / (2.0 * np.pi))
-    return np.concatenate([vector_rad * share, np.cos(angle_rad / 2.0)], axis=-1)
+    # sin(angle/2) / angle, which is 1/2 at 0.
+    scale = 0.5 * np.sinc(angle_rad / (2.0 * np.pi))
+    return np.concatenate([vector_rad * scale, np.cos(angle_rad / 2.0)], axis=-1)
 
 
 def matrices(quaternions: Floats) -> Floats:

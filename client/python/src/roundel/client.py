@@ -37,7 +37,7 @@ class Client:
         to open, write or search something. Streams have no timeout. See also :meth:`within`.
         """
         self.address = address
-        self.timeout_s = _calls.timeout(timeout_s)
+        self.timeout_s = _calls.checked_timeout_s(timeout_s)
         self._closed = SyncEvent()
         self._channel = SyncChannel(target(address), self._closed)
         self._streams: weakref.WeakSet[Snapshots] = weakref.WeakSet()
@@ -58,7 +58,7 @@ class Client:
     def within(self, timeout_s: float) -> Client:
         """This client over the same connection with another timeout, such as ``client.within(0.2)``."""
         other = copy.copy(self)
-        other.timeout_s = _calls.timeout(timeout_s)
+        other.timeout_s = _calls.checked_timeout_s(timeout_s)
         return other
 
     def close(self) -> None:
@@ -290,7 +290,7 @@ class Client:
 
     def _call(self, call: str, request: Any, timeout_s: float | None = None) -> Any:
         if timeout_s is None:
-            timeout_s = _calls.deadline_s(call, self.timeout_s)
+            timeout_s = _calls.call_timeout_s(call, self.timeout_s)
         try:
             return self._channel.unary(call, request, timeout_s)
         except grpc.RpcError as error:

@@ -1,8 +1,8 @@
-"""The server's clock against this program's, as NTP measures it (RFC 5905, section 8).
+"""Offset between the server's clock and this machine's, measured as in NTP (RFC 5905, section 8).
 
-A probe leaves at t1 (own clock), arrives at t2 and is answered at t3 (server's), and its answer is here at t4 (own).
-offset = ((t2 - t1) + (t3 - t4)) / 2 is off by at most half of the round trip (t4 - t1) - (t3 - t2). Of some probes the
-quickest counts.
+A probe leaves at t1 (own clock), arrives at t2 and is answered at t3 (server's clock), and its answer arrives at t4 (own
+clock). The error of offset = ((t2 - t1) + (t3 - t4)) / 2 is at most half the round trip (t4 - t1) - (t3 - t2). The probe
+with the shortest round trip is used.
 """
 
 from __future__ import annotations
@@ -15,43 +15,43 @@ from typing import Iterable
 from roundel import v1
 
 PROBES = 8
-"""How many are sent to measure an offset, by default."""
+"""Default number of probes."""
 
 
 @dataclass(frozen=True)
 class ClockOffset:
-    """By how much the server's clock is ahead of this machine's Unix clock."""
+    """How far the server's clock is ahead of this machine's Unix clock."""
 
     offset_ns: int
     deviation_ns: int
-    """Standard deviation, taking the error as even within its bound."""
+    """Standard deviation, for an error distributed uniformly within its bound."""
     round_trip_ns: int
-    """Of the probe that it comes from."""
+    """Round trip of the probe that was used."""
 
     def server_now_ns(self) -> int:
-        """The server's time now, as far as this is known."""
+        """Estimate of the server's current time."""
         return time.time_ns() + self.offset_ns
 
     def to_server_ns(self, own_ns: int) -> int:
-        """A time of this machine's clock on the server's."""
+        """Converts a time of this machine's clock to the server's."""
         return own_ns + self.offset_ns
 
     def to_own_ns(self, server_ns: int) -> int:
-        """A time of the server's clock on this machine's."""
+        """Converts a time of the server's clock to this machine's."""
         return server_ns - self.offset_ns
 
 
 def best(answers: Iterable[tuple[v1.ServerTime, int]]) -> ClockOffset | None:
-    """The offset of the quickest of these answers, each with its arrival; None if none makes sense."""
+    """The offset from the answer with the shortest round trip, given each with its arrival; None if none is plausible."""
     found: ClockOffset | None = None
-    for answer, back_ns in answers:
-        there_ns = answer.received_time_ns - answer.sent_time_ns
-        here_ns = answer.replied_time_ns - back_ns
-        round_trip_ns = there_ns - here_ns
-        if round_trip_ns < 0 or back_ns < answer.sent_time_ns:
-            # A clock was set meanwhile.
+    for answer, arrival_ns in answers:
+        outbound_ns = answer.received_time_ns - answer.sent_time_ns
+        return_ns = answer.replied_time_ns - arrival_ns
+        round_trip_ns = outbound_ns - return_ns
+        if round_trip_ns < 0 or arrival_ns < answer.sent_time_ns:
+            # A clock was set during the probe.
             continue
         if found is None or round_trip_ns < found.round_trip_ns:
             deviation_ns = int(round_trip_ns / 2 / math.sqrt(3.0))
-            found = ClockOffset((there_ns + here_ns) // 2, deviation_ns, round_trip_ns)
+            found = ClockOffset((outbound_ns + return_ns) // 2, deviation_ns, round_trip_ns)
     return found

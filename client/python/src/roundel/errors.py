@@ -1,4 +1,4 @@
-"""What can go wrong, said so that a reader knows what to do."""
+"""Errors of calls and streams."""
 
 from __future__ import annotations
 
@@ -21,74 +21,74 @@ _REFUSALS = frozenset({
 })
 
 _DETAILS = "grpc-status-details-bin"
-"""Trailing metadata in which a server says the parts of an error: a google.rpc.Status."""
+"""Trailing metadata with the details of an error, a google.rpc.Status."""
 
 
 class RoundelError(Exception):
     """Any failure of a call or a stream."""
 
     is_temporary = False
-    """Whether asking again later can help."""
+    """Whether a later retry can succeed."""
 
 
 class InvalidAddress(RoundelError, ValueError):
-    """The address cannot be one."""
+    """The address is malformed."""
 
     def __init__(self, address: str, reason: str) -> None:
         super().__init__(
-            f"{address!r} is no server's address: {reason}; "
+            f"{address!r} is not a server address: {reason}; "
             "expected http://HOST:PORT, such as http://127.0.0.1:7670"
         )
 
 
 class Unreachable(RoundelError):
-    """Nobody answers there, or no longer."""
+    """The server does not answer."""
 
     is_temporary = True
 
     def __init__(self, address: str, reason: str) -> None:
         super().__init__(
-            f"no answer from {address}: {reason}; check the address, and that the server runs "
-            "(`roundel serve` or `roundel demo` print theirs)"
+            f"no answer from {address}: {reason}; check the address and that the server is running "
+            "(`roundel serve` and `roundel demo` print it)"
         )
         self.reason = reason
 
 
 class TimedOut(Unreachable, TimeoutError):
-    """A call has taken longer than its `timeout_s`. Whether the server has done what was asked is not known."""
+    """A call took longer than its `timeout_s`. The server may or may not have executed it."""
 
     def __init__(self, address: str, call: str, timeout_s: float) -> None:
-        super().__init__(address, f"{call} has taken longer than its timeout of {timeout_s:g} s")
+        super().__init__(address, f"{call} took longer than its timeout of {timeout_s:g} s")
         self.timeout_s = timeout_s
 
 
 class NotRoundel(RoundelError):
-    """Somebody answers there, but not a Roundel server that knows the call."""
+    """The address answers, but not as a Roundel server that knows the call."""
 
     def __init__(self, address: str, reason: str, speaks_http2: bool = True) -> None:
-        super().__init__(f"{address} answers, but is no Roundel server, or an older one: {reason}")
+        super().__init__(f"{address} answers, but is not a Roundel server, or is an older version: {reason}")
         self.address = address
         self.reason = reason
         self.speaks_http2 = speaks_http2
-        """False of a web server or a proxy: where a Roundel server was before, it may be back soon."""
+        """False for a web server or a proxy, behind which a Roundel server may restart."""
 
 
 class Refused(RoundelError):
-    """The server refuses the request as it is; asking again will not help."""
+    """The server rejected the request; a retry will not help."""
 
     def __init__(self, message: str, code: grpc.StatusCode, field: str | None = None, what: str | None = None) -> None:
-        super().__init__(f"the server refuses the request: {message}")
+        super().__init__(f"the server rejected the request: {message}")
         self.message = message
         self.code = code
         """INVALID_ARGUMENT, NOT_FOUND, OUT_OF_RANGE, FAILED_PRECONDITION or PERMISSION_DENIED."""
         self.field = field
-        """The field of the request that is wrong, as the .proto files name it; None where it is none."""
+        """The invalid field of the request, as named in the .proto files; None for other causes."""
         self.what = what
-        """The kind of thing that is not there, such as camera; None but for NOT_FOUND."""
+        """The kind of resource that was not found, such as camera; None for other codes than NOT_FOUND."""
 
 
 class ServerError(RoundelError):
-    """The server cannot answer now; a later try may succeed."""
+    """The server cannot answer now; a later retry may succeed."""
 
     is_temporary = True
 
@@ -99,52 +99,52 @@ class ServerError(RoundelError):
 
 
 class Conflict(RoundelError):
-    """Somebody else was first: what the request builds on has changed since it was read. Read it again."""
+    """Another client made a change after this one read the state that the request is based on. Read it again."""
 
     def __init__(self, message: str, code: grpc.StatusCode) -> None:
-        super().__init__(f"somebody else was first: {message}")
+        super().__init__(f"conflict with another change: {message}")
         self.message = message
         self.code = code
 
 
 class Closed(RoundelError):
-    """This program has closed the client, or the stream, that it asks."""
+    """This program has closed the client or stream."""
 
     def __init__(self, what: str) -> None:
-        super().__init__(f"this {what} has been closed; make another one")
+        super().__init__(f"this {what} has been closed; create a new one")
 
 
 class Stale(RoundelError, TimeoutError):
-    """No snapshot is as new as was asked for: who steers by them had better stop."""
+    """No snapshot is recent enough. A control loop should stop."""
 
     is_temporary = True
 
     def __init__(self, longest_s: float, age_s: float, link: Link) -> None:
-        newest = "none has come yet" if age_s == float("inf") else f"the newest came {age_s:.2f} s ago"
+        newest = "none has arrived yet" if age_s == float("inf") else f"the newest arrived {age_s:.2f} s ago"
         super().__init__(f"no snapshot within {longest_s:g} s: {newest}; {link}")
         self.age_s = age_s
-        """How long ago the newest one came; infinite before the first."""
+        """Time since the newest snapshot arrived; infinite before the first."""
         self.link = link
 
 
 def from_rpc(address: str, error: grpc.RpcError, call: str = "the call", timeout_s: float | None = None) -> RoundelError:
-    """What a failed call to `address` means."""
-    # Both of grpc's kinds of errors have these; their common base declares neither.
+    """Converts an error of gRPC."""
+    # The errors of grpc and grpc.aio have these, but their common base class does not declare them.
     code = error.code() if hasattr(error, "code") else grpc.StatusCode.UNKNOWN
     message = (error.details() if hasattr(error, "details") else None) or str(error)
     if code in _REFUSALS:
-        field, what = _refused(error)
+        field, what = _refusal_details(error)
         return Refused(message, code, field, what)
     if code is grpc.StatusCode.ABORTED:
         return Conflict(message, code)
     if code is grpc.StatusCode.UNIMPLEMENTED:
-        return NotRoundel(address, f"it does not know this call ({message})")
+        return NotRoundel(address, f"it does not support this call ({message})")
     if code is grpc.StatusCode.DEADLINE_EXCEEDED and timeout_s is not None:
         return TimedOut(address, call, timeout_s)
     if code is grpc.StatusCode.UNAVAILABLE and "Failed parsing HTTP/2" in message:
-        return NotRoundel(address, "it speaks no HTTP/2", speaks_http2=False)
+        return NotRoundel(address, "it does not speak HTTP/2", speaks_http2=False)
     if code is grpc.StatusCode.UNAVAILABLE and _details(error):
-        # The network says none.
+        # Errors of the network have no details.
         return ServerError(message, code)
     if code in (grpc.StatusCode.UNAVAILABLE, grpc.StatusCode.DEADLINE_EXCEEDED):
         return Unreachable(address, _network_reason(message))
@@ -152,33 +152,33 @@ def from_rpc(address: str, error: grpc.RpcError, call: str = "the call", timeout
 
 
 def _network_reason(message: str) -> str:
-    """What grpc says of the network, without the names of its own layers round it."""
+    """The cause of a network error, without the names of grpc's internal layers."""
     lookup = re.match(r"errors resolving ([^\s:]+)", message)
     if lookup:
-        return f"no machine of the name {lookup[1]} is known here"
+        return f"cannot resolve the host name {lookup[1]}"
     return re.sub(r"^failed to connect to all addresses; last error: .*: (.+)$", r"\1", message)
 
 
-def _refused(error: grpc.RpcError) -> tuple[str | None, str | None]:
-    """The wrong field, and the kind of thing that is not there, where the server says them."""
+def _refusal_details(error: grpc.RpcError) -> tuple[str | None, str | None]:
+    """The invalid field and the kind of missing resource, where the server gives them."""
     field: str | None = None
     what: str | None = None
     for value in _details(error):
         try:
             details = status_pb2.Status.FromString(value).details
         except DecodeError:
-            # Of another server's making: the sentence says it too.
+            # Not a Roundel server. The message suffices.
             continue
         for detail in details:
-            request, thing = error_details_pb2.BadRequest(), error_details_pb2.ResourceInfo()
+            request, resource = error_details_pb2.BadRequest(), error_details_pb2.ResourceInfo()
             if detail.Unpack(request) and request.field_violations:
                 field = request.field_violations[0].field
-            elif detail.Unpack(thing):
-                what = thing.resource_type
+            elif detail.Unpack(resource):
+                what = resource.resource_type
     return field, what
 
 
 def _details(error: grpc.RpcError) -> list[bytes]:
-    """What a server says of an error for programs; empty if the error comes from the network."""
+    """Machine-readable details from the server; empty for an error of the network."""
     trailers: Any = (error.trailing_metadata() if hasattr(error, "trailing_metadata") else None) or ()
     return [value for key, value in trailers if key == _DETAILS]

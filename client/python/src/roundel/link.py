@@ -1,4 +1,4 @@
-"""How a stream's connection is, for programs that must know whether what they have is news."""
+"""State of a stream's connection, for programs that must know whether their data is current."""
 
 from __future__ import annotations
 
@@ -9,37 +9,37 @@ from roundel.errors import RoundelError
 
 
 class LinkState(enum.Enum):
-    """How the connection of a stream is."""
+    """State of a stream's connection."""
 
     CONNECTING = "connecting"
-    """No snapshot has come yet."""
+    """No snapshot has arrived yet."""
     CONNECTED = "connected"
-    """Snapshots come, as far as is known: see the age of the newest one."""
+    """Snapshots arrive; the age of the newest one tells how recently."""
     LOST = "lost"
-    """There is none; it is tried again and again."""
+    """The connection is lost and being retried."""
     ENDED = "ended"
-    """Closed, or refused by the server: nothing will come any more."""
+    """Closed, or rejected by the server. No more snapshots will arrive."""
 
 
 @dataclass(frozen=True)
 class Link:
-    """How the connection of a stream is, at one instant."""
+    """State of a stream's connection at one instant."""
 
     state: LinkState = LinkState.CONNECTING
     error: RoundelError | None = None
-    """The last one there was, also after it has healed; None before any."""
+    """The last error, also after recovery; None before any."""
     tries: int = 0
-    """In vain, since the loss or the begin; 0 while a loss is all that happened."""
+    """Failed attempts since the loss or since the start; 0 right after a loss."""
     losses: int = 0
-    """Of connections that had brought snapshots."""
+    """Lost connections that had delivered snapshots."""
     restarts: int = 0
-    """Times that the server was found started anew, with ids that begin anew."""
+    """Server restarts noticed so far. A restarted server assigns new ids."""
 
     @property
     def is_up(self) -> bool:
-        """Whether snapshots come, as far as is known."""
+        """Whether snapshots arrive."""
         return self.state is LinkState.CONNECTED
 
     def __str__(self) -> str:
-        told = f"the connection is {self.state.value}"
-        return told if self.is_up or self.error is None else f"{told}: {self.error}"
+        text = f"the connection is {self.state.value}"
+        return text if self.is_up or self.error is None else f"{text}: {self.error}"

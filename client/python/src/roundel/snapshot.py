@@ -1,7 +1,7 @@
-"""Every object at one instant, as NumPy arrays.
+"""All objects at one instant, as NumPy arrays.
 
-Row i of each array is the same object. Frames, units and signs are those of the .proto files: world frame, metres,
-radians, seconds; quaternions x y z w; times in ns since the Unix epoch.
+Row i of each array is the same object. Conventions are those of the .proto files: world frame, metres, radians, seconds;
+quaternions x y z w; times in ns since the Unix epoch.
 """
 
 from __future__ import annotations
@@ -18,25 +18,25 @@ from numpy.typing import NDArray
 from roundel import _rotation, v1
 from roundel._rotation import Floats
 
-ACCELERATION_LASTS_S = 0.4
-"""How long an acceleration lasts: after t seconds exp(-t / 0.4 s) of it is left."""
+ACCELERATION_TIME_CONSTANT_S = 0.4
+"""Predicted accelerations decay by exp(-t / 0.4 s)."""
 
 _TRIANGLE_6 = np.triu_indices(6)
 _TRIANGLE_3 = np.triu_indices(3)
 
 
 class LifeStage(enum.IntEnum):
-    """How sure the server is of an object."""
+    """Stage in the life of a track."""
 
     UNSPECIFIED = 0
     TENTATIVE = 1
-    """Seen too seldom yet to be trusted."""
+    """Not confirmed by enough observations yet."""
     TRACKED = 2
-    """Observed now."""
+    """Currently observed."""
     PREDICTED = 3
-    """Not observed now; the pose is the motion model's."""
+    """Currently not observed; the pose comes from the motion model."""
     LOST = 4
-    """Given up."""
+    """No longer tracked."""
 
 
 @dataclass(frozen=True)
@@ -46,9 +46,9 @@ class Robot:
     object_id: int
     name: str
     roundel: str
-    """Kind of roundel."""
+    """Configured name of its kind of roundel."""
     code: int | None
-    """Number that its teeth say, where it is coded and was read."""
+    """Number of its code; None without a code, or before it was read."""
     stage: LifeStage
     position_m: Floats
     velocity_m_s: Floats
@@ -56,13 +56,13 @@ class Robot:
     """world_from_object, quaternion x y z w."""
     yaw_observed: bool
     age_ns: int
-    """Pose time less the capture time of the newest observation used."""
+    """Pose time minus the capture time of the newest observation used."""
     covariance: Floats | None
-    """6x6 over (position m, rotation rad); None where it was left out."""
+    """6x6 over (position m, rotation rad); None if omitted."""
 
     @property
     def yaw_rad(self) -> float | None:
-        """Angle of its x axis about the world's z axis, anticlockwise from the world's x; None while it is not observed."""
+        """Angle of its x axis about the world's z axis, counterclockwise from the world's x axis; None if not observed."""
         if not self.yaw_observed:
             return None
         x, y, z, w = self.orientation
@@ -70,7 +70,7 @@ class Robot:
 
     @property
     def speed_m_s(self) -> float:
-        """Length of the velocity."""
+        """Norm of the velocity."""
         return float(np.linalg.norm(self.velocity_m_s))
 
     @property
@@ -83,8 +83,8 @@ class Robot:
 
 
 @dataclass(frozen=True)
-class _Motion:
-    """What prediction changes."""
+class _Kinematics:
+    """The arrays that a prediction changes."""
 
     positions_m: Floats
     velocities_m_s: Floats
@@ -94,32 +94,31 @@ class _Motion:
 
 @dataclass(frozen=True)
 class Snapshot:
-    """Every object that was asked for, at `pose_time_ns`. Arrays are made when they are first asked for."""
+    """All objects of a subscription at `pose_time_ns`. Arrays are built on first use."""
 
     message: v1.Snapshot
-    """As it came."""
     ahead_s: float = 0.0
-    """How far this client has predicted it past the time that the server gave it."""
-    _motion: _Motion | None = field(default=None, repr=False, compare=False)
+    """How far this client has predicted it past the server's pose time."""
+    _predicted: _Kinematics | None = field(default=None, repr=False, compare=False)
 
     @property
     def sequence(self) -> int:
-        """Grows by one with each snapshot of this server."""
+        """Increases by one with each snapshot of this server."""
         return self.message.sequence
 
     @property
     def source_id(self) -> str:
-        """Tells two servers, and two runs of one server, apart."""
+        """Identifies the server and its run; changes with each restart."""
         return self.message.source_id
 
     @property
     def missed(self) -> int:
-        """Snapshots that this client wanted but was too slow for, since the one before."""
+        """Subscribed snapshots skipped since the previous one, because this client read too slowly."""
         return self.message.missed
 
     @property
     def pose_time_ns(self) -> int:
-        """The instant that every object is given for."""
+        """The instant of all poses."""
         return self.message.pose_time_ns + round(self.ahead_s * 1e9)
 
     @property
@@ -137,17 +136,17 @@ class Snapshot:
 
     @functools.cached_property
     def names(self) -> list[str]:
-        """Configured names; empty where there is none."""
+        """Configured names; empty for objects without one."""
         return [o.name for o in self.message.objects]
 
     @functools.cached_property
     def codes(self) -> list[int | None]:
-        """Numbers of the codes; None where a roundel has none, or was not read yet."""
+        """Numbers of the codes; None without a code, or before it was read."""
         return [o.code.number if o.HasField("code") else None for o in self.message.objects]
 
     @property
     def tracked(self) -> NDArray[np.bool_]:
-        """Which objects are observed now, shape (n,): of the others the poses are expected ones."""
+        """Which objects are currently observed, shape (n,). The poses of the others are predicted."""
         mask: NDArray[np.bool_] = self.stages == LifeStage.TRACKED
         return mask
 
@@ -158,15 +157,15 @@ class Snapshot:
 
     @functools.cached_property
     def yaw_observed(self) -> NDArray[np.bool_]:
-        """Where it is false the rotation about the roundel's normal is a convention; shape (n,)."""
+        """False where the rotation about the roundel's normal is only a convention; shape (n,)."""
         return np.array([o.yaw_observed for o in self.message.objects], dtype=np.bool_)
 
     @functools.cached_property
-    def _moves(self) -> _Motion:
-        if self._motion is not None:
-            return self._motion
+    def _kinematics(self) -> _Kinematics:
+        if self._predicted is not None:
+            return self._predicted
         objects = self.message.objects
-        return _Motion(
+        return _Kinematics(
             positions_m=_vectors(objects, lambda o: o.position),
             velocities_m_s=_vectors(objects, lambda o: o.velocity),
             accelerations_m_s2=_vectors(objects, lambda o: o.acceleration),
@@ -177,23 +176,23 @@ class Snapshot:
 
     @property
     def positions_m(self) -> Floats:
-        """Tracked points, shape (n, 3)."""
-        return self._moves.positions_m
+        """Positions of the tracked points, shape (n, 3)."""
+        return self._kinematics.positions_m
 
     @property
     def velocities_m_s(self) -> Floats:
         """Shape (n, 3)."""
-        return self._moves.velocities_m_s
+        return self._kinematics.velocities_m_s
 
     @property
     def accelerations_m_s2(self) -> Floats:
-        """Shape (n, 3); 0 where covariances were left out, and of servers that do not say it."""
-        return self._moves.accelerations_m_s2
+        """Shape (n, 3); 0 with covariances omitted, or from servers that do not send accelerations."""
+        return self._kinematics.accelerations_m_s2
 
     @property
     def orientations(self) -> Floats:
         """world_from_object, quaternions x y z w, shape (n, 4)."""
-        return self._moves.orientations
+        return self._kinematics.orientations
 
     @functools.cached_property
     def angular_velocities_rad_s(self) -> Floats:
@@ -207,10 +206,10 @@ class Snapshot:
 
     @functools.cached_property
     def covariances(self) -> Floats | None:
-        """Of (position m, rotation rad), shape (n, 6, 6).
+        """Covariances over (position m, rotation rad), shape (n, 6, 6).
 
-        None where they were left out, and of a snapshot that this client has predicted: the server knows how
-        uncertainty grows, and says it when asked for a `horizon_s`.
+        None if omitted, and in snapshots predicted by this client. Only the server can predict covariances: subscribe
+        with `horizon_s`.
         """
         if self.ahead_s != 0.0:
             return None
@@ -218,85 +217,85 @@ class Snapshot:
 
     @functools.cached_property
     def velocity_covariances(self) -> Floats | None:
-        """(m/s)^2, shape (n, 3, 3); None as of :attr:`covariances`."""
+        """(m/s)^2, shape (n, 3, 3); None as for :attr:`covariances`."""
         if self.ahead_s != 0.0:
             return None
         return _symmetric([o.velocity_covariance for o in self.message.objects], 3, _TRIANGLE_3)
 
     def index(self, object_id: int) -> int | None:
-        """The row of an object, or None if it is not in this snapshot."""
+        """The row of an object; None if it is not in this snapshot."""
         rows = np.flatnonzero(self.ids == object_id)
         return int(rows[0]) if len(rows) else None
 
     def robot(self, which: int | str) -> Robot | None:
-        """One object, by object_id or by name; None if it is not in this snapshot."""
-        row = _place(self.names, which) if isinstance(which, str) else self.index(which)
+        """One object, by object_id or name; None if it is not in this snapshot."""
+        row = _index_of(self.names, which) if isinstance(which, str) else self.index(which)
         return None if row is None else self[row]
 
     def coded(self, number: int) -> Robot | None:
-        """The object whose roundel has this code; None if it is not in this snapshot."""
-        row = _place(self.codes, number)
+        """The object with this code; None if it is not in this snapshot."""
+        row = _index_of(self.codes, number)
         return None if row is None else self[row]
 
     def position_m(self, which: int | str) -> Floats | None:
-        """Where one object is, by object_id or by name, shape (3,); None if it is not in this snapshot."""
+        """Position of one object, by object_id or name, shape (3,); None if it is not in this snapshot."""
         robot = self.robot(which)
         return None if robot is None else robot.position_m
 
     def __getitem__(self, row: int) -> Robot:
-        one = self.message.objects[row]
+        state = self.message.objects[row]
         return Robot(
-            object_id=one.object_id,
-            name=one.name,
-            roundel=one.roundel,
+            object_id=state.object_id,
+            name=state.name,
+            roundel=state.roundel,
             code=self.codes[row],
-            stage=_stage(one.stage),
+            stage=_stage(state.stage),
             position_m=self.positions_m[row],
             velocity_m_s=self.velocities_m_s[row],
             orientation=self.orientations[row],
-            yaw_observed=one.yaw_observed,
-            age_ns=one.observation_age_ns + round(self.ahead_s * 1e9),
+            yaw_observed=state.yaw_observed,
+            age_ns=state.observation_age_ns + round(self.ahead_s * 1e9),
             covariance=None if self.covariances is None else self.covariances[row],
         )
 
     def predicted(self, seconds: float) -> Snapshot:
-        """The same so many seconds later, as the server's own prediction has it.
+        """The snapshot predicted by `seconds`, with the server's motion model.
 
-        Accelerations fade as exp(-t / L), L = 0.4 s: velocities grow by a L (1 - e), positions by
-        v t + a L (t - L (1 - e)), e = exp(-t / L). Objects turn on with their angular velocity.
+        Accelerations decay by e = exp(-t / L), L = 0.4 s. Velocities change by a L (1 - e), positions by
+        v t + a L (t - L (1 - e)). Angular velocities are constant.
 
-        A subscription without covariances (``covariance=False``) gets no accelerations either: what it got is predicted by
-        velocities alone, and not as the server does it. A `horizon_s` of the subscription has the server predict.
+        A subscription with ``covariance=False`` receives no accelerations, so its snapshots are predicted by velocities
+        only. With `horizon_s` the server predicts instead, with accelerations.
         """
         if not np.isfinite(seconds):
             raise ValueError(f"expected a finite number of seconds, found {seconds}")
-        lasts_s, moves = ACCELERATION_LASTS_S, self._moves
-        left = float(np.exp(-seconds / lasts_s))
-        grown_s = lasts_s * (1.0 - left)
-        acceleration = moves.accelerations_m_s2
-        turn = _rotation.from_rotation_vector(self.angular_velocities_rad_s * seconds)
-        motion = _Motion(
-            positions_m=moves.positions_m
-            + moves.velocities_m_s * seconds
-            + acceleration * (lasts_s * (seconds - grown_s)),
-            velocities_m_s=moves.velocities_m_s + acceleration * grown_s,
-            accelerations_m_s2=acceleration * left,
-            orientations=_rotation.product(turn, moves.orientations),
+        time_constant_s, now = ACCELERATION_TIME_CONSTANT_S, self._kinematics
+        decay = float(np.exp(-seconds / time_constant_s))
+        integral_s = time_constant_s * (1.0 - decay)
+        acceleration = now.accelerations_m_s2
+        rotation = _rotation.from_rotation_vector(self.angular_velocities_rad_s * seconds)
+        predicted = _Kinematics(
+            positions_m=now.positions_m
+            + now.velocities_m_s * seconds
+            + acceleration * (time_constant_s * (seconds - integral_s)),
+            velocities_m_s=now.velocities_m_s + acceleration * integral_s,
+            accelerations_m_s2=acceleration * decay,
+            orientations=_rotation.product(rotation, now.orientations),
         )
-        return Snapshot(self.message, self.ahead_s + seconds, motion)
+        return Snapshot(self.message, self.ahead_s + seconds, predicted)
 
     def predicted_to(self, time_ns: int) -> Snapshot:
-        """The same at an instant of the server's clock, such as ``client.clock_offset().server_now_ns()``."""
+        """The snapshot predicted to a server time, such as ``client.clock_offset().server_now_ns()``."""
         return self.predicted((time_ns - self.pose_time_ns) * 1e-9)
 
 
 @dataclass(frozen=True)
 class Disconnected:
-    """The connection is lost, or the try to get it back failed; the next try follows."""
+    """The connection is lost, or an attempt to restore it failed. The next attempt follows."""
 
     reason: str
     tries: int
-    """That have failed since the loss or the begin: 0 for the loss itself, 1 for the first try after it or of all."""
+    """Failed attempts since the loss or since the start; 0 for the loss itself."""
     retry_in_s: float
 
 
@@ -305,11 +304,11 @@ class Reconnected:
     """The connection is back; the next update is a snapshot."""
 
     missed: int | None
-    """Snapshots that the server made meanwhile; None if it was started anew."""
+    """Snapshots that the server published during the gap; None if it was restarted."""
     restarted: bool
-    """The server was started anew: ids begin anew too, so robots are to be found again by name or code."""
+    """Whether the server was restarted. It assigns new ids then; names and codes stay."""
     gap_s: float
-    """From the last snapshot before the loss to the first one after it, by this machine's clock."""
+    """Time from the last snapshot before the loss to the first one after it, by this machine's clock."""
 
 
 Update = Snapshot | Disconnected | Reconnected
@@ -319,28 +318,28 @@ def _stage(value: int) -> LifeStage:
     try:
         return LifeStage(value)
     except ValueError:
-        # Of a newer server.
+        # A stage that a newer server has added.
         return LifeStage.UNSPECIFIED
 
 
-def _place(values: Sequence[object], wanted: object) -> int | None:
-    # Objects without a name have an empty one: it is nobody's.
-    return values.index(wanted) if wanted != "" and wanted in values else None
+def _index_of(values: Sequence[object], value: object) -> int | None:
+    # An empty name means no name and matches no object.
+    return values.index(value) if value != "" and value in values else None
 
 
 def _vectors(objects: Iterable[v1.ObjectState], of: Callable[[v1.ObjectState], v1.Vector3]) -> Floats:
-    vectors = (of(one) for one in objects)
+    vectors = (of(state) for state in objects)
     return np.array([(v.x, v.y, v.z) for v in vectors], dtype=np.float64).reshape(-1, 3)
 
 
 def _symmetric(
-    triangles: Sequence[Sequence[float]], size: int, places: tuple[NDArray[np.intp], NDArray[np.intp]]
+    triangles: Sequence[Sequence[float]], size: int, indices: tuple[NDArray[np.intp], NDArray[np.intp]]
 ) -> Floats | None:
-    if any(len(triangle) != len(places[0]) for triangle in triangles):
+    if any(len(triangle) != len(indices[0]) for triangle in triangles):
         return None
     full = np.zeros((len(triangles), size, size))
     if triangles:
         values = np.array(triangles, dtype=np.float64)
-        full[:, places[0], places[1]] = values
-        full[:, places[1], places[0]] = values
+        full[:, indices[0], indices[1]] = values
+        full[:, indices[1], indices[0]] = values
     return full

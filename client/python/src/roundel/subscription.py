@@ -1,4 +1,4 @@
-"""Which snapshots, and what of them."""
+"""Filters for subscriptions to snapshots."""
 
 from __future__ import annotations
 
@@ -11,62 +11,60 @@ from roundel import _calls, v1
 
 @dataclass(frozen=True)
 class Subscription:
-    """Which snapshots a client wants; all of everything by default."""
+    """Selects the snapshots and objects that a client receives. The default selects everything."""
 
     ids: Sequence[int] = ()
-    """Only these objects, by object_id, and those of `names` and `codes`; all three empty: all.
+    """Only these objects, by object_id, plus those of `names` and `codes`; with all three empty: all.
 
-    A server that is started anew gives ids anew: after that they are other objects'.
+    A restarted server assigns new ids, so the same id is another object then.
     """
     names: Sequence[str] = ()
-    """Likewise those of these configured names, as soon and as long as they have them."""
+    """Objects with these configured names, plus those of `ids` and `codes`."""
     codes: Sequence[int | v1.Code] = ()
-    """Likewise those that were seen with these codes: their numbers, or `v1.Code` where there are several layouts."""
+    """Objects with these codes, plus those of `ids` and `names`: numbers, or `v1.Code` where there are several layouts."""
     roundels: Sequence[str] = ()
-    """Only objects of these kinds of roundel, by configured name; empty: all."""
+    """Only objects with these kinds of roundel, by configured name; empty: all."""
     region_m: tuple[Sequence[float], Sequence[float]] | None = None
-    """Only objects within the box between two corners of the world frame; a side may be infinite."""
+    """Only objects in the box between two corners in the world frame, which may be infinite."""
     max_rate_hz: float | None = None
-    """At most this many snapshots a second."""
+    """Maximum rate of snapshots; None: every one."""
     horizon_s: float = 0.0
-    """Every pose predicted this far past the server's pose time, up to a second, with its covariance."""
+    """Predicts every pose and its covariance this far past the server's pose time, up to a second."""
     covariance: bool = True
-    """Without: less than half the bytes, and no accelerations, so that `Snapshot.predicted` goes by velocities alone."""
+    """False halves the message size, but omits accelerations too: `Snapshot.predicted` uses velocities only then."""
 
     def request(self) -> v1.SubscribeSnapshotsRequest:
-        """The message that asks for it."""
         request = v1.SubscribeSnapshotsRequest(max_rate_hz=self.max_rate_hz)
-        self._choose(request)
+        self._fill(request)
         return request
 
     def single_request(self) -> v1.GetSnapshotRequest:
-        """The message that asks for one snapshot of it."""
         if self.max_rate_hz is not None:
             raise ValueError(f"max_rate_hz: a single snapshot has no rate, found {self.max_rate_hz}")
         request = v1.GetSnapshotRequest()
-        self._choose(request)
+        self._fill(request)
         return request
 
-    def _choose(self, request: v1.SubscribeSnapshotsRequest | v1.GetSnapshotRequest) -> None:
-        for field, words in (("names", self.names), ("roundels", self.roundels)):
-            if isinstance(words, str):
-                raise ValueError(f"{field}: expected a list of names, found {words!r}; one is [{words!r}]")
-        request.object_ids.extend(_whole("ids", "object_id", one, 64) for one in self.ids)
+    def _fill(self, request: v1.SubscribeSnapshotsRequest | v1.GetSnapshotRequest) -> None:
+        for field, values in (("names", self.names), ("roundels", self.roundels)):
+            if isinstance(values, str):
+                raise ValueError(f"{field}: expected a list of names, found {values!r}; one is [{values!r}]")
+        request.object_ids.extend(_checked_integer("ids", "object_id", object_id, 64) for object_id in self.ids)
         request.names.extend(self.names)
         request.codes.extend(
-            one if isinstance(one, v1.Code) else v1.Code(number=_whole("codes", "number of a code", one, 32))
-            for one in self.codes
+            code if isinstance(code, v1.Code) else v1.Code(number=_checked_integer("codes", "number of a code", code, 32))
+            for code in self.codes
         )
         request.roundels.extend(self.roundels)
         request.omit_covariance = not self.covariance
         if self.region_m is not None:
-            request.region.CopyFrom(_calls.region(self.region_m))
+            request.region.CopyFrom(_calls.box(self.region_m))
         if self.horizon_s:
             request.horizon_ms = self.horizon_s * 1e3
 
 
-def _whole(field: str, what: str, value: int, bits: int) -> int:
-    """As given, if a message can hold it; NumPy's whole numbers are ones too."""
+def _checked_integer(field: str, what: str, value: int, bits: int) -> int:
+    """Returns `value`, also a NumPy integer, as an unsigned integer of at most `bits` bits, or raises ValueError."""
     try:
         number = operator.index(value)
     except TypeError:

@@ -36,7 +36,7 @@ class Client:
         to open, write or search something. Streams have no timeout. See also :meth:`within`.
         """
         self.address = address
-        self.timeout_s = _calls.timeout(timeout_s)
+        self.timeout_s = _calls.checked_timeout_s(timeout_s)
         self._closed = AsyncEvent()
         self._channel = AsyncChannel(target(address), self._closed)
         self._streams: weakref.WeakSet[Snapshots] = weakref.WeakSet()
@@ -57,7 +57,7 @@ class Client:
     def within(self, timeout_s: float) -> Client:
         """This client over the same connection with another timeout, such as ``client.within(0.2)``."""
         other = copy.copy(self)
-        other.timeout_s = _calls.timeout(timeout_s)
+        other.timeout_s = _calls.checked_timeout_s(timeout_s)
         return other
 
     async def close(self) -> None:
@@ -289,7 +289,7 @@ class Client:
 
     async def _call(self, call: str, request: Any, timeout_s: float | None = None) -> Any:
         if timeout_s is None:
-            timeout_s = _calls.deadline_s(call, self.timeout_s)
+            timeout_s = _calls.call_timeout_s(call, self.timeout_s)
         try:
             return await self._channel.unary(call, request, timeout_s)
         except grpc.RpcError as error:
