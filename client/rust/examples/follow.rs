@@ -1,4 +1,4 @@
-//! Follows one robot, by its name, the code on its roundel or its id, and prints where it is.
+//! Follows one robot by name, code or id, and prints its position.
 //!
 //! ```sh
 //! cargo run --release -- demo                                       # in one terminal
@@ -13,7 +13,7 @@ use roundel_client::{
 };
 
 const USAGE: &str = "usage: follow ROBOT [SERVER]\n\
-    ROBOT is a configured name, #N for the one with code N, or an id, which lasts until the server is started anew; SERVER is http://127.0.0.1:7670 if left out";
+    ROBOT is a configured name, #N for code N, or an id, which is valid until the server restarts; SERVER defaults to http://127.0.0.1:7670";
 
 #[tokio::main(flavor = "current_thread")]
 async fn main() -> anyhow::Result<()> {
@@ -22,30 +22,33 @@ async fn main() -> anyhow::Result<()> {
     let server = arguments.next().unwrap_or_else(|| "http://127.0.0.1:7670".to_owned());
 
     let client = Client::connect(&server).await?;
-    let wanted = Wanted::of(&robot);
-    tell_who_is_there(&client, &wanted).await?;
-    let mut snapshots = client.snapshots(wanted.subscription().max_rate_hz(10.0));
-    let mut is_there = true;
+    let selector = Selector::parse(&robot);
+    report_if_missing(&client, &selector).await?;
+    let mut snapshots = client.snapshots(selector.subscription().max_rate_hz(10.0));
+    let mut is_tracked = true;
     while let Some(update) = snapshots.next().await {
         match update? {
             Update::Snapshot(snapshot) => {
                 match snapshot.objects.first() {
                     Some(state) => print(state),
-                    None if is_there => println!("{robot} is not there"),
+                    None if is_tracked => println!("{robot} is not tracked"),
                     None => {}
                 }
-                is_there = !snapshot.objects.is_empty();
+                is_tracked = !snapshot.objects.is_empty();
             }
             Update::Disconnected { reason, retry_in, .. } => {
-                eprintln!("lost the server ({reason}); next try in {} ms", retry_in.as_millis());
+                eprintln!(
+                    "connection lost ({reason}); next attempt in {} ms",
+                    retry_in.as_millis()
+                );
             }
             Update::Reconnected { gap, restarted, missed } => {
-                let missed = missed.map_or("started anew".to_owned(), |it| format!("missed {it}"));
-                eprintln!("back after {gap:.1?}, {missed}");
-                // Ids are given anew then, so the same number may be another robot; names and codes stay.
-                if restarted && matches!(wanted, Wanted::Id(_)) {
+                let outcome =
+                    missed.map_or("server restarted".to_owned(), |it| format!("missed {it}"));
+                eprintln!("connected again after {gap:.1?}, {outcome}");
+                if restarted && matches!(selector, Selector::Id(_)) {
                     bail!(
-                        "which robot {robot} was, nobody knows any more; give its name or its code"
+                        "the restarted server assigns new ids, so robot {robot} is unknown; use its name or code"
                     );
                 }
             }
@@ -55,15 +58,14 @@ async fn main() -> anyhow::Result<()> {
     Ok(())
 }
 
-/// Which robot.
-enum Wanted {
+enum Selector {
     Id(u64),
     Name(String),
     Code(u32),
 }
 
-impl Wanted {
-    fn of(robot: &str) -> Self {
+impl Selector {
+    fn parse(robot: &str) -> Self {
         if let Some(number) = robot.strip_prefix('#').and_then(|number| number.parse().ok()) {
             return Self::Code(number);
         }
@@ -78,7 +80,7 @@ impl Wanted {
         }
     }
 
-    fn is(&self, object: &Object) -> bool {
+    fn matches(&self, object: &Object) -> bool {
         match self {
             Self::Id(id) => object.object_id == *id,
             Self::Name(name) => object.name == *name,
@@ -87,16 +89,19 @@ impl Wanted {
     }
 }
 
-/// Says who else there is if this one is not there yet; it is followed as soon as it is.
-async fn tell_who_is_there(client: &Client, wanted: &Wanted) -> anyhow::Result<()> {
+/// Lists the tracked robots if this one is not among them. It is followed as soon as it is tracked.
+async fn report_if_missing(client: &Client, selector: &Selector) -> anyhow::Result<()> {
     let objects = client.objects().await?;
-    if !objects.iter().any(|object| wanted.is(object)) {
-        let called = |object: &Object| match object.code {
+    if !objects.iter().any(|object| selector.matches(object)) {
+        let label = |object: &Object| match object.code {
             _ if !object.name.is_empty() => object.name.clone(),
             Some(code) => format!("#{}", code.number),
             None => object.object_id.to_string(),
         };
-        eprintln!("not seen yet; there are {:?}", objects.iter().map(called).collect::<Vec<_>>());
+        eprintln!(
+            "not tracked yet; tracked are {:?}",
+            objects.iter().map(label).collect::<Vec<_>>()
+        );
     }
     Ok(())
 }
@@ -105,9 +110,9 @@ fn print(state: &ObjectState) {
     let position = state.position.unwrap_or_default();
     let velocity = state.velocity.unwrap_or_default();
     let sigma_mm = position_sigma_m(state).unwrap_or_default().map(|sigma| sigma * 1e3);
-    let seen = if state.stage == LifeStage::Tracked as i32 { "seen" } else { "predicted" };
+    let stage = if state.stage == LifeStage::Tracked as i32 { "seen" } else { "predicted" };
     println!(
-        "{:8.3} {:8.3} {:8.3} m  {:6.2} {:6.2} {:6.2} m/s ({:4.2})  sigma {:4.1} {:4.1} {:4.1} mm  {seen}",
+        "{:8.3} {:8.3} {:8.3} m  {:6.2} {:6.2} {:6.2} m/s ({:4.2})  sigma {:4.1} {:4.1} {:4.1} mm  {stage}",
         position.x,
         position.y,
         position.z,

@@ -1,10 +1,10 @@
-//! Records every robot to a CSV file: a line for each robot of each snapshot.
+//! Records every robot to a CSV file, with one line for each robot of each snapshot.
 //!
 //! ```sh
 //! cargo run --release -p roundel-client --example record -- run.csv 10     # ten seconds; - for standard output
 //! ```
 //!
-//! `source_id` changes when the server is started anew: the same `object_id` is another robot then.
+//! `source_id` changes when the server restarts: the same `object_id` is another robot then.
 
 use std::{
     fs::File,
@@ -22,7 +22,7 @@ use roundel_client::{
 use tokio::{signal::ctrl_c, time::sleep};
 
 const USAGE: &str = "usage: record FILE [SECONDS] [SERVER]\n\
-    FILE is - for standard output; without SECONDS, until it is interrupted; SERVER is http://127.0.0.1:7670 if left out";
+    FILE is - for standard output; without SECONDS, records until interrupted; SERVER defaults to http://127.0.0.1:7670";
 const COLUMNS: &str = "pose_time_ns,source_id,sequence,object_id,name,stage,\
     x_m,y_m,z_m,vx_m_s,vy_m_s,vz_m_s,qx,qy,qz,qw,sx_m,sy_m,sz_m";
 
@@ -45,7 +45,7 @@ async fn main() -> anyhow::Result<()> {
     let mut end = pin!(end(length));
     let mut written = 0_u64;
     loop {
-        // The end comes whether updates do or not.
+        // Ends in time also without updates.
         let update = tokio::select! {
             update = snapshots.next() => update,
             interrupted = &mut end => {
@@ -62,13 +62,16 @@ async fn main() -> anyhow::Result<()> {
                 written += 1;
             }
             Update::Disconnected { reason, retry_in, .. } => {
-                eprintln!("lost the server ({reason}); next try in {} ms", retry_in.as_millis());
+                eprintln!(
+                    "connection lost ({reason}); next attempt in {} ms",
+                    retry_in.as_millis()
+                );
             }
             Update::Reconnected { gap, restarted: true, .. } => {
-                eprintln!("back after {gap:.1?}: the server was started anew, and gives ids anew");
+                eprintln!("connected again after {gap:.1?}, server restarted with new ids");
             }
             Update::Reconnected { gap, missed, .. } => {
-                eprintln!("back after {gap:.1?}, missed {}", missed.unwrap_or_default());
+                eprintln!("connected again after {gap:.1?}, missed {}", missed.unwrap_or_default());
             }
             _ => {}
         }
@@ -82,16 +85,16 @@ fn length(seconds: &str) -> anyhow::Result<Duration> {
     Ok(Duration::try_from_secs_f64(seconds.parse()?)?)
 }
 
-/// After so long, or when somebody interrupts.
+/// Waits for the end of the recording or an interrupt.
 async fn end(length: Option<Duration>) -> io::Result<()> {
-    let over = async {
+    let timer = async {
         match length {
             Some(length) => sleep(length).await,
             None => std::future::pending().await,
         }
     };
     tokio::select! {
-        () = over => Ok(()),
+        () = timer => Ok(()),
         interrupted = ctrl_c() => interrupted,
     }
 }
@@ -105,7 +108,7 @@ fn line(snapshot: &Snapshot, state: &ObjectState) -> String {
         None => ",,".to_owned(),
     };
     let stage = state.stage().as_str_name().trim_start_matches("LIFE_STAGE_").to_lowercase();
-    // Names are the configuration's, also that of the server in its `source_id`, and may hold anything.
+    // Names come from the configuration and may contain any character; `source_id` contains the server's name.
     let [source_id, name] = [&snapshot.source_id, &state.name].map(|text| quoted(text));
     format!(
         "{},{source_id},{},{},{name},{stage},{},{sigma}",

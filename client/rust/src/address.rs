@@ -1,10 +1,10 @@
-//! Where a server is.
+//! Server addresses.
 
 use tonic::transport::Endpoint;
 
 use crate::Error;
 
-/// The address as `http://HOST:PORT`, and an endpoint for it. The scheme may be left out.
+/// The address as `http://HOST:PORT` with its endpoint. The scheme is optional.
 pub(crate) fn endpoint(address: &str) -> Result<(String, Endpoint), Error> {
     let invalid = |reason: &str| Error::InvalidAddress {
         address: address.to_owned(),
@@ -16,9 +16,7 @@ pub(crate) fn endpoint(address: &str) -> Result<(String, Endpoint), Error> {
         None => format!("http://{trimmed}"),
         Some(("http", _)) => trimmed.to_owned(),
         Some(("https", _)) => {
-            return Err(invalid(
-                "this client does not speak TLS; the server's port does not either",
-            ));
+            return Err(invalid("neither this client nor the server supports TLS"));
         }
         Some((scheme, _)) => return Err(invalid(&format!("{scheme}:// is not http://"))),
     };
@@ -26,7 +24,7 @@ pub(crate) fn endpoint(address: &str) -> Result<(String, Endpoint), Error> {
         Endpoint::from_shared(full.clone()).map_err(|error| invalid(&error.to_string()))?;
     match endpoint.uri().path() {
         "" | "/" => {}
-        path => return Err(invalid(&format!("{path} stands after the port"))),
+        path => return Err(invalid(&format!("unexpected {path} after the port"))),
     }
     if endpoint.uri().port().is_none() {
         return Err(invalid("the port is missing"));
@@ -39,7 +37,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn addresses_are_read_with_and_without_a_scheme() {
+    fn the_scheme_of_an_address_is_optional() {
         for address in ["127.0.0.1:7670", "http://127.0.0.1:7670", "http://127.0.0.1:7670/"] {
             assert_eq!(endpoint(address).unwrap().0, "http://127.0.0.1:7670");
         }
@@ -47,17 +45,17 @@ mod tests {
     }
 
     #[test]
-    fn wrong_addresses_say_why() {
-        for (address, why) in [
+    fn invalid_addresses_give_the_reason() {
+        for (address, reason) in [
             ("", "it is empty"),
             ("127.0.0.1", "the port is missing"),
             ("https://arena:7670", "TLS"),
             ("ws://arena:7670", "ws:// is not http://"),
-            ("http://arena:7670/api/v1", "/api/v1 stands after the port"),
+            ("http://arena:7670/api/v1", "unexpected /api/v1 after the port"),
             ("http://are na:7670", "invalid"),
         ] {
             let error = endpoint(address).unwrap_err().to_string();
-            assert!(error.contains(why) && error.contains("http://HOST:PORT"), "{error}");
+            assert!(error.contains(reason) && error.contains("http://HOST:PORT"), "{error}");
         }
     }
 }

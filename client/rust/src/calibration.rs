@@ -1,56 +1,51 @@
-//! Calibration of the arena, from afar.
+//! Calls that calibrate the arena.
 
 use crate::{Client, Error, Messages, v1};
 
 impl Client {
-    /// Begins to calibrate the arena: the server records for a while, during which robots should drive about,
-    /// then finds where its cameras stand. [`Client::watch_calibration`] follows it.
+    /// Starts a calibration of the arena. The server records for a while, during which robots should drive around,
+    /// and then estimates the camera poses. [`Client::watch_calibration`] reports the progress.
     ///
     /// # Errors
-    /// [`Error::Refused`] for a wrong length, while another one runs, or without reference roundels; and those
-    /// of the connection.
+    /// [`Error::Refused`] for an invalid duration, while another calibration runs, or without reference roundels; and
+    /// connection errors.
     pub async fn start_calibration(
         &self,
         request: v1::StartCalibrationRequest,
     ) -> Result<v1::Calibration, Error> {
-        let answer = self.service().start_calibration(request).await;
-        answer.map(tonic::Response::into_inner).map_err(|status| self.error(&status))
+        self.response(self.service().start_calibration(request).await)
     }
 
-    /// The newest calibration: how far it is, and what came out.
+    /// The newest calibration with its progress and result.
     ///
     /// # Errors
-    /// Of the connection.
+    /// Connection errors.
     pub async fn calibration(&self) -> Result<v1::Calibration, Error> {
-        let answer = self.service().get_calibration(v1::GetCalibrationRequest {}).await;
-        answer.map(tonic::Response::into_inner).map_err(|status| self.error(&status))
+        self.response(self.service().get_calibration(v1::GetCalibrationRequest {}).await)
     }
 
-    /// The newest calibration, and each change of it. The stream ends with an error when the connection is
-    /// lost.
+    /// The newest calibration and each change of it. The stream ends with an error when the connection is lost.
     ///
     /// # Errors
-    /// Of the connection.
+    /// Connection errors.
     pub async fn watch_calibration(&self) -> Result<Messages<v1::Calibration>, Error> {
         let answer = self.streams().watch_calibration(v1::WatchCalibrationRequest {}).await;
         Ok(self.messages(answer.map_err(|status| self.error(&status))?.into_inner()))
     }
 
-    /// Ends the calibration that is running, without a result.
+    /// Ends the running calibration without a result.
     ///
     /// # Errors
-    /// [`Error::Refused`] if none is, and those of the connection.
+    /// [`Error::Refused`] if none is running, and connection errors.
     pub async fn cancel_calibration(&self) -> Result<v1::Calibration, Error> {
-        let answer = self.service().cancel_calibration(v1::CancelCalibrationRequest {}).await;
-        answer.map(tonic::Response::into_inner).map_err(|status| self.error(&status))
+        self.response(self.service().cancel_calibration(v1::CancelCalibrationRequest {}).await)
     }
 
-    /// Has the cameras take over what the newest calibration found.
+    /// Applies the result of the newest calibration to the cameras.
     ///
     /// # Errors
-    /// [`Error::Refused`] if it found nothing, and those of the connection.
+    /// [`Error::Refused`] without a result, and connection errors.
     pub async fn apply_calibration(&self) -> Result<v1::Calibration, Error> {
-        let answer = self.service().apply_calibration(v1::ApplyCalibrationRequest {}).await;
-        answer.map(tonic::Response::into_inner).map_err(|status| self.error(&status))
+        self.response(self.service().apply_calibration(v1::ApplyCalibrationRequest {}).await)
     }
 }

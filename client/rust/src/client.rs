@@ -8,72 +8,70 @@ use std::{
 
 use futures::{Stream, StreamExt};
 use tonic::{
-    Code, Status, Streaming,
+    Code, Response, Status, Streaming,
     transport::{Channel, Endpoint},
 };
 
 use crate::{
     Error, Snapshots, Subscription, address,
     deadline::{Deadline, Service},
-    error::chain,
+    error::error_chain,
     v1::{self, roundel_client::RoundelClient},
 };
 
 const CONNECT_TIMEOUT: Duration = Duration::from_secs(5);
-/// A server that is silent for so long is asked whether it lives, and has as long to answer.
+/// Interval of keep-alive pings to a silent server, and the time that it has to answer.
 const KEEP_ALIVE: Duration = Duration::from_secs(5);
-/// What may be under way to a client that does not read: some snapshots, and not seconds of them,
-/// so that it finds the newest when it comes back.
+/// Flow-control window: limits the old snapshots that are buffered for a slow reader.
 const STREAM_WINDOW_BYTES: u32 = 256 * 1024;
-/// The same for all streams of a connection.
 const CONNECTION_WINDOW_BYTES: u32 = 1024 * 1024;
-/// Largest message; a snapshot of 10,000 objects with covariances takes 5 MB.
+/// Limit for one message. A snapshot of 10,000 objects with covariances takes 5 MB.
 const MAX_MESSAGE_BYTES: usize = 64 * 1024 * 1024;
 
-/// A connection to a Roundel server. Clones share it; it comes back by itself.
+/// A connection to a Roundel server, restored automatically when it is lost. Clones share it.
 #[derive(Clone, Debug)]
 pub struct Client {
     address: String,
     channel: Channel,
-    /// As it was told; `None`: as is usual for each call.
+    /// `None` stands for the default of each call.
     timeout: Option<Duration>,
 }
 
 impl Client {
-    /// Connects to `http://HOST:PORT`, and makes sure that a Roundel server is there.
+    /// Connects to `http://HOST:PORT` and checks that a Roundel server answers.
     ///
     /// # Errors
     /// [`Error::InvalidAddress`], [`Error::Unreachable`], [`Error::NotRoundel`], [`Error::TimedOut`], or
-    /// [`Error::Server`] when it has no room.
+    /// [`Error::Server`] if it serves its maximum number of clients.
     pub async fn connect(address: &str) -> Result<Self, Error> {
         let (address, endpoint) = address::endpoint(address)?;
-        let endpoint = configured(endpoint);
+        let endpoint = configure(endpoint);
         let channel = endpoint.connect().await.map_err(|error| Error::Unreachable {
             address: address.clone(),
-            reason: chain(&error),
+            reason: error_chain(&error),
         })?;
-        let client = Self::over(channel, address);
-        client.greet().await?;
+        let client = Self::new(channel, address);
+        client.verify_server().await?;
         Ok(client)
     }
 
-    /// A client whose server may come up later: nothing is asked of it before the first call.
+    /// A client that connects on the first call, so its server may come up later.
     ///
     /// # Errors
     /// [`Error::InvalidAddress`].
     pub fn connect_lazily(address: &str) -> Result<Self, Error> {
         let (address, endpoint) = address::endpoint(address)?;
-        Ok(Self::over(configured(endpoint).connect_lazy(), address))
+        Ok(Self::new(configure(endpoint).connect_lazy(), address))
     }
 
-    fn over(channel: Channel, address: String) -> Self {
+    fn new(channel: Channel, address: String) -> Self {
         Self { address, channel, timeout: None }
     }
 
-    /// The same connection, on which all calls with one answer wait so long for it, and then end with
-    /// [`Error::TimedOut`]. The server gives up at the same time. Streams go on for as long as they like.
+    /// The same connection with another timeout for unary calls, after which they end with [`Error::TimedOut`], also on the
+    /// server. Streams have no timeout.
     ///
-    /// If nobody says otherwise it is 15 s, and 60 s where the server opens, writes or searches something:
+    /// The default is 15 s, and 60 s where the server opens, writes or searches something:
     /// [`test_source`](Self::test_source), [`add_camera`](Self::add_camera), [`change_camera`](Self::change_camera),
     /// [`remove_camera`](Self::remove_camera), [`apply_configuration`](Self::apply_configuration),
     /// [`stop_recording`](Self::stop_recording), [`history`](Self::history).
@@ -82,8 +80,8 @@ impl Client {
         self
     }
 
-    /// Asks for the server's name, to tell a wrong port from a server with a bad day.
-    async fn greet(&self) -> Result<(), Error> {
+    /// Requests the server's name, to distinguish a wrong port from a server that cannot answer now.
+    async fn verify_server(&self) -> Result<(), Error> {
         let Err(status) = self.service().get_server_info(v1::GetServerInfoRequest {}).await else {
             return Ok(());
         };
@@ -91,8 +89,8 @@ impl Client {
             matches!(status.code(), Code::Unimplemented | Code::Unknown | Code::Internal)
                 || (status.code() == Code::Unavailable
                     && std::error::Error::source(&status).is_none());
-        if is_foreign || speaks_no_http2(&status) {
-            let reason = chain(&status);
+        if is_foreign || is_not_http2(&status) {
+            let reason = error_chain(&status);
             return Err(Error::NotRoundel { address: self.address.clone(), reason });
         }
         Err(self.error(&status))
@@ -103,7 +101,7 @@ impl Client {
         &self.address
     }
 
-    /// Snapshots from the newest one on, through losses of the connection.
+    /// Snapshots from the newest one on. Reconnects automatically.
     pub fn snapshots(&self, subscription: Subscription) -> Snapshots {
         Snapshots::new(self.clone(), subscription)
     }
@@ -116,53 +114,49 @@ impl Client {
         self.snapshot_of(Subscription::default()).await
     }
 
-    /// What the newest snapshot holds of what is wanted, once; a rate means nothing here.
+    /// The newest snapshot with the filters of a subscription, once. Ignores its rate.
     ///
     /// # Errors
-    /// [`Error::Server`] before the first one, and [`Error::Refused`] with the field that is wrong.
+    /// [`Error::Server`] before the first one, and [`Error::Refused`] with the invalid field.
     pub async fn snapshot_of(&self, subscription: Subscription) -> Result<v1::Snapshot, Error> {
-        let answer = self.service().get_snapshot(subscription.into_single_request()).await;
-        answer.map(tonic::Response::into_inner).map_err(|status| self.error(&status))
+        self.response(self.service().get_snapshot(subscription.into_single_request()).await)
     }
 
-    /// Every object of now and of the last minute, by id.
+    /// Every current object and those of the last minute, by id.
     ///
     /// # Errors
-    /// Of the connection.
+    /// Connection errors.
     pub async fn objects(&self) -> Result<Vec<v1::Object>, Error> {
         let answer = self.service().list_objects(v1::ListObjectsRequest {}).await;
         answer.map(|list| list.into_inner().objects).map_err(|status| self.error(&status))
     }
 
-    /// Every camera, in the order of the server's configuration, as it is now: how it does, where it is
-    /// (`pose`, with `pose_status` and `pose_reason` while that is not known), and what is known of its
-    /// clock (`clock`: how late its stamps are in milliseconds, by how much more each second in parts per
-    /// million, and the deviation of that). [`crate::camera_pose_at`] follows one that rides on an object.
+    /// Every camera, in the order of the configuration: its state, its `pose` (or `pose_status` and `pose_reason` while it
+    /// is unknown), and the offset, skew and deviation of its `clock`. [`crate::camera_pose_at`] gives the pose of a
+    /// camera that is mounted on an object.
     ///
     /// # Errors
-    /// Of the connection.
+    /// Connection errors.
     pub async fn cameras(&self) -> Result<Vec<v1::Camera>, Error> {
         let answer = self.service().list_cameras(v1::ListCamerasRequest {}).await;
         answer.map(|list| list.into_inner().cameras).map_err(|status| self.error(&status))
     }
 
-    /// What a camera sees, as a JPEG file with what was found drawn in; waits up to a second for a new frame.
+    /// A camera's picture as a JPEG file with the detections drawn in. Waits up to a second for a new frame.
     ///
     /// # Errors
-    /// [`Error::Refused`] for a camera that does not exist, [`Error::Server`] for one that gave no frame, and those of the
-    /// connection.
+    /// [`Error::Refused`] if the camera does not exist, [`Error::Server`] without a frame, and connection errors.
     pub async fn picture(&self, camera: &str) -> Result<v1::CameraPicture, Error> {
         let request = v1::GetPictureRequest { camera: camera.to_owned() };
-        let answer = self.service().get_picture(request).await;
-        answer.map(tonic::Response::into_inner).map_err(|status| self.error(&status))
+        self.response(self.service().get_picture(request).await)
     }
 
-    /// Has the server open a source for about two seconds and say what it gives; `error` in the answer says why one
-    /// fails. No size: as its pictures come.
+    /// Has the server open a source for about two seconds and report the frames it gives, or the `error`. Without a size,
+    /// frames keep their own.
     ///
     /// # Errors
-    /// [`Error::Refused`] for an address that is none, while another one is tried, or by a server that tries none for
-    /// its clients; and those of the connection.
+    /// [`Error::Refused`] for an invalid address, during another test, or if the server does not let clients test sources;
+    /// and connection errors.
     pub async fn test_source(
         &self,
         source: &str,
@@ -170,39 +164,35 @@ impl Client {
     ) -> Result<v1::SourceTest, Error> {
         let [width, height] = size.unwrap_or_default();
         let request = v1::TestSourceRequest { source: source.to_owned(), width, height };
-        let answer = self.long_service().test_source(request).await;
-        answer.map(tonic::Response::into_inner).map_err(|status| self.error(&status))
+        self.response(self.long_service().test_source(request).await)
     }
 
-    /// What the server says of itself.
+    /// Name, version and state of the server.
     ///
     /// # Errors
-    /// Of the connection.
+    /// Connection errors.
     pub async fn info(&self) -> Result<v1::ServerInfo, Error> {
-        let answer = self.service().get_server_info(v1::GetServerInfoRequest {}).await;
-        answer.map(tonic::Response::into_inner).map_err(|status| self.error(&status))
+        self.response(self.service().get_server_info(v1::GetServerInfoRequest {}).await)
     }
 
-    /// Events from now on, after the newest `backlog` remembered ones (up to 1000). The stream ends
-    /// with an error when the connection is lost; a gap in `sequence` is what was missed.
+    /// The newest `backlog` remembered events (up to 1000), then every new one. The stream ends with an error when the
+    /// connection is lost. A gap in `sequence` means missed events.
     ///
-    /// [`v1::EventKind`] lists what can happen to objects, cameras, the configuration, calibrations and recordings;
-    /// `message` says it in a sentence. A newer server may send kinds that this client does not know: `kind()` is
-    /// `Unspecified` then.
+    /// [`v1::EventKind`] lists the kinds of events; `message` describes one in a sentence. Kinds that a newer server has
+    /// added appear as `Unspecified`.
     ///
     /// # Errors
-    /// [`Error::Refused`] for too long a backlog, and those of the connection.
+    /// [`Error::Refused`] if the backlog is too long, and connection errors.
     pub async fn events(&self, backlog: u32) -> Result<Messages<v1::Event>, Error> {
         let request = v1::SubscribeEventsRequest { backlog };
         let answer = self.streams().subscribe_events(request).await;
         Ok(self.messages(answer.map_err(|status| self.error(&status))?.into_inner()))
     }
 
-    /// What the cameras of these names see, frame by frame from now on; no names: all cameras. The
-    /// stream ends with an error when the connection is lost.
+    /// Observations of these cameras, or of all, frame by frame. The stream ends with an error when the connection is lost.
     ///
     /// # Errors
-    /// [`Error::Refused`] for a camera that does not exist, and those of the connection.
+    /// [`Error::Refused`] if a camera does not exist, and connection errors.
     pub async fn observations(
         &self,
         cameras: &[&str],
@@ -213,11 +203,10 @@ impl Client {
         Ok(self.messages(answer.map_err(|status| self.error(&status))?.into_inner()))
     }
 
-    /// What the cameras of these names saw in their newest frames, once; no names: all cameras. A camera that has given
-    /// no frame yet is not among them.
+    /// Observations in the newest frames of these cameras, or of all, once. Omits cameras without a frame.
     ///
     /// # Errors
-    /// As of [`Client::observations`].
+    /// As for [`Client::observations`].
     pub async fn newest_observations(
         &self,
         cameras: &[&str],
@@ -231,28 +220,31 @@ impl Client {
         &self,
         request: v1::SubscribeSnapshotsRequest,
     ) -> Result<Streaming<v1::Snapshot>, Error> {
-        let answer = self.streams().subscribe_snapshots(request).await;
-        answer.map(tonic::Response::into_inner).map_err(|status| self.error(&status))
+        self.response(self.streams().subscribe_snapshots(request).await)
     }
 
-    /// For one call with one answer: a handle on the connection.
+    /// The stub for a unary call.
     pub(crate) fn service(&self) -> Service {
-        self.handle(Deadline::usual(self.timeout))
+        self.stub(Deadline::unary(self.timeout))
     }
 
-    /// The same for a call for which the server opens, writes or searches something.
+    /// The stub for a unary call for which the server opens, writes or searches something.
     pub(crate) fn long_service(&self) -> Service {
-        self.handle(Deadline::long(self.timeout))
+        self.stub(Deadline::long_unary(self.timeout))
     }
 
-    /// For one call with a stream of answers.
+    /// The stub for a streaming call.
     pub(crate) fn streams(&self) -> Service {
-        self.handle(Deadline::NEVER)
+        self.stub(Deadline::NONE)
     }
 
-    fn handle(&self, deadline: Deadline) -> Service {
+    fn stub(&self, deadline: Deadline) -> Service {
         let service = RoundelClient::with_interceptor(self.channel.clone(), deadline);
         service.max_decoding_message_size(MAX_MESSAGE_BYTES)
+    }
+
+    pub(crate) fn response<T>(&self, result: Result<Response<T>, Status>) -> Result<T, Error> {
+        result.map(Response::into_inner).map_err(|status| self.error(&status))
     }
 
     pub(crate) fn error(&self, status: &Status) -> Error {
@@ -264,7 +256,7 @@ impl Client {
     }
 }
 
-/// Messages of one call; the end of the connection is the end of the stream.
+/// The messages of one streaming call. Ends with an error when the connection is lost.
 #[derive(Debug)]
 pub struct Messages<T> {
     address: String,
@@ -280,7 +272,7 @@ impl<T> Stream for Messages<T> {
     }
 }
 
-fn configured(endpoint: Endpoint) -> Endpoint {
+fn configure(endpoint: Endpoint) -> Endpoint {
     endpoint
         .connect_timeout(CONNECT_TIMEOUT)
         .tcp_nodelay(true)
@@ -291,8 +283,8 @@ fn configured(endpoint: Endpoint) -> Endpoint {
         .initial_connection_window_size(CONNECTION_WINDOW_BYTES)
 }
 
-/// A server of something else hangs up on HTTP/2's greeting or answers it with other bytes.
-fn speaks_no_http2(status: &Status) -> bool {
-    let said = chain(status);
-    said.contains("http2 error") || said.contains("frame with invalid size")
+/// Another kind of server closes the connection at the HTTP/2 preface, or sends other bytes.
+fn is_not_http2(status: &Status) -> bool {
+    let text = error_chain(status);
+    text.contains("http2 error") || text.contains("frame with invalid size")
 }

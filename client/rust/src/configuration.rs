@@ -1,33 +1,31 @@
-//! The configuration as a whole, from afar.
+//! Calls for the whole configuration.
 
 use crate::{Client, Error, v1};
 
 impl Client {
-    /// The configuration in force, as text and as message.
+    /// The current configuration, as text and as message.
     ///
     /// # Errors
-    /// [`Error::Refused`] by a server that lets no client change what is configured; and those of the connection.
+    /// [`Error::Refused`] if the server does not let clients change its configuration, and connection errors.
     pub async fn configuration(&self) -> Result<v1::Configuration, Error> {
-        let answer = self.service().get_configuration(v1::GetConfigurationRequest {}).await;
-        answer.map(tonic::Response::into_inner).map_err(|status| self.error(&status))
+        self.response(self.service().get_configuration(v1::GetConfigurationRequest {}).await)
     }
 
-    /// What is wrong with a configuration, or what applying it would change. Nothing is changed.
+    /// The errors of a configuration, or what applying it would change. Changes nothing.
     ///
     /// # Errors
-    /// As of [`Client::configuration`].
+    /// As for [`Client::configuration`].
     pub async fn check_configuration(&self, toml: &str) -> Result<v1::ConfigurationCheck, Error> {
         let request = v1::CheckConfigurationRequest { toml: toml.to_owned() };
-        let answer = self.service().check_configuration(request).await;
-        answer.map(tonic::Response::into_inner).map_err(|status| self.error(&status))
+        self.response(self.service().check_configuration(request).await)
     }
 
-    /// Puts a configuration in the place of the one in force, if that has this version still (empty: any), while
-    /// everything that is the same in both goes on.
+    /// Replaces the current configuration if it still has this version (empty: any). Everything that both have in common
+    /// keeps running.
     ///
     /// # Errors
-    /// [`Error::Refused`] says what is wrong with it, or what takes a start of the server; [`Error::Conflict`] that the
-    /// one in force has another version by now. Nothing is changed then. And those of the connection.
+    /// [`Error::Refused`] if it is invalid or requires a restart of the server, [`Error::Conflict`] if the current one has
+    /// another version by now, and connection errors. On an error nothing is changed.
     pub async fn apply_configuration(
         &self,
         toml: &str,
@@ -35,7 +33,6 @@ impl Client {
     ) -> Result<v1::AppliedConfiguration, Error> {
         let (toml, version) = (toml.to_owned(), version.to_owned());
         let request = v1::ApplyConfigurationRequest { toml, version };
-        let answer = self.long_service().apply_configuration(request).await;
-        answer.map(tonic::Response::into_inner).map_err(|status| self.error(&status))
+        self.response(self.long_service().apply_configuration(request).await)
     }
 }

@@ -1,5 +1,5 @@
-//! How long a call's answer is waited for: said to the server (`grpc-timeout`), and kept to by the connection itself, since
-//! a server that hangs says nothing.
+//! Deadlines of calls. tonic sends them to the server (`grpc-timeout`) and also enforces them on this side, in case the
+//! server hangs.
 
 use std::time::Duration;
 
@@ -11,30 +11,29 @@ use tonic::{
 
 use crate::v1::roundel_client::RoundelClient;
 
-/// A handle on a connection, for one call.
+/// The stub for one call.
 pub(crate) type Service = RoundelClient<InterceptedService<Channel, Deadline>>;
 
-/// How long an answer is waited for if nobody says otherwise: the slowest of these calls, a picture, takes some seconds.
-const USUAL: Duration = Duration::from_secs(15);
-/// The same of calls for which the server opens, writes or searches something.
+/// Default for most calls. The slowest of them, a picture, takes some seconds.
+const DEFAULT: Duration = Duration::from_secs(15);
+/// Default for calls for which the server opens, writes or searches something.
 const LONG: Duration = Duration::from_secs(60);
 
-/// For so long; `None`: for ever.
+/// The timeout of a call; `None` for streams.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) struct Deadline(Option<Duration>);
 
 impl Deadline {
-    /// Of a stream.
-    pub(crate) const NEVER: Self = Self(None);
+    pub(crate) const NONE: Self = Self(None);
 
-    /// Of a call with one answer; `told` is how long its client was told to wait, whatever it asks for.
-    pub(crate) fn usual(told: Option<Duration>) -> Self {
-        Self(Some(told.unwrap_or(USUAL)))
+    /// Deadline of a unary call; `timeout` is that of the client.
+    pub(crate) fn unary(timeout: Option<Duration>) -> Self {
+        Self(Some(timeout.unwrap_or(DEFAULT)))
     }
 
-    /// Likewise of one for which the server opens, writes or searches something.
-    pub(crate) fn long(told: Option<Duration>) -> Self {
-        Self(Some(told.unwrap_or(LONG)))
+    /// Deadline of a unary call for which the server opens, writes or searches something.
+    pub(crate) fn long_unary(timeout: Option<Duration>) -> Self {
+        Self(Some(timeout.unwrap_or(LONG)))
     }
 }
 
@@ -52,12 +51,12 @@ mod tests {
     use super::*;
 
     #[test]
-    fn what_a_client_was_told_counts_for_every_call() {
-        assert_eq!(Deadline::usual(None), Deadline(Some(Duration::from_secs(15))));
-        assert_eq!(Deadline::long(None), Deadline(Some(Duration::from_secs(60))));
-        for told in [Duration::from_millis(200), Duration::from_secs(300)] {
-            for deadline in [Deadline::usual(Some(told)), Deadline::long(Some(told))] {
-                assert_eq!(deadline, Deadline(Some(told)));
+    fn the_timeout_of_the_client_applies_to_every_call() {
+        assert_eq!(Deadline::unary(None), Deadline(Some(Duration::from_secs(15))));
+        assert_eq!(Deadline::long_unary(None), Deadline(Some(Duration::from_secs(60))));
+        for timeout in [Duration::from_millis(200), Duration::from_secs(300)] {
+            for deadline in [Deadline::unary(Some(timeout)), Deadline::long_unary(Some(timeout))] {
+                assert_eq!(deadline, Deadline(Some(timeout)));
             }
         }
     }

@@ -1,4 +1,4 @@
-//! What can go wrong, said so that a reader knows what to do.
+//! Errors of calls and streams.
 
 use std::time::Duration;
 
@@ -11,81 +11,81 @@ use crate::Link;
 #[derive(Clone, Debug, PartialEq, thiserror::Error)]
 #[non_exhaustive]
 pub enum Error {
-    /// The address cannot be one.
+    /// The address is malformed.
     #[error(
-        "{address:?} is no server's address: {reason}; expected http://HOST:PORT, such as http://127.0.0.1:7670"
+        "{address:?} is not a server address: {reason}; expected http://HOST:PORT, such as http://127.0.0.1:7670"
     )]
     InvalidAddress {
-        /// As it was given.
+        /// The address as given.
         address: String,
-        /// What is wrong with it.
+        /// The cause.
         reason: String,
     },
-    /// Nobody answers there, or no longer.
+    /// The server does not answer.
     #[error(
-        "no answer from {address}: {reason}; check the address, and that the server runs (`roundel serve` or `roundel demo` print theirs)"
+        "no answer from {address}: {reason}; check the address and that the server is running (`roundel serve` and `roundel demo` print it)"
     )]
     Unreachable {
-        /// As it was given.
+        /// The address as given.
         address: String,
-        /// What the network said.
+        /// The error of the network.
         reason: String,
     },
-    /// Somebody answers there, but not a Roundel server.
-    #[error("{address} answers, but is no Roundel server: {reason}")]
+    /// The address answers, but not as a Roundel server.
+    #[error("{address} answers, but is not a Roundel server: {reason}")]
     NotRoundel {
-        /// As it was given.
+        /// The address as given.
         address: String,
-        /// What it said.
+        /// Its response.
         reason: String,
     },
-    /// The server refuses the request as it is; asking again will not help.
-    #[error("the server refuses the request: {message}")]
+    /// The server rejected the request; a retry will not help.
+    #[error("the server rejected the request: {message}")]
     Refused {
-        /// gRPC's word for it: `InvalidArgument`, `NotFound`, `OutOfRange`, `FailedPrecondition` or `PermissionDenied`.
+        /// `InvalidArgument`, `NotFound`, `OutOfRange`, `FailedPrecondition` or `PermissionDenied`.
         code: Code,
-        /// The field that is wrong, as the messages call it, if it is one.
+        /// The invalid field, as named in the `.proto` files; `None` for other causes.
         field: Option<String>,
-        /// Names the field or thing, what was expected, and what was found.
+        /// The field or resource, with the expected and the found value.
         message: String,
     },
-    /// Somebody else was first: what the request builds on has changed since it was read. Read it again.
-    #[error("somebody else was first: {message}")]
+    /// Another client made a change after this one read the state that the request is based on. Read it again.
+    #[error("conflict with another change: {message}")]
     Conflict {
-        /// What has changed.
+        /// The change.
         message: String,
     },
-    /// No answer came within the time that [`crate::Client::with_timeout`] tells. Whether the server has done what it was asked is
-    /// not known.
+    /// No response arrived within the timeout (see [`crate::Client::with_timeout`]). The server may or may not have executed
+    /// the call.
     #[error("no answer from {address} in time: {message}")]
     TimedOut {
-        /// As it was given.
+        /// The address as given.
         address: String,
-        /// Who gave up, and when.
+        /// The side that gave up, and its timeout.
         message: String,
     },
-    /// No snapshot is as new as was asked for: who steers by them had better stop.
-    #[error("no snapshot within the last {longest:?}: {}; {link}", told(.age))]
+    /// No snapshot is recent enough. A control loop should stop.
+    #[error("no snapshot within the last {longest:?}: {}; {link}", describe_age(.age))]
     Stale {
-        /// How old it might have been.
+        /// The maximum age.
         longest: Duration,
-        /// How long ago the newest one came; `None` before the first.
+        /// Time since the newest snapshot arrived; `None` before the first.
         age: Option<Duration>,
-        /// What became of the connection.
+        /// State of the connection.
         link: Box<Link>,
     },
-    /// The server cannot answer now; a later try may succeed.
+    /// The server cannot answer now; a later retry may succeed.
     #[error("the server cannot answer now ({code:?}): {message}")]
     Server {
-        /// gRPC's word for it.
+        /// Status code of gRPC.
         code: Code,
-        /// What the server said.
+        /// Message of the server.
         message: String,
     },
 }
 
 impl Error {
-    /// Whether asking again later can help.
+    /// Whether a later retry can succeed.
     pub fn is_temporary(&self) -> bool {
         match self {
             Self::Unreachable { .. } | Self::TimedOut { .. } => true,
@@ -95,15 +95,15 @@ impl Error {
         }
     }
 
-    /// What a failed call to `address` means.
+    /// Converts the status of a failed call.
     pub(crate) fn from_status(address: &str, status: &Status) -> Self {
         let message = status.message().to_owned();
         if status.code() == Code::DeadlineExceeded || has_expired(status) {
             return Self::TimedOut { address: address.to_owned(), message };
         }
-        // A status that came with an error of the transport was never sent by a server.
+        // A status with a source comes from the transport and not from a server.
         if std::error::Error::source(status).is_some() {
-            return Self::Unreachable { address: address.to_owned(), reason: chain(status) };
+            return Self::Unreachable { address: address.to_owned(), reason: error_chain(status) };
         }
         match status.code() {
             Code::InvalidArgument
@@ -111,29 +111,29 @@ impl Error {
             | Code::OutOfRange
             | Code::FailedPrecondition
             | Code::PermissionDenied => {
-                Self::Refused { code: status.code(), field: wrong_field(status), message }
+                Self::Refused { code: status.code(), field: invalid_field(status), message }
             }
             Code::Aborted => Self::Conflict { message },
             Code::Unimplemented => Self::NotRoundel {
                 address: address.to_owned(),
-                reason: format!("it does not know this call ({message})"),
+                reason: format!("it does not support this call ({message})"),
             },
             code => Self::Server { code, message },
         }
     }
 }
 
-fn told(age: &Option<Duration>) -> String {
-    age.map_or("none has come yet".to_owned(), |age| format!("the newest came {age:.1?} ago"))
+fn describe_age(age: &Option<Duration>) -> String {
+    age.map_or("none has arrived yet".to_owned(), |age| format!("the newest arrived {age:.1?} ago"))
 }
 
-/// The field that the server's details name.
-fn wrong_field(status: &Status) -> Option<String> {
+/// The invalid field according to the details of the status.
+fn invalid_field(status: &Status) -> Option<String> {
     let mut violations = status.get_details_bad_request()?.field_violations;
     (!violations.is_empty()).then(|| violations.swap_remove(0).field)
 }
 
-/// Whether this side of the connection gave up waiting.
+/// Whether the timeout of this side expired.
 fn has_expired(status: &Status) -> bool {
     let mut next = std::error::Error::source(status);
     while let Some(error) = next {
@@ -145,19 +145,19 @@ fn has_expired(status: &Status) -> bool {
     false
 }
 
-/// An error with all its causes, each said once.
-pub(crate) fn chain(error: &(dyn std::error::Error + 'static)) -> String {
+/// An error with its chain of causes, without repetitions.
+pub(crate) fn error_chain(error: &(dyn std::error::Error + 'static)) -> String {
     let mut text = String::new();
     let mut next = Some(error);
     while let Some(error) = next {
-        // tonic's statuses and errors print as debug records; their causes say what happened.
-        let said = match error.downcast_ref::<Status>() {
+        // tonic's statuses print as debug records, so use their message.
+        let message = match error.downcast_ref::<Status>() {
             Some(status) => status.message().to_owned(),
             None => error.to_string(),
         };
-        if !text.contains(&said) {
+        if !text.contains(&message) {
             let separator = if text.is_empty() { "" } else { ": " };
-            text = format!("{text}{separator}{said}");
+            text = format!("{text}{separator}{message}");
         }
         next = error.source();
     }
@@ -171,7 +171,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn what_is_refused_says_which_field_is_wrong() {
+    fn a_refusal_names_the_invalid_field() {
         let details = ErrorDetails::with_bad_request_violation("horizon_ms", "expected less");
         let status =
             Status::with_error_details(Code::InvalidArgument, "horizon_ms: expected less", details);
@@ -186,7 +186,7 @@ mod tests {
     }
 
     #[test]
-    fn who_waited_in_vain_may_ask_again() {
+    fn a_timeout_is_temporary() {
         let error = Error::from_status("http://a", &Status::deadline_exceeded("after 1s"));
         assert!(matches!(&error, Error::TimedOut { message, .. } if message == "after 1s"));
         assert!(error.is_temporary());
@@ -196,12 +196,12 @@ mod tests {
     }
 
     #[test]
-    fn who_was_second_is_told_to_read_again_and_not_to_try_again() {
+    fn an_aborted_call_is_a_conflict_and_not_temporary() {
         let status = Status::aborted("the camera has changed");
         let error = Error::from_status("http://a", &status);
         assert_eq!(error, Error::Conflict { message: "the camera has changed".to_owned() });
         assert!(!error.is_temporary());
-        let error = Error::from_status("http://a", &Status::unavailable("no room"));
+        let error = Error::from_status("http://a", &Status::unavailable("too many clients"));
         assert!(error.is_temporary());
     }
 }

@@ -1,4 +1,4 @@
-//! The newest snapshot at any time, for loops that run at a rate of their own.
+//! The newest snapshot at any time, for loops that run at their own rate.
 
 use std::{
     fmt,
@@ -14,11 +14,10 @@ use tokio::{sync::watch, task::JoinHandle, time::Instant};
 
 use crate::{Client, Error, Snapshots, Subscription, Update, v1};
 
-/// The newest snapshot. A task reads all the time, through losses of the connection; whoever asks gets the newest, and
-/// nothing is queued. Ends when dropped.
+/// The newest snapshot, read by a background task that reconnects automatically. Nothing is queued. Dropping it ends the task.
 ///
-/// While there is no connection the newest snapshot stays where it is and grows old: who steers by it asks for one that is
-/// [`recent`](Self::recent), and stops without one.
+/// While there is no connection the newest snapshot stays and grows old. A control loop uses [`recent`](Self::recent), and
+/// stops on its error.
 #[derive(Debug)]
 pub struct Latest {
     newest: watch::Receiver<Option<Result<Received, Error>>>,
@@ -27,45 +26,45 @@ pub struct Latest {
     reader: JoinHandle<()>,
 }
 
-/// How the connection of a [`Latest`] is, at one instant.
+/// State of the connection of a [`Latest`] at one instant.
 #[derive(Clone, Debug, Default, PartialEq)]
 #[non_exhaustive]
 pub struct Link {
-    /// Whether snapshots come.
+    /// Whether snapshots arrive.
     pub state: LinkState,
-    /// Why the last connection or try ended, also after it has healed; `None` before any did.
+    /// Why the last connection or attempt ended, also after recovery; `None` before any.
     pub reason: Option<String>,
-    /// That have failed since the loss, or since the begin; 0 just after a loss, and while there is a connection.
+    /// Failed attempts since the loss or since the start; 0 right after a loss and while connected.
     pub tries: u32,
-    /// Of connections that had brought snapshots.
+    /// Lost connections that had delivered snapshots.
     pub losses: u64,
-    /// Times that the server was found started anew, with ids that begin anew.
+    /// Server restarts noticed so far. A restarted server assigns new ids.
     pub restarts: u64,
 }
 
-/// Whether snapshots come.
+/// Whether snapshots arrive.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub enum LinkState {
-    /// None has come yet.
+    /// No snapshot has arrived yet.
     #[default]
     Connecting,
-    /// They do, as far as is known: see the age of the newest one.
+    /// Snapshots arrive; the age of the newest one tells how recently.
     Connected,
-    /// There is no connection; it is tried again and again.
+    /// The connection is lost and being retried.
     Lost,
-    /// The server refuses the subscription: nothing will come any more.
+    /// The server rejected the subscription. No more snapshots will arrive.
     Ended,
 }
 
 impl fmt::Display for Link {
     fn fmt(&self, formatter: &mut fmt::Formatter<'_>) -> fmt::Result {
-        let word = match self.state {
+        let state = match self.state {
             LinkState::Connecting => "connecting",
             LinkState::Connected => "connected",
             LinkState::Lost => "lost",
             LinkState::Ended => "ended",
         };
-        write!(formatter, "the connection is {word}")?;
+        write!(formatter, "the connection is {state}")?;
         match &self.reason {
             Some(reason) if self.state != LinkState::Connected => write!(formatter, ": {reason}"),
             _ => Ok(()),
@@ -73,7 +72,7 @@ impl fmt::Display for Link {
     }
 }
 
-/// A snapshot, and when it came.
+/// A snapshot with its time of arrival.
 #[derive(Clone, Debug)]
 struct Received {
     snapshot: Arc<v1::Snapshot>,
@@ -88,7 +87,7 @@ struct Counts {
 }
 
 impl Client {
-    /// The newest snapshot at any time. To be called within a tokio runtime.
+    /// The newest snapshot at any time. Must be called within a tokio runtime.
     pub fn latest(&self, subscription: Subscription) -> Latest {
         let (newest_sender, newest) = watch::channel(None);
         let (link_sender, link) = watch::channel(Link::default());
@@ -99,7 +98,7 @@ impl Client {
     }
 }
 
-/// Takes what comes.
+/// The background task.
 struct Reader {
     newest: watch::Sender<Option<Result<Received, Error>>>,
     link: watch::Sender<Link>,
@@ -111,7 +110,7 @@ impl Reader {
         while let Some(update) = snapshots.next().await {
             self.counts.missed.store(snapshots.missed(), Ordering::Relaxed);
             match update {
-                Ok(update) => self.take(update),
+                Ok(update) => self.apply(update),
                 Err(error) => {
                     self.link.send_modify(|link| {
                         link.state = LinkState::Ended;
@@ -123,12 +122,12 @@ impl Reader {
         }
     }
 
-    fn take(&self, update: Update) {
+    fn apply(&self, update: Update) {
         match update {
             Update::Snapshot(snapshot) => {
                 self.counts.received.fetch_add(1, Ordering::Relaxed);
                 let received = Received { snapshot: Arc::new(snapshot), at: Instant::now() };
-                // Whoever sees that there is a connection sees what it brought, too.
+                // Publishes the snapshot before the connection, so that `Connected` implies a snapshot.
                 self.newest.send_replace(Some(Ok(received)));
                 self.link.send_if_modified(|link| {
                     let is_new = link.state != LinkState::Connected;
@@ -153,7 +152,7 @@ impl Latest {
     /// The newest snapshot, however old; `None` before the first. Does not wait.
     ///
     /// # Errors
-    /// That which has ended the subscription, since asking again cannot heal it.
+    /// The error that ended the subscription, which a retry cannot fix.
     pub fn value(&mut self) -> Result<Option<Arc<v1::Snapshot>>, Error> {
         let is_new = self.newest.has_changed().unwrap_or(false);
         let value = self.newest.borrow_and_update().clone().transpose()?;
@@ -163,11 +162,11 @@ impl Latest {
         Ok(value.map(|received| received.snapshot))
     }
 
-    /// The newest snapshot, if it came within the last `longest`. Does not wait. To that comes how old it was when it came:
-    /// its `pose_time_ns` says so, by the server's clock ([`Client::clock_offset`]).
+    /// The newest snapshot if it arrived within the last `longest`. Does not wait. Its age on arrival follows from its
+    /// `pose_time_ns` and [`Client::clock_offset`].
     ///
     /// # Errors
-    /// [`Error::Stale`] if it is older or none has come: who steers by it had better stop. As of [`Latest::value`].
+    /// [`Error::Stale`] if it is older or none has arrived: a control loop should stop. As for [`Latest::value`].
     pub fn recent(&mut self, longest: Duration) -> Result<Arc<v1::Snapshot>, Error> {
         let newest = self.value()?;
         let age = self.age();
@@ -177,7 +176,7 @@ impl Latest {
         }
     }
 
-    /// How long ago the newest snapshot came, by this machine's monotonic clock; `None` before the first.
+    /// Time since the newest snapshot arrived, by this machine's monotonic clock; `None` before the first.
     pub fn age(&self) -> Option<Duration> {
         match &*self.newest.borrow() {
             Some(Ok(received)) => Some(received.at.elapsed()),
@@ -185,12 +184,12 @@ impl Latest {
         }
     }
 
-    /// How the connection is now.
+    /// The current state of the connection.
     pub fn link(&self) -> Link {
         self.link.borrow().clone()
     }
 
-    /// Waits until the connection is otherwise than when this last said how it is, and says it; for ever once it has ended.
+    /// Waits until the state differs from the last one returned here, and returns it. Waits forever once it has ended.
     pub async fn link_changed(&mut self) -> Link {
         if self.link.changed().await.is_err() {
             std::future::pending::<()>().await;
@@ -198,13 +197,13 @@ impl Latest {
         self.link.borrow_and_update().clone()
     }
 
-    /// The newest snapshot that was not taken yet; waits for one, through losses of the connection.
+    /// The newest snapshot that has not been read yet; waits for one, also without a connection.
     ///
     /// # Errors
-    /// As of [`Latest::value`].
+    /// As for [`Latest::value`].
     pub async fn next(&mut self) -> Result<Arc<v1::Snapshot>, Error> {
         loop {
-            // The reader has ended: its last word stays.
+            // After the end of the task its last value stays.
             let ended = self.newest.changed().await.is_err();
             let value = self.newest.borrow_and_update().clone();
             match value {
@@ -219,7 +218,7 @@ impl Latest {
         }
     }
 
-    /// Snapshots that came and were replaced before they were taken, the newest one apart.
+    /// Snapshots that arrived and were replaced before they were read.
     pub fn skipped(&self) -> u64 {
         let waiting = u64::from(self.newest.has_changed().unwrap_or(false));
         let [received, taken] =
@@ -227,7 +226,7 @@ impl Latest {
         received.saturating_sub(taken + waiting)
     }
 
-    /// Snapshots that never came, as of [`Snapshots::missed`].
+    /// Snapshots that never arrived, as for [`Snapshots::missed`].
     pub fn missed(&self) -> u64 {
         self.counts.missed.load(Ordering::Relaxed)
     }

@@ -1,4 +1,4 @@
-//! Async client for Roundel servers: where every robot is, live.
+//! Async client for Roundel servers: live poses of every tracked robot.
 //!
 //! ```no_run
 //! use futures::StreamExt;
@@ -10,9 +10,10 @@
 //! while let Some(update) = snapshots.next().await {
 //!     match update? {
 //!         Update::Snapshot(snapshot) => println!("{:?}", snapshot.objects),
-//!         Update::Disconnected { reason, .. } => eprintln!("lost the server: {reason}"),
+//!         Update::Disconnected { reason, .. } => eprintln!("connection lost: {reason}"),
 //!         Update::Reconnected { gap, restarted, .. } => {
-//!             eprintln!("back after {gap:?}, {}", if restarted { "started anew" } else { "as it was" });
+//!             let server = if restarted { "restarted server" } else { "same run" };
+//!             eprintln!("connected again after {gap:?}: {server}");
 //!         }
 //!         _ => {} // updates that newer versions may add
 //!     }
@@ -21,51 +22,52 @@
 //! # }
 //! ```
 //!
-//! Messages are those of [`v1`], whose `.proto` files say what each field means, in which unit and
-//! frame. [`Snapshots`] and [`Latest`] go on by themselves when the server comes back; everything else is one call
-//! or one stream, and ends with an error that says what to do.
+//! Messages are those of [`v1`]; the `.proto` files define meaning, unit and frame of each field. [`Snapshots`] and
+//! [`Latest`] reconnect automatically. Every other stream ends with an error when the connection is lost.
 //!
 //! | for | use |
 //! | --- | --- |
-//! | every snapshot, and word of gaps | [`Client::snapshots`] |
-//! | the newest one, in a loop with a rate of its own, and word of when it is no news | [`Client::latest`], [`Latest::recent`] |
-//! | poses a moment later | [`predicted`], with [`Client::clock_offset`] for the server's now |
+//! | every snapshot, with an update for each gap | [`Client::snapshots`] |
+//! | the newest snapshot with its age, in a loop with its own rate | [`Client::latest`], [`Latest::recent`] |
+//! | predicted poses | [`predicted`], with [`Client::clock_offset`] for the server's current time |
 //! | the robots of `roundel demo` | [`Client::drive`], [`Client::push_robot`] |
 
 mod address;
 mod backoff;
 mod calibration;
+mod camera_pose;
+mod camera_setup;
 mod client;
 mod clock;
 mod configuration;
 mod deadline;
 mod error;
 mod latest;
-mod object;
+mod object_setup;
+mod object_state;
 mod predict;
 mod push;
 mod recording;
-mod riding;
-mod robot;
-mod setup;
+mod simulation;
 mod snapshot;
-mod state;
 mod subscription;
 
+pub use camera_pose::camera_pose_at;
 pub use client::{Client, Messages};
 pub use clock::ClockOffset;
 pub use error::Error;
 pub use latest::{Latest, Link, LinkState};
+pub use object_state::{
+    coded, named, position_m, position_sigma_m, speed_m_s, velocity_m_s, yaw_rad,
+};
 pub use predict::predicted;
 pub use push::{Picture, PushOptions, PushStatus, Pusher};
-pub use riding::camera_pose_at;
 pub use roundel_proto::v1;
 pub use snapshot::{Snapshots, Update};
-pub use state::{coded, named, position_m, position_sigma_m, speed_m_s, velocity_m_s, yaw_rad};
 pub use subscription::Subscription;
 pub use tonic::Code;
 
-/// The clients' page, whose Rust is compiled as it stands there.
+/// Compiles the Rust examples of the clients' README.
 #[cfg(doctest)]
 #[doc = include_str!("../../README.md")]
 struct Readme;

@@ -1,17 +1,17 @@
-//! Snapshots a moment later, by the model that the server predicts with.
+//! Prediction of snapshots with the server's motion model.
 
 use crate::v1::{ObjectState, Quaternion, Snapshot, Vector3};
 
-/// L: after t seconds e^(-t/L) of an acceleration is left.
-const ACCELERATION_LASTS_S: f64 = 0.4;
+/// L: predicted accelerations decay by e^(-t/L).
+const ACCELERATION_TIME_CONSTANT_S: f64 = 0.4;
 
-/// The snapshot so many seconds later (or before). Accelerations a fade: velocities grow by a L (1 - e), positions by
-/// v t + a L (t - L (1 - e)), e = e^(-t/L), L = 0.4 s; objects turn on with their angular velocity.
+/// The snapshot predicted by `seconds`, which may be negative. Accelerations a decay by e = e^(-t/L), L = 0.4 s. Velocities
+/// change by a L (1 - e), positions by v t + a L (t - L (1 - e)). Angular velocities are constant.
 ///
-/// Covariances are left out of it, since how they grow is the server's to say: [`crate::Subscription::horizon`] asks
-/// for them. So is the acceleration of subscriptions without covariances: they are predicted by their velocity alone.
+/// The result has no covariances. Only the server can predict them: see [`crate::Subscription::horizon`]. Subscriptions
+/// without covariances receive no accelerations, so their snapshots are predicted by velocities only.
 ///
-/// Where `seconds` is no finite number, there is no such moment: the snapshot stays as it is, of its own `pose_time_ns`.
+/// Returns the snapshot unchanged if `seconds` is not finite.
 pub fn predicted(snapshot: &Snapshot, seconds: f64) -> Snapshot {
     let mut later = snapshot.clone();
     if !seconds.is_finite() {
@@ -25,18 +25,23 @@ pub fn predicted(snapshot: &Snapshot, seconds: f64) -> Snapshot {
 }
 
 fn predict(object: &mut ObjectState, seconds: f64) {
-    let left = (-seconds / ACCELERATION_LASTS_S).exp();
-    let faster_s = ACCELERATION_LASTS_S * (1.0 - left);
-    let further_s2 = ACCELERATION_LASTS_S * (seconds - faster_s);
+    let decay = (-seconds / ACCELERATION_TIME_CONSTANT_S).exp();
+    let integral_s = ACCELERATION_TIME_CONSTANT_S * (1.0 - decay);
+    let double_integral_s2 = ACCELERATION_TIME_CONSTANT_S * (seconds - integral_s);
     let acceleration = object.acceleration.unwrap_or_default();
     let velocity = object.velocity.unwrap_or_default();
     if let Some(position) = &mut object.position {
-        *position = sum(&sum(position, &velocity, seconds), &acceleration, further_s2);
+        *position = add_scaled(
+            &add_scaled(position, &velocity, seconds),
+            &acceleration,
+            double_integral_s2,
+        );
     }
-    object.velocity = object.velocity.map(|velocity| sum(&velocity, &acceleration, faster_s));
-    object.acceleration = object.acceleration.map(|it| sum(&Vector3::default(), &it, left));
+    object.velocity =
+        object.velocity.map(|velocity| add_scaled(&velocity, &acceleration, integral_s));
+    object.acceleration = object.acceleration.map(|it| add_scaled(&Vector3::default(), &it, decay));
     if let (Some(orientation), Some(rate)) = (&mut object.orientation, &object.angular_velocity) {
-        *orientation = turned(orientation, rate, seconds);
+        *orientation = rotated(orientation, rate, seconds);
     }
     object.observation_age_ns =
         object.observation_age_ns.saturating_add((seconds * 1e9).round() as i64);
@@ -44,18 +49,18 @@ fn predict(object: &mut ObjectState, seconds: f64) {
     object.velocity_covariance.clear();
 }
 
-/// a + b · share.
-fn sum(a: &Vector3, b: &Vector3, share: f64) -> Vector3 {
-    Vector3 { x: a.x + b.x * share, y: a.y + b.y * share, z: a.z + b.z * share }
+/// a + b · factor.
+fn add_scaled(a: &Vector3, b: &Vector3, factor: f64) -> Vector3 {
+    Vector3 { x: a.x + b.x * factor, y: a.y + b.y * factor, z: a.z + b.z * factor }
 }
 
-/// Turned on about the world's axes.
-fn turned(q: &Quaternion, rate: &Vector3, seconds: f64) -> Quaternion {
+/// Rotation `q` after a rotation with this angular velocity in the world frame.
+fn rotated(q: &Quaternion, rate: &Vector3, seconds: f64) -> Quaternion {
     let speed_rad_s = (rate.x * rate.x + rate.y * rate.y + rate.z * rate.z).sqrt();
     let half_rad = 0.5 * speed_rad_s * seconds;
-    // sin(half) / speed, which is half the time at rest.
-    let share = if speed_rad_s > 0.0 { half_rad.sin() / speed_rad_s } else { 0.5 * seconds };
-    let (x, y, z, w) = (rate.x * share, rate.y * share, rate.z * share, half_rad.cos());
+    // sin(half) / speed, which tends to seconds / 2 at rest.
+    let scale = if speed_rad_s > 0.0 { half_rad.sin() / speed_rad_s } else { 0.5 * seconds };
+    let (x, y, z, w) = (rate.x * scale, rate.y * scale, rate.z * scale, half_rad.cos());
     Quaternion {
         x: w * q.x + x * q.w + y * q.z - z * q.y,
         y: w * q.y - x * q.z + y * q.w + z * q.x,
@@ -69,7 +74,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn a_quarter_turn_and_back_ends_where_it_began() {
+    fn prediction_forth_and_back_restores_the_state() {
         let vector = |x, y, z| Some(Vector3 { x, y, z });
         let object = ObjectState {
             position: vector(1.0, 2.0, 3.0),
@@ -85,20 +90,20 @@ mod tests {
         let later = predicted(&snapshot, 0.5);
         assert_eq!(later.pose_time_ns, 500_000_010);
         let state = &later.objects[0];
-        let (place, turn) = (state.position.unwrap(), state.orientation.unwrap());
-        assert!((place.x - 1.5).abs() < 1e-12 && place.y > 2.0, "{place:?}");
+        let (position, turn) = (state.position.unwrap(), state.orientation.unwrap());
+        assert!((position.x - 1.5).abs() < 1e-12 && position.y > 2.0, "{position:?}");
         let half = std::f64::consts::FRAC_1_SQRT_2;
         assert!((turn.z - half).abs() < 1e-12 && (turn.w - half).abs() < 1e-12, "{turn:?}");
         assert!(state.covariance.is_empty());
         let back = predicted(&later, -0.5).objects[0].clone();
-        let gap = sum(&back.position.unwrap(), &object.position.unwrap(), -1.0);
+        let gap = add_scaled(&back.position.unwrap(), &object.position.unwrap(), -1.0);
         assert!(gap.x.abs() + gap.y.abs() + gap.z.abs() < 1e-12, "{gap:?}");
         assert!((back.orientation.unwrap().w - 1.0).abs() < 1e-12);
         assert_eq!(back.observation_age_ns, 0);
     }
 
     #[test]
-    fn at_no_moment_nothing_has_moved() {
+    fn a_prediction_by_a_non_finite_time_changes_nothing() {
         let velocity = Some(Vector3 { x: 1.0, y: 0.0, z: 0.0 });
         let position = Some(Vector3 { x: 1.0, y: 2.0, z: 3.0 });
         let object =

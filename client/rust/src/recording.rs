@@ -1,78 +1,71 @@
-//! Recordings that a server makes, and one that it plays, from afar.
+//! Calls for recordings, history and replay.
 
 use crate::{Client, Error, v1};
 
 impl Client {
-    /// Has the server record what happens into files on its machine.
+    /// Starts a recording into files on the server.
     ///
     /// # Errors
-    /// [`Error::Refused`] for a wrong name or length, while it records already, or where it cannot; and those of the
-    /// connection.
+    /// [`Error::Refused`] for an invalid name or duration, during another recording, or if the server cannot record; and
+    /// connection errors.
     pub async fn start_recording(
         &self,
         request: v1::StartRecordingRequest,
     ) -> Result<v1::Recording, Error> {
-        let answer = self.service().start_recording(request).await;
-        answer.map(tonic::Response::into_inner).map_err(|status| self.error(&status))
+        self.response(self.service().start_recording(request).await)
     }
 
-    /// Ends the recording; its files are whole when this returns.
+    /// Ends the recording. Its files are complete on return.
     ///
     /// # Errors
-    /// [`Error::Refused`] if nothing is recorded, and those of the connection.
+    /// [`Error::Refused`] without a recording, and connection errors.
     pub async fn stop_recording(&self) -> Result<v1::Recording, Error> {
-        let answer = self.long_service().stop_recording(v1::StopRecordingRequest {}).await;
-        answer.map(tonic::Response::into_inner).map_err(|status| self.error(&status))
+        self.response(self.long_service().stop_recording(v1::StopRecordingRequest {}).await)
     }
 
-    /// The recording that is being made, or the last one.
+    /// The current recording, or the last one.
     ///
     /// # Errors
-    /// Of the connection.
+    /// Connection errors.
     pub async fn recording(&self) -> Result<v1::Recording, Error> {
-        let answer = self.service().get_recording(v1::GetRecordingRequest {}).await;
-        answer.map(tonic::Response::into_inner).map_err(|status| self.error(&status))
+        self.response(self.service().get_recording(v1::GetRecordingRequest {}).await)
     }
 
-    /// The files of recordings in the server's folder, the oldest first.
+    /// The recordings in the server's folder, oldest first.
     ///
     /// # Errors
-    /// Of the connection.
+    /// Connection errors.
     pub async fn recordings(&self) -> Result<v1::ListRecordingsResponse, Error> {
-        let answer = self.service().list_recordings(v1::ListRecordingsRequest {}).await;
-        answer.map(tonic::Response::into_inner).map_err(|status| self.error(&status))
+        self.response(self.service().list_recordings(v1::ListRecordingsRequest {}).await)
     }
 
-    /// Where objects were, as the server's history keeps it.
+    /// Past positions of objects, from the server's history.
     ///
     /// # Errors
-    /// [`Error::Refused`] for a wrong field or by a server that keeps none, and those of the connection.
+    /// [`Error::Refused`] for an invalid field or without a history, and connection errors.
     pub async fn history(
         &self,
         request: v1::QueryHistoryRequest,
     ) -> Result<v1::QueryHistoryResponse, Error> {
-        let answer = self.long_service().query_history(request).await;
-        answer.map(tonic::Response::into_inner).map_err(|status| self.error(&status))
+        self.response(self.long_service().query_history(request).await)
     }
 
-    /// The recording that the server plays (`roundel replay`), and how far it is.
+    /// The recording that `roundel replay` plays, and its position.
     ///
     /// # Errors
-    /// [`Error::Refused`] if it plays none, and those of the connection.
+    /// [`Error::Refused`] without a replay, and connection errors.
     pub async fn replay(&self) -> Result<v1::Replay, Error> {
-        let answer = self.service().get_replay(v1::GetReplayRequest {}).await;
-        answer.map(tonic::Response::into_inner).map_err(|status| self.error(&status))
+        self.response(self.service().get_replay(v1::GetReplayRequest {}).await)
     }
 
-    /// Pauses the recording that the server plays, goes on, seeks, changes its speed; absent fields stay as they are.
+    /// Pauses, resumes or seeks the replay, or changes its speed. Absent fields leave a value unchanged.
     ///
     /// # Errors
-    /// [`Error::Refused`] if it plays none or a number is out of its range, and those of the connection.
+    /// [`Error::Refused`] without a replay or for a number out of range, and connection errors.
     pub async fn control_replay(
         &self,
         request: v1::ControlReplayRequest,
     ) -> Result<v1::Replay, Error> {
-        let answer = self.service().control_replay(request).await;
-        answer.map(tonic::Response::into_inner).map_err(|status| self.error(&status))
+        self.response(self.service().control_replay(request).await)
     }
 }

@@ -1,4 +1,4 @@
-//! Snapshots through losses of the connection.
+//! Streams of snapshots that survive lost connections.
 
 use std::{
     pin::Pin,
@@ -12,41 +12,37 @@ use tonic::Streaming;
 
 use crate::{Client, Error, Subscription, backoff::Backoff, v1};
 
-/// What happens on a subscription to snapshots.
+/// An item of a stream of snapshots.
 #[derive(Clone, Debug, PartialEq)]
 #[non_exhaustive]
 pub enum Update {
     /// A new snapshot.
     Snapshot(v1::Snapshot),
-    /// The connection is lost, or the try to get it back failed; the next try follows.
+    /// The connection is lost, or an attempt to restore it failed. The next attempt follows.
     Disconnected {
-        /// What happened.
+        /// The cause.
         reason: String,
-        /// Tries that have failed since the loss, or since the begin, by bringing no snapshot: 0 for the loss itself, 1
-        /// for the first try after it, and for the first of all.
+        /// Attempts since the loss or since the start that delivered no snapshot; 0 for the loss itself.
         tries: u32,
-        /// Pause before the next try.
+        /// Pause before the next attempt.
         retry_in: Duration,
     },
-    /// The connection is back after a loss, whose length is known: the next update is a snapshot. Not said before the
-    /// first snapshot.
+    /// The connection is back after a loss; the next update is a snapshot. Never precedes the first snapshot.
     Reconnected {
-        /// From the last snapshot before the loss to the first one after it, by this machine's monotonic clock.
+        /// Time from the last snapshot before the loss to the first one after it, by this machine's monotonic clock.
         gap: Duration,
-        /// It is another run of the server: ids are given anew, so that those of a subscription are other objects', and
-        /// the clock may be another.
+        /// Whether the server was restarted. It assigns new ids then, also to the objects of a subscription, and its clock may
+        /// differ.
         restarted: bool,
-        /// Snapshots that the server made meanwhile, whether they were wanted or not; `None` if it was started anew, since
-        /// nobody counted then.
+        /// Snapshots that the server published during the gap, subscribed or not; `None` if it was restarted.
         missed: Option<u64>,
     },
 }
 
 /// Snapshots from the newest one on, as a stream of [`Update`]s.
 ///
-/// A lost connection is said and tried again with growing pauses (100 ms to 5 s, with jitter) until
-/// the stream is dropped. It ends only after an error that asking again cannot heal, such as a
-/// subscription that the server refuses.
+/// Reports a lost connection and retries with backoff (100 ms to 5 s, with jitter) until the stream is dropped. Ends only
+/// after an error that a retry cannot fix, such as a rejected subscription.
 pub struct Snapshots {
     updates: Pin<Box<dyn Stream<Item = Result<Update, Error>> + Send>>,
     missed: u64,
@@ -54,26 +50,25 @@ pub struct Snapshots {
 
 impl Snapshots {
     pub(crate) fn new(client: Client, subscription: Subscription) -> Self {
-        let follower = Follower {
+        let state = StreamState {
             client,
             request: subscription.into_request(),
             phase: Phase::Subscribing,
             backoff: Backoff::default(),
             newest: None,
-            held: None,
+            pending: None,
             tries: 0,
             is_up: false,
             was_lost: false,
         };
-        let updates = stream::unfold(follower, |mut follower| async move {
-            let update = follower.next().await?;
-            Some((update, follower))
+        let updates = stream::unfold(state, |mut state| async move {
+            let update = state.next().await?;
+            Some((update, state))
         });
         Self { updates: Box::pin(updates), missed: 0 }
     }
 
-    /// Snapshots missed so far: those that this client was too slow for, and those of the times
-    /// without a connection to a server that went on.
+    /// Snapshots missed so far, by reading slowly and without a connection.
     pub fn missed(&self) -> u64 {
         self.missed
     }
@@ -102,31 +97,31 @@ enum Phase {
     Ended,
 }
 
-/// What is remembered of the newest snapshot.
+/// Identity and time of arrival of the newest snapshot.
 struct Newest {
     source_id: String,
     sequence: u64,
-    came: Instant,
+    arrived: Instant,
 }
 
-struct Follower {
+struct StreamState {
     client: Client,
     request: v1::SubscribeSnapshotsRequest,
     phase: Phase,
     backoff: Backoff,
     newest: Option<Newest>,
-    /// Came with the reconnection that is being told.
-    held: Option<v1::Snapshot>,
-    /// That have failed since the loss or the begin.
+    /// The snapshot to return after `Reconnected`.
+    pending: Option<v1::Snapshot>,
+    /// Failed attempts since the loss or since the start.
     tries: u32,
-    /// Whether this connection has brought a snapshot: its end is a loss then, and else a try that failed.
+    /// Whether this connection has delivered a snapshot. Its end is a loss then, and otherwise a failed attempt.
     is_up: bool,
     was_lost: bool,
 }
 
-impl Follower {
+impl StreamState {
     async fn next(&mut self) -> Option<Result<Update, Error>> {
-        if let Some(snapshot) = self.held.take() {
+        if let Some(snapshot) = self.pending.take() {
             return Some(Ok(Update::Snapshot(snapshot)));
         }
         loop {
@@ -160,17 +155,17 @@ impl Follower {
         self.backoff.reset();
         self.is_up = true;
         let (source_id, sequence) = (snapshot.source_id.clone(), snapshot.sequence);
-        let newest = Newest { source_id, sequence, came: Instant::now() };
-        let before = self.newest.replace(newest);
+        let newest = Newest { source_id, sequence, arrived: Instant::now() };
+        let previous = self.newest.replace(newest);
         let was_lost = std::mem::take(&mut self.was_lost);
-        let Some(before) = before.filter(|_| was_lost) else {
+        let Some(previous) = previous.filter(|_| was_lost) else {
             return Update::Snapshot(snapshot);
         };
-        let restarted = before.source_id != snapshot.source_id;
-        let made = snapshot.sequence.saturating_sub(before.sequence.saturating_add(1));
-        self.held = Some(snapshot);
-        let missed = (!restarted).then_some(made);
-        Update::Reconnected { gap: before.came.elapsed(), restarted, missed }
+        let restarted = previous.source_id != snapshot.source_id;
+        let published = snapshot.sequence.saturating_sub(previous.sequence.saturating_add(1));
+        self.pending = Some(snapshot);
+        let missed = (!restarted).then_some(published);
+        Update::Reconnected { gap: previous.arrived.elapsed(), restarted, missed }
     }
 
     fn lost(&mut self, error: Error) -> Result<Update, Error> {

@@ -1,21 +1,21 @@
-//! Which snapshots, and what of them.
+//! Filters for subscriptions to snapshots.
 
 use std::time::Duration;
 
 use crate::v1;
 
-/// Which snapshots a client wants; all of everything by default.
+/// Selects the snapshots and objects that a client receives. The default selects everything.
 ///
 /// ```
 /// use roundel_client::Subscription;
 ///
-/// let wanted = Subscription::default()
+/// let subscription = Subscription::default()
 ///     .names(["drone", "cart"])
 ///     .codes([12])
 ///     .max_rate_hz(30.0)
 ///     .horizon(std::time::Duration::from_millis(20))
 ///     .without_covariance();
-/// # let _ = wanted;
+/// # let _ = subscription;
 /// ```
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Subscription {
@@ -23,64 +23,62 @@ pub struct Subscription {
 }
 
 impl Subscription {
-    /// Only these objects, by `object_id`, and those of [`names`](Self::names) and [`codes`](Self::codes). A server that
-    /// is started anew gives ids anew: after that they are other objects'.
+    /// Only these objects, by `object_id`, plus those of [`names`](Self::names) and [`codes`](Self::codes). A restarted
+    /// server assigns new ids, so the same id is another object then.
     pub fn ids(mut self, ids: impl IntoIterator<Item = u64>) -> Self {
         self.request.object_ids.extend(ids);
         self
     }
 
-    /// Likewise those of these configured names, as soon and as long as they have them.
+    /// Objects with these configured names, plus those of [`ids`](Self::ids) and [`codes`](Self::codes).
     pub fn names<S: Into<String>>(mut self, names: impl IntoIterator<Item = S>) -> Self {
         self.request.names.extend(names.into_iter().map(Into::into));
         self
     }
 
-    /// Likewise those that were seen with these codes, by their numbers in whatever layout.
+    /// Objects with codes of these numbers in any layout, plus those of [`ids`](Self::ids) and [`names`](Self::names).
     pub fn codes(self, numbers: impl IntoIterator<Item = u32>) -> Self {
         self.codes_of(0, numbers)
     }
 
-    /// The same in an installation with several layouts: codes of so many bits.
+    /// Like [`codes`](Self::codes), for the layout with this number of bits.
     pub fn codes_of(mut self, bits: u32, numbers: impl IntoIterator<Item = u32>) -> Self {
         let code = |number| v1::Code { bits, number };
         self.request.codes.extend(numbers.into_iter().map(code));
         self
     }
 
-    /// Only objects of these kinds of roundel, by configured name.
+    /// Only objects with these kinds of roundel, by configured name.
     pub fn roundels<S: Into<String>>(mut self, names: impl IntoIterator<Item = S>) -> Self {
         self.request.roundels = names.into_iter().map(Into::into).collect();
         self
     }
 
-    /// Only objects within the box between two corners of the world frame, metres. A side may be
-    /// infinite.
+    /// Only objects in the box between two corners in the world frame, metres, which may be infinite.
     pub fn region(mut self, min_m: [f64; 3], max_m: [f64; 3]) -> Self {
         let corner = |[x, y, z]: [f64; 3]| Some(v1::Vector3 { x, y, z });
         self.request.region = Some(v1::Box { min: corner(min_m), max: corner(max_m) });
         self
     }
 
-    /// At most this many snapshots a second.
+    /// Maximum rate of snapshots.
     pub fn max_rate_hz(mut self, rate_hz: f64) -> Self {
         self.request.max_rate_hz = Some(rate_hz);
         self
     }
 
-    /// Every pose predicted this far past the server's pose time, up to a second.
+    /// Predicts every pose this far past the server's pose time, up to a second.
     pub fn horizon(mut self, horizon: Duration) -> Self {
         self.request.horizon_ms = Some(horizon.as_secs_f64() * 1e3);
         self
     }
 
-    /// Without covariances: less than half the bytes.
+    /// Omits covariances and accelerations, which halves the message size.
     pub fn without_covariance(mut self) -> Self {
         self.request.omit_covariance = true;
         self
     }
 
-    /// The message that asks for it once.
     pub(crate) fn into_single_request(self) -> v1::GetSnapshotRequest {
         let v1::SubscribeSnapshotsRequest { object_ids, names, codes, roundels, .. } = self.request;
         let v1::SubscribeSnapshotsRequest { region, horizon_ms, omit_covariance, .. } =
@@ -96,7 +94,7 @@ impl Subscription {
         }
     }
 
-    /// The message that asks for it.
+    /// The request of this subscription.
     pub fn into_request(self) -> v1::SubscribeSnapshotsRequest {
         self.request
     }

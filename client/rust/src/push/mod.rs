@@ -1,24 +1,23 @@
-//! Frames and detections sent into a camera of the server whose source is `push:`.
+//! Sends frames or detections to a camera of the server whose source is `push:`.
 //!
-//! | module | what it does |
+//! | module | purpose |
 //! | --- | --- |
-//! | `backlog` | what waits to be sent and what waits to be acknowledged; bounded, and every one counted |
-//! | `link` | one connection: greeting, probes, sending, acknowledgements |
+//! | `queue` | bounded queue of items to be sent and to be acknowledged |
+//! | `connection` | greeting, probes, sending, acknowledgements |
 //!
-//! Nothing here ever waits for the network but the task that owns the connection: [`Pusher::frame`] and
-//! [`Pusher::observations`] leave what they are given and return. While there is no connection the newest is kept
-//! for as long as the server could still use it; what grows older, or gives way to newer frames, is dropped and
-//! counted, so that at any time
+//! A task owns the connection, so [`Pusher::frame`] and [`Pusher::observations`] never block. Without a connection, items are
+//! kept as long as the server can use them. Older items, and frames replaced by newer ones, are dropped and counted. At any
+//! time
 //!
 //! ```text
 //! captured = acknowledged + dropped + waiting
 //! ```
 //!
-//! What was under way when a connection broke is sent again if the server did not get it; sequence numbers see to
-//! it that nothing counts twice.
+//! Items in flight when a connection breaks are sent again if the server did not receive them. Sequence numbers prevent
+//! duplicates.
 
-mod backlog;
-mod link;
+mod connection;
+mod queue;
 
 use std::{
     fmt,
@@ -34,29 +33,29 @@ use tokio::{
 
 use crate::{
     Client, Error,
-    clock::{ClockOffset, ServerClock},
+    clock::{ClockEstimator, ClockOffset},
     v1,
 };
-use backlog::{Backlog, Item};
+use queue::{Item, SendQueue};
 
-/// Largest message that is sent: a grey picture of 5000 x 3000 pixels fits.
+/// Limit for one message: a grey picture of 5000 x 3000 pixels fits.
 const MAX_MESSAGE_BYTES: usize = 16 * 1024 * 1024;
 
-/// Tells the time that captures are stamped with, ns since whatever epoch.
-type Now = Arc<dyn Fn() -> i64 + Send + Sync>;
+/// The clock of the capture times, ns since any epoch.
+type ClockFn = Arc<dyn Fn() -> i64 + Send + Sync>;
 
-/// Which camera is fed, and by whom.
+/// Camera, sender and clock of a [`Pusher`].
 #[derive(Clone)]
 pub struct PushOptions {
     camera: String,
     sender: String,
     times: v1::PushTimes,
-    now: Now,
+    now: ClockFn,
 }
 
 impl PushOptions {
-    /// Feeds the camera of that name. Capture times are those of this machine's Unix clock, whether it is right or
-    /// not: what it differs by from the server's is measured.
+    /// Feeds the camera of that name. Capture times are of this machine's Unix clock, whose offset from the server's clock is
+    /// measured.
     pub fn new(camera: impl Into<String>) -> Self {
         let now = || {
             let unix = SystemTime::now().duration_since(UNIX_EPOCH).unwrap_or_default();
@@ -67,18 +66,18 @@ impl PushOptions {
         Self { camera: camera.into(), sender, times, now: Arc::new(now) }
     }
 
-    /// What this program calls itself on the dashboard.
+    /// Name of this program on the dashboard.
     pub fn sender(self, name: impl Into<String>) -> Self {
         Self { sender: name.into(), ..self }
     }
 
-    /// Capture times are those of this clock, ns since an epoch of its own; it must never be set while it is used.
+    /// Uses this clock for capture times, ns since any epoch. It must not be set while in use.
     pub fn clock(self, now: impl Fn() -> i64 + Send + Sync + 'static) -> Self {
         Self { now: Arc::new(now), ..self }
     }
 
-    /// Capture times are of a clock that this program cannot read (a counter of its camera, or Unix time kept in
-    /// step by others): they are sent as they are, and the server knows what to do with them.
+    /// Declares capture times of a clock that this program cannot read, such as a counter of the camera or externally
+    /// synchronized Unix time. They are sent unchanged, and the server converts them.
     pub fn times(self, times: v1::PushTimes) -> Self {
         Self { times, ..self }
     }
@@ -95,45 +94,43 @@ impl fmt::Debug for PushOptions {
     }
 }
 
-/// A picture to be sent.
+/// The picture of a frame.
 #[derive(Clone, Debug, PartialEq)]
 pub enum Picture {
-    /// 8-bit grey, row by row without gaps, of so many columns and rows.
+    /// 8-bit grey pixels in row order without padding, with width and height.
     Grey(Vec<u8>, [u32; 2]),
     /// A JPEG file.
     Jpeg(Vec<u8>),
 }
 
-/// How pushing goes.
+/// State of a [`Pusher`].
 #[derive(Clone, Debug, Default, PartialEq)]
 #[non_exhaustive]
 pub struct PushStatus {
-    /// Frames and observations handed over so far: the newest sequence number.
+    /// Frames and observations queued so far, which is the newest sequence number.
     pub captured: u64,
-    /// Of these, taken by the server.
+    /// Number acknowledged by the server.
     pub acknowledged: u64,
-    /// Given up: they gave way to newer ones, or had grown too old for the server to use.
+    /// Number dropped: replaced by newer frames, or too old for the server.
     pub dropped: u64,
-    /// Still to be sent or acknowledged.
+    /// Number still to be sent or acknowledged.
     pub waiting: u64,
-    /// Whether there is a connection that works.
+    /// Whether a connection is established.
     pub connected: bool,
-    /// Connections so far.
+    /// Connections established so far.
     pub connections: u64,
-    /// Why there is none, and what to do; empty while there is one.
+    /// Why there is no connection, and the remedy; empty while there is one.
     pub error: String,
-    /// Whether trying again cannot help: the server refuses this sender. It is tried again all the same, in case
-    /// its configuration changes.
+    /// Whether the server rejects this sender. The pusher retries in case the configuration changes.
     pub refused: bool,
-    /// The server's clock less this program's, and its standard deviation; `None` before the first probe.
+    /// Offset of the server's clock; `None` before the first probe.
     pub clock_offset: Option<ClockOffset>,
 }
 
-/// What the pusher and its task share.
+/// State shared by the pusher and its task.
 struct Shared {
     state: Mutex<State>,
-    /// There is something to be sent.
-    news: Notify,
+    work_available: Notify,
     status: watch::Sender<PushStatus>,
     calibration: watch::Sender<Option<v1::PushedCalibration>>,
     picture_requests: watch::Sender<u64>,
@@ -142,13 +139,13 @@ struct Shared {
 }
 
 struct State {
-    backlog: Backlog,
-    clock: ServerClock,
-    /// Why the sender has no frames, until the next one.
+    queue: SendQueue,
+    clock: ClockEstimator,
+    /// Why the sender has no frames; cleared by the next frame.
     trouble: Option<String>,
-    /// Whether this connection's server knows.
-    trouble_told: bool,
-    /// To be sent, since it was asked for.
+    /// Whether it was sent over this connection.
+    is_trouble_sent: bool,
+    /// The requested picture, to be sent.
     picture: Option<v1::PushedPicture>,
 }
 
@@ -161,13 +158,13 @@ impl Shared {
         (self.options.now)()
     }
 
-    /// Brings the status up to date, with what `change` does to it.
+    /// Updates and publishes the status, with the additional `change`.
     fn publish(&self, change: impl FnOnce(&mut PushStatus)) {
         let now_ns = self.now_ns();
         let (counts, clock_offset) = {
             let mut state = self.lock();
-            state.backlog.expire(now_ns);
-            (state.backlog.counts(), state.clock.offset_at(now_ns))
+            state.queue.expire(now_ns);
+            (state.queue.counts(), state.clock.offset_at(now_ns))
         };
         self.status.send_modify(|status| {
             (status.captured, status.acknowledged) = (counts.captured, counts.acknowledged);
@@ -178,16 +175,15 @@ impl Shared {
     }
 }
 
-/// Feeds one camera, through losses of the connection, until it is dropped.
+/// Feeds one camera until it is dropped. Reconnects automatically.
 pub struct Pusher {
     shared: Arc<Shared>,
     task: JoinHandle<()>,
 }
 
 impl Client {
-    /// Begins to feed a camera. Nobody needs to be there yet: the connection is made, and made again, with growing
-    /// pauses (100 ms to 5 s, with jitter); [`Pusher::status`] says how it goes. To be called within a tokio
-    /// runtime.
+    /// Starts to feed a camera. Connects and reconnects in the background with backoff (100 ms to 5 s, with jitter), so the
+    /// server may come up later; see [`Pusher::status`]. Must be called within a tokio runtime.
     ///
     /// # Errors
     /// [`Error::InvalidAddress`].
@@ -195,29 +191,28 @@ impl Client {
         let (address, endpoint) = crate::address::endpoint(self.address())?;
         let shared = Arc::new(Shared {
             state: Mutex::new(State {
-                backlog: Backlog::default(),
-                clock: ServerClock::default(),
+                queue: SendQueue::default(),
+                clock: ClockEstimator::default(),
                 trouble: None,
-                trouble_told: false,
+                is_trouble_sent: false,
                 picture: None,
             }),
-            news: Notify::new(),
+            work_available: Notify::new(),
             status: watch::Sender::default(),
             calibration: watch::Sender::new(None),
             picture_requests: watch::Sender::new(0),
             options,
             run_id: format!("{:016x}{:016x}", fastrand::u64(..), fastrand::u64(..)),
         });
-        let task = tokio::spawn(link::run(shared.clone(), address, endpoint));
+        let task = tokio::spawn(connection::run(shared.clone(), address, endpoint));
         Ok(Pusher { shared, task })
     }
 }
 
 impl Pusher {
-    /// Leaves a picture to be sent, and returns its sequence number. Of pictures the newest wins.
+    /// Queues a frame and returns its sequence number. Replaces a frame that still waits.
     ///
-    /// `capture_time_ns` is the middle of the exposure on the clock of the options; `clock` says where it comes from
-    /// and how far off it may be.
+    /// `capture_time_ns` is the middle of the exposure on the clock of the options; `clock` gives its source and accuracy.
     pub fn frame(
         &self,
         picture: Picture,
@@ -231,68 +226,65 @@ impl Pusher {
             }
         };
         let frame = v1::PushedFrame { sequence: 0, capture_time_ns, clock, picture: Some(picture) };
-        self.leave(Item::Frame(Arc::new(frame)))
+        self.enqueue(Item::Frame(Arc::new(frame)))
     }
 
-    /// Leaves what was seen in a frame to be sent, and returns its sequence number. All times in it are of the clock
-    /// of the options; its `sequence` is given here.
+    /// Queues the observations of a frame and returns their sequence number. Their times are of the clock of the options;
+    /// their `sequence` is set here.
     pub fn observations(&self, observations: v1::PushedObservations) -> u64 {
-        self.leave(Item::Observations(Arc::new(observations)))
+        self.enqueue(Item::Observations(Arc::new(observations)))
     }
 
-    /// Says why there are no frames, and what to do. The next frame takes it back.
+    /// Reports why there are no frames, and the remedy. The next frame clears it.
     pub fn trouble(&self, error: impl Into<String>) {
         {
             let mut state = self.shared.lock();
             state.trouble = Some(error.into());
-            state.trouble_told = false;
+            state.is_trouble_sent = false;
         }
-        self.shared.news.notify_one();
+        self.shared.work_available.notify_one();
     }
 
-    /// Counts how often the server has asked for a picture; each time a sender of observations answers with
-    /// [`Pusher::picture`], if it can.
+    /// Number of picture requests from the server. A sender of observations answers each with [`Pusher::picture`], if it can.
     pub fn picture_requests(&self) -> watch::Receiver<u64> {
         self.shared.picture_requests.subscribe()
     }
 
-    /// Leaves a picture for people to look at, as the server has asked. Of two that wait the newer one is sent; all times
-    /// in it are of the clock of the options.
+    /// Queues a requested picture for display. Replaces one that still waits. Its times are of the clock of the options.
     pub fn picture(&self, picture: v1::PushedPicture) {
         self.shared.lock().picture = Some(picture);
-        self.shared.news.notify_one();
+        self.shared.work_available.notify_one();
     }
 
-    fn leave(&self, item: Item) -> u64 {
+    fn enqueue(&self, item: Item) -> u64 {
         let now_ns = self.shared.now_ns();
         let sequence = {
             let mut state = self.shared.lock();
             state.trouble = None;
-            state.backlog.add(item, now_ns)
+            state.queue.add(item, now_ns)
         };
-        self.shared.news.notify_one();
+        self.shared.work_available.notify_one();
         self.shared.publish(|_| {});
         sequence
     }
 
-    /// How it goes, now.
+    /// The current status.
     pub fn status(&self) -> PushStatus {
         self.shared.publish(|_| {});
         self.shared.status.borrow().clone()
     }
 
-    /// How it goes, at each change.
+    /// The status, with each change.
     pub fn statuses(&self) -> watch::Receiver<PushStatus> {
         self.shared.status.subscribe()
     }
 
-    /// The lens and place that the server has the camera at, once it has said so, and each change.
+    /// The lens and pose of the camera on the server, once received, and each change.
     pub fn calibration(&self) -> watch::Receiver<Option<v1::PushedCalibration>> {
         self.shared.calibration.subscribe()
     }
 
-    /// Waits until nothing waits any more, at most so long, and ends the connection. What is left then is counted as
-    /// dropped.
+    /// Waits until all items are acknowledged, at most `patience`, and ends the connection. Counts the rest as dropped.
     pub async fn finish(self, patience: Duration) -> PushStatus {
         let drained = async {
             while self.status().waiting > 0 {
@@ -301,16 +293,16 @@ impl Pusher {
         };
         let deadline = Instant::now() + patience;
         if timeout(patience, drained).await.is_ok() {
-            // The last probe tells the server what will never come.
+            // The last probe reports the dropped items to the server.
             let probes = self.shared.lock().clock.probes_answered();
-            self.shared.news.notify_one();
+            self.shared.work_available.notify_one();
             while self.shared.lock().clock.probes_answered() == probes && Instant::now() < deadline
             {
                 sleep(Duration::from_millis(5)).await;
             }
         }
         self.task.abort();
-        self.shared.lock().backlog.give_up();
+        self.shared.lock().queue.drop_all();
         self.status()
     }
 }

@@ -1,48 +1,47 @@
-//! What is often wanted of a snapshot and of an object's state.
+//! Accessors for snapshots and object states.
 
 use crate::v1::{ObjectState, Snapshot};
 
-/// Places of the position's variances within the upper triangle of the 6x6 covariance.
+/// Indices of the position variances in the upper triangle of the 6x6 covariance.
 const POSITION_VARIANCES: [usize; 3] = [0, 6, 11];
 
-/// Standard deviations of the position along the world's x, y and z, metres; `None` where the
-/// covariance was left out.
+/// Standard deviations of the position along the world's x, y and z, metres; `None` without a covariance.
 pub fn position_sigma_m(state: &ObjectState) -> Option<[f64; 3]> {
     if state.covariance.len() != 21 {
         return None;
     }
-    Some(POSITION_VARIANCES.map(|place| state.covariance[place].max(0.0).sqrt()))
+    Some(POSITION_VARIANCES.map(|index| state.covariance[index].max(0.0).sqrt()))
 }
 
-/// The object of this configured name; of several, as where a whole kind has one name, the first by id.
+/// The object with this configured name; the first by id of several, as when a kind of roundel has one name.
 pub fn named<'a>(snapshot: &'a Snapshot, name: &str) -> Option<&'a ObjectState> {
     snapshot.objects.iter().find(|state| state.name == name)
 }
 
-/// The object whose roundel has the code of this number, in whatever layout; of several the first by id.
+/// The object with a code of this number in any layout; the first by id of several.
 pub fn coded(snapshot: &Snapshot, number: u32) -> Option<&ObjectState> {
     let has_code = |state: &&ObjectState| state.code.is_some_and(|code| code.number == number);
     snapshot.objects.iter().find(has_code)
 }
 
-/// Where it is in the world frame, metres; `None` where that is absent.
+/// Position in the world frame, metres; `None` if absent.
 pub fn position_m(state: &ObjectState) -> Option<[f64; 3]> {
     state.position.map(|p| [p.x, p.y, p.z])
 }
 
-/// Its velocity in the world frame, m/s; `None` where that is absent.
+/// Velocity in the world frame, m/s; `None` if absent.
 pub fn velocity_m_s(state: &ObjectState) -> Option<[f64; 3]> {
     state.velocity.map(|v| [v.x, v.y, v.z])
 }
 
-/// Angle of its x axis about the world's z axis, anticlockwise from the world's x, radians; `None` while it is not
-/// observed. With `yaw_symmetry` 2 the opposite looks the same.
+/// Angle of its x axis about the world's z axis, counterclockwise from the world's x axis, radians; `None` if not
+/// observed. With `yaw_symmetry` 2 it is ambiguous by half a turn.
 pub fn yaw_rad(state: &ObjectState) -> Option<f64> {
     let q = state.orientation.filter(|_| state.yaw_observed)?;
     Some((2.0 * (q.x * q.y + q.w * q.z)).atan2(1.0 - 2.0 * (q.y * q.y + q.z * q.z)))
 }
 
-/// How fast it moves, m/s; 0 where the velocity is absent.
+/// Norm of the velocity, m/s; 0 if absent.
 pub fn speed_m_s(state: &ObjectState) -> f64 {
     state.velocity.map_or(0.0, |v| (v.x * v.x + v.y * v.y + v.z * v.z).sqrt())
 }
@@ -69,9 +68,9 @@ mod tests {
     }
 
     #[test]
-    fn a_yaw_is_told_while_it_is_observed() {
+    fn yaw_is_given_only_if_observed() {
         let (sine, cosine) = 0.6_f64.sin_cos();
-        // By 1.2 about z.
+        // Rotation by 1.2 rad about z.
         let orientation = Some(Quaternion { x: 0.0, y: 0.0, z: sine, w: cosine });
         let state = ObjectState { orientation, yaw_observed: true, ..Default::default() };
         assert!((yaw_rad(&state).unwrap() - 1.2).abs() < 1e-12);
@@ -86,7 +85,7 @@ mod tests {
 
     #[test]
     fn sigmas_are_the_roots_of_the_first_three_variances() {
-        // The upper triangle of the diagonal matrix of the squares of 1 to 6, row by row.
+        // Upper triangle, row by row: the squares of 1 to 6 on the diagonal, 0.5 elsewhere.
         let mut covariance = Vec::new();
         for row in 1..=6 {
             covariance.push(f64::from(row * row));

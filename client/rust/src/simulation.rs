@@ -1,32 +1,33 @@
-//! Simulated robots that are driven.
+//! Commands for simulated robots.
 
 use std::time::Duration;
 
 use crate::{Client, Error, v1};
 
 impl Client {
-    /// Tells simulated robots how to move, by `object_id`, world frame, m/s (at most 1 m/s); when they begin to,
-    /// server's ns. They go on for half a second and then stop, unless they are told again.
+    /// Sets the velocities of simulated robots, by `object_id`, in the world frame, at most 1 m/s. Returns the server time
+    /// of effect, ns. Robots stop half a second after the last command.
     ///
     /// # Errors
-    /// [`Error::Refused`] where nothing is simulated, for an object that is no robot's, and for too fast a velocity;
-    /// and those of the connection.
+    /// [`Error::Refused`] if the server does not simulate, for an object that is not a robot, and for a velocity above
+    /// the limit; and connection errors.
     pub async fn drive(
         &self,
         velocities_m_s: impl IntoIterator<Item = (u64, [f64; 3])>,
     ) -> Result<i64, Error> {
-        let told = |(object_id, velocity)| v1::RobotDrive { object_id, velocity: vector(velocity) };
-        let robots = velocities_m_s.into_iter().map(told).collect();
+        let command =
+            |(object_id, velocity)| v1::RobotDrive { object_id, velocity: vector(velocity) };
+        let robots = velocities_m_s.into_iter().map(command).collect();
         let answer = self.service().drive_robots(v1::DriveRobotsRequest { robots }).await;
         let answer = answer.map_err(|status| self.error(&status))?;
         Ok(answer.into_inner().effective_time_ns)
     }
 
-    /// Pushes a simulated robot, against what it is told, with up to 2 m/s for up to five seconds; from when on,
-    /// server's ns.
+    /// Pushes a simulated robot with up to 2 m/s for up to five seconds, whatever its commanded velocity. Returns the
+    /// server time of effect, ns.
     ///
     /// # Errors
-    /// As of [`Client::drive`].
+    /// As for [`Client::drive`].
     pub async fn push_robot(
         &self,
         object_id: u64,

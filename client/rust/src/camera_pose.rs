@@ -1,28 +1,32 @@
-//! Where cameras that ride on objects are, as often as snapshots come.
+//! Poses of cameras that are mounted on objects.
 
 use crate::v1::{Camera, LifeStage, Pose, Quaternion, Snapshot, Vector3};
 
-/// world_from_camera at the snapshot's pose time: of a camera that stands its pose, of one that rides its
-/// object's pose with the camera's place on it (`mount`). `None` while it is not known: `pose_status` and
-/// `pose_reason` say why.
+/// world_from_camera at the snapshot's pose time. A fixed camera has its `pose`; a mounted camera has the pose of its object
+/// (`carrier`) composed with `mount`. `None` if unknown; `pose_status` and `pose_reason` give the cause.
 ///
-/// [`crate::Client::cameras`] gives the camera; asked once, it does for as long as `mount` stays.
+/// `camera` comes from [`crate::Client::cameras`] and stays valid until `mount` changes.
 pub fn camera_pose_at(camera: &Camera, snapshot: &Snapshot) -> Option<Pose> {
     let Some(mount) = &camera.mount else { return camera.pose };
-    let mut own = snapshot.objects.iter().filter(|object| {
-        let is_followed = matches!(object.stage(), LifeStage::Tracked | LifeStage::Predicted);
-        is_followed && object.name == camera.carrier
+    let mut carriers = snapshot.objects.iter().filter(|object| {
+        let is_tracked = matches!(object.stage(), LifeStage::Tracked | LifeStage::Predicted);
+        is_tracked && object.name == camera.carrier
     });
-    let object = own.next().filter(|object| object.yaw_observed && object.yaw_symmetry <= 1)?;
-    // Seen twice it is nowhere.
-    if own.next().is_some() {
+    let object =
+        carriers.next().filter(|object| object.yaw_observed && object.yaw_symmetry <= 1)?;
+    // Two objects with that name make the pose ambiguous.
+    if carriers.next().is_some() {
         return None;
     }
-    let (turn, arm) = (object.orientation?, mount.position?);
-    let (place, arm) = (object.position?, rotated(&turn, &arm));
+    let (rotation, offset) = (object.orientation?, mount.position?);
+    let (position, offset) = (object.position?, rotated(&rotation, &offset));
     Some(Pose {
-        position: Some(Vector3 { x: place.x + arm.x, y: place.y + arm.y, z: place.z + arm.z }),
-        orientation: Some(product(&turn, &mount.orientation?)),
+        position: Some(Vector3 {
+            x: position.x + offset.x,
+            y: position.y + offset.y,
+            z: position.z + offset.z,
+        }),
+        orientation: Some(product(&rotation, &mount.orientation?)),
     })
 }
 
@@ -36,10 +40,11 @@ fn product(a: &Quaternion, b: &Quaternion) -> Quaternion {
     }
 }
 
-fn rotated(turn: &Quaternion, v: &Vector3) -> Vector3 {
-    let back = Quaternion { x: -turn.x, y: -turn.y, z: -turn.z, w: turn.w };
-    let turned = product(&product(turn, &Quaternion { x: v.x, y: v.y, z: v.z, w: 0.0 }), &back);
-    Vector3 { x: turned.x, y: turned.y, z: turned.z }
+fn rotated(rotation: &Quaternion, v: &Vector3) -> Vector3 {
+    let inverse = Quaternion { x: -rotation.x, y: -rotation.y, z: -rotation.z, w: rotation.w };
+    let rotated =
+        product(&product(rotation, &Quaternion { x: v.x, y: v.y, z: v.z, w: 0.0 }), &inverse);
+    Vector3 { x: rotated.x, y: rotated.y, z: rotated.z }
 }
 
 #[cfg(test)]
@@ -75,25 +80,25 @@ mod tests {
     }
 
     #[test]
-    fn a_camera_is_where_its_object_has_carried_it() {
+    fn a_mounted_camera_has_the_pose_of_its_object_and_mount() {
         let pose = pose(vec![drone()]).unwrap();
         let (p, q) = (pose.position.unwrap(), pose.orientation.unwrap());
         let near = |a: f64, b: f64| (a - b).abs() < 1e-12;
         assert!(near(p.x, 1.0) && near(p.y, 2.5) && near(p.z, 2.9), "{p:?}");
-        // Its right is where the object's x is, and it looks down.
+        // Its x axis is the object's, and it looks down.
         let right = rotated(&q, &Vector3 { x: 1.0, y: 0.0, z: 0.0 });
         let ahead = rotated(&q, &Vector3 { x: 0.0, y: 0.0, z: 1.0 });
         assert!(near(right.y, 1.0) && near(ahead.z, -1.0), "{right:?}, {ahead:?}");
     }
 
     #[test]
-    fn without_its_object_it_is_nowhere() {
+    fn a_mounted_camera_without_its_object_has_no_pose() {
         assert_eq!(pose(vec![]), None);
         assert_eq!(pose(vec![drone(), drone()]), None);
         assert_eq!(pose(vec![ObjectState { yaw_observed: false, ..drone() }]), None);
         assert_eq!(pose(vec![ObjectState { name: "other".into(), ..drone() }]), None);
         assert_eq!(pose(vec![ObjectState { stage: LifeStage::Lost as i32, ..drone() }]), None);
-        let standing = Camera { pose: Some(Pose::default()), ..Default::default() };
-        assert_eq!(camera_pose_at(&standing, &Snapshot::default()), Some(Pose::default()));
+        let fixed = Camera { pose: Some(Pose::default()), ..Default::default() };
+        assert_eq!(camera_pose_at(&fixed, &Snapshot::default()), Some(Pose::default()));
     }
 }
