@@ -1,29 +1,19 @@
-//! Exponential backoff between connection attempts.
+//! Delays between attempts to connect.
 
 use std::time::Duration;
 
-const INITIAL: Duration = Duration::from_millis(100);
-const MAX: Duration = Duration::from_secs(5);
+use backon::{BackoffBuilder, ExponentialBackoff, ExponentialBuilder};
 
-/// Pauses that double up to a cap, with random jitter of up to half of each. The jitter spreads the reconnections of
-/// many clients after a server restart.
-#[derive(Debug, Default)]
-pub(crate) struct Backoff {
-    attempts: u32,
-}
-
-impl Backoff {
-    /// The pause before the next attempt.
-    pub fn next_pause(&mut self) -> Duration {
-        let doubled = INITIAL.saturating_mul(1 << self.attempts.min(16));
-        self.attempts = self.attempts.saturating_add(1);
-        doubled.min(MAX).mul_f64(1.0 - 0.5 * fastrand::f64())
-    }
-
-    /// Starts over with a short pause, after a success.
-    pub fn reset(&mut self) {
-        self.attempts = 0;
-    }
+/// Delays that double from 100 ms to 5 s, each shortened at random by up to a half, so that the clients of a restarted
+/// server do not reconnect at the same time.
+pub(crate) fn delays() -> ExponentialBackoff {
+    // The jitter adds up to as much again.
+    ExponentialBuilder::new()
+        .with_min_delay(Duration::from_millis(50))
+        .with_max_delay(Duration::from_millis(2500))
+        .without_max_times()
+        .with_jitter()
+        .build()
 }
 
 #[cfg(test)]
@@ -31,13 +21,10 @@ mod tests {
     use super::*;
 
     #[test]
-    fn pauses_grow_to_the_cap_and_reset() {
-        let mut backoff = Backoff::default();
-        let first = backoff.next_pause();
-        assert!(first <= INITIAL && first >= INITIAL / 2);
-        let last = (0..100).map(|_| backoff.next_pause()).last().unwrap();
-        assert!(last <= MAX && last >= MAX / 2);
-        backoff.reset();
-        assert!(backoff.next_pause() <= INITIAL);
+    fn delays_grow_to_the_cap() {
+        let ms = Duration::from_millis;
+        let delays: Vec<Duration> = delays().take(100).collect();
+        assert!((ms(50)..=ms(100)).contains(&delays[0]), "{delays:?}");
+        assert!((ms(2500)..=ms(5000)).contains(&delays[99]), "{delays:?}");
     }
 }

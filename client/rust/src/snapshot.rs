@@ -6,11 +6,12 @@ use std::{
     time::Duration,
 };
 
+use backon::ExponentialBackoff;
 use futures::{Stream, StreamExt, stream};
 use tokio::time::{Instant, sleep};
 use tonic::Streaming;
 
-use crate::{Client, Error, Subscription, backoff::Backoff, v1};
+use crate::{Client, Error, Subscription, backoff, v1};
 
 /// An item of a stream of snapshots.
 #[derive(Clone, Debug, PartialEq)]
@@ -54,7 +55,7 @@ impl Snapshots {
             client,
             request: subscription.into_request(),
             phase: Phase::Subscribing,
-            backoff: Backoff::default(),
+            backoff: backoff::delays(),
             newest: None,
             pending: None,
             tries: 0,
@@ -108,7 +109,7 @@ struct StreamState {
     client: Client,
     request: v1::SubscribeSnapshotsRequest,
     phase: Phase,
-    backoff: Backoff,
+    backoff: ExponentialBackoff,
     newest: Option<Newest>,
     /// The snapshot to return after `Reconnected`.
     pending: Option<v1::Snapshot>,
@@ -152,7 +153,7 @@ impl StreamState {
     }
 
     fn received(&mut self, snapshot: v1::Snapshot) -> Update {
-        self.backoff.reset();
+        self.backoff = backoff::delays();
         self.is_up = true;
         let (source_id, sequence) = (snapshot.source_id.clone(), snapshot.sequence);
         let newest = Newest { source_id, sequence, arrived: Instant::now() };
@@ -176,7 +177,7 @@ impl StreamState {
         self.was_lost = true;
         let was_up = std::mem::take(&mut self.is_up);
         self.tries = if was_up { 0 } else { self.tries.saturating_add(1) };
-        let retry_in = self.backoff.next_pause();
+        let retry_in = self.backoff.next().unwrap_or_default();
         self.phase = Phase::Pausing(retry_in);
         let reason = match error {
             Error::Unreachable { reason, .. } => reason,

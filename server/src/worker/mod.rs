@@ -2,7 +2,7 @@
 //!
 //! | module | what it does |
 //! | --- | --- |
-//! | `supervisor` | runs the worker again after a failure, with growing pauses |
+//! | `supervisor` | runs the worker again after a failure, with backoff |
 //! | `helpers` | threads that fit a part of a frame's rings |
 //! | [`pipeline`] | pixels → detections with poses and times |
 //! | `remote` | what was seen elsewhere, and only passes through |
@@ -39,7 +39,7 @@ use roundel_core::{
 };
 
 pub use place::Place;
-pub use supervisor::{Pauses, run};
+pub use supervisor::run;
 
 use crate::{
     clock::Clock,

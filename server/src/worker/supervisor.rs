@@ -1,4 +1,4 @@
-//! Runs a camera's worker, and runs it again after a failure, with growing pauses.
+//! Runs a camera's worker and restarts it after a failure, with backoff.
 
 use std::{
     any::Any,
@@ -6,8 +6,7 @@ use std::{
     time::Duration,
 };
 
-use rand::{RngExt, SeedableRng};
-use rand_chacha::ChaCha8Rng;
+use backon::{BackoffBuilder, ExponentialBackoff, ExponentialBuilder};
 
 use super::{End, Totals, Worker, helpers::with_helpers};
 use crate::{
@@ -15,38 +14,19 @@ use crate::{
     stop::Stop,
 };
 
-const FIRST_PAUSE: Duration = Duration::from_millis(500);
-const LONGEST_PAUSE: Duration = Duration::from_secs(30);
-/// Frames for so long, and the next failure is a new one, with a short pause.
+/// Frames for this long reset the backoff.
 const HEALTHY_AFTER: Duration = Duration::from_secs(10);
-/// A pause is off its nominal length by up to this share, so that cameras of one broken switch do
-/// not all come back in the same instant.
-const JITTER: f64 = 0.2;
 
-/// The pauses between attempts: doubling, capped, with jitter.
-#[derive(Debug)]
-pub struct Pauses {
-    next: Duration,
-    jitter: ChaCha8Rng,
-}
-
-impl Pauses {
-    /// Pauses that begin short; the seed decides the jitter.
-    pub fn new(seed: u64) -> Self {
-        Self { next: FIRST_PAUSE, jitter: ChaCha8Rng::seed_from_u64(seed) }
-    }
-
-    /// The pause to make now; the one after it is longer.
-    pub fn take(&mut self) -> Duration {
-        let pause = self.next;
-        self.next = (pause * 2).min(LONGEST_PAUSE);
-        pause.mul_f64(1.0 + self.jitter.random_range(-JITTER..JITTER))
-    }
-
-    /// Begins again with a short one.
-    pub fn reset(&mut self) {
-        self.next = FIRST_PAUSE;
-    }
+/// Delays that double from 0.5 s to 30 s, each shortened at random by up to a half, so that the cameras of a broken
+/// switch do not reconnect at the same time.
+fn delays() -> ExponentialBackoff {
+    // The jitter adds up to as much again.
+    ExponentialBuilder::new()
+        .with_min_delay(Duration::from_millis(250))
+        .with_max_delay(Duration::from_secs(15))
+        .without_max_times()
+        .with_jitter()
+        .build()
 }
 
 /// Runs a worker until its source is finished or the signal comes; every failure, panics included,
@@ -57,7 +37,7 @@ pub fn run(worker: Worker, stop: &Stop) -> Totals {
 }
 
 fn keep_running(mut worker: Worker, stop: &Stop) -> Totals {
-    let mut pauses = Pauses::new(u64::from(worker.parts.id.0));
+    let mut backoff = delays();
     while !stop.is_stopped() {
         // A worker begins each play by putting its state in order, so a panic leaves nothing behind
         // that could do harm.
@@ -74,9 +54,9 @@ fn keep_running(mut worker: Worker, stop: &Stop) -> Totals {
             Err(panic) => format!("internal error, please report it: {}", panic_message(&*panic)),
         };
         if worker.running_since.is_some_and(|since| since.elapsed() >= HEALTHY_AFTER) {
-            pauses.reset();
+            backoff = delays();
         }
-        let pause = pauses.take();
+        let pause = backoff.next().unwrap_or_default();
         let message = format!("Camera {} failed: {failure}", worker.parts.name);
         report(&worker, CameraStatus::Failed, &failure, message);
         tracing::info!(camera = worker.parts.name, pause_s = pause.as_secs_f64(), "trying again");
@@ -150,16 +130,10 @@ mod tests {
     };
 
     #[test]
-    fn pauses_double_up_to_the_cap_and_begin_again() {
-        let mut pauses = Pauses::new(1);
-        let nominal = [0.5, 1.0, 2.0, 4.0, 8.0, 16.0, 30.0, 30.0];
-        for expected in nominal {
-            let pause = pauses.take().as_secs_f64();
-            assert!((pause / expected - 1.0).abs() <= JITTER, "{pause} for {expected}");
+    fn delays_double_up_to_the_cap() {
+        for (delay, longest) in delays().zip([0.5, 1.0, 2.0, 4.0, 8.0, 16.0, 30.0, 30.0]) {
+            assert!((longest / 2.0..=longest).contains(&delay.as_secs_f64()), "{delay:?}");
         }
-        pauses.reset();
-        assert!(pauses.take() < Duration::from_secs(1));
-        assert_ne!(Pauses::new(1).take(), Pauses::new(2).take());
     }
 
     /// What a source of the test does, call by call.

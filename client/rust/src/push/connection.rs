@@ -5,6 +5,7 @@
 
 use std::{sync::Arc, time::Duration};
 
+use backon::ExponentialBackoff;
 use futures::stream;
 use tokio::{
     sync::mpsc,
@@ -14,8 +15,7 @@ use tonic::{Streaming, transport::Endpoint};
 
 use super::{MAX_MESSAGE_BYTES, Shared, queue::Item};
 use crate::{
-    ClockOffset, Error,
-    backoff::Backoff,
+    ClockOffset, Error, backoff,
     error::error_chain,
     v1::{
         self, push_client::PushClient, push_request::Message as Request,
@@ -36,16 +36,16 @@ const CHANNEL_CAPACITY: usize = 4;
 /// Connects and reconnects until the task is aborted.
 pub(super) async fn run(shared: Arc<Shared>, address: String, endpoint: Endpoint) {
     let endpoint = endpoint.connect_timeout(CONNECT_TIMEOUT).tcp_nodelay(true);
-    let mut backoff = Backoff::default();
+    let mut delays = backoff::delays();
     loop {
-        let error = connect(&shared, &address, &endpoint, &mut backoff).await;
+        let error = connect(&shared, &address, &endpoint, &mut delays).await;
         let refused = !error.is_temporary();
         shared.publish(|status| {
             status.connected = false;
             status.error = error.to_string();
             status.refused = refused;
         });
-        sleep(backoff.next_pause()).await;
+        sleep(delays.next().unwrap_or_default()).await;
     }
 }
 
@@ -54,7 +54,7 @@ async fn connect(
     shared: &Shared,
     address: &str,
     endpoint: &Endpoint,
-    backoff: &mut Backoff,
+    delays: &mut ExponentialBackoff,
 ) -> Error {
     let unreachable = |reason: String| Error::Unreachable { address: address.to_owned(), reason };
     let channel = match endpoint.connect().await {
@@ -86,7 +86,7 @@ async fn connect(
         Ok(Err(status)) => return Error::from_status(address, &status),
         Err(_) => return unreachable(silence_reason()),
     };
-    Connection { shared, address, outgoing }.run(answers, backoff).await
+    Connection { shared, address, outgoing }.run(answers, delays).await
 }
 
 fn silence_reason() -> String {
@@ -105,7 +105,11 @@ struct Connection<'a> {
 }
 
 impl Connection<'_> {
-    async fn run(self, mut answers: Streaming<v1::PushResponse>, backoff: &mut Backoff) -> Error {
+    async fn run(
+        self,
+        mut answers: Streaming<v1::PushResponse>,
+        delays: &mut ExponentialBackoff,
+    ) -> Error {
         let mut last_received = Instant::now();
         let mut is_welcomed = false;
         let mut sent_probes = 0;
@@ -122,7 +126,7 @@ impl Connection<'_> {
                         is_welcomed |= matches!(answer, Response::Welcome(_));
                         self.handle(answer);
                         if is_welcomed && self.is_clock_known() {
-                            backoff.reset();
+                            *delays = backoff::delays();
                         }
                     }
                     Ok(Some(_)) => {}
