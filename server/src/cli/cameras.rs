@@ -126,7 +126,7 @@ fn of_format(format: &FormatListing) -> String {
 }
 
 fn of_control(control: &ControlListing) -> String {
-    let ControlListing { name, least, most, step, default, value, is_settable } = control;
+    let ControlListing { name, least, most, step, default, value, is_settable, .. } = control;
     let steps = if *step > 1 { format!(" in steps of {step}") } else { String::new() };
     let fixed = if *is_settable { "" } else { "  (cannot be set now)" };
     format!("{name}={value}  from {least} to {most}{steps}, {default} when plugged in{fixed}")
@@ -149,6 +149,7 @@ mod tests {
                 width: 640,
                 height: 480,
                 rates_hz: vec![30.0, 15.0],
+                ..FormatListing::default()
             }],
             controls: vec![ControlListing {
                 name: "gain".into(),
@@ -158,6 +159,7 @@ mod tests {
                 default: 0,
                 value: 64,
                 is_settable: false,
+                ..ControlListing::default()
             }],
             error: String::new(),
         };

@@ -27,7 +27,7 @@ const IMAGES_KEYS: [&str; 4] = ["fps", "times", "clock", "loop"];
 const SIM_KEYS: [&str; 4] = ["preset", "seed", "robots", "camera"];
 /// Frames a second that an address may ask for.
 const MAX_FPS: f64 = 1000.0;
-/// What is played where nobody says.
+/// Default frame rate.
 const USUAL_FPS: f64 = 30.0;
 
 /// A source's URL, read.
@@ -52,7 +52,7 @@ pub enum SourceAddress {
 pub struct ImagesAddress {
     /// A folder or a glob, absolute or relative to the working directory.
     pub pattern: String,
-    /// Frames a second, where `times` is absent; `None`: nobody says, and it is 30.
+    /// Frames a second, where `times` is absent; `None`: the default, 30.
     pub fps: Option<f64>,
     /// A text file of capture times, one a line, ns since the Unix epoch.
     pub times: Option<PathBuf>,

@@ -1,8 +1,8 @@
-//! A thread that receives, for sources that block or come by themselves, and the newest of what it received.
+//! A receiving thread with a mailbox for the newest item, for sources that block or push.
 //!
-//! Memory is bounded: one item waits and another is being used. An item that arrives before the last one was taken
-//! replaces it, which is counted: the newest wins. Nothing for longer than the patience of whoever waits is a stall, and an error like any other: the
-//! worker's supervisor opens the source again.
+//! Memory is bounded: one item waits and another is in use. A new item replaces one that was not taken, and the
+//! replaced item is counted. No item within the timeout of the consumer is a stall, which is an error like any other:
+//! the worker's supervisor opens the source again.
 
 use std::{
     sync::{Arc, Condvar, Mutex, MutexGuard, PoisonError},
@@ -15,17 +15,17 @@ use tokio_util::sync::CancellationToken;
 use super::SourceError;
 use crate::stop::Stop;
 
-/// How often a wait looks whether the server goes down.
+/// How often a wait checks the stop signal.
 const LOOK_EVERY: Duration = Duration::from_millis(20);
-/// A thread that is told to end gets so long; then it is left to itself.
+/// How long a drop waits for the thread to end.
 const GRACE: Duration = Duration::from_secs(1);
 
-/// What waits, and what was counted since it was looked at.
+/// The waiting item, and counts since the last one was taken.
 struct State<T> {
     newest: Option<T>,
     replaced: u64,
     broken: u64,
-    /// What arrives in place of frames, for the message of a stall.
+    /// Explanation for the message of a stall.
     hint: &'static str,
     end: Option<SourceError>,
 }
@@ -52,7 +52,6 @@ impl<T> Clone for Sink<T> {
 }
 
 impl<T> Sink<T> {
-    /// Hands over an item.
     pub(super) fn put(&self, item: T) {
         let mut state = self.0.lock();
         let replaced = state.newest.replace(item);
@@ -61,41 +60,39 @@ impl<T> Sink<T> {
         self.0.news.notify_one();
     }
 
-    /// Counts what arrived and was no frame.
+    /// Counts items that arrived broken.
     pub(super) fn count_broken(&self, count: u64) {
         self.0.lock().broken += count;
     }
 
-    /// Says what arrives in place of frames, for the case that none comes.
+    /// Sets the explanation for a later stall.
     pub(super) fn hint(&self, hint: &'static str) {
         self.0.lock().hint = hint;
     }
 
-    /// Ends it: nothing more will come, and why.
+    /// Ends the feed with a reason; only the first one counts.
     pub(super) fn end(&self, error: SourceError) {
-        // The first reason is the one that tells.
         self.0.lock().end.get_or_insert(error);
         self.0.news.notify_one();
     }
 
-    /// Ready once nobody wants more.
+    /// Resolves when the consumer is dropped.
     pub(super) async fn cancelled(&self) {
         self.0.cancelled.cancelled().await;
     }
 }
 
-/// What was taken.
+/// The newest item, with counts since the one before.
 #[derive(Debug, PartialEq, Eq)]
 pub(super) struct Taken<T> {
-    /// The newest.
     pub(super) item: T,
-    /// Older ones that it has replaced.
+    /// Items that it replaced.
     pub(super) replaced: u64,
-    /// What arrived meanwhile and was no frame.
+    /// Items that arrived broken.
     pub(super) broken: u64,
 }
 
-/// The worker's side.
+/// The consumer's side.
 pub(super) struct Feed<T> {
     shared: Arc<Shared<T>>,
     thread: Option<JoinHandle<()>>,
@@ -103,7 +100,7 @@ pub(super) struct Feed<T> {
 }
 
 impl<T: Send + 'static> Feed<T> {
-    /// Starts the thread. What `receive` returns is why nothing more comes.
+    /// Starts the thread; `receive` returns the reason of the end.
     pub(super) fn start(
         name: &str,
         stop: Stop,
@@ -116,7 +113,7 @@ impl<T: Send + 'static> Feed<T> {
         });
         let sink = Sink(shared.clone());
         let run = move || {
-            // Should it panic, the drop says that nothing more comes.
+            // The drop of the guard reports a panic.
             let guard = Ending(sink);
             let why = receive(&guard.0);
             guard.0.end(why);
@@ -127,8 +124,7 @@ impl<T: Send + 'static> Feed<T> {
         Ok(Self { shared, thread: Some(thread), stop })
     }
 
-    /// Waits for an item that was not taken yet. None for `patience`, `since` when: an error that says so, and what
-    /// came instead.
+    /// Waits for an item; a stall once `patience` has passed since `since`.
     pub(super) fn next(&self, since: Instant, patience: Duration) -> Result<Taken<T>, SourceError> {
         let mut state = self.shared.lock();
         loop {
@@ -173,16 +169,16 @@ impl<T> Drop for Feed<T> {
             thread::sleep(Duration::from_millis(1));
         }
         if thread.is_finished() {
-            // A panic was told as the source's end.
+            // A panic was already reported as the end of the feed.
             let _ = thread.join();
         } else {
             let name = thread.thread().name().unwrap_or_default();
-            tracing::warn!(thread = name, "does not end; it is left to itself");
+            tracing::warn!(thread = name, "does not end and is detached");
         }
     }
 }
 
-/// Says that nothing more comes, however the thread ends.
+/// Ends the feed when the thread ends, also by a panic.
 struct Ending<T>(Sink<T>);
 
 impl<T> Drop for Ending<T> {
@@ -227,7 +223,7 @@ mod tests {
         finished.recv().unwrap();
         assert_eq!(next(&feed).unwrap(), Taken { item: 3, replaced: 2, broken: 2 });
         go.send(()).unwrap();
-        // What was received before the end is used before it is told.
+        // An item that was received before the end comes first.
         assert_eq!(next(&feed).unwrap(), Taken { item: 4, replaced: 0, broken: 0 });
         assert_eq!(next(&feed), Err(SourceError::Finished));
     }

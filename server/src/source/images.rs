@@ -8,7 +8,7 @@ use std::{
 use roundel_core::time::Timestamp;
 
 use super::{
-    FrameInfo, FrameSource, ImagesAddress, LentFrame, Playback, SourceError, bad_frame, natural,
+    FrameInfo, FrameSource, ImagesAddress, LentFrame, Playback, SourceError, bad_frame,
     playback::{mean_interval_ns, read_times},
     wrong_size,
 };
@@ -115,7 +115,7 @@ pub(super) struct ImageSource {
     stop: Stop,
     image: GreyImage,
     next: u64,
-    /// The first frame of an opening is not late: nobody could have taken it earlier.
+    /// The first frame after opening is never late.
     first: bool,
 }
 
@@ -173,7 +173,7 @@ pub(super) fn list_files(pattern: &str) -> Result<Vec<PathBuf>, String> {
             format!("no file matches {pattern}: check the path, or put frames there")
         });
     }
-    files.sort_by(|a, b| natural::compare(&a.to_string_lossy(), &b.to_string_lossy()));
+    alphanumeric_sort::sort_path_slice(&mut files);
     Ok(files)
 }
 
@@ -222,15 +222,15 @@ mod tests {
     #[test]
     fn files_come_in_natural_order_and_others_are_left_out() {
         let folder = tempfile::tempdir().unwrap();
-        for name in ["10.PNG", "9.png", "notes.txt", "1.bmp"] {
+        for name in ["10.PNG", "9.png", "notes.txt", "1.bmp", "09.png"] {
             std::fs::write(folder.path().join(name), "").unwrap();
         }
         let names = |files: Vec<PathBuf>| -> Vec<String> {
             files.iter().map(|f| f.file_name().unwrap().to_string_lossy().into_owned()).collect()
         };
         let path = folder.path().to_str().unwrap();
-        assert_eq!(names(list_files(path).unwrap()), ["1.bmp", "9.png", "10.PNG"]);
-        assert_eq!(names(list_files(&format!("{path}/*.png")).unwrap()), ["9.png"]);
+        assert_eq!(names(list_files(path).unwrap()), ["1.bmp", "9.png", "09.png", "10.PNG"]);
+        assert_eq!(names(list_files(&format!("{path}/*.png")).unwrap()), ["9.png", "09.png"]);
         assert!(list_files(&format!("{path}/x*")).unwrap_err().contains("no file matches"));
         let missing = list_files(&format!("{path}/sub")).unwrap_err();
         assert!(missing.contains("no file matches"), "{missing}");

@@ -1,7 +1,6 @@
-//! JPEG → 8-bit grey. Only the luma is decoded; chroma is skipped bit by bit, which is the least that its
-//! Huffman codes allow.
+//! JPEG → 8-bit grey. Only the luma is decoded; of the chroma only the Huffman codes are read.
 //!
-//! Strict: a picture that lost bytes on its way must not pass as one with a grey end.
+//! Decoding is strict: a truncated picture is an error, not one with a grey end.
 
 use std::io::Cursor;
 
@@ -9,32 +8,60 @@ use roundel_core::frame::{Frame, MAX_SIDE_PX};
 use zune_core::{colorspace::ColorSpace, options::DecoderOptions};
 use zune_jpeg::JpegDecoder;
 
-use super::bad_frame;
-use crate::source::SourceError;
+use super::{SourceError, bad_frame, wrong_size};
 
-/// Why bytes give no picture.
+/// A source that gives this many broken pictures in a row fails.
+const MAX_BROKEN: u64 = 50;
+
+/// Why a picture cannot be used.
 #[derive(Debug, PartialEq, Eq)]
 pub(super) enum JpegFault {
-    /// It is broken: the next one may be whole.
+    /// The next one may be whole.
     Broken(String),
-    /// It is of another size (columns, rows): so will be the next one.
+    /// It has another size (columns, rows), as the next one will have.
     Size(usize, usize),
 }
 
-/// A decoder that keeps its buffer.
+/// A decoder that reuses its buffer.
 #[derive(Debug)]
 pub(super) struct LumaDecoder {
     size: (usize, usize),
     pixels: Vec<u8>,
+    broken_in_a_row: u64,
 }
 
 impl LumaDecoder {
-    /// For pictures of so many columns and rows.
+    /// A decoder for pictures of `size` (columns, rows).
     pub(super) fn new(size: (usize, usize)) -> Self {
-        Self { size, pixels: Vec::new() }
+        Self { size, pixels: Vec::new(), broken_in_a_row: 0 }
     }
 
-    /// Decodes a picture; what was decoded before is gone.
+    /// Whether a picture is whole. A picture of another size is an error, and so are [`MAX_BROKEN`] broken ones in a
+    /// row; `what` names the picture or its source.
+    pub(super) fn accept(
+        &mut self,
+        picture: Result<(), JpegFault>,
+        what: impl FnOnce() -> String,
+    ) -> Result<bool, SourceError> {
+        match picture {
+            Ok(()) => self.broken_in_a_row = 0,
+            Err(JpegFault::Size(width, height)) => {
+                return Err(wrong_size(&what(), self.size, (width, height)));
+            }
+            Err(JpegFault::Broken(reason)) => {
+                self.broken_in_a_row += 1;
+                if self.broken_in_a_row > MAX_BROKEN {
+                    return Err(SourceError::Failed(format!(
+                        "{}: {MAX_BROKEN} pictures in a row are broken: {reason}",
+                        what()
+                    )));
+                }
+            }
+        }
+        Ok(self.broken_in_a_row == 0)
+    }
+
+    /// Decodes a picture and replaces the one before.
     pub(super) fn decode(&mut self, bytes: &[u8]) -> Result<(), JpegFault> {
         let broken = |error: &dyn std::fmt::Display| JpegFault::Broken(error.to_string());
         let options = DecoderOptions::default()
@@ -57,12 +84,12 @@ impl LumaDecoder {
         decoder.decode_into(&mut self.pixels).map_err(|error| broken(&error))
     }
 
-    /// What was decoded last, row by row.
+    /// The pixels of the last picture, row by row.
     pub(super) fn into_pixels(self) -> Vec<u8> {
         self.pixels
     }
 
-    /// What was decoded last; before that, an error.
+    /// The last picture; an error if there is none.
     pub(super) fn frame(&self) -> Result<Frame<'_>, SourceError> {
         let (width, height) = self.size;
         Frame::new(&self.pixels, width, height, width).map_err(bad_frame)

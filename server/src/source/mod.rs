@@ -10,18 +10,18 @@
 //! | [`push`] | `push:` – frames and detections of a remote program |
 //! | `gst` | `rtsp://…`, `file:`, `gst:` – what GStreamer plays; with the Cargo feature `gst` |
 //!
-//! What they are made of:
+//! Shared modules:
 //!
-//! | module | what it does |
+//! | module | purpose |
 //! | --- | --- |
-//! | `timing` | which clock capture times come from, and a camera's own counter on the server's clock |
-//! | [`pixels`] | what cameras send → 8-bit grey |
+//! | `timing` | clocks of capture times, and the mapping of a camera's counter to the server's clock |
+//! | [`pixels`] | pixel formats of cameras → 8-bit grey |
 //! | `jpeg` | JPEG → luma |
-//! | `feed` | a thread that receives; the newest frame wins, and a stall is an error |
+//! | `feed` | a receiving thread with a mailbox for the newest frame; a stall is an error |
 //!
-//! A paced source that is asked too late skips to the newest frame that is due and says how many it
-//! left out; one that comes by itself keeps the newest: frames never queue. What arrives broken is counted and
-//! left out. An error ends a source, and the worker's supervisor opens it again after a pause.
+//! Frames never queue: a source returns the newest frame that is due or has arrived, and counts those that it skipped.
+//! Broken frames are counted and dropped. An error ends a source, and the worker's supervisor opens it again with
+//! backoff.
 
 mod address;
 mod feed;
@@ -30,7 +30,6 @@ mod gst;
 mod http;
 mod images;
 mod jpeg;
-mod natural;
 pub mod pixels;
 mod playback;
 pub mod push;
@@ -54,35 +53,35 @@ pub use timing::{CaptureClock, TimeBase};
 
 use crate::{clock::Clock, stop::Stop};
 
-/// What is known about a frame apart from its pixels.
+/// Capture time and counts of a frame.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct FrameInfo {
     /// Middle of the exposure at the middle row, on the server's clock.
     pub capture_time: Timestamp,
-    /// Where that comes from, and how far off it may be.
+    /// Clock of the capture time, and its accuracy.
     pub clock: CaptureClock,
-    /// Frames left out since the one before, because they came too fast.
+    /// Frames skipped since the one before, because they came too fast.
     pub skipped: u64,
-    /// Frames left out since the one before, because they arrived broken.
+    /// Frames dropped since the one before, because they arrived broken.
     pub broken: u64,
     /// Time that decoding took.
     pub decoding: Duration,
 }
 
 impl FrameInfo {
-    /// Of a frame that needed no decoding, after none that was left out.
+    /// Info of a frame without decoding, skipped or broken frames.
     pub fn at(capture_time: Timestamp) -> Self {
         let (clock, decoding) = (CaptureClock::EXACT, Duration::ZERO);
         Self { capture_time, clock, skipped: 0, broken: 0, decoding }
     }
 }
 
-/// A frame, as long as the source does not make the next one.
+/// A frame, valid until the source returns the next one.
 #[derive(Clone, Copy, Debug)]
 pub struct LentFrame<'a> {
-    /// Its pixels.
+    /// The pixels.
     pub frame: Frame<'a>,
-    /// What else is known of it.
+    /// Capture time and counts.
     pub info: FrameInfo,
 }
 
@@ -153,6 +152,14 @@ pub trait FrameSource: Send {
     }
 }
 
+/// What every camera source is opened with.
+#[derive(Clone, Copy, Debug)]
+struct SourceParts {
+    /// Columns and rows of the camera's calibration.
+    size: (usize, usize),
+    clock: Clock,
+}
+
 /// What a worker opens its source with, and opens it again after a failure.
 pub trait OpenSource: Send {
     /// Opens the source.
@@ -168,7 +175,7 @@ pub trait OpenSource: Send {
         false
     }
 
-    /// Frames that never came and that no later frame has told of yet; asked each time that a source has ended.
+    /// Lost frames that no later frame has counted; called each time that a source has ended.
     fn take_skipped(&mut self) -> u64 {
         0
     }
@@ -177,7 +184,7 @@ pub trait OpenSource: Send {
 /// Opens the source of a [`SourceAddress`].
 pub struct SourceOpener {
     address: SourceAddress,
-    /// Of the camera's calibration; images of another size are an error.
+    /// Size in the camera's calibration; images of another size are an error.
     size: (usize, usize),
     clock: Clock,
     playback: Playback,
@@ -217,6 +224,7 @@ impl SourceOpener {
 impl OpenSource for SourceOpener {
     /// A source that is opened again goes on where it would be by now.
     fn open(&mut self) -> Result<Box<dyn FrameSource>, SourceError> {
+        let parts = SourceParts { size: self.size, clock: self.clock };
         match &self.address {
             SourceAddress::Images(address) => {
                 let start = self.began.unwrap_or(self.playback.origin.max(self.clock.now()));
@@ -236,7 +244,6 @@ impl OpenSource for SourceOpener {
                 self.stop.clone(),
             )?)),
             SourceAddress::Http(address) => {
-                let parts = http::HttpParts { size: self.size, clock: self.clock };
                 Ok(Box::new(http::HttpSource::open(address, parts, self.stop.clone())?))
             }
             SourceAddress::Push(address) => {
@@ -244,17 +251,13 @@ impl OpenSource for SourceOpener {
                 Ok(Box::new(push::PushSource::open(self.port.clone(), parts, self.stop.clone())?))
             }
             #[cfg(all(target_os = "linux", target_pointer_width = "64"))]
-            SourceAddress::Device(address) => {
-                let parts = v4l2::V4l2Parts { size: self.size, clock: self.clock };
-                v4l2::open(address, parts, self.stop.clone())
-            }
+            SourceAddress::Device(address) => v4l2::open(address, parts, self.stop.clone()),
             #[cfg(not(all(target_os = "linux", target_pointer_width = "64")))]
             SourceAddress::Device(address) => Err(SourceError::Failed(format!(
                 "{address}: `v4l2:` is for Linux on 64-bit machines; use `gst:` with this system's camera source"
             ))),
             #[cfg(feature = "gst")]
             SourceAddress::Media(address) => {
-                let parts = gst::GstParts { size: self.size, clock: self.clock };
                 Ok(Box::new(gst::GstSource::open(address, parts, self.stop.clone())?))
             }
             #[cfg(not(feature = "gst"))]

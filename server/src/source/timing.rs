@@ -1,5 +1,4 @@
-//! Which clock capture times come from, how far it is to be trusted, and how a camera's own counter is
-//! brought to the server's clock.
+//! Clocks of capture times, their accuracy, and the mapping of a camera's counter to the server's clock.
 
 use std::collections::VecDeque;
 
@@ -8,24 +7,24 @@ use roundel_core::time::Timestamp;
 /// Where capture times come from.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Hash)]
 pub enum TimeBase {
-    /// The server's own clock: simulated frames, and recordings that are played.
+    /// The server's clock: simulated frames and played recordings.
     #[default]
     Server,
-    /// When the frame arrived. The way and the camera's own delay are in it, and all their jitter.
+    /// Arrival of the frame: includes the delays of camera and network, with their jitter.
     Arrival,
-    /// The camera's counter, brought to the server's clock by the frames that came quickest: steady, but late by
-    /// what the quickest one needed.
+    /// The camera's counter, mapped to the server's clock by the frames with the least delay: without jitter, but late
+    /// by that delay.
     Camera,
-    /// The driver's stamp of the frame, on this machine's monotonic clock: late by exposure and readout.
+    /// The driver's time stamp, on this machine's monotonic clock: late by exposure and readout.
     Driver,
-    /// A clock that the camera keeps in step with others, such as by NTP, and says so in the stream.
+    /// A camera clock that is synchronized, such as by NTP, according to the stream.
     Synchronized,
 }
 
-/// Where a source's capture times come from, and how far off they may be.
+/// Clock of a source's capture times, and their accuracy.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct CaptureClock {
-    /// Where from.
+    /// Which clock.
     pub base: TimeBase,
     /// Standard deviation of what all these times are off by together, seconds, as long as nothing better is
     /// known; 0: they are right.
@@ -33,36 +32,34 @@ pub struct CaptureClock {
 }
 
 impl CaptureClock {
-    /// Times that are right.
+    /// Times without error.
     pub const EXACT: Self = Self { base: TimeBase::Server, deviation_s: 0.0 };
-    /// A network camera without stamps: exposure, compression, buffers and the way.
+    /// A network camera without time stamps: exposure, compression, buffers and network.
     pub const ARRIVAL: Self = Self { base: TimeBase::Arrival, deviation_s: 0.05 };
     /// A network camera's counter: the same without the jitter.
     pub const CAMERA: Self = Self { base: TimeBase::Camera, deviation_s: 0.05 };
-    /// Stamps of a local driver, most often of the frame's first or last packet.
+    /// Time stamps of a local driver, usually of the first or last packet of the frame.
     pub const DRIVER: Self = Self { base: TimeBase::Driver, deviation_s: 0.02 };
-    /// NTP over a local network, as cameras keep it.
+    /// NTP of a camera over a local network.
     pub const SYNCHRONIZED: Self = Self { base: TimeBase::Synchronized, deviation_s: 0.005 };
 }
 
-/// The quickest frame of so many buckets counts …
+/// Buckets of the window in which the least delay counts.
 const BUCKETS: usize = 10;
-/// … of so much time each: short enough that 100 ppm of skew are a millisecond.
+/// Length of a bucket: within the window, 100 ppm of skew amount to a millisecond.
 const BUCKET_NS: i64 = 1_000_000_000;
-/// Delays that differ by more than this are those of another counting: the camera was started anew, or its
-/// clock was set.
+/// A change of the delay by more than this means that the camera restarted or its clock was set.
 const JUMP_NS: i64 = 1_000_000_000;
 
-/// A camera's own counter on the server's clock: stamp + the least (arrival - stamp) of the last ten seconds.
+/// Maps a camera's counter to the server's clock: stamp + min(arrival - stamp) over the last ten seconds.
 #[derive(Clone, Debug, Default)]
 pub struct CameraTimeline {
-    /// Begin of each bucket on the server's clock, and the least delay in it, the newest last.
+    /// Start of each bucket on the server's clock and the least delay in it, newest last.
     buckets: VecDeque<(Timestamp, i64)>,
 }
 
 impl CameraTimeline {
-    /// When the frame was taken that the camera stamped `stamp_ns`, ns of whatever epoch, and that arrived then;
-    /// never after it arrived.
+    /// Capture time of a frame with the camera's time stamp (ns since an arbitrary epoch); never later than its arrival.
     pub fn capture_time(&mut self, stamp_ns: i64, arrival: Timestamp) -> Timestamp {
         let delay_ns = arrival.as_ns().saturating_sub(stamp_ns);
         if self.least_ns().is_some_and(|least| delay_ns.abs_diff(least) > JUMP_NS as u64) {
@@ -115,7 +112,7 @@ mod tests {
     }
 
     #[test]
-    fn a_camera_that_starts_anew_is_followed() {
+    fn a_restart_of_the_camera_is_followed() {
         let mut timeline = CameraTimeline::default();
         let arrival = |ms: i64| Timestamp::from_ns(1_700_000_000_000_000_000 + ms * MS);
         timeline.capture_time(900_000 * MS, arrival(0));

@@ -4,6 +4,7 @@
 use std::{fmt, time::Duration};
 
 use hyper::Uri;
+use percent_encoding::percent_decode_str;
 
 use super::{AddressError, frame_rate, options};
 
@@ -47,7 +48,7 @@ impl fmt::Display for HttpAddress {
 }
 
 impl HttpAddress {
-    /// Host and port as the camera is told them.
+    /// Host and port for the Host header.
     pub fn authority(&self) -> String {
         let host = match self.host.contains(':') {
             true => format!("[{}]", self.host),
@@ -128,24 +129,19 @@ pub(super) fn credentials(url: &str) -> Result<Option<(String, String)>, String>
     Ok(Some((unescape(user)?, unescape(password)?)))
 }
 
-/// Replaces %XX by what it stands for.
+/// Decodes %XX.
 fn unescape(text: &str) -> Result<String, String> {
-    let mut bytes = Vec::with_capacity(text.len());
-    let mut rest = text.as_bytes();
-    while let [first, after @ ..] = rest {
-        rest = after;
-        if *first != b'%' {
-            bytes.push(*first);
-            continue;
-        }
-        let digits = after.get(..2).and_then(|digits| std::str::from_utf8(digits).ok());
-        let byte = digits.and_then(|digits| u8::from_str_radix(digits, 16).ok());
-        let byte =
-            byte.ok_or("its password has a % that is not followed by two hex digits (write %25)")?;
-        bytes.push(byte);
-        rest = &after[2..];
+    let is_escape = |after: &str| {
+        after.as_bytes().get(..2).is_some_and(|digits| digits.iter().all(u8::is_ascii_hexdigit))
+    };
+    // The crate keeps a % that begins no escape.
+    if !text.split('%').skip(1).all(is_escape) {
+        return Err(
+            "its password has a % that is not followed by two hex digits (write %25)".to_owned()
+        );
     }
-    String::from_utf8(bytes).map_err(|_| "its user or password is no UTF-8".to_owned())
+    let plain = percent_decode_str(text).decode_utf8();
+    plain.map(Into::into).map_err(|_| "its user or password is no UTF-8".to_owned())
 }
 
 #[cfg(test)]

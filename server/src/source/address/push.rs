@@ -2,11 +2,13 @@
 
 use std::time::Duration;
 
-use super::{AddressError, options};
+use super::{
+    AddressError,
+    network::{STALL_S, stall},
+    options,
+};
 
 const KEYS: [&str; 1] = ["stall"];
-const STALL: Duration = Duration::from_secs(1);
-const MAX_STALL_S: f64 = 3600.0;
 
 /// How long to wait for what is sent.
 #[derive(Clone, Debug, PartialEq, Eq)]
@@ -21,16 +23,10 @@ pub(super) fn push(path: &str, query: &str) -> Result<PushAddress, AddressError>
             "`push:` takes no address: programs come to this server, and name the camera that they feed",
         ));
     }
-    let mut address = PushAddress { stall: STALL };
+    let mut address = PushAddress { stall: Duration::from_secs_f64(STALL_S) };
     for option in options("push", &KEYS, query) {
         let (_, value) = option?;
-        let seconds = value.parse().ok().filter(|s: &f64| *s > 0.0 && *s <= MAX_STALL_S);
-        address.stall =
-            seconds.map(Duration::from_secs_f64).ok_or_else(|| AddressError::Value {
-                option: "stall",
-                expected: format!("seconds above 0, at most {MAX_STALL_S}"),
-                found: value.to_owned(),
-            })?;
+        address.stall = stall(value)?;
     }
     Ok(address)
 }

@@ -30,12 +30,13 @@ use decoding::Decoding;
 use launch::Launched;
 
 use super::{
-    CaptureClock, FrameInfo, FrameSource, LentFrame, MediaAddress, SourceError, bad_frame,
+    CaptureClock, FrameInfo, FrameSource, LentFrame, MediaAddress, SourceError, SourceParts,
+    bad_frame,
     pixels::{Converter, PixelFormat, Raw, Samples},
     timing::CameraTimeline,
     wrong_size,
 };
-use crate::{clock::Clock, stop::Stop};
+use crate::stop::Stop;
 
 /// How often a wait looks whether the server goes down or the pipeline has failed.
 const LOOK_EVERY: gst::ClockTime = gst::ClockTime::from_mseconds(20);
@@ -47,22 +48,13 @@ const UNIX_FROM_NTP_S: u64 = 2_208_988_800;
 const STEP_EARLY_S: f64 = 0.5;
 const STEP_LATE_S: f64 = 5.0;
 
-/// What a source has to fit into.
-#[derive(Clone, Copy, Debug)]
-pub(super) struct GstParts {
-    /// Of the camera's calibration.
-    pub(super) size: (usize, usize),
-    /// The server's.
-    pub(super) clock: Clock,
-}
-
 /// A pipeline that plays.
 pub(super) struct GstSource {
     pipeline: gst::Pipeline,
     bus: gst::Bus,
     sink: AppSink,
     address: MediaAddress,
-    parts: GstParts,
+    parts: SourceParts,
     stop: Stop,
     timeline: CameraTimeline,
     converter: Converter,
@@ -82,7 +74,7 @@ pub(super) struct GstSource {
 impl GstSource {
     pub(super) fn open(
         address: &MediaAddress,
-        parts: GstParts,
+        parts: SourceParts,
         stop: Stop,
     ) -> Result<Self, SourceError> {
         let failed = SourceError::Failed;

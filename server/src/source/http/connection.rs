@@ -1,4 +1,4 @@
-//! One request to a camera, and what is to be made of its answer.
+//! One request to a camera, and the meaning of its answer.
 
 use std::{io, time::Duration};
 
@@ -15,24 +15,21 @@ use tokio::{net::TcpStream, time::timeout};
 
 use crate::source::HttpAddress;
 
-/// A camera that is there answers sooner, even after its lamp came on.
+/// Timeout of the answer. Cameras may first have to switch on.
 pub(super) const ANSWER: Duration = Duration::from_secs(5);
 const CONNECT: Duration = Duration::from_secs(3);
 const ACCEPT: &str = "multipart/x-mixed-replace, image/jpeg;q=0.9, */*;q=0.1";
 
-/// What a camera gives.
 pub(super) enum Answer {
-    /// Pictures without end.
     Stream(Incoming),
-    /// One picture; it is to be asked for again.
+    /// One picture; the next one needs another request.
     Snapshot(Incoming),
 }
 
-/// A connection that takes requests.
 pub(super) struct Connection(SendRequest<Empty<Bytes>>);
 
 impl Connection {
-    /// Connects; the connection is driven by a task of the runtime that this runs in.
+    /// Connects; a task of the current runtime drives the connection.
     pub(super) async fn open(address: &HttpAddress) -> Result<Self, String> {
         let to = (address.host.as_str(), address.port);
         let stream = match timeout(CONNECT, TcpStream::connect(to)).await {
@@ -46,7 +43,7 @@ impl Connection {
                 ));
             }
         };
-        // Small requests go out at once; where that cannot be set they go out a little later.
+        // Without it, requests only leave later.
         let _ = stream.set_nodelay(true);
         let handshake = http1::Builder::new()
             .allow_spaces_after_header_name_in_responses(true)
@@ -54,13 +51,13 @@ impl Connection {
             .ignore_invalid_headers_in_responses(true)
             .handshake(TokioIo::new(stream))
             .await;
-        let (sender, connection) = handshake.map_err(|error| told(address, &error))?;
-        // Its errors are those of the body, which are told there.
+        let (sender, connection) = handshake.map_err(|error| describe(address, &error))?;
+        // Its errors are also those of the response or its body.
         tokio::spawn(connection);
         Ok(Self(sender))
     }
 
-    /// Asks for the picture or the stream.
+    /// Requests the picture or the stream.
     pub(super) async fn ask(mut self, address: &HttpAddress) -> Result<Answer, String> {
         let request = request(address)?;
         let ask = async {
@@ -69,7 +66,7 @@ impl Connection {
         };
         match timeout(ANSWER, ask).await {
             Ok(Ok(response)) => judge(address, response),
-            Ok(Err(error)) => Err(told(address, &error)),
+            Ok(Err(error)) => Err(describe(address, &error)),
             Err(_) => Err(format!(
                 "{address} took the connection, but gives no answer within {} s: many cameras serve one viewer at \
                  a time; is another one watching?",
@@ -86,8 +83,8 @@ fn request(address: &HttpAddress) -> Result<Request<Empty<Bytes>>, String> {
         .header(header::ACCEPT, ACCEPT)
         .header(header::USER_AGENT, concat!("roundel/", env!("CARGO_PKG_VERSION")));
     if let Some((user, password)) = &address.credentials {
-        let told = format!("Basic {}", BASE64_STANDARD.encode(format!("{user}:{password}")));
-        if let Ok(mut value) = HeaderValue::try_from(told) {
+        let basic = format!("Basic {}", BASE64_STANDARD.encode(format!("{user}:{password}")));
+        if let Ok(mut value) = HeaderValue::try_from(basic) {
             value.set_sensitive(true);
             request = request.header(header::AUTHORIZATION, value);
         }
@@ -108,8 +105,8 @@ fn unreachable(address: &HttpAddress, error: &io::Error) -> String {
     format!("cannot reach {}: {error}; {remedy}", address.authority())
 }
 
-/// What hyper says, in words that name the camera.
-pub(super) fn told(address: &HttpAddress, error: &hyper::Error) -> String {
+/// A hyper error with the name of the camera.
+pub(super) fn describe(address: &HttpAddress, error: &hyper::Error) -> String {
     if error.is_parse() {
         format!("{} does not speak HTTP: {error}; check the port", address.authority())
     } else if error.is_incomplete_message() || error.is_closed() || error.is_canceled() {
@@ -129,7 +126,7 @@ fn judge(address: &HttpAddress, response: Response<Incoming>) -> Result<Answer, 
     let main = kind.split(';').next().unwrap_or_default().trim().to_ascii_lowercase();
     match main.as_str() {
         "image/jpeg" | "image/jpg" => Ok(Answer::Snapshot(response.into_body())),
-        // Some leave the type out, or call the stream bytes: whether pictures come, is seen.
+        // Some cameras send no type, or a generic one.
         "multipart/x-mixed-replace"
         | "multipart/mixed"
         | "application/octet-stream"
@@ -191,7 +188,7 @@ fn refusal(address: &HttpAddress, status: StatusCode, headers: &HeaderMap) -> St
     format!("{address} answers {status}: {why}")
 }
 
-/// A header as text, cut to what fits into a message.
+/// A header as text, shortened for messages.
 fn text(headers: &HeaderMap, name: HeaderName) -> String {
     let value = headers.get(name).and_then(|value| value.to_str().ok()).unwrap_or_default();
     value.chars().take(200).collect()

@@ -1,10 +1,8 @@
-//! `http://…` – network cameras that send JPEGs: a stream of them (multipart/x-mixed-replace, as ESP32-CAM and most
-//! others), or one for each request.
+//! `http://…` – network cameras that send JPEGs: a stream (multipart/x-mixed-replace), or one JPEG for each request.
 //!
-//! A thread with a small runtime of its own receives and keeps the newest picture; the worker decodes its luma.
-//! Capture times are those of arrival, or, where the camera stamps its pictures (X-Timestamp), the camera's counter
-//! brought to the server's clock. The connection lives as long as the source: any error ends both, and the worker's
-//! supervisor opens them anew.
+//! A thread with its own single-threaded runtime receives and keeps the newest picture; the worker decodes its luma.
+//! The capture time is the arrival, or, where the camera stamps its pictures (X-Timestamp), the camera's counter mapped
+//! to the server's clock. Any error ends the connection and the source, and the worker's supervisor opens both again.
 
 mod connection;
 mod parts;
@@ -16,33 +14,21 @@ use hyper::body::Incoming;
 use tokio::{runtime::Builder, time::timeout};
 
 use self::{
-    connection::{ANSWER, Answer, Connection, told},
+    connection::{ANSWER, Answer, Connection, describe},
     parts::{Part, Parts},
 };
 use super::{
-    CaptureClock, FrameInfo, FrameSource, HttpAddress, LentFrame, SourceError,
+    CaptureClock, FrameInfo, FrameSource, HttpAddress, LentFrame, SourceError, SourceParts,
     feed::{Feed, Sink},
-    jpeg::{JpegFault, LumaDecoder},
+    jpeg::LumaDecoder,
     timing::CameraTimeline,
-    wrong_size,
 };
 use crate::{clock::Clock, stop::Stop};
 
-/// For the connection, the answer and the first picture together, beyond what a stall is.
+/// Time for the connection, the answer and the first picture, in addition to the stall timeout.
 const FIRST_PICTURE: Duration = Duration::from_secs(9);
-/// So many broken pictures one after the other, and it is no camera to wait for.
-const MAX_BROKEN: u64 = 50;
-/// A single picture is at most so long.
+/// Longest single picture, bytes.
 const MAX_SNAPSHOT: usize = 16 << 20;
-
-/// What a source has to fit into.
-#[derive(Clone, Copy, Debug)]
-pub(super) struct HttpParts {
-    /// Of the camera's calibration.
-    pub(super) size: (usize, usize),
-    /// The server's.
-    pub(super) clock: Clock,
-}
 
 /// A camera's JPEGs.
 pub(super) struct HttpSource {
@@ -50,23 +36,20 @@ pub(super) struct HttpSource {
     decoder: LumaDecoder,
     timeline: CameraTimeline,
     name: String,
-    size: (usize, usize),
     patience: Duration,
     stall: Duration,
-    /// Broken ones since the last whole one.
-    broken: u64,
 }
 
 impl HttpSource {
     pub(super) fn open(
         address: &HttpAddress,
-        parts: HttpParts,
+        parts: SourceParts,
         stop: Stop,
     ) -> Result<Self, SourceError> {
         let asked = address.clone();
         let clock = parts.clock;
         let receive = move |sink: &Sink<Part>| SourceError::Failed(receive(&asked, clock, sink));
-        // Single pictures come as often as they are asked for, however patient one is.
+        // The stall timeout must exceed the interval between snapshots.
         let interval = Duration::from_secs_f64(1.0 / address.snapshot_hz);
         let stall = address.stall.max(interval.mul_f64(2.0).min(Duration::from_secs(3600)));
         Ok(Self {
@@ -74,10 +57,8 @@ impl HttpSource {
             decoder: LumaDecoder::new(parts.size),
             timeline: CameraTimeline::default(),
             name: address.to_string(),
-            size: parts.size,
             patience: FIRST_PICTURE + stall,
             stall,
-            broken: 0,
         })
     }
 }
@@ -88,43 +69,31 @@ impl FrameSource for HttpSource {
         let mut broken = 0;
         let begun = Instant::now();
         loop {
-            // What is broken does not make the wait longer.
+            // A broken picture does not restart the timeout.
             let taken = self.feed.next(begun, self.patience)?;
             (skipped, broken) = (skipped + taken.replaced, broken + taken.broken);
             let decoding = Instant::now();
             let decoded = self.decoder.decode(&taken.item.jpeg);
             let decoding = decoding.elapsed();
-            let Part { arrival, stamp_ns, .. } = taken.item;
-            match decoded {
-                Ok(()) => {
-                    (self.patience, self.broken) = (self.stall, 0);
-                    let (capture_time, clock) = match stamp_ns {
-                        Some(stamp_ns) => {
-                            (self.timeline.capture_time(stamp_ns, arrival), CaptureClock::CAMERA)
-                        }
-                        None => (arrival, CaptureClock::ARRIVAL),
-                    };
-                    let info = FrameInfo { capture_time, clock, skipped, broken, decoding };
-                    return Ok(LentFrame { frame: self.decoder.frame()?, info });
-                }
-                Err(JpegFault::Size(width, height)) => {
-                    return Err(wrong_size(&self.name, self.size, (width, height)));
-                }
-                Err(JpegFault::Broken(reason)) => {
-                    (broken, self.broken) = (broken + 1, self.broken + 1);
-                    if self.broken > MAX_BROKEN {
-                        return Err(SourceError::Failed(format!(
-                            "{}: {MAX_BROKEN} pictures after one another are broken JPEGs: {reason}",
-                            self.name
-                        )));
-                    }
-                }
+            if !self.decoder.accept(decoded, || self.name.clone())? {
+                broken += 1;
+                continue;
             }
+            self.patience = self.stall;
+            let Part { arrival, stamp_ns, .. } = taken.item;
+            let (capture_time, clock) = match stamp_ns {
+                Some(stamp_ns) => {
+                    (self.timeline.capture_time(stamp_ns, arrival), CaptureClock::CAMERA)
+                }
+                None => (arrival, CaptureClock::ARRIVAL),
+            };
+            let info = FrameInfo { capture_time, clock, skipped, broken, decoding };
+            return Ok(LentFrame { frame: self.decoder.frame()?, info });
         }
     }
 }
 
-/// Receives until nobody wants more or it fails, and says why.
+/// Receives until it fails or the source is dropped, and returns the reason.
 fn receive(address: &HttpAddress, clock: Clock, sink: &Sink<Part>) -> String {
     let runtime = match Builder::new_current_thread().enable_all().build() {
         Ok(runtime) => runtime,
@@ -133,10 +102,10 @@ fn receive(address: &HttpAddress, clock: Clock, sink: &Sink<Part>) -> String {
     let why = runtime.block_on(async {
         tokio::select! {
             why = converse(address, clock, sink) => why,
-            () = sink.cancelled() => "nobody wants more".to_owned(),
+            () = sink.cancelled() => "the source was closed".to_owned(),
         }
     });
-    // Looking a name up may block longer than anybody waits.
+    // A name lookup may still block.
     runtime.shutdown_background();
     why
 }
@@ -145,7 +114,7 @@ async fn converse(address: &HttpAddress, clock: Clock, sink: &Sink<Part>) -> Str
     let interval = Duration::from_secs_f64(1.0 / address.snapshot_hz);
     loop {
         let due = tokio::time::Instant::now() + interval;
-        // A new one for each picture: many cameras close after one, and some without saying so.
+        // One connection per picture: many cameras close it after one, some without announcing it.
         let outcome = match Connection::open(address).await {
             Ok(connection) => connection.ask(address).await,
             Err(why) => Err(why),
@@ -174,7 +143,7 @@ async fn stream(
     while let Some(frame) = body.frame().await {
         let frame = match frame {
             Ok(frame) => frame,
-            Err(error) => return told(address, &error),
+            Err(error) => return describe(address, &error),
         };
         let Some(bytes) = frame.data_ref() else { continue };
         parts.push(bytes, clock.now());
@@ -204,7 +173,7 @@ async fn snapshot(
     let mut jpeg = Vec::new();
     let read = async {
         while let Some(frame) = body.frame().await {
-            let frame = frame.map_err(|error| told(address, &error))?;
+            let frame = frame.map_err(|error| describe(address, &error))?;
             jpeg.extend_from_slice(frame.data_ref().map_or(&[], |bytes| bytes));
             if jpeg.len() > MAX_SNAPSHOT {
                 return Err(format!("{address}: a picture of more than {MAX_SNAPSHOT} bytes"));

@@ -1,51 +1,52 @@
-//! A stream of bytes → the JPEGs in it, each with what stood before it.
+//! Splits a stream of bytes into JPEGs, each with the time stamp of its part header.
 //!
-//! Cameras differ in the boundaries that they announce and in those that they send, leave Content-Length out, or
-//! send a wrong one. A JPEG tells by itself where it ends: its segments say their lengths, and in what is coded no
-//! byte FF stands without a 00 or a restart marker. So pictures are found by walking them, and what lies between is
-//! only looked through for a time stamp. A walk that meets the beginning of another picture, or what no picture
-//! holds, gives the broken one up and goes on from there.
+//! Cameras send other boundaries than they announce, and omit Content-Length or send a wrong one. So pictures are found
+//! by walking their markers: each segment has a length, and in entropy-coded data every FF is followed by 00 or a
+//! restart marker. The bytes between pictures are searched only for a time stamp. A walk that meets the start of
+//! another picture or an invalid marker counts the picture as broken and continues there.
+//!
+//! The crates rely on the boundary. `multer` ends a part at the next boundary, so each picture would be one frame late,
+//! and a wrong boundary is an error. `multipart-stream` also requires Content-Length.
 
 use std::collections::VecDeque;
 
 use roundel_core::time::Timestamp;
 
-/// Longer pictures are broken.
+/// Longest picture, bytes; a longer one is broken.
 const MAX_JPEG: usize = 16 << 20;
-/// What lies between two pictures is a few lines; of more the end counts, and more than so much is no part's
-/// header.
+/// Longest part header, bytes.
 const MAX_HEADER: usize = 4096;
-/// How a picture begins: its first marker, and the beginning of the second.
+/// The first marker of a picture and the start of the second.
 const START: [u8; 3] = [0xFF, 0xD8, 0xFF];
 const STAMP: &str = "x-timestamp";
 
-/// A picture, as it came.
+/// A picture as received.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
 pub(super) struct Part {
     /// From its first marker to its last one.
     pub(super) jpeg: Vec<u8>,
-    /// When its first byte arrived.
+    /// Arrival of its first byte.
     pub(super) arrival: Timestamp,
-    /// The camera's own time, ns of whatever epoch.
+    /// The camera's time stamp, ns since an arbitrary epoch.
     pub(super) stamp_ns: Option<i64>,
 }
 
-/// Where the walk through a picture is.
+/// Position in a picture.
 #[derive(Clone, Copy, Debug)]
 enum Walk {
     /// A marker begins at this byte.
     Marker(usize),
-    /// Coded data go on at this byte.
+    /// Entropy-coded data continue at this byte.
     Coded(usize),
 }
 
-/// What a step of the walk comes to.
+/// Result of a step through a picture.
 enum Step {
     On(Walk),
     Wait,
     /// The picture ends before this byte.
     Whole(usize),
-    /// It is none; another one may begin at this byte.
+    /// The picture is broken; another one may begin at this byte.
     Broken(usize),
 }
 
@@ -53,21 +54,20 @@ enum Step {
 #[derive(Debug, Default)]
 pub(super) struct Parts {
     bytes: Vec<u8>,
-    /// Of the picture at the beginning of `bytes`; `None`: what lies there is no picture.
+    /// Position in the picture at the start of `bytes`; `None`: between pictures.
     walk: Option<Walk>,
-    /// Bytes that were looked through for a beginning and what stands before it.
+    /// Bytes already searched for a picture.
     searched: usize,
     arrival: Timestamp,
     stamp_ns: Option<i64>,
     found: VecDeque<Part>,
-    /// Bytes since the last picture, and whether they were counted as a broken one.
+    /// Bytes since the last picture, and whether they were counted as a broken picture.
     between: usize,
     is_counted: bool,
     broken: u64,
 }
 
 impl Parts {
-    /// Takes what has arrived.
     pub(super) fn push(&mut self, arrived: &[u8], now: Timestamp) {
         self.bytes.extend_from_slice(arrived);
         while self.advance(now) {}
@@ -78,21 +78,18 @@ impl Parts {
         self.found.pop_front()
     }
 
-    /// What was broken since this was asked last.
+    /// Number of broken pictures since the last call.
     pub(super) fn take_broken(&mut self) -> u64 {
         std::mem::take(&mut self.broken)
     }
 
-    /// Whether it goes on: false when more bytes are needed.
+    /// Takes one step; false if it needs more bytes.
     fn advance(&mut self, now: Timestamp) -> bool {
         let Some(walk) = self.walk else { return self.search(now) };
         match step(&self.bytes, walk) {
             Step::On(next) => self.walk = Some(next),
             Step::Wait if self.bytes.len() > MAX_JPEG => self.give_up(START.len()),
-            Step::Wait => {
-                // Not to be walked again when more has come.
-                return false;
-            }
+            Step::Wait => return false,
             Step::Whole(end) => {
                 let jpeg = self.bytes.drain(..end).collect();
                 let stamp_ns = self.stamp_ns.take();
@@ -105,21 +102,21 @@ impl Parts {
         true
     }
 
-    /// Drops the picture that was begun, up to `at`.
+    /// Drops the broken picture, up to `at`.
     fn give_up(&mut self, at: usize) {
         self.bytes.drain(..at);
         self.broken += 1;
         (self.walk, self.searched, self.stamp_ns) = (None, 0, None);
-        // Its rest is no garbage of its own.
+        // The rest of the picture is not counted again.
         self.is_counted = true;
     }
 
-    /// Looks for the beginning of a picture.
+    /// Searches for the start of a picture; false if it needs more bytes.
     fn search(&mut self, now: Timestamp) -> bool {
         let begin = self.bytes[self.searched..].windows(START.len()).position(|it| it == START);
         let end = match begin {
             Some(begin) => self.searched + begin,
-            // A beginning may be cut in two.
+            // The start may be split between two reads.
             None => self.bytes.len().saturating_sub(START.len() - 1).max(self.searched),
         };
         self.look_over(self.searched, end);
@@ -137,7 +134,7 @@ impl Parts {
         false
     }
 
-    /// Bytes between pictures that are no header of one are one broken picture, however many.
+    /// Counts bytes between pictures as one broken picture unless they are a part header.
     fn look_over(&mut self, from: usize, to: usize) {
         self.between += to - from;
         let is_header =
@@ -153,7 +150,7 @@ fn is_text(byte: u8) -> bool {
     byte.is_ascii_graphic() || byte.is_ascii_whitespace() || byte == 0
 }
 
-/// The last time stamp in a part's header: seconds with a point, as cameras count them.
+/// The last time stamp in a part header, in decimal seconds.
 fn stamp_ns(header: &[u8]) -> Option<i64> {
     let text = String::from_utf8_lossy(header);
     let line = text.lines().rev().find_map(|line| {
@@ -180,7 +177,7 @@ fn step(bytes: &[u8], walk: Walk) -> Step {
                 at += offset;
                 match bytes.get(at + 1) {
                     None => return Step::On(Walk::Coded(at)).or_wait(from == at),
-                    // A byte FF, and restart markers, belong to what is coded; fill bytes do not end it.
+                    // An escaped FF, a restart marker or a fill byte does not end the coded data.
                     Some(0x00 | 0xD0..=0xD7) => at += 2,
                     Some(0xFF) => at += 1,
                     Some(_) => return Step::On(Walk::Marker(at)),
@@ -192,7 +189,7 @@ fn step(bytes: &[u8], walk: Walk) -> Step {
     }
 }
 
-/// The step over the marker at that byte, and over its segment.
+/// Steps over the marker at `at` and its segment.
 fn marker(bytes: &[u8], at: usize) -> Step {
     let Some(&[first, marker]) = bytes.get(at..at + 2).and_then(|it| it.first_chunk()) else {
         return Step::Wait;
@@ -201,7 +198,7 @@ fn marker(bytes: &[u8], at: usize) -> Step {
         (0xFF, 0xD9) => return Step::Whole(at + 2),
         // Fill.
         (0xFF, 0xFF) => return Step::On(Walk::Marker(at + 1)),
-        // Another picture begins, so this one has lost its end; or what no picture holds.
+        // The start of another picture, or an invalid marker.
         (0xFF, 0x00..=0xBF | 0xD0..=0xD8) | (0..=0xFE, _) => return Step::Broken(at),
         (0xFF, _) => {}
     }
@@ -212,9 +209,9 @@ fn marker(bytes: &[u8], at: usize) -> Step {
     if next < at + 4 {
         return Step::Broken(at + 2);
     }
-    // No picture ends here, so two bytes more will come.
+    // A marker must follow, so two more bytes are needed.
     let Some(content) = bytes.get(at + 2..next + 2) else { return Step::Wait };
-    // Only what programs add may hold a picture of its own, such as a thumbnail.
+    // Only application segments and comments may contain a picture, such as a thumbnail.
     let is_added = matches!(marker, 0xE0..=0xEF | 0xFE);
     let begin = content.windows(START.len()).position(|it| it == START);
     match begin.filter(|_| !is_added) {
@@ -225,7 +222,6 @@ fn marker(bytes: &[u8], at: usize) -> Step {
 }
 
 impl Step {
-    /// Nothing was gained: more bytes are needed.
     fn or_wait(self, wait: bool) -> Self {
         if wait { Self::Wait } else { self }
     }

@@ -22,12 +22,8 @@ use super::{
     Arrival, CaptureClock, FrameInfo, FrameSource, LentFrame, Sighting, SourceError, bad_frame,
     jpeg::{JpegFault, LumaDecoder},
     timing::CameraTimeline,
-    wrong_size,
 };
 use crate::stop::Stop;
-
-/// So many broken pictures one after the other, and something is wrong with their sender.
-const MAX_BROKEN: u64 = 50;
 
 /// What the times of a sender are.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
@@ -105,8 +101,6 @@ pub(super) struct PushSource {
     timeline: CameraTimeline,
     decoder: LumaDecoder,
     grey: Vec<u8>,
-    /// Broken ones since the last whole one.
-    broken: u64,
 }
 
 impl PushSource {
@@ -119,7 +113,6 @@ impl PushSource {
             timeline: CameraTimeline::default(),
             decoder: LumaDecoder::new(parts.size),
             grey: Vec::new(),
-            broken: 0,
         })
     }
 
@@ -215,28 +208,12 @@ impl PushSource {
                 Payload::Jpeg(file, stamp) => (stamp, self.decode(&file)),
             };
             let (move_ns, clock) = self.onto_clock(&by, stamp);
-            match decoded {
-                Ok(()) => {
-                    self.broken = 0;
-                    let capture_time = stamp.plus_ns(move_ns);
-                    let decoding = begun.elapsed();
-                    let info = FrameInfo { capture_time, clock, skipped, broken, decoding };
-                    return Ok(Step::Frame(info));
-                }
-                Err(JpegFault::Size(width, height)) => {
-                    let what = format!("a picture of {}", self.port.who());
-                    return Err(wrong_size(&what, self.parts.size, (width, height)));
-                }
-                Err(JpegFault::Broken(reason)) => {
-                    (broken, self.broken) = (broken + 1, self.broken + 1);
-                    if self.broken > MAX_BROKEN {
-                        let who = self.port.who();
-                        return Err(SourceError::Failed(format!(
-                            "{MAX_BROKEN} pictures of {who} after one another are broken: {reason}"
-                        )));
-                    }
-                }
+            if self.decoder.accept(decoded, || format!("a picture of {}", self.port.who()))? {
+                let (capture_time, decoding) = (stamp.plus_ns(move_ns), begun.elapsed());
+                let info = FrameInfo { capture_time, clock, skipped, broken, decoding };
+                return Ok(Step::Frame(info));
             }
+            broken += 1;
         }
     }
 

@@ -1,129 +1,152 @@
-//! Video4Linux's requests and what they carry, as bytes: `linux/videodev2.h` on 64-bit machines, little endian.
+//! The part of `linux/videodev2.h` that the server uses, as it is laid out on 64-bit Linux.
 //!
-//! The structures are read and written by their offsets, so that all of this is safe code and a recorded exchange is a
-//! list of byte strings. The offsets and numbers are those that a C compiler prints for that header.
+//! Fields that the server does not use are kept only for the layout and have names that begin with an underscore.
 
-/// A request, as the kernel numbers it: its argument's direction and size are part of the number.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(super) struct Request(pub(super) u32);
+use std::{ffi::c_void, ptr::from_mut};
 
-impl Request {
-    pub(super) const QUERY_CAPABILITY: Self = Self(0x8068_5600);
-    pub(super) const ENUM_FORMAT: Self = Self(0xC040_5602);
-    pub(super) const SET_FORMAT: Self = Self(0xC0D0_5605);
-    pub(super) const REQUEST_BUFFERS: Self = Self(0xC014_5608);
-    pub(super) const QUERY_BUFFER: Self = Self(0xC058_5609);
-    pub(super) const QUEUE: Self = Self(0xC058_560F);
-    pub(super) const DEQUEUE: Self = Self(0xC058_5611);
-    pub(super) const STREAM_ON: Self = Self(0x4004_5612);
-    pub(super) const STREAM_OFF: Self = Self(0x4004_5613);
-    pub(super) const SET_PARAMETERS: Self = Self(0xC0CC_5616);
-    pub(super) const GET_CONTROL: Self = Self(0xC008_561B);
-    pub(super) const SET_CONTROL: Self = Self(0xC008_561C);
-    pub(super) const QUERY_CONTROL: Self = Self(0xC044_5624);
-    pub(super) const ENUM_SIZES: Self = Self(0xC02C_564A);
-    pub(super) const ENUM_INTERVALS: Self = Self(0xC034_564B);
-
-    /// Bytes of its argument.
-    pub(super) fn size(self) -> usize {
-        (self.0 >> 16 & 0x3FFF) as usize
-    }
-}
+use rustix::ioctl::{Opcode, opcode};
 
 /// `V4L2_BUF_TYPE_VIDEO_CAPTURE`.
 pub(super) const CAPTURE: u32 = 1;
 /// `V4L2_MEMORY_MMAP`.
 pub(super) const MAPPED: u32 = 1;
+/// `V4L2_FRMSIZE_TYPE_DISCRETE` and `V4L2_FRMIVAL_TYPE_DISCRETE`.
+pub(super) const DISCRETE: u32 = 1;
 pub(super) const CAN_CAPTURE: u32 = 0x1;
 pub(super) const CAN_STREAM: u32 = 0x0400_0000;
-/// The device's own capabilities are told beside those of its driver.
-pub(super) const HAS_OWN: u32 = 0x8000_0000;
+/// `Capability::device` is valid.
+pub(super) const HAS_DEVICE_CAPABILITIES: u32 = 0x8000_0000;
 pub(super) const FORMAT_EMULATED: u32 = 0x2;
 pub(super) const BUFFER_ERROR: u32 = 0x40;
-pub(super) const TIME_MASK: u32 = 0xE000;
-pub(super) const TIME_MONOTONIC: u32 = 0x2000;
+pub(super) const TIMESTAMP_MASK: u32 = 0xE000;
+pub(super) const TIMESTAMP_MONOTONIC: u32 = 0x2000;
 pub(super) const NEXT_CONTROL: u32 = 0x8000_0000;
 pub(super) const CONTROL_DISABLED: u32 = 0x1;
 pub(super) const CONTROL_READ_ONLY: u32 = 0x4;
-/// Another control decides, such as automatic exposure.
+/// Another control, such as automatic exposure, overrides it.
 pub(super) const CONTROL_INACTIVE: u32 = 0x10;
 
-/// Offsets.
-pub(super) mod at {
-    pub(in super::super) const CAPABILITY_CARD: usize = 16;
-    pub(in super::super) const CAPABILITY_BUS: usize = 48;
-    pub(in super::super) const CAPABILITY_ALL: usize = 84;
-    pub(in super::super) const CAPABILITY_OWN: usize = 88;
-    pub(in super::super) const DESCRIPTION_FLAGS: usize = 8;
-    pub(in super::super) const DESCRIPTION_TEXT: usize = 12;
-    pub(in super::super) const DESCRIPTION_FORMAT: usize = 44;
-    pub(in super::super) const SIZE_TYPE: usize = 8;
-    pub(in super::super) const SIZE_WIDTH: usize = 12;
-    pub(in super::super) const SIZE_HEIGHT: usize = 16;
-    pub(in super::super) const INTERVAL_FORMAT: usize = 4;
-    pub(in super::super) const INTERVAL_WIDTH: usize = 8;
-    pub(in super::super) const INTERVAL_HEIGHT: usize = 12;
-    pub(in super::super) const INTERVAL_TYPE: usize = 16;
-    pub(in super::super) const INTERVAL_NUMERATOR: usize = 20;
-    pub(in super::super) const INTERVAL_DENOMINATOR: usize = 24;
-    pub(in super::super) const FORMAT_WIDTH: usize = 8;
-    pub(in super::super) const FORMAT_HEIGHT: usize = 12;
-    pub(in super::super) const FORMAT_CODE: usize = 16;
-    pub(in super::super) const FORMAT_STRIDE: usize = 24;
-    pub(in super::super) const PARAMETERS_NUMERATOR: usize = 12;
-    pub(in super::super) const PARAMETERS_DENOMINATOR: usize = 16;
-    pub(in super::super) const REQUESTED_TYPE: usize = 4;
-    pub(in super::super) const REQUESTED_MEMORY: usize = 8;
-    pub(in super::super) const BUFFER_TYPE: usize = 4;
-    pub(in super::super) const BUFFER_USED: usize = 8;
-    pub(in super::super) const BUFFER_FLAGS: usize = 12;
-    pub(in super::super) const BUFFER_SECONDS: usize = 24;
-    pub(in super::super) const BUFFER_MICROSECONDS: usize = 32;
-    pub(in super::super) const BUFFER_SEQUENCE: usize = 56;
-    pub(in super::super) const BUFFER_MEMORY: usize = 60;
-    pub(in super::super) const BUFFER_OFFSET: usize = 64;
-    pub(in super::super) const BUFFER_LENGTH: usize = 72;
-    pub(in super::super) const CONTROL_KIND: usize = 4;
-    pub(in super::super) const CONTROL_NAME: usize = 8;
-    pub(in super::super) const CONTROL_LEAST: usize = 40;
-    pub(in super::super) const CONTROL_MOST: usize = 44;
-    pub(in super::super) const CONTROL_STEP: usize = 48;
-    pub(in super::super) const CONTROL_DEFAULT: usize = 52;
-    pub(in super::super) const CONTROL_FLAGS: usize = 56;
-    pub(in super::super) const VALUE: usize = 4;
+/// Declares the arguments of ioctls.
+macro_rules! arguments {
+    ($($name:ident { $($field:ident: $kind:ty),* $(,)? })*) => {$(
+        #[derive(Clone, Copy, Debug, Default)]
+        #[repr(C)]
+        pub(super) struct $name { $(pub(super) $field: $kind),* }
+    )*};
 }
 
-/// A request's argument.
-#[derive(Clone, Debug, PartialEq, Eq)]
-pub(super) struct Argument(pub(super) Vec<u8>);
-
-impl Argument {
-    /// All zero, as most requests want what they do not use.
-    pub(super) fn of(request: Request) -> Self {
-        Self(vec![0; request.size()])
+arguments! {
+    Capability {
+        _driver: [u8; 16], card: [u8; 32], bus: [u8; 32], _version: u32, driver: u32, device: u32,
+        _reserved: [u32; 3],
     }
-
-    pub(super) fn with(mut self, at: usize, value: u32) -> Self {
-        self.0[at..at + 4].copy_from_slice(&value.to_ne_bytes());
-        self
+    FormatDescription {
+        index: u32, buffer_type: u32, flags: u32, description: [u8; 32], code: u32, _reserved: [u32; 4],
     }
-
-    pub(super) fn u32(&self, at: usize) -> u32 {
-        u32::from_ne_bytes(self.0[at..at + 4].try_into().unwrap_or_default())
+    FrameSize { index: u32, code: u32, kind: u32, width: u32, height: u32, _reserved: [u32; 6] }
+    FrameInterval {
+        index: u32, code: u32, width: u32, height: u32, kind: u32, numerator: u32, denominator: u32,
+        _reserved: [u32; 6],
     }
-
-    pub(super) fn i32(&self, at: usize) -> i32 {
-        self.u32(at) as i32
+    Format {
+        buffer_type: u32, _padding: u32, width: u32, height: u32, code: u32, _field: u32, stride: u32,
+        _unused: [u32; 7], _reserved: [u64; 19],
     }
-
-    pub(super) fn i64(&self, at: usize) -> i64 {
-        i64::from_ne_bytes(self.0[at..at + 8].try_into().unwrap_or_default())
+    Parameters {
+        buffer_type: u32, _modes: [u32; 2], numerator: u32, denominator: u32, _reserved: [[u32; 23]; 2],
     }
+    BufferRequest { count: u32, buffer_type: u32, memory: u32, _reserved: [u32; 2] }
+    Buffer {
+        index: u32, buffer_type: u32, bytes: u32, flags: u32, _field: u32, seconds: i64, microseconds: i64,
+        _timecode: [u32; 4], sequence: u32, memory: u32, offset: u32, _offset_high: u32, length: u32,
+        _reserved: [u32; 3],
+    }
+    Control { id: u32, value: i32 }
+    ControlDescription {
+        id: u32, kind: u32, name: [u8; 32], least: i32, most: i32, step: i32, default: i32, flags: u32,
+        _reserved: [u32; 2],
+    }
+}
 
-    /// Text of at most so many bytes, ended by a zero.
-    pub(super) fn text(&self, at: usize, most: usize) -> String {
-        let bytes = &self.0[at..at + most];
-        let end = bytes.iter().position(|byte| *byte == 0).unwrap_or(most);
-        String::from_utf8_lossy(&bytes[..end]).trim().to_owned()
+/// Declares the ioctls: name, argument, direction and number. The opcode contains the size of the argument.
+macro_rules! requests {
+    ($($name:ident($argument:ty) = $direction:ident $number:literal,)*) => {
+        /// An ioctl with its argument, which the kernel replaces by its answer.
+        #[derive(Debug)]
+        pub(super) enum Request<'a> {
+            $($name(&'a mut $argument)),*
+        }
+
+        impl Request<'_> {
+            pub(super) fn opcode(&self) -> Opcode {
+                match self {
+                    $(Self::$name(_) => opcode::$direction::<$argument>(b'V', $number)),*
+                }
+            }
+
+            pub(super) fn pointer(&mut self) -> *mut c_void {
+                match self {
+                    $(Self::$name(argument) => from_mut::<$argument>(argument).cast()),*
+                }
+            }
+        }
+    };
+}
+
+requests! {
+    QueryCapability(Capability) = read 0,
+    EnumFormat(FormatDescription) = read_write 2,
+    SetFormat(Format) = read_write 5,
+    RequestBuffers(BufferRequest) = read_write 8,
+    QueryBuffer(Buffer) = read_write 9,
+    QueueBuffer(Buffer) = read_write 15,
+    DequeueBuffer(Buffer) = read_write 17,
+    StreamOn(u32) = write 18,
+    StreamOff(u32) = write 19,
+    SetParameters(Parameters) = read_write 22,
+    GetControl(Control) = read_write 27,
+    SetControl(Control) = read_write 28,
+    QueryControl(ControlDescription) = read_write 36,
+    EnumSize(FrameSize) = read_write 74,
+    EnumInterval(FrameInterval) = read_write 75,
+}
+
+#[cfg(test)]
+mod tests {
+    use std::mem::offset_of;
+
+    use super::*;
+
+    /// The numbers are those that a C compiler prints for the header.
+    #[test]
+    fn layout_is_that_of_the_header() {
+        let (mut buffer, mut control, mut kind) = (Buffer::default(), Control::default(), 0);
+        for (request, opcode) in [
+            (Request::QueryCapability(&mut Capability::default()), 0x8068_5600),
+            (Request::EnumFormat(&mut FormatDescription::default()), 0xC040_5602),
+            (Request::SetFormat(&mut Format::default()), 0xC0D0_5605),
+            (Request::RequestBuffers(&mut BufferRequest::default()), 0xC014_5608),
+            (Request::DequeueBuffer(&mut buffer), 0xC058_5611),
+            (Request::StreamOn(&mut kind), 0x4004_5612),
+            (Request::SetParameters(&mut Parameters::default()), 0xC0CC_5616),
+            (Request::SetControl(&mut control), 0xC008_561C),
+            (Request::QueryControl(&mut ControlDescription::default()), 0xC044_5624),
+            (Request::EnumSize(&mut FrameSize::default()), 0xC02C_564A),
+            (Request::EnumInterval(&mut FrameInterval::default()), 0xC034_564B),
+        ] {
+            assert_eq!(request.opcode(), opcode, "{request:?}");
+        }
+        assert_eq!((offset_of!(Capability, driver), offset_of!(Capability, device)), (84, 88));
+        assert_eq!(offset_of!(FormatDescription, code), 44);
+        assert_eq!((offset_of!(FrameSize, width), offset_of!(FrameInterval, numerator)), (12, 20));
+        assert_eq!((offset_of!(Format, width), offset_of!(Format, stride)), (8, 24));
+        assert_eq!(offset_of!(Parameters, numerator), 12);
+        assert_eq!((offset_of!(Buffer, flags), offset_of!(Buffer, seconds)), (12, 24));
+        assert_eq!((offset_of!(Buffer, sequence), offset_of!(Buffer, offset)), (56, 64));
+        assert_eq!(offset_of!(Buffer, length), 72);
+        assert_eq!(
+            (offset_of!(ControlDescription, least), offset_of!(ControlDescription, flags)),
+            (40, 56)
+        );
     }
 }

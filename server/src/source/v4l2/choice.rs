@@ -1,7 +1,7 @@
-//! Which of a device's formats is used, and how its controls are set.
+//! Chooses the format of a device, and sets its controls.
 
 use super::{
-    device::{Control, Device, Driver, Format},
+    device::{ControlListing, Device, Driver, FormatListing, code_text},
     pixels,
 };
 use crate::{
@@ -12,42 +12,37 @@ use crate::{
     suggestion::nearest,
 };
 
-/// Frames a second that are enough where none are wished for.
-const USUAL_HZ: f64 = 30.0;
+/// Rate where the address has none.
+const DEFAULT_HZ: f64 = 30.0;
 
-/// The format that is used.
+/// The chosen format.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(super) struct Choice {
     pub(super) code: [u8; 4],
     /// `None`: JPEG.
     pub(super) pixels: Option<PixelFormat>,
-    /// What the device is asked for.
+    /// Rate to ask the device for.
     pub(super) rate_hz: Option<f64>,
 }
 
-/// A code as a person writes it.
-pub(super) fn text(code: [u8; 4]) -> String {
-    String::from_utf8_lossy(&code).trim().to_owned()
-}
-
-/// The format that gives most frames, up to those that are wanted, and of several the one that costs least.
+/// Chooses the format with the highest rate, up to the wanted one; between equal rates the one that is cheapest to
+/// convert.
 pub(super) fn choose(
-    formats: &[Format],
+    formats: &[FormatListing],
     size: (usize, usize),
     address: &DeviceAddress,
 ) -> Result<Choice, String> {
-    let wanted_hz = address.fps.unwrap_or(USUAL_HZ);
-    let fitting = formats.iter().filter(|format| address.format.is_none_or(|it| it == format.code));
+    let wanted_hz = address.fps.unwrap_or(DEFAULT_HZ);
     let mut best: Option<(f64, u8, Choice)> = None;
-    for format in fitting.filter(|format| !format.emulated) {
+    for format in formats.iter().filter(|format| !format.emulated) {
         let Some(pixels) = pixels(format.code) else { continue };
-        let sized = format.sizes.iter().find(|it| (it.width as usize, it.height as usize) == size);
-        // A device that lists no sizes is asked for ours.
-        if sized.is_none() && !format.sizes.is_empty() {
+        // A device that lists no sizes may have this one.
+        let has_size = format.width == 0 || (format.width as usize, format.height as usize) == size;
+        if !has_size || address.format.is_some_and(|wanted| wanted != format.code) {
             continue;
         }
-        // The slowest that is fast enough, or the fastest.
-        let rates = sized.map_or(&[][..], |size| &size.rates_hz);
+        // The slowest rate that suffices, or the fastest.
+        let rates = &format.rates_hz;
         let enough = rates.iter().rev().find(|rate| **rate >= wanted_hz * 0.99);
         let rate_hz = enough.or(rates.first()).copied();
         let (gives_hz, cost) = (rate_hz.unwrap_or(wanted_hz).min(wanted_hz), cost(pixels));
@@ -60,7 +55,8 @@ pub(super) fn choose(
         }
     }
     best.map(|(.., choice)| choice).ok_or_else(|| {
-        let wish = address.format.map(|code| format!(" as {}", text(code))).unwrap_or_default();
+        let wish =
+            address.format.map(|code| format!(" as {}", code_text(code))).unwrap_or_default();
         format!(
             "gives no {} x {} pixels{wish} that can be used; it has {}; ask for one of these: by the camera file, or \
              where there is none yet by a size (--size; Size on the dashboard)",
@@ -81,26 +77,25 @@ fn cost(pixels: Option<PixelFormat>) -> u8 {
     }
 }
 
-fn listed(formats: &[Format]) -> String {
-    let all: Vec<String> = formats
-        .iter()
-        .map(|format| {
-            let sizes = format.sizes.iter().map(|size| format!("{}x{}", size.width, size.height));
-            let sizes: Vec<String> = sizes.collect();
-            let unread = if pixels(format.code).is_none() { " (not read)" } else { "" };
-            format!("{}{unread} {}", text(format.code), sizes.join(" "))
-        })
-        .collect();
-    if all.is_empty() { "no format at all".to_owned() } else { all.join(", ") }
+/// Each format with its sizes.
+fn listed(formats: &[FormatListing]) -> String {
+    let formats = formats.chunk_by(|a, b| a.code == b.code).map(|sizes| {
+        let unread = if sizes[0].is_read { "" } else { " (not read)" };
+        let known = sizes.iter().filter(|size| size.width > 0);
+        let known: String = known.map(|size| format!(" {}x{}", size.width, size.height)).collect();
+        format!("{}{unread}{known}", sizes[0].format)
+    });
+    let formats = formats.collect::<Vec<_>>().join(", ");
+    if formats.is_empty() { "no format at all".to_owned() } else { formats }
 }
 
-/// Sets controls one after the other, and looks at what became of each.
+/// Sets controls in the order of the address and checks the values that the device took.
 pub(super) fn set_controls<D: Driver>(
     device: &mut Device<D>,
     address: &DeviceAddress,
 ) -> Result<(), String> {
     for (name, value) in &address.controls {
-        // Anew for each: automatic exposure, say, decides whether exposure can be set.
+        // One control can change whether another one is settable, so each is looked up before it is set.
         let controls =
             device.controls().map_err(|error| format!("cannot list its controls: {error}"))?;
         let control = find(&controls, name)?;
@@ -114,7 +109,7 @@ pub(super) fn set_controls<D: Driver>(
     Ok(())
 }
 
-fn find<'c>(controls: &'c [Control], name: &str) -> Result<&'c Control, String> {
+fn find<'c>(controls: &'c [ControlListing], name: &str) -> Result<&'c ControlListing, String> {
     let names = || controls.iter().map(|control| control.name.as_str());
     controls.iter().find(|control| control.name == name).ok_or_else(|| {
         let meant = nearest(name, names()).map(|it| format!("; did you mean `{it}`?"));
@@ -127,12 +122,12 @@ fn find<'c>(controls: &'c [Control], name: &str) -> Result<&'c Control, String> 
     })
 }
 
-fn check(control: &Control, value: i32) -> Result<(), String> {
-    let Control { name, least, most, step, .. } = control;
+fn check(control: &ControlListing, value: i32) -> Result<(), String> {
+    let ControlListing { name, least, most, step, .. } = control;
     if control.read_only {
         return Err(format!("`{name}` can only be read"));
     }
-    if control.inactive {
+    if !control.is_settable {
         return Err(format!(
             "`{name}` is decided by another control: switch its automatic off first, such as auto_exposure=1 or \
              focus_automatic_continuous=0 before it"

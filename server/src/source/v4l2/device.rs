@@ -1,99 +1,111 @@
-//! A video device: what it can do, how it is set, and its frames. Talks to the kernel through a [`Driver`] only.
+//! A video device: capabilities, formats, controls and frames, over a [`Driver`] that tests replace.
 
 use std::{io, time::Duration};
 
-use super::abi::{
-    Argument, BUFFER_ERROR, CAN_CAPTURE, CAN_STREAM, CAPTURE, CONTROL_DISABLED, CONTROL_INACTIVE,
-    CONTROL_READ_ONLY, FORMAT_EMULATED, HAS_OWN, MAPPED, NEXT_CONTROL, Request, TIME_MASK,
-    TIME_MONOTONIC, at,
+use rustix::io::Errno;
+use serde::Serialize;
+
+use super::{
+    abi::{
+        self, BUFFER_ERROR, Buffer, BufferRequest, CAN_CAPTURE, CAN_STREAM, CAPTURE,
+        CONTROL_DISABLED, CONTROL_INACTIVE, CONTROL_READ_ONLY, Capability, ControlDescription,
+        DISCRETE, FORMAT_EMULATED, FrameInterval, FrameSize, HAS_DEVICE_CAPABILITIES, MAPPED,
+        NEXT_CONTROL, Parameters, Request, TIMESTAMP_MASK, TIMESTAMP_MONOTONIC,
+    },
+    pixels,
 };
 
-/// Lists of a device that never end are ended here.
+/// Longest list that is read, for drivers whose lists do not end.
 const MAX_LIST: u32 = 256;
-/// A control's kinds that hold no number: buttons, headings, texts and the like.
-const NUMBERS: [u32; 5] = [1, 2, 3, 8, 9];
+/// `V4L2_CTRL_TYPE_` INTEGER, BOOLEAN, MENU, BITMASK and INTEGER_MENU: the types whose value is a number.
+const NUMERIC: [u32; 5] = [1, 2, 3, 8, 9];
 
-/// The kernel's side of a device: the border of all that can be tested without one.
+/// What a [`Device`] needs of the operating system.
 pub(super) trait Driver: Send {
-    /// Puts a request; its answer replaces the argument.
-    fn call(&mut self, request: Request, argument: &mut Argument) -> io::Result<()>;
-    /// Makes a buffer of the device readable; buffers are numbered in the order in which they were mapped.
+    /// Makes a request; the answer replaces its argument.
+    fn call(&mut self, request: Request<'_>) -> io::Result<()>;
+    /// Maps a buffer of the device; buffers are numbered in the order of the calls.
     fn map(&mut self, offset: u64, length: usize) -> io::Result<()>;
     /// The bytes of a mapped buffer.
     fn mapped(&self, index: usize) -> &[u8];
-    /// Waits until a frame is there, at most so long; false: none came.
+    /// Waits for a frame; false after a timeout.
     fn wait(&mut self, longest: Duration) -> io::Result<bool>;
     /// The machine's monotonic clock.
     fn monotonic_ns(&self) -> i64;
 }
 
-/// What a device says of itself.
-#[derive(Clone, Debug, PartialEq, Eq)]
-pub(super) struct Capability {
-    pub(super) card: String,
-    pub(super) bus: String,
-    /// Whether it gives frames.
-    pub(super) captures: bool,
+/// A format in one size.
+#[derive(Clone, Debug, Default, PartialEq, Serialize)]
+pub struct FormatListing {
+    /// Four-character code.
+    pub format: String,
+    /// The driver's description.
+    pub description: String,
+    /// Whether Roundel can use it.
+    pub is_read: bool,
+    /// Columns, pixels; 0: any.
+    pub width: u32,
+    /// Rows, pixels; 0: any.
+    pub height: u32,
+    /// The fastest first.
+    pub rates_hz: Vec<f64>,
+    #[serde(skip)]
+    pub(crate) code: [u8; 4],
+    /// Converted from another format by a library.
+    #[serde(skip)]
+    pub(crate) emulated: bool,
 }
 
-/// A pixel format, with the sizes and rates of it that the device lists.
-#[derive(Clone, Debug, PartialEq)]
-pub(super) struct Format {
-    pub(super) code: [u8; 4],
-    pub(super) description: String,
-    /// Made by a library from another one.
-    pub(super) emulated: bool,
-    pub(super) sizes: Vec<Size>,
+/// A control whose value is a number.
+#[derive(Clone, Debug, Default, PartialEq, Eq, Serialize)]
+pub struct ControlListing {
+    /// The name in a source's address, which is also that of `v4l2-ctl`: `exposure_time_absolute`.
+    pub name: String,
+    /// Minimum.
+    pub least: i32,
+    /// Maximum.
+    pub most: i32,
+    /// Distance of values.
+    pub step: i32,
+    /// Value when plugged in.
+    pub default: i32,
+    /// Current value.
+    pub value: i32,
+    /// Whether it can be set now: it is not read-only and no other control overrides it.
+    pub is_settable: bool,
+    #[serde(skip)]
+    pub(crate) id: u32,
+    #[serde(skip)]
+    pub(crate) read_only: bool,
 }
 
-/// A size of a format.
-#[derive(Clone, Debug, PartialEq)]
-pub(super) struct Size {
-    pub(super) width: u32,
-    pub(super) height: u32,
-    /// Frames a second, the fastest first.
-    pub(super) rates_hz: Vec<f64>,
+impl Capability {
+    /// Whether the device file streams frames.
+    pub(super) fn captures(&self) -> bool {
+        let has_own = self.driver & HAS_DEVICE_CAPABILITIES != 0;
+        let flags = if has_own { self.device } else { self.driver };
+        flags & CAN_CAPTURE != 0 && flags & CAN_STREAM != 0
+    }
 }
 
-/// A control that holds a number.
-#[derive(Clone, Debug, PartialEq, Eq)]
-pub(super) struct Control {
-    pub(super) id: u32,
-    /// As `v4l2-ctl` writes it: `exposure_time_absolute`.
-    pub(super) name: String,
-    pub(super) least: i32,
-    pub(super) most: i32,
-    pub(super) step: i32,
-    pub(super) default: i32,
-    pub(super) value: i32,
-    pub(super) read_only: bool,
-    /// Another control decides.
-    pub(super) inactive: bool,
+impl Buffer {
+    fn numbered(index: u32) -> Self {
+        Self { index, buffer_type: CAPTURE, memory: MAPPED, ..Self::default() }
+    }
+
+    /// The driver's time stamp; `None` unless it is on the monotonic clock.
+    pub(super) fn monotonic_ns(&self) -> Option<i64> {
+        let is_monotonic = self.flags & TIMESTAMP_MASK == TIMESTAMP_MONOTONIC;
+        is_monotonic.then_some(self.seconds * 1_000_000_000 + self.microseconds * 1000)
+    }
+
+    /// Whether the driver reports that the content is damaged.
+    pub(super) fn is_broken(&self) -> bool {
+        self.flags & BUFFER_ERROR != 0
+    }
 }
 
-/// What the device made of a wish.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(super) struct Set {
-    pub(super) width: u32,
-    pub(super) height: u32,
-    pub(super) code: [u8; 4],
-    pub(super) stride: u32,
-}
-
-/// A frame in one of the device's buffers.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(super) struct Filled {
-    pub(super) index: u32,
-    pub(super) bytes: usize,
-    /// Counts the frames that the device has made, also those that found no buffer.
-    pub(super) sequence: u32,
-    /// On the monotonic clock, ns; `None`: the driver stamps otherwise.
-    pub(super) monotonic_ns: Option<i64>,
-    /// The device says that its content is not whole.
-    pub(super) broken: bool,
-}
-
-/// A device that was opened.
+/// An open device.
 #[derive(Debug)]
 pub(super) struct Device<D> {
     pub(super) driver: D,
@@ -101,211 +113,210 @@ pub(super) struct Device<D> {
 
 impl<D: Driver> Device<D> {
     pub(super) fn capability(&mut self) -> io::Result<Capability> {
-        let mut answer = Argument::of(Request::QUERY_CAPABILITY);
-        self.driver.call(Request::QUERY_CAPABILITY, &mut answer)?;
-        let all = answer.u32(at::CAPABILITY_ALL);
-        let own = if all & HAS_OWN == 0 { all } else { answer.u32(at::CAPABILITY_OWN) };
-        Ok(Capability {
-            card: answer.text(at::CAPABILITY_CARD, 32),
-            bus: answer.text(at::CAPABILITY_BUS, 32),
-            captures: own & CAN_CAPTURE != 0 && own & CAN_STREAM != 0,
-        })
+        let mut capability = Capability::default();
+        self.driver.call(Request::QueryCapability(&mut capability))?;
+        Ok(capability)
     }
 
-    pub(super) fn formats(&mut self) -> io::Result<Vec<Format>> {
+    /// Formats in each of their sizes.
+    pub(super) fn formats(&mut self) -> io::Result<Vec<FormatListing>> {
         let mut formats = Vec::new();
         for index in 0..MAX_LIST {
-            let wish = Argument::of(Request::ENUM_FORMAT).with(0, index).with(4, CAPTURE);
-            let Some(answer) = self.listed(Request::ENUM_FORMAT, wish)? else { break };
-            let code = answer.u32(at::DESCRIPTION_FORMAT);
-            formats.push(Format {
-                code: code.to_ne_bytes(),
-                description: answer.text(at::DESCRIPTION_TEXT, 32),
-                emulated: answer.u32(at::DESCRIPTION_FLAGS) & FORMAT_EMULATED != 0,
-                sizes: self.sizes(code)?,
-            });
+            let mut found =
+                abi::FormatDescription { index, buffer_type: CAPTURE, ..Default::default() };
+            if !self.supports(Request::EnumFormat(&mut found))? {
+                break;
+            }
+            let code = found.code.to_ne_bytes();
+            let format = FormatListing {
+                format: code_text(code),
+                description: text(&found.description),
+                is_read: pixels(code).is_some(),
+                code,
+                emulated: found.flags & FORMAT_EMULATED != 0,
+                ..FormatListing::default()
+            };
+            let sizes = self.sizes(found.code)?;
+            if sizes.is_empty() {
+                formats.push(format);
+                continue;
+            }
+            formats.extend(sizes.into_iter().map(|(width, height, rates_hz)| FormatListing {
+                width,
+                height,
+                rates_hz,
+                ..format.clone()
+            }));
         }
         Ok(formats)
     }
 
-    /// Sizes that are listed one by one; a device with steps of sizes lists none.
-    fn sizes(&mut self, code: u32) -> io::Result<Vec<Size>> {
+    /// Discrete sizes with their rates; empty for a device that gives ranges.
+    fn sizes(&mut self, code: u32) -> io::Result<Vec<(u32, u32, Vec<f64>)>> {
         let mut sizes = Vec::new();
         for index in 0..MAX_LIST {
-            let wish = Argument::of(Request::ENUM_SIZES).with(0, index).with(4, code);
-            let Some(answer) = self.listed(Request::ENUM_SIZES, wish)? else { break };
-            if answer.u32(at::SIZE_TYPE) != 1 {
+            let mut size = FrameSize { index, code, ..FrameSize::default() };
+            if !self.supports(Request::EnumSize(&mut size))? || size.kind != DISCRETE {
                 break;
             }
-            let (width, height) = (answer.u32(at::SIZE_WIDTH), answer.u32(at::SIZE_HEIGHT));
-            let rates_hz = self.rates(code, width, height)?;
-            sizes.push(Size { width, height, rates_hz });
+            sizes.push((size.width, size.height, self.rates(&size)?));
         }
         Ok(sizes)
     }
 
-    fn rates(&mut self, code: u32, width: u32, height: u32) -> io::Result<Vec<f64>> {
+    fn rates(&mut self, size: &FrameSize) -> io::Result<Vec<f64>> {
+        let FrameSize { code, width, height, .. } = *size;
         let mut rates = Vec::new();
         for index in 0..MAX_LIST {
-            let wish = Argument::of(Request::ENUM_INTERVALS)
-                .with(0, index)
-                .with(at::INTERVAL_FORMAT, code)
-                .with(at::INTERVAL_WIDTH, width)
-                .with(at::INTERVAL_HEIGHT, height);
-            let Some(answer) = self.listed(Request::ENUM_INTERVALS, wish)? else { break };
-            if answer.u32(at::INTERVAL_TYPE) != 1 {
+            let mut interval =
+                FrameInterval { index, code, width, height, ..FrameInterval::default() };
+            if !self.supports(Request::EnumInterval(&mut interval))? || interval.kind != DISCRETE {
                 break;
             }
-            let numerator = f64::from(answer.u32(at::INTERVAL_NUMERATOR).max(1));
-            rates.push(f64::from(answer.u32(at::INTERVAL_DENOMINATOR)) / numerator);
+            rates.push(rate_hz(interval.numerator, interval.denominator));
         }
         rates.sort_by(|a, b| b.total_cmp(a));
         Ok(rates)
     }
 
-    /// An entry of a list; `None` after the last one, and where the driver has no such list.
-    fn listed(&mut self, request: Request, mut wish: Argument) -> io::Result<Option<Argument>> {
-        match self.driver.call(request, &mut wish) {
-            Ok(()) => Ok(Some(wish)),
-            Err(error) if is_unknown(&error) => Ok(None),
-            Err(error) => Err(error),
+    /// Makes a request that a driver need not support. EINVAL also ends a list.
+    fn supports(&mut self, request: Request<'_>) -> io::Result<bool> {
+        match self.driver.call(request) {
+            Ok(()) => Ok(true),
+            Err(error) => match Errno::from_io_error(&error) {
+                Some(Errno::INVAL | Errno::NOTTY) => Ok(false),
+                _ => Err(error),
+            },
         }
     }
 
-    /// All controls that hold a number, with their values.
-    pub(super) fn controls(&mut self) -> io::Result<Vec<Control>> {
+    /// All controls whose value is a number.
+    pub(super) fn controls(&mut self) -> io::Result<Vec<ControlListing>> {
         let (mut controls, mut last) = (Vec::new(), 0);
         for _ in 0..MAX_LIST {
-            let wish = Argument::of(Request::QUERY_CONTROL).with(0, last | NEXT_CONTROL);
-            let Some(answer) = self.listed(Request::QUERY_CONTROL, wish)? else { break };
-            last = answer.u32(0);
-            let flags = answer.u32(at::CONTROL_FLAGS);
-            if flags & CONTROL_DISABLED != 0 || !NUMBERS.contains(&answer.u32(at::CONTROL_KIND)) {
+            let mut found =
+                ControlDescription { id: last | NEXT_CONTROL, ..ControlDescription::default() };
+            if !self.supports(Request::QueryControl(&mut found))? {
+                break;
+            }
+            last = found.id;
+            if found.flags & CONTROL_DISABLED != 0 || !NUMERIC.contains(&found.kind) {
                 continue;
             }
-            // One that can only be written has no value to read.
-            let Ok(value) = self.control(last) else { continue };
-            controls.push(Control {
-                id: last,
-                name: control_name(&answer.text(at::CONTROL_NAME, 32)),
-                least: answer.i32(at::CONTROL_LEAST),
-                most: answer.i32(at::CONTROL_MOST),
-                step: answer.i32(at::CONTROL_STEP),
-                default: answer.i32(at::CONTROL_DEFAULT),
+            // A write-only control has no value.
+            let Ok(value) = self.control(found.id) else { continue };
+            let ControlDescription { id, least, most, step, default, flags, .. } = found;
+            controls.push(ControlListing {
+                name: control_name(&text(&found.name)),
+                least,
+                most,
+                step,
+                default,
                 value,
+                is_settable: flags & (CONTROL_READ_ONLY | CONTROL_INACTIVE) == 0,
+                id,
                 read_only: flags & CONTROL_READ_ONLY != 0,
-                inactive: flags & CONTROL_INACTIVE != 0,
             });
         }
         Ok(controls)
     }
 
-    pub(super) fn control(&mut self, id: u32) -> io::Result<i32> {
-        let mut answer = Argument::of(Request::GET_CONTROL).with(0, id);
-        self.driver.call(Request::GET_CONTROL, &mut answer)?;
-        Ok(answer.i32(at::VALUE))
+    fn control(&mut self, id: u32) -> io::Result<i32> {
+        let mut control = abi::Control { id, value: 0 };
+        self.driver.call(Request::GetControl(&mut control))?;
+        Ok(control.value)
     }
 
-    /// Sets a control, and reads back what became of it.
+    /// Sets a control and returns the value that the device took.
     pub(super) fn set_control(&mut self, id: u32, value: i32) -> io::Result<i32> {
-        let mut wish = Argument::of(Request::SET_CONTROL).with(0, id).with(at::VALUE, value as u32);
-        self.driver.call(Request::SET_CONTROL, &mut wish)?;
+        self.driver.call(Request::SetControl(&mut abi::Control { id, value }))?;
         self.control(id)
     }
 
-    pub(super) fn set_format(&mut self, size: (u32, u32), code: [u8; 4]) -> io::Result<Set> {
-        let mut wish = Argument::of(Request::SET_FORMAT)
-            .with(0, CAPTURE)
-            .with(at::FORMAT_WIDTH, size.0)
-            .with(at::FORMAT_HEIGHT, size.1)
-            .with(at::FORMAT_CODE, u32::from_ne_bytes(code));
-        self.driver.call(Request::SET_FORMAT, &mut wish)?;
-        Ok(Set {
-            width: wish.u32(at::FORMAT_WIDTH),
-            height: wish.u32(at::FORMAT_HEIGHT),
-            code: wish.u32(at::FORMAT_CODE).to_ne_bytes(),
-            stride: wish.u32(at::FORMAT_STRIDE),
-        })
+    /// Sets size and format and returns what the device took.
+    pub(super) fn set_format(
+        &mut self,
+        size: (u32, u32),
+        code: [u8; 4],
+    ) -> io::Result<abi::Format> {
+        let mut format = abi::Format {
+            buffer_type: CAPTURE,
+            width: size.0,
+            height: size.1,
+            code: u32::from_ne_bytes(code),
+            ..Default::default()
+        };
+        self.driver.call(Request::SetFormat(&mut format))?;
+        Ok(format)
     }
 
-    /// Asks for a rate; returns the one that the device takes, or `None` where it cannot be set.
-    pub(super) fn set_rate(&mut self, rate_hz: f64) -> io::Result<Option<f64>> {
-        let mut wish = Argument::of(Request::SET_PARAMETERS)
-            .with(0, CAPTURE)
-            .with(at::PARAMETERS_NUMERATOR, 1000)
-            .with(at::PARAMETERS_DENOMINATOR, (rate_hz * 1000.0).round() as u32);
-        match self.driver.call(Request::SET_PARAMETERS, &mut wish) {
-            Ok(()) => {
-                let numerator = f64::from(wish.u32(at::PARAMETERS_NUMERATOR).max(1));
-                let rate = f64::from(wish.u32(at::PARAMETERS_DENOMINATOR)) / numerator;
-                Ok(Some(rate).filter(|rate| *rate > 0.0))
-            }
-            Err(error) if is_unknown(&error) => Ok(None),
+    /// Sets the rate and returns the one that the device took; `None` where it cannot be set.
+    pub(super) fn set_rate(&mut self, wanted_hz: f64) -> io::Result<Option<f64>> {
+        let mut parameters = Parameters {
+            buffer_type: CAPTURE,
+            numerator: 1000,
+            denominator: (wanted_hz * 1000.0).round() as u32,
+            ..Default::default()
+        };
+        let is_set = self.supports(Request::SetParameters(&mut parameters))?;
+        let taken_hz = rate_hz(parameters.numerator, parameters.denominator);
+        Ok(Some(taken_hz).filter(|taken_hz| is_set && *taken_hz > 0.0))
+    }
+
+    /// Maps and queues the buffers that the device grants, up to `count`, and starts streaming.
+    pub(super) fn start(&mut self, count: u32) -> io::Result<()> {
+        let mut buffers =
+            BufferRequest { count, buffer_type: CAPTURE, memory: MAPPED, ..Default::default() };
+        self.driver.call(Request::RequestBuffers(&mut buffers))?;
+        for index in 0..buffers.count {
+            let mut buffer = Buffer::numbered(index);
+            self.driver.call(Request::QueryBuffer(&mut buffer))?;
+            self.driver.map(u64::from(buffer.offset), buffer.length as usize)?;
+            self.queue(index)?;
+        }
+        self.driver.call(Request::StreamOn(&mut { CAPTURE }))
+    }
+
+    pub(super) fn stop(&mut self) -> io::Result<()> {
+        self.driver.call(Request::StreamOff(&mut { CAPTURE }))
+    }
+
+    /// Gives a buffer to the device to fill.
+    pub(super) fn queue(&mut self, index: u32) -> io::Result<()> {
+        self.driver.call(Request::QueueBuffer(&mut Buffer::numbered(index)))
+    }
+
+    /// Takes a filled buffer; `None` if there is none.
+    pub(super) fn dequeue(&mut self) -> io::Result<Option<Buffer>> {
+        let mut buffer = Buffer::numbered(0);
+        match self.driver.call(Request::DequeueBuffer(&mut buffer)) {
+            Ok(()) => Ok(Some(buffer)),
+            Err(error) if error.kind() == io::ErrorKind::WouldBlock => Ok(None),
             Err(error) => Err(error),
         }
     }
 
-    /// Makes buffers, hands them to the device and starts it. Returns how many it has.
-    pub(super) fn start(&mut self, buffers: u32) -> io::Result<u32> {
-        let mut wish = Argument::of(Request::REQUEST_BUFFERS)
-            .with(0, buffers)
-            .with(at::REQUESTED_TYPE, CAPTURE)
-            .with(at::REQUESTED_MEMORY, MAPPED);
-        self.driver.call(Request::REQUEST_BUFFERS, &mut wish)?;
-        let count = wish.u32(0);
-        for index in 0..count {
-            let mut buffer = buffer(Request::QUERY_BUFFER, index);
-            self.driver.call(Request::QUERY_BUFFER, &mut buffer)?;
-            let length = buffer.u32(at::BUFFER_LENGTH) as usize;
-            self.driver.map(u64::from(buffer.u32(at::BUFFER_OFFSET)), length)?;
-            self.give_back(index)?;
-        }
-        let mut kind = Argument(CAPTURE.to_ne_bytes().to_vec());
-        self.driver.call(Request::STREAM_ON, &mut kind)?;
-        Ok(count)
-    }
-
-    pub(super) fn stop(&mut self) -> io::Result<()> {
-        let mut kind = Argument(CAPTURE.to_ne_bytes().to_vec());
-        self.driver.call(Request::STREAM_OFF, &mut kind)
-    }
-
-    /// Lets the device fill a buffer again.
-    pub(super) fn give_back(&mut self, index: u32) -> io::Result<()> {
-        self.driver.call(Request::QUEUE, &mut buffer(Request::QUEUE, index))
-    }
-
-    /// A frame that is there; `None`: none is.
-    pub(super) fn take(&mut self) -> io::Result<Option<Filled>> {
-        let mut answer = buffer(Request::DEQUEUE, 0);
-        match self.driver.call(Request::DEQUEUE, &mut answer) {
-            Ok(()) => {}
-            Err(error) if error.kind() == io::ErrorKind::WouldBlock => return Ok(None),
-            Err(error) => return Err(error),
-        }
-        let flags = answer.u32(at::BUFFER_FLAGS);
-        let seconds = answer.i64(at::BUFFER_SECONDS);
-        let monotonic_ns = seconds * 1_000_000_000 + answer.i64(at::BUFFER_MICROSECONDS) * 1000;
-        Ok(Some(Filled {
-            index: answer.u32(0),
-            bytes: answer.u32(at::BUFFER_USED) as usize,
-            sequence: answer.u32(at::BUFFER_SEQUENCE),
-            monotonic_ns: (flags & TIME_MASK == TIME_MONOTONIC).then_some(monotonic_ns),
-            broken: flags & BUFFER_ERROR != 0,
-        }))
+    /// The content of a dequeued buffer.
+    pub(super) fn content(&self, buffer: &Buffer) -> &[u8] {
+        let bytes = self.driver.mapped(buffer.index as usize);
+        &bytes[..(buffer.bytes as usize).min(bytes.len())]
     }
 }
 
-fn buffer(request: Request, index: u32) -> Argument {
-    Argument::of(request)
-        .with(0, index)
-        .with(at::BUFFER_TYPE, CAPTURE)
-        .with(at::BUFFER_MEMORY, MAPPED)
+/// The rate of an interval in seconds.
+fn rate_hz(numerator: u32, denominator: u32) -> f64 {
+    f64::from(denominator) / f64::from(numerator.max(1))
 }
 
-/// EINVAL ends a list, ENOTTY says that there is none.
-fn is_unknown(error: &io::Error) -> bool {
-    matches!(error.raw_os_error(), Some(22 | 25))
+/// A four-character code without padding.
+pub(super) fn code_text(code: [u8; 4]) -> String {
+    String::from_utf8_lossy(&code).trim().to_owned()
+}
+
+/// Text of the driver, ended by a zero byte.
+pub(super) fn text(bytes: &[u8]) -> String {
+    let end = bytes.iter().position(|byte| *byte == 0).unwrap_or(bytes.len());
+    String::from_utf8_lossy(&bytes[..end]).trim().to_owned()
 }
 
 /// "Exposure Time, Absolute" → `exposure_time_absolute`.

@@ -1,9 +1,8 @@
-//! The real kernel's side of a video device. All that is unsafe about Video4Linux is here.
+//! The kernel's side of a video device, and the only `unsafe` code of the module.
 //!
-//! Two things are: a request's argument must be as long as its number says, which is asserted before each call; and a
-//! mapped buffer is memory that the device writes. It does so only between queueing and dequeueing a buffer, and
-//! [`super::V4l2Source`] looks into a buffer only between dequeueing and queueing it. A mapping ends after the last
-//! look, with the device.
+//! Two invariants make it sound. An opcode contains the size of its argument, and both come from the same type in
+//! `abi`. The device writes to a mapped buffer only while the buffer is queued, and [`super::V4l2Source`] reads a
+//! buffer only while it is dequeued.
 #![allow(unsafe_code)]
 
 use std::{
@@ -19,15 +18,13 @@ use std::{
 use rustix::{
     event::{PollFd, PollFlags, Timespec, poll},
     fs::OFlags,
+    io::{Errno, retry_on_intr},
     ioctl::{Ioctl, IoctlOutput, Opcode, ioctl},
     mm::{MapFlags, ProtFlags, mmap, munmap},
     time::{ClockId, clock_gettime},
 };
 
-use super::{
-    abi::{Argument, Request},
-    device::Driver,
-};
+use super::{abi::Request, device::Driver};
 
 /// An open device file.
 #[derive(Debug)]
@@ -36,21 +33,21 @@ pub(super) struct Kernel {
     mappings: Vec<Mapping>,
 }
 
-/// A buffer of the device in this process.
+/// A buffer of the device, mapped into this process.
 #[derive(Debug)]
 struct Mapping {
     begin: NonNull<u8>,
     length: usize,
 }
 
-// SAFETY: the pointer is to memory that belongs to the mapping alone, on whatever thread it is used.
+// SAFETY: the mapping is the only owner of its memory.
 unsafe impl Send for Mapping {}
 
 impl Drop for Mapping {
     fn drop(&mut self) {
-        // SAFETY: mapped with this length, and nobody can hold a reference: they borrow the mapping.
+        // SAFETY: it was mapped with this length, and references to it borrow the mapping.
         if let Err(error) = unsafe { munmap(self.begin.as_ptr().cast(), self.length) } {
-            tracing::warn!(%error, "a camera's buffer is not given back");
+            tracing::warn!(%error, "cannot unmap a buffer of a camera");
         }
     }
 }
@@ -58,30 +55,23 @@ impl Drop for Mapping {
 impl Kernel {
     /// Opens a device file.
     pub(super) fn open(path: &Path) -> io::Result<Self> {
-        let flags = i32::try_from(OFlags::NONBLOCK.bits()).unwrap_or_default();
+        let flags = OFlags::NONBLOCK.bits() as i32;
         let file = OpenOptions::new().read(true).write(true).custom_flags(flags).open(path)?;
         Ok(Self { file, mappings: Vec::new() })
     }
 }
 
-/// A request with its argument, as rustix takes it.
-struct Call<'a> {
-    request: Request,
-    bytes: &'a mut [u8],
-}
-
-// SAFETY: the argument is as long as the request's number says (asserted by the only caller), and the kernel writes no
-// further than that.
-unsafe impl Ioctl for Call<'_> {
+// SAFETY: the opcode contains the size of the argument, and the kernel writes no further.
+unsafe impl Ioctl for &mut Request<'_> {
     type Output = ();
     const IS_MUTATING: bool = true;
 
     fn opcode(&self) -> Opcode {
-        Opcode::from(self.request.0)
+        Request::opcode(self)
     }
 
     fn as_ptr(&mut self) -> *mut c_void {
-        self.bytes.as_mut_ptr().cast()
+        self.pointer()
     }
 
     unsafe fn output_from_ptr(_: IoctlOutput, _: *mut c_void) -> rustix::io::Result<()> {
@@ -90,21 +80,14 @@ unsafe impl Ioctl for Call<'_> {
 }
 
 impl Driver for Kernel {
-    fn call(&mut self, request: Request, argument: &mut Argument) -> io::Result<()> {
-        assert_eq!(argument.0.len(), request.size(), "argument of {request:?}");
-        loop {
-            let call = Call { request, bytes: &mut argument.0 };
-            // SAFETY: `Call` is sound as its own comment says.
-            match unsafe { ioctl(&self.file, call) } {
-                Err(rustix::io::Errno::INTR) => {}
-                outcome => return Ok(outcome?),
-            }
-        }
+    fn call(&mut self, mut request: Request<'_>) -> io::Result<()> {
+        // SAFETY: see the implementation of `Ioctl`.
+        Ok(retry_on_intr(|| unsafe { ioctl(&self.file, &mut request) })?)
     }
 
     fn map(&mut self, offset: u64, length: usize) -> io::Result<()> {
         let (access, kind) = (ProtFlags::READ, MapFlags::SHARED);
-        // SAFETY: the kernel chooses where, so nothing else is covered.
+        // SAFETY: the kernel chooses the address, so no other memory is replaced.
         let begin = unsafe { mmap(null_mut(), length, access, kind, &self.file, offset)? };
         let begin = NonNull::new(begin.cast()).ok_or(io::ErrorKind::OutOfMemory)?;
         self.mappings.push(Mapping { begin, length });
@@ -113,19 +96,15 @@ impl Driver for Kernel {
 
     fn mapped(&self, index: usize) -> &[u8] {
         let mapping = &self.mappings[index];
-        // SAFETY: it lives as long as `self`; who writes to it and when is told at the top.
+        // SAFETY: it lives as long as `self`; the module page says when the device writes to it.
         unsafe { std::slice::from_raw_parts(mapping.begin.as_ptr(), mapping.length) }
     }
 
     fn wait(&mut self, longest: Duration) -> io::Result<bool> {
-        let mut files = [PollFd::new(&self.file, PollFlags::IN)];
-        let longest = Timespec {
-            tv_sec: i64::try_from(longest.as_secs()).unwrap_or(i64::MAX),
-            tv_nsec: longest.subsec_nanos().into(),
-        };
-        match poll(&mut files, Some(&longest)) {
+        let longest = Timespec::try_from(longest).map_err(io::Error::other)?;
+        match poll(&mut [PollFd::new(&self.file, PollFlags::IN)], Some(&longest)) {
             Ok(ready) => Ok(ready > 0),
-            Err(rustix::io::Errno::INTR) => Ok(false),
+            Err(Errno::INTR) => Ok(false),
             Err(error) => Err(error.into()),
         }
     }

@@ -1,15 +1,19 @@
-//! `v4l2:` – cameras of this machine, by Linux' own interface.
+//! `v4l2:` – cameras of this machine, by Video4Linux.
 //!
-//! | module | what it does |
+//! | module | purpose |
 //! | --- | --- |
-//! | `abi` | requests and what they carry |
-//! | `device` | formats, controls and frames, through the border that tests take the kernel's place at |
-//! | `kernel` | the kernel's side of that border |
-//! | `choice` | which of a device's formats is used |
-//! | `listing` | what is connected, for `roundel cameras` |
+//! | `abi` | ioctls and their arguments |
+//! | `device` | formats, controls and frames, over the trait `Driver` |
+//! | `kernel` | the `Driver` of real devices; all `unsafe` code |
+//! | `choice` | chooses the format and sets the controls |
+//! | `listing` | lists devices for `roundel cameras` |
 //!
-//! Frames stay in the device's buffers: a luma plane is lent as it lies there, and the buffer goes back when the next
-//! frame is asked for. Capture times are the driver's, on the machine's monotonic clock, which is the server's.
+//! Frames stay in the device's buffers: a luma plane is lent without a copy, and its buffer is queued again when the
+//! next frame is requested. Capture times are the driver's, on the machine's monotonic clock, which is the server's.
+//!
+//! No crate does this job. `v4l` and `v4l2r` generate their bindings with libclang. `linuxvideo` 0.3 hides the time
+//! stamp and the sequence number of a buffer (`ReadBufferView`), uses two buffers and queues each one before it
+//! returns. `moq-v4l` 0.1 panics on a control of a type that it does not know and on text that is not UTF-8.
 
 mod abi;
 mod choice;
@@ -22,50 +26,47 @@ use std::{
     time::{Duration, Instant},
 };
 
-pub use listing::{ControlListing, DeviceListing, FormatListing, devices};
+use rustix::io::Errno;
+
+pub use device::{ControlListing, FormatListing};
+pub use listing::{DeviceListing, devices};
 
 use self::{
+    abi::Buffer,
     choice::Choice,
-    device::{Device, Driver, Filled},
+    device::{Device, Driver},
     kernel::Kernel,
 };
 use super::{
-    CaptureClock, DeviceAddress, FrameInfo, FrameSource, LentFrame, SourceError, bad_frame,
-    jpeg::{JpegFault, LumaDecoder},
+    CaptureClock, DeviceAddress, FrameInfo, FrameSource, LentFrame, SourceError, SourceParts,
+    bad_frame,
+    jpeg::LumaDecoder,
     pixels::{Converter, PixelFormat, Raw},
     wrong_size,
 };
-use crate::{clock::Clock, stop::Stop};
+use crate::stop::Stop;
 
 /// One is lent, one waits, and the device fills the others.
 const BUFFERS: u32 = 4;
-const LOOK_EVERY: Duration = Duration::from_millis(20);
-/// Cameras take their time to begin.
+/// How often a wait checks the stop signal.
+const POLL_EVERY: Duration = Duration::from_millis(20);
+/// Timeout of the first frame, which takes longer than the others.
 const FIRST_FRAME: Duration = Duration::from_secs(5);
 const STALL: Duration = Duration::from_secs(1);
-
-/// What a source has to fit into.
-#[derive(Clone, Copy, Debug)]
-pub(super) struct V4l2Parts {
-    /// Of the camera's calibration.
-    pub(super) size: (usize, usize),
-    /// The server's.
-    pub(super) clock: Clock,
-}
 
 /// A camera that streams.
 struct V4l2Source<D: Driver> {
     device: Device<D>,
     name: String,
-    parts: V4l2Parts,
+    parts: SourceParts,
     stop: Stop,
-    /// What the device took the rate to be.
+    /// Rate that the device reports.
     promised_hz: Option<f64>,
     choice: Choice,
     stride: usize,
     /// The buffer that is lent.
     lent: Option<u32>,
-    /// Number of the newest frame.
+    /// Sequence number of the newest frame.
     newest: Option<u32>,
     converter: Converter,
     decoder: LumaDecoder,
@@ -75,7 +76,7 @@ struct V4l2Source<D: Driver> {
 /// Opens a camera of this machine.
 pub(super) fn open(
     address: &DeviceAddress,
-    parts: V4l2Parts,
+    parts: SourceParts,
     stop: Stop,
 ) -> Result<Box<dyn FrameSource>, SourceError> {
     let driver = Kernel::open(&address.path).map_err(|error| {
@@ -92,11 +93,11 @@ pub(super) fn open(
 }
 
 impl<D: Driver> V4l2Source<D> {
-    /// Sets the device as wished and lets it stream.
+    /// Sets the device up and starts streaming.
     fn start(
         mut device: Device<D>,
         address: &DeviceAddress,
-        parts: V4l2Parts,
+        parts: SourceParts,
         stop: Stop,
     ) -> Result<Self, SourceError> {
         let name = address.to_string();
@@ -105,8 +106,8 @@ impl<D: Driver> V4l2Source<D> {
         };
         let capability =
             device.capability().map_err(|error| failed("is no video device", error))?;
-        if !capability.captures {
-            let card = capability.card;
+        if !capability.captures() {
+            let card = device::text(&capability.card);
             return Err(SourceError::Failed(format!(
                 "{name}: `{card}` gives no frames by this device file; `roundel cameras` lists those that do"
             )));
@@ -121,11 +122,11 @@ impl<D: Driver> V4l2Source<D> {
         if (set.width, set.height) != size {
             return Err(wrong_size(&name, parts.size, (set.width as usize, set.height as usize)));
         }
-        if set.code != choice.code {
+        if set.code.to_ne_bytes() != choice.code {
             return Err(SourceError::Failed(format!(
                 "{name}: asked for {}, and the device took {}: write format=",
-                choice::text(choice.code),
-                choice::text(set.code)
+                device::code_text(choice.code),
+                device::code_text(set.code.to_ne_bytes())
             )));
         }
         let mut promised_hz = choice.rate_hz;
@@ -159,25 +160,25 @@ impl<D: Driver> V4l2Source<D> {
         })
     }
 
-    /// Waits for frames and keeps the newest; counts those that were not whole.
-    fn newest(&mut self, broken: &mut u64, begun: Instant) -> Result<Filled, SourceError> {
+    /// Waits for frames and returns the newest; counts broken ones.
+    fn newest(&mut self, broken: &mut u64, begun: Instant) -> Result<Buffer, SourceError> {
         loop {
             if self.stop.is_stopped() {
                 return Err(SourceError::Stopped);
             }
-            let mut newest: Option<Filled> = None;
-            if self.device.driver.wait(LOOK_EVERY).map_err(|error| self.lost(&error))? {
-                while let Some(filled) = self.device.take().map_err(|error| self.lost(&error))? {
+            let mut newest: Option<Buffer> = None;
+            if self.device.driver.wait(POLL_EVERY).map_err(|error| self.lost(&error))? {
+                while let Some(filled) = self.device.dequeue().map_err(|error| self.lost(&error))? {
                     if let Some(older) = newest.replace(filled) {
-                        self.give_back(older.index)?;
+                        self.queue(older.index)?;
                     }
                 }
             }
             match newest {
-                Some(filled) if !filled.broken => return Ok(filled),
+                Some(filled) if !filled.is_broken() => return Ok(filled),
                 Some(filled) => {
                     *broken += 1;
-                    self.give_back(filled.index)?;
+                    self.queue(filled.index)?;
                 }
                 None => {}
             }
@@ -193,18 +194,18 @@ impl<D: Driver> V4l2Source<D> {
         }
     }
 
-    fn give_back(&mut self, index: u32) -> Result<(), SourceError> {
-        self.device.give_back(index).map_err(|error| self.lost(&error))
+    fn queue(&mut self, index: u32) -> Result<(), SourceError> {
+        self.device.queue(index).map_err(|error| self.lost(&error))
     }
 
     fn lost(&self, error: &io::Error) -> SourceError {
         SourceError::Failed(format!("{}: {error}{}", self.name, remedy(error)))
     }
 
-    /// What is known of a frame, `broken` and `skipped` apart.
-    fn info(&self, filled: &Filled) -> FrameInfo {
+    /// Capture time of a frame, without the counts.
+    fn info(&self, filled: &Buffer) -> FrameInfo {
         let now = self.parts.clock.now();
-        match filled.monotonic_ns {
+        match filled.monotonic_ns() {
             Some(ns) => {
                 let age_ns = self.device.driver.monotonic_ns() - ns;
                 let clock = CaptureClock::DRIVER;
@@ -215,12 +216,13 @@ impl<D: Driver> V4l2Source<D> {
     }
 }
 
-/// ENODEV: it was unplugged; EBUSY: another program has it; ENOSPC: the bus is full.
 fn remedy(error: &io::Error) -> &'static str {
-    match error.raw_os_error() {
-        Some(19) => "; it was unplugged, and is tried again",
-        Some(16) => "; another program uses it",
-        Some(28) => "; its USB bus has not the bandwidth: use another port, or format=MJPG",
+    match Errno::from_io_error(error) {
+        Some(Errno::NODEV) => "; it was unplugged, and is tried again",
+        Some(Errno::BUSY) => "; another program uses it",
+        Some(Errno::NOSPC) => {
+            "; its USB bus has not the bandwidth: use another port, or format=MJPG"
+        }
         _ => "",
     }
 }
@@ -233,14 +235,14 @@ impl<D: Driver> FrameSource for V4l2Source<D> {
     fn next_frame(&mut self) -> Result<LentFrame<'_>, SourceError> {
         let begun = Instant::now();
         if let Some(index) = self.lent.take() {
-            self.give_back(index)?;
+            self.queue(index)?;
         }
         let (mut skipped, mut broken) = (0, 0);
         let (filled, info) = loop {
             let filled = self.newest(&mut broken, begun)?;
             let after = |newest: u32| filled.sequence.wrapping_sub(newest).wrapping_sub(1);
             let gap = self.newest.map_or(0, after);
-            // A counter that starts anew has left nothing out.
+            // A larger gap means that the counter was reset.
             skipped += if gap < 1000 { u64::from(gap) } else { 0 };
             self.newest = Some(filled.sequence);
             let info = self.info(&filled);
@@ -248,42 +250,36 @@ impl<D: Driver> FrameSource for V4l2Source<D> {
                 break (filled, info);
             }
             let decoding = Instant::now();
-            let bytes = self.device.driver.mapped(filled.index as usize);
-            let decoded = self.decoder.decode(&bytes[..filled.bytes.min(bytes.len())]);
+            let decoded = self.decoder.decode(self.device.content(&filled));
             let decoding = decoding.elapsed();
-            match decoded {
-                Ok(()) => break (filled, FrameInfo { decoding, ..info }),
-                Err(JpegFault::Size(width, height)) => {
-                    return Err(wrong_size(&self.name, self.parts.size, (width, height)));
-                }
-                Err(JpegFault::Broken(_)) => broken += 1,
+            if self.decoder.accept(decoded, || self.name.clone())? {
+                break (filled, FrameInfo { decoding, ..info });
             }
-            self.give_back(filled.index)?;
+            broken += 1;
+            self.queue(filled.index)?;
         };
-        // Broken ones were numbered too.
+        // Broken frames have sequence numbers too.
         let info = FrameInfo { skipped: skipped.saturating_sub(broken), broken, ..info };
         self.patience = STALL;
         self.lent = Some(filled.index);
         let Some(format) = self.choice.pixels else {
             return Ok(LentFrame { frame: self.decoder.frame()?, info });
         };
-        let bytes = self.device.driver.mapped(filled.index as usize);
         let (width, height) = self.parts.size;
         let stride = self.stride.max(format.row_bytes(width));
-        let raw =
-            Raw { format, bytes: &bytes[..filled.bytes.min(bytes.len())], width, height, stride };
+        let raw = Raw { format, bytes: self.device.content(&filled), width, height, stride };
         Ok(LentFrame { frame: self.converter.grey(&raw).map_err(bad_frame)?, info })
     }
 }
 
 impl<D: Driver> Drop for V4l2Source<D> {
     fn drop(&mut self) {
-        // Of a device that was unplugged there is nothing to stop.
+        // Fails if the device was unplugged, and then there is nothing to stop.
         let _ = self.device.stop();
     }
 }
 
-/// Formats with their pixels, and those that are JPEG.
+/// How a format is decoded: `None` if it is not supported, `Some(None)` if it is JPEG.
 fn pixels(code: [u8; 4]) -> Option<Option<PixelFormat>> {
     match &code {
         b"MJPG" | b"JPEG" => Some(None),

@@ -1,4 +1,4 @@
-//! A camera in the kernel's place, which answers request by request with the bytes that a UVC camera answers with.
+//! A fake driver that answers each ioctl as a UVC camera does.
 
 use std::{
     collections::{BTreeMap, VecDeque},
@@ -9,12 +9,12 @@ use std::{
 use roundel_core::time::Timestamp;
 
 use super::{
-    abi::{Argument, CAPTURE, MAPPED, NEXT_CONTROL, Request, at},
+    abi::{CAPTURE, DISCRETE, MAPPED, NEXT_CONTROL, Request},
     device::{Driver, control_name},
-    listing::ask,
+    listing::query,
     *,
 };
-use crate::source::SourceAddress;
+use crate::{clock::Clock, source::SourceAddress};
 
 const WIDTH: u32 = 8;
 const HEIGHT: u32 = 4;
@@ -40,146 +40,98 @@ struct Camera {
     /// Those that the camera may fill.
     queued: VecDeque<u32>,
     filled: VecDeque<(u32, Coming)>,
-    asked: Vec<Request>,
     set: Option<([u8; 4], u32, u32)>,
-    /// What the next request fails with.
-    fails: Option<i32>,
+    /// Error of the next request.
+    fails: Option<Errno>,
 }
 
-fn errno(number: i32) -> io::Error {
-    io::Error::from_raw_os_error(number)
-}
-
-fn put(argument: &mut Argument, at: usize, value: u32) {
-    *argument = argument.clone().with(at, value);
-}
-
-fn put_text(argument: &mut Argument, at: usize, text: &str) {
-    argument.0[at..at + text.len()].copy_from_slice(text.as_bytes());
+fn put_text(bytes: &mut [u8], text: &str) {
+    bytes[..text.len()].copy_from_slice(text.as_bytes());
 }
 
 impl Camera {
-    fn list(&self, request: Request, argument: &mut Argument) -> io::Result<()> {
-        let index = argument.u32(0) as usize;
-        let end = || errno(22);
-        let of_code = |code: u32| self.formats.iter().find(|format| format.0 == code.to_ne_bytes());
-        match request {
-            Request::ENUM_FORMAT => {
-                assert_eq!(argument.u32(4), CAPTURE);
-                let (code, ..) = self.formats.get(index).ok_or_else(end)?;
-                put(argument, at::DESCRIPTION_FORMAT, u32::from_ne_bytes(*code));
-                put_text(argument, at::DESCRIPTION_TEXT, "as the driver says");
-            }
-            Request::ENUM_SIZES => {
-                let (_, sizes, _) = of_code(argument.u32(4)).ok_or_else(end)?;
-                let (width, height) = sizes.get(index).ok_or_else(end)?;
-                put(argument, at::SIZE_TYPE, 1);
-                put(argument, at::SIZE_WIDTH, *width);
-                put(argument, at::SIZE_HEIGHT, *height);
-            }
-            _ => {
-                let (_, _, rates) = of_code(argument.u32(at::INTERVAL_FORMAT)).ok_or_else(end)?;
-                put(argument, at::INTERVAL_TYPE, 1);
-                put(argument, at::INTERVAL_NUMERATOR, 1);
-                put(argument, at::INTERVAL_DENOMINATOR, *rates.get(index).ok_or_else(end)?);
-            }
-        }
-        Ok(())
+    fn sizes_and_rates(&self, code: u32) -> Result<&Listed, Errno> {
+        self.formats.iter().find(|it| it.0 == code.to_ne_bytes()).ok_or(Errno::INVAL)
     }
 
-    fn control(&mut self, request: Request, argument: &mut Argument) -> io::Result<()> {
-        let id = argument.u32(0);
-        if request == Request::QUERY_CONTROL {
-            let next = self.controls.range((id & !NEXT_CONTROL) + 1..).next();
-            let (id, (name, least, most, _)) = next.ok_or_else(|| errno(22))?;
-            // Manual exposure is active where the automatic one is off.
-            let automatic = self.controls.get(&AUTO_EXPOSURE).is_some_and(|it| it.3 != 1);
-            put(argument, at::CONTROL_FLAGS, if *id == EXPOSURE && automatic { 0x10 } else { 0 });
-            put(argument, 0, *id);
-            put(argument, at::CONTROL_KIND, 1);
-            put_text(argument, at::CONTROL_NAME, name);
-            put(argument, at::CONTROL_LEAST, *least as u32);
-            put(argument, at::CONTROL_MOST, *most as u32);
-            put(argument, at::CONTROL_STEP, 1);
-            return Ok(());
-        }
-        let (.., value) = self.controls.get_mut(&id).ok_or_else(|| errno(22))?;
-        if request == Request::SET_CONTROL {
-            *value = argument.i32(at::VALUE);
-        }
-        put(argument, at::VALUE, *value as u32);
-        Ok(())
-    }
-
-    fn stream(&mut self, request: Request, argument: &mut Argument) -> io::Result<()> {
+    fn answer(&mut self, request: Request<'_>) -> Result<(), Errno> {
         match request {
-            Request::REQUEST_BUFFERS => {
-                assert_eq!(argument.u32(at::REQUESTED_MEMORY), MAPPED);
-                // It has fewer than it was asked for.
-                put(argument, 0, argument.u32(0).min(3));
+            Request::QueryCapability(capability) => {
+                put_text(&mut capability.card, "Test Camera");
+                put_text(&mut capability.bus, "usb-0000:00:14.0-1");
+                (capability.driver, capability.device) = (0x84A0_0001, 0x0420_0001);
             }
-            Request::QUERY_BUFFER => {
-                put(argument, at::BUFFER_OFFSET, argument.u32(0) * 4096);
-                put(argument, at::BUFFER_LENGTH, 1024);
+            Request::EnumFormat(format) => {
+                assert_eq!(format.buffer_type, CAPTURE);
+                let (code, ..) = self.formats.get(format.index as usize).ok_or(Errno::INVAL)?;
+                format.code = u32::from_ne_bytes(*code);
+                put_text(&mut format.description, "driver's description");
             }
-            Request::QUEUE => {
-                assert_eq!(
-                    (argument.u32(at::BUFFER_TYPE), argument.u32(at::BUFFER_MEMORY)),
-                    (CAPTURE, MAPPED)
-                );
-                self.queued.push_back(argument.u32(0));
+            Request::EnumSize(size) => {
+                let (_, sizes, _) = self.sizes_and_rates(size.code)?;
+                let found = sizes.get(size.index as usize).ok_or(Errno::INVAL)?;
+                (size.kind, (size.width, size.height)) = (DISCRETE, *found);
             }
-            Request::DEQUEUE => {
-                let (index, (sequence, flags, age_ms, content)) =
-                    self.filled.pop_front().ok_or_else(|| errno(11))?;
-                put(argument, 0, index);
-                put(argument, at::BUFFER_USED, content.len() as u32);
-                put(argument, at::BUFFER_FLAGS, flags);
-                put(argument, at::BUFFER_SEQUENCE, sequence);
+            Request::EnumInterval(interval) => {
+                let (_, _, rates) = self.sizes_and_rates(interval.code)?;
+                let rate = rates.get(interval.index as usize).ok_or(Errno::INVAL)?;
+                interval.kind = DISCRETE;
+                (interval.numerator, interval.denominator) = (1, *rate);
+            }
+            Request::QueryControl(control) => {
+                let next = self.controls.range((control.id & !NEXT_CONTROL) + 1..).next();
+                let (id, (name, least, most, _)) = next.ok_or(Errno::INVAL)?;
+                // Manual exposure is active where the automatic one is off.
+                let automatic = self.controls.get(&AUTO_EXPOSURE).is_some_and(|it| it.3 != 1);
+                control.flags = if *id == EXPOSURE && automatic { 0x10 } else { 0 };
+                put_text(&mut control.name, name);
+                (control.id, control.kind, control.step) = (*id, 1, 1);
+                (control.least, control.most) = (*least, *most);
+            }
+            Request::GetControl(control) => {
+                control.value = self.controls.get(&control.id).ok_or(Errno::INVAL)?.3;
+            }
+            Request::SetControl(control) => {
+                self.controls.get_mut(&control.id).ok_or(Errno::INVAL)?.3 = control.value;
+            }
+            Request::SetFormat(format) => {
+                let code = format.code.to_ne_bytes();
+                format.stride = if code == *b"YUYV" { 2 * format.width } else { format.width };
+                self.set = Some((code, format.width, format.height));
+            }
+            Request::RequestBuffers(buffers) => {
+                assert_eq!(buffers.memory, MAPPED);
+                // It grants fewer than requested.
+                buffers.count = buffers.count.min(3);
+            }
+            Request::QueryBuffer(buffer) => {
+                (buffer.offset, buffer.length) = (buffer.index * 4096, 1024);
+            }
+            Request::QueueBuffer(buffer) => {
+                assert_eq!((buffer.buffer_type, buffer.memory), (CAPTURE, MAPPED));
+                self.queued.push_back(buffer.index);
+            }
+            Request::DequeueBuffer(buffer) => {
+                let filled = self.filled.pop_front().ok_or(Errno::AGAIN)?;
+                let (index, (sequence, flags, age_ms, content)) = filled;
+                (buffer.index, buffer.sequence, buffer.flags) = (index, sequence, flags);
+                buffer.bytes = content.len() as u32;
                 let taken_us = (NOW_NS - age_ms * 1_000_000) / 1000;
-                let seconds = (taken_us / 1_000_000).to_ne_bytes();
-                argument.0[at::BUFFER_SECONDS..][..8].copy_from_slice(&seconds);
-                let rest = (taken_us % 1_000_000).to_ne_bytes();
-                argument.0[at::BUFFER_MICROSECONDS..][..8].copy_from_slice(&rest);
+                (buffer.seconds, buffer.microseconds) =
+                    (taken_us / 1_000_000, taken_us % 1_000_000);
             }
-            _ => {}
+            Request::SetParameters(_) | Request::StreamOn(_) | Request::StreamOff(_) => {}
         }
         Ok(())
     }
 }
 
 impl Driver for Camera {
-    fn call(&mut self, request: Request, argument: &mut Argument) -> io::Result<()> {
-        assert_eq!(argument.0.len(), request.size());
-        self.asked.push(request);
-        if let Some(number) = self.fails.take() {
-            return Err(errno(number));
+    fn call(&mut self, request: Request<'_>) -> io::Result<()> {
+        match self.fails.take() {
+            Some(error) => Err(error.into()),
+            None => Ok(self.answer(request)?),
         }
-        match request {
-            Request::QUERY_CAPABILITY => {
-                put_text(argument, at::CAPABILITY_CARD, "Test Camera");
-                put_text(argument, at::CAPABILITY_BUS, "usb-0000:00:14.0-1");
-                put(argument, at::CAPABILITY_ALL, 0x84A0_0001);
-                put(argument, at::CAPABILITY_OWN, 0x0420_0001);
-            }
-            Request::ENUM_FORMAT | Request::ENUM_SIZES | Request::ENUM_INTERVALS => {
-                return self.list(request, argument);
-            }
-            Request::QUERY_CONTROL | Request::GET_CONTROL | Request::SET_CONTROL => {
-                return self.control(request, argument);
-            }
-            Request::SET_FORMAT => {
-                let code = argument.u32(at::FORMAT_CODE).to_ne_bytes();
-                let (width, height) =
-                    (argument.u32(at::FORMAT_WIDTH), argument.u32(at::FORMAT_HEIGHT));
-                let stride = if code == *b"YUYV" { 2 * width } else { width };
-                put(argument, at::FORMAT_STRIDE, stride);
-                self.set = Some((code, width, height));
-            }
-            Request::SET_PARAMETERS => {}
-            _ => return self.stream(request, argument),
-        }
-        Ok(())
     }
 
     fn map(&mut self, offset: u64, length: usize) -> io::Result<()> {
@@ -227,7 +179,7 @@ fn start(camera: Camera, options: &str) -> Result<V4l2Source<Camera>, String> {
         panic!("{url}")
     };
     let clock = Clock::anchored(Instant::now(), Timestamp::from_ns(1_700_000_000_000_000_000));
-    let parts = V4l2Parts { size: (WIDTH as usize, HEIGHT as usize), clock };
+    let parts = SourceParts { size: (WIDTH as usize, HEIGHT as usize), clock };
     let source = V4l2Source::start(Device { driver: camera }, &address, parts, Stop::default());
     source.map_err(|error| error.to_string())
 }
@@ -240,7 +192,7 @@ fn packed(level: u8) -> Vec<u8> {
 #[test]
 fn what_is_connected_is_listed() {
     let mut device = Device { driver: camera(&[b"MJPG", b"H264"]) };
-    let listing = ask(&mut device).unwrap().unwrap();
+    let listing = query(&mut device).unwrap().unwrap();
     assert_eq!(
         (listing.card.as_str(), listing.bus.as_str()),
         ("Test Camera", "usb-0000:00:14.0-1")
@@ -300,7 +252,7 @@ fn wrong_wishes_are_told_with_what_there_is() {
     }
     let message = error(camera(&[b"H264"]), "");
     assert!(message.contains("it has H264 (not read) 640x480 8x4"), "{message}");
-    let busy = Camera { fails: Some(16), ..camera(&[b"NV12"]) };
+    let busy = Camera { fails: Some(Errno::BUSY), ..camera(&[b"NV12"]) };
     assert!(error(busy, "").contains("another program uses it"));
 }
 
@@ -349,7 +301,7 @@ fn a_camera_that_is_unplugged_says_so() {
     let mut source = start(camera(&[b"NV12"]), "").unwrap();
     source.device.driver.coming = [(1, 0x2000, 0, vec![9; 48])].into();
     source.next_frame().unwrap();
-    source.device.driver.fails = Some(19);
+    source.device.driver.fails = Some(Errno::NODEV);
     let message = source.next_frame().unwrap_err().to_string();
     assert!(message.starts_with("/dev/video0: "), "{message}");
     assert!(message.contains("it was unplugged"), "{message}");
