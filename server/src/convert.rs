@@ -3,21 +3,17 @@
 
 mod calibration;
 mod configuration;
-mod object_setup;
 pub mod push;
 mod recording;
 pub mod replayed;
-mod setup;
 mod trial;
 
 pub use calibration::calibration;
 pub use configuration::{configuration, configuration_check};
-pub use object_setup::{object_setup, written_object};
 pub use recording::{
     fused_camera, fused_configuration, history, read_fused_camera, read_pose,
     recorded_configuration, recording, recordings, replay,
 };
-pub use setup::{setup, written};
 pub use trial::trial;
 
 use nalgebra::{UnitQuaternion, Vector3};

@@ -19,10 +19,7 @@ use super::{
     rest::{Segment, object_number, text_of},
     setup::{allowed, on_thread},
 };
-use crate::{
-    config::edit::{Written, WrittenObject},
-    convert,
-};
+use crate::config::edit::Message;
 
 const EXAMPLE: &str = concat!(
     r#"{"name": "cart", "roundel": "robot", "code": 3, "offset_m": {"x": 0, "y": 0, "z": -0.3}} "#,
@@ -144,8 +141,7 @@ pub async fn name(
 
 pub(super) async fn written(api: &Api, name: String) -> Result<v1::ObjectSetup, ApiError> {
     let roster = allowed(api)?;
-    let written = on_thread(move || roster.written_object(&name)).await?;
-    Ok(convert::object_setup(&written))
+    on_thread(move || roster.object_setup(&name)).await
 }
 
 pub(super) async fn add_object(
@@ -153,7 +149,6 @@ pub(super) async fn add_object(
     object: v1::ObjectSetup,
 ) -> Result<v1::ObjectChange, ApiError> {
     let (roster, name) = (allowed(api)?, object.name.clone());
-    let object = convert::written_object(object);
     let kept = on_thread(move || roster.add_object(&object)).await?;
     change_of(api, name, kept).await
 }
@@ -167,12 +162,12 @@ pub(super) async fn change_object(
         .iter_mut()
         .filter(|field| *field == "roundels")
         .for_each(|field| "roundel".clone_into(field));
-    let known = WrittenObject::KEYS;
+    let known = v1::ObjectSetup::KEYS;
     if let Some(unknown) = fields.iter().find(|field| !known.contains(&field.as_str())) {
         let expected = format!("any of {}, roundels", known.join(", "));
         return Err(ApiError::invalid("fields", expected, format!("{unknown:?}")));
     }
-    let (roster, object) = (allowed(api)?, convert::written_object(object.unwrap_or_default()));
+    let (roster, object) = (allowed(api)?, object.unwrap_or_default());
     let change = move || {
         let fields: Vec<&str> = fields.iter().map(String::as_str).collect();
         roster.change_object(&name, &object, &fields)

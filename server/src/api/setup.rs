@@ -17,8 +17,7 @@ use super::{
     rest::{Segment, text_of},
 };
 use crate::{
-    config::edit::{Written, WrittenCamera},
-    convert,
+    config::edit::Message,
     roster::{Roster, RosterError},
 };
 
@@ -64,9 +63,9 @@ pub async fn add(
 
 /// Changes a camera while everything else goes on, and writes that into the configuration.
 ///
-/// What the body does not name stays as it is; null takes a key out. Only another source, size, name, rate, mode, mask
-/// or line time has the camera begin anew; a lens and a pose are taken over between two frames. Files that the
-/// configuration names are read anew in any case.
+/// Keys that the body does not name stay as they are; null removes a key. A lens, a pose and a clock uncertainty take
+/// effect between two frames; any other change restarts the camera. Files that the configuration names are read again in
+/// any case.
 #[utoipa::path(
     patch, path = "/api/v1/cameras/{name}", tag = "cameras",
     params(("name" = String, Path, description = "the camera's name")),
@@ -107,16 +106,14 @@ pub async fn remove(
 }
 
 pub(super) async fn written(api: &Arc<Api>, name: String) -> Result<v1::CameraSetup, ApiError> {
-    on_roster(api, Some(&name), move |roster, name| roster.written(name))
-        .await
-        .map(|it| convert::setup(&it))
+    on_roster(api, Some(&name), move |roster, name| roster.camera_setup(name)).await
 }
 
 pub(super) async fn add_camera(
     api: &Arc<Api>,
     camera: v1::CameraSetup,
 ) -> Result<v1::CameraChange, ApiError> {
-    let (name, camera) = (camera.name.clone(), convert::written(camera));
+    let name = camera.name.clone();
     let kept = on_roster(api, None, move |roster, _| roster.add(&camera)).await?;
     change_of(api, &name, kept)
 }
@@ -126,13 +123,12 @@ pub(super) async fn change_camera(
     request: v1::ChangeCameraRequest,
 ) -> Result<v1::CameraChange, ApiError> {
     let v1::ChangeCameraRequest { name, camera, fields } = request;
-    if let Some(unknown) =
-        fields.iter().find(|field| !WrittenCamera::KEYS.contains(&field.as_str()))
-    {
-        let expected = format!("any of {}", WrittenCamera::KEYS.join(", "));
+    let known = v1::CameraSetup::KEYS;
+    if let Some(unknown) = fields.iter().find(|field| !known.contains(&field.as_str())) {
+        let expected = format!("any of {}", known.join(", "));
         return Err(ApiError::invalid("fields", expected, format!("{unknown:?}")));
     }
-    let camera = convert::written(camera.unwrap_or_default());
+    let camera = camera.unwrap_or_default();
     let change = move |roster: &Roster, name: &str| {
         let fields: Vec<&str> = fields.iter().map(String::as_str).collect();
         roster.change(name, &camera, &fields)

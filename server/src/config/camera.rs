@@ -2,10 +2,15 @@
 
 use std::{collections::HashMap, path::Path};
 
-use roundel_core::{camera::Camera, marker::Mode, plan::precision::LensDoubt, rigid::Rigid};
+use roundel_core::{
+    camera::{Camera, PixelPoint},
+    marker::Mode,
+    plan::precision::LensDoubt,
+    rigid::Rigid,
+};
 
 use super::{
-    CameraConfig, CameraPose, Lenses,
+    CameraPose, Lenses,
     mask::mask,
     object::NamedObjects,
     reader::{Allowed, Table},
@@ -18,24 +23,109 @@ use crate::{
     source::{SourceAddress, simulated_camera, without_credentials},
 };
 
-/// The keys of a `[[camera]]`.
-pub const CAMERA_KEYS: [&str; 9] = [
-    "name",
-    "source",
-    "calibration",
-    "pose",
-    "line_time_us",
-    "clock_uncertainty_ms",
-    "rate_hz",
-    "mode",
-    "mask",
+/// A key of a `[[camera]]`.
+pub struct CameraKey {
+    /// In TOML, and as a field of `v1::CameraSetup`.
+    pub name: &'static str,
+    /// Shown to users.
+    pub label: &'static str,
+    /// What the difference between two versions of a camera requires, if there is one.
+    pub effect: fn(&CameraConfig, &CameraConfig) -> Option<Effect>,
+}
+
+/// What a changed key requires of a running server.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Effect {
+    /// Restarts the worker.
+    Restart,
+    /// Restarts the worker under another name.
+    Rename,
+    /// Restarts the worker and the estimate of its clock.
+    Source,
+    /// Gives the worker lens and pose between two frames, so that no track is lost, and drops their calibration.
+    Place,
+    /// Restarts the worker, and drops the calibration of lens and pose.
+    Resize,
+    /// Restarts the estimate of the clock.
+    Clock,
+}
+
+/// All keys. `camera` reads and checks them; writing, and the conversion to and from `v1::CameraSetup`, need no code.
+pub const CAMERA_SCHEMA: [CameraKey; 9] = [
+    key("name", "name", |a, b| (a.name != b.name).then_some(Effect::Rename)),
+    key("source", "source", |a, b| (a.address != b.address).then_some(Effect::Source)),
+    key("calibration", "lens", |a, b| {
+        let (a, b) = (&a.calibration, &b.calibration);
+        if (a.width(), a.height()) != (b.width(), b.height()) {
+            return Some(Effect::Resize);
+        }
+        (a.intrinsics() != b.intrinsics()).then_some(Effect::Place)
+    }),
+    key("pose", "pose", |a, b| (a.pose != b.pose).then_some(Effect::Place)),
+    key("line_time_us", "line time", |a, b| {
+        (a.line_time_s != b.line_time_s).then_some(Effect::Restart)
+    }),
+    key("clock_uncertainty_ms", "clock uncertainty", |a, b| {
+        (a.clock_uncertainty_s != b.clock_uncertainty_s).then_some(Effect::Clock)
+    }),
+    key("rate_hz", "rate", |a, b| (a.rate_hz != b.rate_hz).then_some(Effect::Restart)),
+    key("mode", "mode", |a, b| (a.mode != b.mode).then_some(Effect::Restart)),
+    key("mask", "mask", |a, b| (a.mask != b.mask).then_some(Effect::Restart)),
 ];
+
+const fn key(
+    name: &'static str,
+    label: &'static str,
+    effect: fn(&CameraConfig, &CameraConfig) -> Option<Effect>,
+) -> CameraKey {
+    CameraKey { name, label, effect }
+}
+
+/// The keys' names.
+pub const CAMERA_KEYS: [&str; CAMERA_SCHEMA.len()] = {
+    let mut names = [""; CAMERA_SCHEMA.len()];
+    let mut index = 0;
+    while index < names.len() {
+        names[index] = CAMERA_SCHEMA[index].name;
+        index += 1;
+    }
+    names
+};
+
+/// `[[camera]]`.
+#[derive(Clone, Debug)]
+pub struct CameraConfig {
+    /// Unique among the cameras.
+    pub name: String,
+    /// As written, without user and password.
+    pub source: String,
+    /// The source, with user and password.
+    pub address: SourceAddress,
+    /// From the camera file, or a simulated camera's own.
+    pub calibration: Camera,
+    /// Uncertainty of the lens according to the camera file, if it has any.
+    pub lens_doubt: Option<LensDoubt>,
+    /// From the configuration, until a calibration replaces it.
+    pub pose: CameraPose,
+    /// Time from one image row's exposure to the next, seconds.
+    pub line_time_s: f64,
+    /// Standard deviation of the time stamps' offset; by default that of the kind of source. 0: no offset is estimated.
+    pub clock_uncertainty_s: f64,
+    /// Frame rate that the camera is set to; a warning reports a different measured one.
+    pub rate_hz: Option<f64>,
+    /// The camera's own mode, or that of `[detection]`.
+    pub mode: Mode,
+    /// Polygons, raw pixels, in which no roundels are searched. Each has at least three corners and covers a pixel of
+    /// the frame; together they leave one.
+    pub mask: Vec<Vec<PixelPoint>>,
+}
+
 const MAX_LINE_TIME_US: f64 = 10_000.0;
 const MAX_CLOCK_UNCERTAINTY_MS: f64 = 10_000.0;
 const MAX_RATE_HZ: f64 = 1000.0;
 
-/// The words for modes.
-pub(super) const MODES: [(&str, Mode); 2] = [("precise", Mode::Precise), ("fast", Mode::Fast)];
+/// Words for modes.
+pub const MODES: [(&str, Mode); 2] = [("precise", Mode::Precise), ("fast", Mode::Fast)];
 
 /// What cameras are told of the rest of the configuration.
 pub(super) struct Known<'a, 't, 'i> {

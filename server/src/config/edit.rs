@@ -1,36 +1,17 @@
-//! Changes to the cameras and objects of a configuration's text: everything else in it, comments and order included, stays as a
-//! person wrote it.
+//! Changes to cameras and objects in a configuration's text. Comments, order, and the form of what does not change stay.
 //!
-//! What comes out is only text. Whether it is a good configuration is for [`super::Config::parse`] to say, as if a
-//! person had changed it.
+//! The result is only text: [`super::Config::parse`] checks it like a text that a person has changed.
 
-mod camera;
-mod object;
+mod message;
 
 use thiserror::Error;
 use toml_edit::{
-    Array, ArrayOfTables, DocumentMut, InlineTable, Item, RawString, Table, TableLike, Value,
+    ArrayOfTables, DocumentMut, InlineTable, Item, RawString, Table, TableLike, Value,
 };
 
-pub use self::{
-    camera::{WrittenCamera, WrittenPose},
-    object::{WrittenMount, WrittenObject, WrittenRoundels, rename_carrier},
-};
-
-/// One table of a list of them, as it is written; what is `None` or empty in it is not.
-pub trait Written {
-    /// Key of the list.
-    const SECTION: &'static str;
-    /// All keys that one has.
-    const KEYS: &'static [&'static str];
-
-    /// Unique in the list.
-    fn name(&self) -> &str;
-    /// What a key is to be; `None`: not there.
-    fn value(&self, key: &str) -> Option<Value>;
-    /// As far as it can be read.
-    fn of(table: &dyn TableLike) -> Self;
-}
+pub use self::message::Message;
+use self::message::{of_table, to_table};
+use crate::source;
 
 /// Why a text is not changed.
 #[derive(Clone, Debug, PartialEq, Eq, Error)]
@@ -48,41 +29,36 @@ pub enum EditError {
     },
 }
 
-/// Puts one behind the last of its list.
-pub fn add<W: Written>(text: &str, one: &W) -> Result<String, EditError> {
+/// Adds a table behind the last of its list.
+pub fn add<M: Message>(text: &str, message: &M) -> Result<String, EditError> {
     let mut document = parse(text)?;
-    let keys = W::KEYS.iter().filter_map(|key| Some((*key, one.value(key)?)));
-    let list = document.entry(W::SECTION).or_insert(Item::ArrayOfTables(ArrayOfTables::new()));
+    let keys = to_table(message)?;
+    let list = document.entry(M::SECTION).or_insert(Item::ArrayOfTables(ArrayOfTables::new()));
     match list {
         Item::ArrayOfTables(tables) => {
-            let mut table = Table::new();
-            table.extend(keys);
+            let mut table = keys.into_table();
             // An empty line before it.
             table.decor_mut().set_prefix("\n");
             tables.push(table);
         }
-        Item::Value(Value::Array(tables)) => tables.push(InlineTable::from_iter(keys)),
-        _ => return Err(EditError::Text(format!("`{}` is no list of tables", W::SECTION))),
+        Item::Value(Value::Array(tables)) => tables.push(keys),
+        _ => return Err(EditError::Text(format!("`{}` is no list of tables", M::SECTION))),
     }
     Ok(document.to_string())
 }
 
-/// Gives these keys of one other values, as `one` says; its other keys are not looked at.
-pub fn change<W: Written>(
+/// Sets these keys of a table to the values in `message`, and removes those that are absent or empty there.
+pub fn change<M: Message>(
     text: &str,
     name: &str,
-    one: &W,
+    message: &M,
     keys: &[&str],
 ) -> Result<String, EditError> {
     let mut document = parse(text)?;
-    let table = table_of::<W>(&mut document, name)?;
-    let before = W::of(table);
-    let same = |key: &str| {
-        let text = |it: &W| it.value(key).map(|value| value.to_string());
-        text(&before) == text(one)
-    };
-    for key in keys.iter().filter(|key| !same(key)) {
-        match one.value(key) {
+    let mut wanted = to_table(message)?;
+    let table = table_of::<M>(&mut document, name)?;
+    for key in keys {
+        match wanted.remove(key) {
             Some(value) => set(table, key, value),
             None => {
                 table.remove(key);
@@ -92,11 +68,45 @@ pub fn change<W: Written>(
     Ok(document.to_string())
 }
 
-/// Takes one out, with the comments that stand directly above it.
-pub fn remove<W: Written>(text: &str, name: &str) -> Result<String, EditError> {
+/// The keys that have another value in `after`.
+pub fn difference<M: Message>(before: &M, after: &M) -> Result<Vec<&'static str>, EditError> {
+    let (before, after) = (to_table(before)?, to_table(after)?);
+    let text = |table: &InlineTable, key: &str| table.get(key).map(|value| value.to_string());
+    let differs = |key: &&&str| text(&before, key) != text(&after, key);
+    Ok(M::KEYS.iter().filter(differs).copied().collect())
+}
+
+/// The text without users and passwords of sources.
+pub fn without_credentials(text: &str) -> Result<String, EditError> {
     let mut document = parse(text)?;
-    let index = place_of::<W>(&mut document, name)?;
-    match document.get_mut(W::SECTION) {
+    for camera in tables(&mut document, "camera") {
+        if let Some(source) = camera.get("source").and_then(Item::as_str) {
+            let bare = source::without_credentials(source);
+            set(camera, "source", bare.into());
+        }
+    }
+    Ok(document.to_string())
+}
+
+/// Changes the object that cameras ride on from one name to another.
+pub fn rename_carrier(text: &str, from: &str, to: &str) -> Result<String, EditError> {
+    let mut document = parse(text)?;
+    for camera in tables(&mut document, "camera") {
+        let pose = camera.get_mut("pose").and_then(Item::as_table_like_mut);
+        if let Some(pose) =
+            pose.filter(|pose| pose.get("object").and_then(Item::as_str) == Some(from))
+        {
+            set(pose, "object", to.into());
+        }
+    }
+    Ok(document.to_string())
+}
+
+/// Takes one out, with the comments that stand directly above it.
+pub fn remove<M: Message>(text: &str, name: &str) -> Result<String, EditError> {
+    let mut document = parse(text)?;
+    let index = place_of::<M>(&mut document, name)?;
+    match document.get_mut(M::SECTION) {
         Some(Item::ArrayOfTables(tables)) => {
             let gone = tables.get(index).cloned().unwrap_or_default();
             tables.remove(index);
@@ -113,22 +123,22 @@ pub fn remove<W: Written>(text: &str, name: &str) -> Result<String, EditError> {
     Ok(document.to_string())
 }
 
-/// One as it is written.
-pub fn read<W: Written>(text: &str, name: &str) -> Result<W, EditError> {
+/// One table of a list, by name.
+pub fn read<M: Message>(text: &str, name: &str) -> Result<M, EditError> {
     let mut document = parse(text)?;
-    Ok(W::of(table_of::<W>(&mut document, name)?))
+    of_table(table_of::<M>(&mut document, name)?)
 }
 
-/// All of a list as they are written, in their order.
-pub fn read_all<W: Written>(text: &str) -> Result<Vec<W>, EditError> {
+/// All tables of a list, in their order.
+pub fn read_all<M: Message>(text: &str) -> Result<Vec<M>, EditError> {
     let mut document = parse(text)?;
-    Ok(tables(&mut document, W::SECTION).into_iter().map(|table| W::of(table)).collect())
+    tables(&mut document, M::SECTION).into_iter().map(|table| of_table(table)).collect()
 }
 
 /// The key of one that stands at that byte of the text, with its value, and its place in the list; `None` between them.
-pub fn key_at<W: Written>(text: &str, at: usize) -> Option<(usize, &'static str)> {
+pub fn key_at<M: Message>(text: &str, at: usize) -> Option<(usize, &'static str)> {
     let document = toml_edit::Document::parse(text).ok()?;
-    let tables: Vec<&dyn TableLike> = match document.get(W::SECTION)? {
+    let tables: Vec<&dyn TableLike> = match document.get(M::SECTION)? {
         Item::ArrayOfTables(tables) => tables.iter().map(|table| table as &dyn TableLike).collect(),
         Item::Value(Value::Array(tables)) => {
             let tables = tables.iter().filter_map(Value::as_inline_table);
@@ -154,15 +164,15 @@ pub fn key_at<W: Written>(text: &str, at: usize) -> Option<(usize, &'static str)
         (begin..end).contains(&at)
     };
     tables.into_iter().enumerate().find_map(|(index, table)| {
-        let key = W::KEYS.iter().find(|key| is_there(table, key))?;
+        let key = M::KEYS.iter().find(|key| is_there(table, key))?;
         Some((index, *key))
     })
 }
 
 /// The key that a message names first.
-pub fn key_named<W: Written>(message: &str) -> Option<&'static str> {
+pub fn key_named<M: Message>(message: &str) -> Option<&'static str> {
     let named = message.split('`').skip(1).step_by(2);
-    named.filter_map(|name| W::KEYS.iter().find(|key| **key == name).copied()).next()
+    named.filter_map(|name| M::KEYS.iter().find(|key| **key == name).copied()).next()
 }
 
 fn parse(text: &str) -> Result<DocumentMut, EditError> {
@@ -183,33 +193,32 @@ fn tables<'a>(document: &'a mut DocumentMut, section: &str) -> Vec<&'a mut dyn T
     }
 }
 
-fn place_of<W: Written>(document: &mut DocumentMut, name: &str) -> Result<usize, EditError> {
+fn place_of<M: Message>(document: &mut DocumentMut, name: &str) -> Result<usize, EditError> {
     let named = |table: &&mut dyn TableLike| table.get("name").and_then(Item::as_str) == Some(name);
-    let place = tables(document, W::SECTION).iter().position(named);
-    place.ok_or_else(|| EditError::Missing { what: W::SECTION, name: name.to_owned() })
+    let place = tables(document, M::SECTION).iter().position(named);
+    place.ok_or_else(|| EditError::Missing { what: M::SECTION, name: name.to_owned() })
 }
 
-fn table_of<'a, W: Written>(
+fn table_of<'a, M: Message>(
     document: &'a mut DocumentMut,
     name: &str,
 ) -> Result<&'a mut dyn TableLike, EditError> {
-    let place = place_of::<W>(document, name)?;
-    Ok(tables(document, W::SECTION).swap_remove(place))
+    let place = place_of::<M>(document, name)?;
+    Ok(tables(document, M::SECTION).swap_remove(place))
 }
 
-/// Another value; what stands behind the one before stays.
+/// Changes a value; the comment behind it stays, and so does a value that is the same in another form.
 fn set(table: &mut dyn TableLike, key: &str, value: Value) {
     match (table.get_mut(key), &value) {
         (Some(Item::Value(before)), _) => {
-            let decor = before.decor().clone();
-            *before = value;
-            *before.decor_mut() = decor;
+            if !is_same(before, &value) {
+                let decor = before.decor().clone();
+                *before = value;
+                *before.decor_mut() = decor;
+            }
         }
-        // A table under a header of its own, with whatever else a person has written there.
-        (Some(Item::Table(before)), Value::InlineTable(wanted)) => {
-            set_all(before, wanted);
-        }
-        // Several of them.
+        // A table under its own header.
+        (Some(Item::Table(before)), Value::InlineTable(wanted)) => set_all(before, wanted),
         (Some(Item::ArrayOfTables(before)), Value::Array(wanted)) => {
             while before.len() > wanted.len() {
                 before.remove(before.len() - 1);
@@ -218,7 +227,9 @@ fn set(table: &mut dyn TableLike, key: &str, value: Value) {
                 if before.get(index).is_none() {
                     before.push(Table::new());
                 }
-                before.get_mut(index).into_iter().for_each(|table| set_all(table, wanted));
+                if let Some(table) = before.get_mut(index) {
+                    set_all(table, wanted);
+                }
             }
         }
         _ => {
@@ -228,26 +239,25 @@ fn set(table: &mut dyn TableLike, key: &str, value: Value) {
 }
 
 fn set_all(table: &mut Table, wanted: &InlineTable) {
-    let gone: Vec<String> = table.iter().map(|(key, _)| key.to_owned()).collect();
-    for key in gone.iter().filter(|key| !wanted.contains_key(key)) {
-        table.remove(key);
-    }
-    for (key, value) in wanted.iter() {
-        let before = table.get(key).and_then(Item::as_value);
-        if !before.is_some_and(|before| is_same(before, value)) {
-            set(table, key, value.clone());
-        }
+    table.retain(|key, _| wanted.contains_key(key));
+    for (key, value) in wanted {
+        set(table, key, value.clone());
     }
 }
 
-/// Whether both mean the same, however they are written.
 fn is_same(a: &Value, b: &Value) -> bool {
-    if let (Some(a), Some(b)) = (number(a), number(b)) {
-        return a == b;
-    }
-    match (a.as_array(), b.as_array()) {
-        (Some(a), Some(b)) => a.len() == b.len() && a.iter().zip(b).all(|(a, b)| is_same(a, b)),
-        _ => a.to_string().trim() == b.to_string().trim(),
+    let number = |value: &Value| value.as_float().or(value.as_integer().map(|whole| whole as f64));
+    match (a, b) {
+        (Value::Array(a), Value::Array(b)) => {
+            a.len() == b.len() && a.iter().zip(b).all(|(a, b)| is_same(a, b))
+        }
+        (Value::InlineTable(a), Value::InlineTable(b)) => {
+            let is_in_b = |key: &str, a: &Value| b.get(key).is_some_and(|b| is_same(a, b));
+            a.len() == b.len() && a.iter().all(|(key, a)| is_in_b(key, a))
+        }
+        (Value::String(a), Value::String(b)) => a.value() == b.value(),
+        (Value::Boolean(a), Value::Boolean(b)) => a.value() == b.value(),
+        _ => number(a).is_some() && number(a) == number(b),
     }
 }
 
@@ -301,27 +311,6 @@ fn prepend(document: &mut DocumentMut, position: Option<isize>, text: &str) {
             document.set_trailing(above);
         }
     }
-}
-
-fn numbers<const N: usize>(table: &dyn TableLike, key: &str) -> Option<[f64; N]> {
-    let numbers: Option<Vec<f64>> = table.get(key)?.as_array()?.iter().map(number).collect();
-    numbers?.try_into().ok()
-}
-
-fn text(table: &dyn TableLike, key: &str) -> Option<String> {
-    table.get(key).and_then(Item::as_str).map(str::to_owned)
-}
-
-fn array(numbers: &[f64]) -> Value {
-    Value::Array(numbers.iter().copied().collect::<Array>())
-}
-
-fn float(item: &Item) -> Option<f64> {
-    item.as_value().and_then(number)
-}
-
-fn number(value: &Value) -> Option<f64> {
-    value.as_float().or_else(|| value.as_integer().map(|whole| whole as f64))
 }
 
 #[cfg(test)]

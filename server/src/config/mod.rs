@@ -28,21 +28,22 @@ use std::{
     path::{Path, PathBuf},
 };
 
-use nalgebra::{UnitQuaternion, Vector3};
 use roundel_core::{
-    camera::{Camera, PixelPoint},
-    id::KindId,
-    marker::{Code, Kind, Mode},
-    plan::precision::LensDoubt,
-    rigid::Rigid,
-    world::{Body, CameraPlacement, MotionClass},
+    camera::Camera,
+    marker::{Kind, Mode},
+    world::MotionClass,
 };
 
+pub use camera::{CAMERA_SCHEMA, CameraConfig, Effect, MODES};
 use document::Purpose;
 pub use error::{ConfigError, Place, Problem};
 pub use file::{ConfigFile, ConfigFileError};
+pub use object::{Carried, ObjectConfig};
+pub use reference::ReferenceConfig;
+pub use ride::{CameraPose, RideConfig};
+pub use roundel::POLARITIES;
 
-use crate::{history::HistoryConfig, record::RecordingConfig, source::SourceAddress};
+use crate::{history::HistoryConfig, record::RecordingConfig};
 
 /// A configuration longer than this is certainly another file.
 const MAX_BYTES: u64 = 4 << 20;
@@ -103,99 +104,6 @@ pub struct ServerConfig {
     pub setup: bool,
     /// Origins whose pages browsers let ask this server, as browsers write them; `*` is any.
     pub allow_origins: Vec<String>,
-}
-
-/// `[[camera]]`.
-#[derive(Clone, Debug)]
-pub struct CameraConfig {
-    /// Unique.
-    pub name: String,
-    /// As written, without user and password.
-    pub source: String,
-    /// The same, read.
-    pub address: SourceAddress,
-    /// From the camera file, or a simulated camera's own.
-    pub calibration: Camera,
-    /// How well the camera file says that its lens is known; `None`: it says nothing of it.
-    pub lens_doubt: Option<LensDoubt>,
-    /// Where it stands.
-    pub pose: CameraPose,
-    /// Time from one image row's exposure to the next, seconds.
-    pub line_time_s: f64,
-    /// How far its stamps may be off, as written or as is usual of its source; 0: they are right, and nothing
-    /// is estimated.
-    pub clock_uncertainty_s: f64,
-    /// Frames a second that it is set to; another number is told.
-    pub rate_hz: Option<f64>,
-    /// Its own, or that of `[detection]`.
-    pub mode: Mode,
-    /// Corners of polygons, raw pixels, in which nothing is looked for. Each has at least three and
-    /// covers a pixel of the frame; together they leave one.
-    pub mask: Vec<Vec<PixelPoint>>,
-}
-
-/// Where a camera stands.
-#[derive(Clone, Debug, PartialEq)]
-pub enum CameraPose {
-    /// world_from_camera.
-    Known(Rigid),
-    /// As a calibration of the arena found it, in place of what the configuration says.
-    Calibrated(Box<CameraPlacement>),
-    /// To be found from the reference roundels.
-    Unknown,
-    /// On an object.
-    Rides(RideConfig),
-}
-
-/// A camera that rides on an object.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub struct RideConfig {
-    /// Index among [`Config::objects`] of a [`Carried::Body`] that shows how it is turned.
-    pub object: usize,
-    /// Where it is fixed.
-    pub object_from_camera: Rigid,
-    /// Whether the reference roundels that it sees say where the object is.
-    pub localizes: bool,
-}
-
-/// `[[reference]]`.
-#[derive(Clone, Debug, PartialEq)]
-pub struct ReferenceConfig {
-    /// Its kind of roundel.
-    pub kind: KindId,
-    /// Its code, if that is known.
-    pub code: Option<Code>,
-    /// Its centre, world frame, metres.
-    pub position_m: Vector3<f64>,
-    /// Standard deviation of each coordinate, metres.
-    pub deviation_m: f64,
-    /// world_from_roundel, if that is known.
-    pub orientation: Option<UnitQuaternion<f64>>,
-}
-
-/// `[[object]]`.
-#[derive(Clone, Debug, PartialEq)]
-pub struct ObjectConfig {
-    /// Shown to clients.
-    pub name: String,
-    /// What it is known by.
-    pub carries: Carried,
-}
-
-/// The roundels that an object is known by.
-#[derive(Clone, Debug, PartialEq)]
-pub enum Carried {
-    /// All of a kind.
-    Kind {
-        /// Which.
-        kind: KindId,
-        /// The tracked point in the roundel's frame, metres.
-        offset_m: Vector3<f64>,
-        /// How it moves, if not as its kind says.
-        motion: Option<MotionClass>,
-    },
-    /// Several at known places, or one of known code; or none, if a camera on it finds itself.
-    Body(Body),
 }
 
 /// `[fusion]`.
@@ -288,6 +196,11 @@ impl Config {
     pub fn parse_recorded(text: &str, lenses: &Lenses) -> Result<Self, Vec<Problem>> {
         document::parse(text, Path::new(""), Purpose { lenses: Some(lenses), ..Purpose::default() })
     }
+}
+
+/// The word for a value of a key that is one of several words.
+pub fn word<T: PartialEq>(words: &[(&'static str, T)], value: T) -> &'static str {
+    words.iter().find(|(_, known)| *known == value).map_or("", |(word, _)| word)
 }
 
 fn read(path: &Path) -> Result<String, (String, &'static str)> {

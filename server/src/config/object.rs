@@ -13,7 +13,7 @@ use roundel_core::{
 };
 
 use super::{
-    Carried, ObjectConfig, ReferenceConfig, geometry,
+    ReferenceConfig, geometry,
     reader::Table,
     roundel::{NamedKinds, kind_named, motion},
 };
@@ -21,6 +21,31 @@ use super::{
 pub const OBJECT_KEYS: [&str; 6] = ["name", "roundel", "code", "offset_m", "motion", "height_m"];
 const PART_KEYS: [&str; 6] = ["kind", "code", "position_m", "yaw_deg", "right", "top"];
 const MOST_CODES: usize = u16::MAX as usize;
+
+/// `[[object]]`.
+#[derive(Clone, Debug, PartialEq)]
+pub struct ObjectConfig {
+    /// Shown to clients.
+    pub name: String,
+    /// What it is known by.
+    pub carries: Carried,
+}
+
+/// The roundels that an object is known by.
+#[derive(Clone, Debug, PartialEq)]
+pub enum Carried {
+    /// All of a kind.
+    Kind {
+        /// Which.
+        kind: KindId,
+        /// The tracked point in the roundel's frame, metres.
+        offset_m: Vector3<f64>,
+        /// How it moves, if not as its kind says.
+        motion: Option<MotionClass>,
+    },
+    /// Several at known places, or one of known code; or none, if a camera on it finds itself.
+    Body(Body),
+}
 
 /// What is taken: by whom, for errors.
 struct Claims<'a> {

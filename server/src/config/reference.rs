@@ -2,10 +2,11 @@
 
 use std::ops::Range;
 
-use nalgebra::Vector3;
+use nalgebra::{UnitQuaternion, Vector3};
+use roundel_core::{id::KindId, marker::Code};
 
 use super::{
-    ReferenceConfig, geometry,
+    geometry,
     object::code,
     reader::{Allowed, Table},
     roundel::{NamedKinds, kind_named},
@@ -18,6 +19,21 @@ const DEFAULT_UNCERTAINTY_MM: f64 = 1.0;
 /// … and what is worse than this is no reference.
 const MOST_UNCERTAINTY_MM: f64 = 1000.0;
 const TURN_KEYS: [&str; 3] = ["yaw_deg", "right", "top"];
+
+/// `[[reference]]`.
+#[derive(Clone, Debug, PartialEq)]
+pub struct ReferenceConfig {
+    /// Its kind of roundel.
+    pub kind: KindId,
+    /// Its code, if that is known.
+    pub code: Option<Code>,
+    /// Its centre, world frame, metres.
+    pub position_m: Vector3<f64>,
+    /// Standard deviation of each coordinate, metres.
+    pub deviation_m: f64,
+    /// world_from_roundel, if that is known.
+    pub orientation: Option<UnitQuaternion<f64>>,
+}
 
 /// The references that could be read.
 pub(super) struct References<'t, 'i> {

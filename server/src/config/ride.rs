@@ -3,11 +3,16 @@
 //! A camera that rides is placed by how its object is placed and turned, so that must be seen: by a camera
 //! that stands, or by a camera on it that finds itself from the reference roundels.
 
-use roundel_core::{id::KindId, marker::Pattern, world::Body};
+use roundel_core::{
+    id::KindId,
+    marker::Pattern,
+    rigid::Rigid,
+    world::{Body, CameraPlacement},
+};
 
 use super::{
-    CameraConfig, CameraPose, Carried, RideConfig, geometry, object::NamedObjects, reader::Table,
-    reference::References, roundel::NamedKinds,
+    CameraConfig, Carried, geometry, object::NamedObjects, reader::Table, reference::References,
+    roundel::NamedKinds,
 };
 use crate::suggestion::{list, nearest};
 
@@ -15,6 +20,30 @@ const POSE_KEYS: [&str; 4] = ["position_m", "orientation_xyzw", "object", "local
 const POSE_HELP: &str = "write { position_m = [x, y, z], orientation_xyzw = [x, y, z, w] }, with \
                          `object = \"NAME\"` if it rides on one, or \"unknown\" to have it found from \
                          the reference roundels";
+
+/// Where a camera stands.
+#[derive(Clone, Debug, PartialEq)]
+pub enum CameraPose {
+    /// world_from_camera.
+    Known(Rigid),
+    /// As a calibration of the arena found it, in place of what the configuration says.
+    Calibrated(Box<CameraPlacement>),
+    /// To be found from the reference roundels.
+    Unknown,
+    /// On an object.
+    Rides(RideConfig),
+}
+
+/// A camera that rides on an object.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct RideConfig {
+    /// Index among [`super::Config::objects`] of a [`Carried::Body`] that shows how it is turned.
+    pub object: usize,
+    /// Where it is fixed.
+    pub object_from_camera: Rigid,
+    /// Whether the reference roundels that it sees say where the object is.
+    pub localizes: bool,
+}
 
 /// The pose of one camera; `None` if it is absent or wrong. `required`: then an absent one is reported
 /// as well.

@@ -15,8 +15,8 @@ use crate::suggestion::{list, nearest};
 const ROUNDEL_KEYS: [&str; 8] =
     ["name", "outer_mm", "inner_mm", "inner_minor_mm", "code", "polarity", "motion", "height_m"];
 const CODE_KEYS: [&str; 2] = ["bits", "min_distance"];
-/// The words for polarities.
-const POLARITIES: [(&str, Polarity); 2] =
+/// Words for polarities.
+pub const POLARITIES: [(&str, Polarity); 2] =
     [("black_ring", Polarity::BlackRing), ("white_ring", Polarity::WhiteRing)];
 
 /// The words for how objects move: whether on the ground.

@@ -2,16 +2,17 @@
 
 use roundel_core::{
     id::KindId,
-    marker::{Kind, Mode, Pattern, Polarity},
+    marker::{Kind, Pattern},
     world::MotionClass,
 };
 use roundel_proto::v1;
 
-use super::{object_setup, quaternion, setup, vector};
+use super::{quaternion, vector};
 use crate::{
     config::{
-        Config, Problem, ReferenceConfig,
-        edit::{EditError, WrittenCamera, WrittenObject, read_all},
+        Config, MODES, POLARITIES, Problem, ReferenceConfig,
+        edit::{EditError, read_all},
+        word,
     },
     roster::{InForce, Plan},
 };
@@ -19,8 +20,7 @@ use crate::{
 /// The configuration in force.
 pub fn configuration(in_force: InForce) -> Result<v1::Configuration, EditError> {
     let InForce { text, config } = in_force;
-    let cameras: Vec<WrittenCamera> = read_all(&text)?;
-    let objects: Vec<WrittenObject> = read_all(&text)?;
+    let (cameras, objects) = (read_all(&text)?, read_all(&text)?);
     let motion = |index: usize| config.motions.get(index).copied().unwrap_or_default();
     let kinds = config.kinds.iter().enumerate();
     let millis = |seconds: f64| (seconds * 1e9).round() * 1e-6;
@@ -29,8 +29,8 @@ pub fn configuration(in_force: InForce) -> Result<v1::Configuration, EditError> 
         version: config.file.version(),
         kept: config.file.kept(),
         name: config.name.clone(),
-        cameras: cameras.iter().map(setup).collect(),
-        objects: objects.iter().map(object_setup).collect(),
+        cameras,
+        objects,
         roundels: kinds.map(|(index, kind)| roundel(kind, motion(index))).collect(),
         references: config.references.iter().map(|it| reference(it, &config)).collect(),
         server: Some(v1::ServerSetup {
@@ -47,7 +47,7 @@ pub fn configuration(in_force: InForce) -> Result<v1::Configuration, EditError> 
             allow_origins: config.server.allow_origins.clone(),
             prompt: config.server.is_prompt,
         }),
-        detection: Some(v1::DetectionSetup { mode: mode(config.mode).to_owned() }),
+        detection: Some(v1::DetectionSetup { mode: word(&MODES, config.mode).to_owned() }),
         fusion: Some(v1::FusionSetup {
             acceleration_m_s2: config.fusion.acceleration_m_s2,
             late_window_ms: millis(config.fusion.late_window_s),
@@ -107,10 +107,7 @@ fn roundel(kind: &Kind, motion: MotionClass) -> v1::RoundelSetup {
         inner_minor_mm: minor_m.map(mm),
         code_bits: layout.map(|layout| u32::from(layout.bits)),
         code_min_distance: layout.map(|layout| u32::from(layout.min_distance)),
-        polarity: match kind.polarity {
-            Polarity::BlackRing => "black_ring".to_owned(),
-            Polarity::WhiteRing => "white_ring".to_owned(),
-        },
+        polarity: word(&POLARITIES, kind.polarity).to_owned(),
         motion: motion.to_owned(),
         height_m,
     }
@@ -125,13 +122,6 @@ fn reference(reference: &ReferenceConfig, config: &Config) -> v1::ReferenceSetup
         position_m: Some(vector(&reference.position_m)),
         uncertainty_mm: (reference.deviation_m * 1e9).round() * 1e-6,
         orientation: reference.orientation.as_ref().map(quaternion),
-    }
-}
-
-fn mode(mode: Mode) -> &'static str {
-    match mode {
-        Mode::Precise => "precise",
-        Mode::Fast => "fast",
     }
 }
 

@@ -2,12 +2,13 @@
 //! can do that.
 
 use roundel_core::id::CameraId;
+use roundel_proto::v1::CameraSetup;
 
 use super::{Roster, RosterError, State, difference::Difference, effect::Begin, setup};
 use crate::{
     config::{
         CameraConfig, CameraPose, Config, Problem,
-        edit::{self, EditError, WrittenCamera},
+        edit::{self, EditError},
     },
     fusion::FusionLimits,
     hub::Happening,
@@ -46,16 +47,7 @@ impl Roster {
     /// The configuration in force.
     pub fn configuration(&self) -> Result<InForce, RosterError> {
         let config = self.lock().config.clone();
-        let mut text = config.file.text().to_owned();
-        for camera in edit::read_all::<WrittenCamera>(&text)? {
-            let source = without_credentials(&camera.source);
-            text = edit::change(
-                &text,
-                &camera.name,
-                &WrittenCamera { source, ..WrittenCamera::default() },
-                &["source"],
-            )?;
-        }
+        let text = edit::without_credentials(config.file.text())?;
         Ok(InForce { text, config })
     }
 
@@ -133,7 +125,7 @@ impl Roster {
             let id = state.ids[index];
             match camera {
                 None => self.enter(state, (id, index))?,
-                Some((_, difference)) if difference != Difference::default() => {
+                Some((_, difference)) if !difference.is_empty() => {
                     self.put_into_effect(state, (id, index), &difference)?;
                     let place = known.iter().position(|known| *known == id);
                     let name = place.map_or("", |place| &names[place]);
@@ -170,7 +162,7 @@ impl Roster {
 impl Wanted {
     fn changes_cameras(&self, state: &State) -> bool {
         let is_new = |camera: &Option<(CameraId, Difference)>| {
-            camera.is_none_or(|(_, difference)| difference != Difference::default())
+            camera.as_ref().is_none_or(|(_, difference)| !difference.is_empty())
         };
         self.cameras.len() != state.ids.len() || self.cameras.iter().any(is_new)
     }
@@ -200,8 +192,11 @@ impl State {
             };
             let old = self.riding_in(old, &config);
             let most = most(&config) != most(&self.config);
-            let difference = Difference { most, ..Difference::of(&old, camera) };
-            if difference != Difference::default() {
+            let mut difference = Difference::of(&old, camera);
+            if most {
+                difference.add_max_roundels();
+            }
+            if !difference.is_empty() {
                 plan.changes.push(format!("camera \"{}\": {}", camera.name, difference.words()));
             }
             cameras.push(Some((*id, difference)));
@@ -233,10 +228,10 @@ impl State {
     /// A text with the users and passwords of those sources that are written as in the one in force, but for them.
     fn with_credentials(&self, text: &str) -> Result<String, EditError> {
         let mut text = text.to_owned();
-        for known in edit::read_all::<WrittenCamera>(self.config.file.text())? {
+        for known in edit::read_all::<CameraSetup>(self.config.file.text())? {
             let bare = without_credentials(&known.source);
-            let is_meant = |now: WrittenCamera| now.source == bare && known.source != bare;
-            if edit::read::<WrittenCamera>(&text, &known.name).is_ok_and(is_meant) {
+            let is_meant = |now: CameraSetup| now.source == bare && known.source != bare;
+            if edit::read::<CameraSetup>(&text, &known.name).is_ok_and(is_meant) {
                 text = edit::change(&text, &known.name, &known, &["source"])?;
             }
         }

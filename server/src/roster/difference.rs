@@ -1,77 +1,49 @@
-//! What is another in a camera than before, and what that takes.
+//! Diff between two versions of a camera's configuration, and the actions it requires.
 
-use crate::config::CameraConfig;
+use crate::config::{CAMERA_SCHEMA, CameraConfig, Effect};
 
-/// What differs.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
-pub(super) struct Difference {
-    pub(super) name: bool,
-    pub(super) source: bool,
-    /// The images' size.
-    pub(super) size: bool,
-    pub(super) lens: bool,
-    pub(super) pose: bool,
-    pub(super) line_time: bool,
-    pub(super) clock: bool,
-    pub(super) rate: bool,
-    pub(super) mode: bool,
-    pub(super) mask: bool,
-    /// How many roundels it may follow.
-    pub(super) most: bool,
-}
+/// Label and effect of each change.
+#[derive(Clone, Debug, Default, PartialEq, Eq)]
+pub(super) struct Difference(Vec<(&'static str, Effect)>);
 
 impl Difference {
     pub(super) fn of(before: &CameraConfig, after: &CameraConfig) -> Self {
-        let size =
-            |camera: &CameraConfig| (camera.calibration.width(), camera.calibration.height());
-        Self {
-            name: before.name != after.name,
-            source: before.address != after.address,
-            size: size(before) != size(after),
-            lens: before.calibration.intrinsics() != after.calibration.intrinsics(),
-            pose: before.pose != after.pose,
-            line_time: before.line_time_s != after.line_time_s,
-            clock: before.clock_uncertainty_s != after.clock_uncertainty_s,
-            rate: before.rate_hz != after.rate_hz,
-            mode: before.mode != after.mode,
-            mask: before.mask != after.mask,
-            most: false,
-        }
+        let effects = CAMERA_SCHEMA.iter().map(|key| (key.label, (key.effect)(before, after)));
+        Self(effects.filter_map(|(label, effect)| Some((label, effect?))).collect())
     }
 
-    /// Whether its worker has to begin anew. Lens and place are taken over between two frames instead, so that no track
-    /// is lost.
+    /// Adds a change of `[limits] max_roundels_per_camera`.
+    pub(super) fn add_max_roundels(&mut self) {
+        self.0.push(("most roundels", Effect::Restart));
+    }
+
+    pub(super) fn is_empty(&self) -> bool {
+        self.0.is_empty()
+    }
+
+    pub(super) fn has(&self, effect: Effect) -> bool {
+        self.0.iter().any(|(_, found)| *found == effect)
+    }
+
+    /// Whether the worker restarts.
     pub(super) fn restarts(&self) -> bool {
-        let Self { name, source, size, line_time, rate, mode, mask, most, .. } = *self;
-        name || source || size || line_time || rate || mode || mask || most
+        use Effect::{Rename, Resize, Restart, Source};
+        [Restart, Rename, Source, Resize].into_iter().any(|effect| self.has(effect))
     }
 
-    /// Whether it stands elsewhere, or looks through another lens: what a calibration found does not hold any more.
+    /// Whether lens or pose are others than those that were calibrated.
     pub(super) fn moves(&self) -> bool {
-        self.lens || self.pose
+        self.has(Effect::Place) || self.has(Effect::Resize)
     }
 
-    /// Whether what was learned of its clock does not hold any more.
-    pub(super) fn keeps_other_time(&self) -> bool {
-        self.source || self.clock
+    /// Whether the estimate of the clock restarts.
+    pub(super) fn resets_clock(&self) -> bool {
+        self.has(Effect::Source) || self.has(Effect::Clock)
     }
 
-    /// In words, commas between; empty if nothing differs.
+    /// The labels, commas between; empty if nothing differs.
     pub(super) fn words(&self) -> String {
-        let all = [
-            (self.name, "name"),
-            (self.source, "source"),
-            (self.lens, "lens"),
-            (self.pose, "pose"),
-            (self.line_time, "line time"),
-            (self.clock, "clock uncertainty"),
-            (self.rate, "rate"),
-            (self.mode, "mode"),
-            (self.mask, "mask"),
-            (self.most, "most roundels"),
-        ];
-        let words: Vec<&str> =
-            all.iter().filter(|(differs, _)| *differs).map(|(_, word)| *word).collect();
-        words.join(", ")
+        let labels: Vec<&str> = self.0.iter().map(|(label, _)| *label).collect();
+        labels.join(", ")
     }
 }

@@ -1,10 +1,10 @@
-//! What follows from a change that is written: workers, ports, and what the hub, fusion and the calibrator are told.
+//! Applies changes of cameras to workers, ports, the hub, fusion and the calibrator.
 
 use roundel_core::id::CameraId;
 
 use super::{CameraSetting, Roster, RosterError, State, difference::Difference, setup};
 use crate::{
-    config::{CameraConfig, Config},
+    config::{CameraConfig, Config, Effect},
     fusion::{Known, Order},
     hub::PoseStatus,
     source::SourceAddress,
@@ -84,12 +84,12 @@ impl Roster {
         self.hub.set_camera(id, setup::info(camera, &config));
         if difference.moves() {
             self.calibrator.set(id, setup::calibrated(camera));
-        } else if difference.name {
+        } else if difference.has(Effect::Rename) {
             self.calibrator.rename(id, &camera.name);
         }
         let place =
             difference.moves().then(|| setup::stand(camera, &config, &state.bodies.numbers));
-        let clock = difference.keeps_other_time().then(|| setup::timekeeping(camera));
+        let clock = difference.resets_clock().then(|| setup::timekeeping(camera));
         state.order(id, Known { place, clock });
         let is_fed = matches!(camera.address, SourceAddress::Push(_));
         if is_fed {
@@ -102,7 +102,7 @@ impl Roster {
             if !is_fed {
                 shown.link = None;
             }
-            if difference.source {
+            if difference.has(Effect::Source) {
                 shown.capture_clock = None;
             }
             if difference.moves() {

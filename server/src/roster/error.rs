@@ -7,7 +7,7 @@ use thiserror::Error;
 
 use crate::config::{
     ConfigFileError, Problem,
-    edit::{self, Written},
+    edit::{self, Message},
 };
 
 /// Why a camera or an object is not added, changed or removed; everything is as it was then.
@@ -114,17 +114,17 @@ impl From<edit::EditError> for RosterError {
 
 /// What is wrong with a configuration since the camera or object at `index` is as it is: the first key that is to blame,
 /// and everything that is to be said.
-pub(super) fn wrong<W: Written>(text: &str, index: usize, problems: &[Problem]) -> RosterError {
+pub(super) fn wrong<M: Message>(text: &str, index: usize, problems: &[Problem]) -> RosterError {
     let key_of = |problem: &Problem| {
         let at = problem.place.as_ref()?.offset(text);
-        match edit::key_at::<W>(text, at) {
+        match edit::key_at::<M>(text, at) {
             Some((place, key)) if place == index => Some(key),
             // Of two with one name the second is to blame there, which another one may be.
             Some((_, "name")) => Some("name"),
-            _ => edit::key_named::<W>(&problem.message),
+            _ => edit::key_named::<M>(&problem.message),
         }
     };
-    let key = problems.iter().find_map(key_of).unwrap_or(W::SECTION);
+    let key = problems.iter().find_map(key_of).unwrap_or(M::SECTION);
     RosterError::Wrong { key, message: sentences(problems, |_| String::new()) }
 }
 

@@ -6,8 +6,9 @@ use std::{
     path::{Path, PathBuf},
 };
 
+use roundel_proto::v1::CameraSetup;
+
 use super::{Roster, RosterError};
-use crate::config::edit::WrittenCamera;
 
 /// Lens files of one name beside a configuration, at most.
 const MOST_FILES: usize = 1000;
@@ -40,8 +41,8 @@ impl Roster {
     /// The same, and has the camera use it from its next frame on. Says the file, and where the configuration is kept.
     pub fn use_lens(&self, camera: &str, text: &str) -> Result<(String, String), RosterError> {
         let file = self.keep_lens(camera, text)?;
-        let written = WrittenCamera { calibration: Some(file.clone()), ..WrittenCamera::default() };
-        match self.change(camera, &written, &["calibration"]) {
+        let wanted = CameraSetup { calibration: file.clone(), ..CameraSetup::default() };
+        match self.change(camera, &wanted, &["calibration"]) {
             Ok((_, kept)) => Ok((file, kept)),
             Err(error) => {
                 // A file that nobody uses is of no use; that it could not be removed changes nothing about the error.

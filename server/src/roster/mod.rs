@@ -4,7 +4,7 @@
 //! | module | what it does |
 //! | --- | --- |
 //! | `crew` | the workers' threads |
-//! | `difference` | what is another in a camera than before |
+//! | `difference` | diff between two versions of a camera, and the actions it requires |
 //! | `configuration` | all of them, and what else can change, in one go |
 //! | `effect` | what follows from a change that is written |
 //! | `object` | the same of objects |
@@ -32,21 +32,18 @@ pub mod setup;
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError, mpsc};
 
 use roundel_core::id::CameraId;
+use roundel_proto::v1::CameraSetup;
 
 use self::{bodies::Bodies, crew::Crew, difference::Difference, effect::Begin, error::wrong};
 use crate::{
     calibration::Calibrator,
     clock::Clock,
-    config::{
-        CameraConfig, CameraPose, Config,
-        edit::{self, WrittenCamera},
-    },
+    config::{CameraConfig, CameraPose, Config, edit},
     fusion::Order,
     hub::{Happening, Hub},
     source::{
         OpenSource, Playback,
         push::{Port, Ports},
-        without_credentials,
     },
     stop::Stop,
     worker::{Sighted, Totals, pipeline::Pipeline},
@@ -153,9 +150,9 @@ impl Roster {
         Ok(roster)
     }
 
-    /// A camera as it is written, user and password included.
-    pub fn written(&self, name: &str) -> Result<WrittenCamera, RosterError> {
-        Ok(edit::read(self.lock().config.file.text(), name)?)
+    /// A camera as configured, without user and password.
+    pub fn camera_setup(&self, name: &str) -> Result<CameraSetup, RosterError> {
+        Ok(edit::read(&edit::without_credentials(self.lock().config.file.text())?, name)?)
     }
 
     /// The configuration's text as it is now, without users and passwords of sources.
@@ -164,7 +161,7 @@ impl Roster {
     }
 
     /// Adds a camera behind the last one. Says where that is kept.
-    pub fn add(&self, camera: &WrittenCamera) -> Result<String, RosterError> {
+    pub fn add(&self, camera: &CameraSetup) -> Result<String, RosterError> {
         let mut state = self.ready()?;
         let text = edit::add(state.config.file.text(), camera)?;
         let index = state.ids.len();
@@ -194,7 +191,7 @@ impl Roster {
     pub fn change(
         &self,
         name: &str,
-        camera: &WrittenCamera,
+        camera: &CameraSetup,
         keys: &[&str],
     ) -> Result<(String, String), RosterError> {
         let mut state = self.ready()?;
@@ -210,7 +207,7 @@ impl Roster {
         config.file.replace(text)?;
         state.config = config;
         let kept = state.config.file.kept();
-        if difference == Difference::default() {
+        if difference.is_empty() {
             return Ok((after.name, kept));
         }
         self.put_into_effect(&mut state, (id, index), &difference)?;
@@ -226,7 +223,7 @@ impl Roster {
         if state.ids.len() == 1 {
             return Err(RosterError::Last);
         }
-        let text = edit::remove::<WrittenCamera>(state.config.file.text(), name)?;
+        let text = edit::remove::<CameraSetup>(state.config.file.text(), name)?;
         // Whom it carried, and who found its place by it, may need it. The others are not read anew.
         let mut config = state.read_again(&text, usize::MAX)?;
         config.cameras.clone_from(&state.config.cameras);
@@ -269,10 +266,8 @@ impl Roster {
 
 /// The text of a configuration without users and passwords of sources.
 pub fn text_without_passwords(config: &Config) -> String {
-    let text = config.file.text().to_owned();
-    let cameras = edit::read_all::<WrittenCamera>(&text).unwrap_or_default();
-    let sources = cameras.iter().map(|camera| &camera.source);
-    sources.fold(text, |text, source| text.replace(source, &without_credentials(source)))
+    // A text that cannot be parsed may contain passwords.
+    edit::without_credentials(config.file.text()).unwrap_or_default()
 }
 
 impl State {
@@ -287,7 +282,7 @@ impl State {
     /// `index`.
     fn read_again(&self, text: &str, index: usize) -> Result<Config, RosterError> {
         let cameras = Config::parse(text, &self.config.folder)
-            .map_err(|problems| wrong::<WrittenCamera>(text, index, &problems))?
+            .map_err(|problems| wrong::<CameraSetup>(text, index, &problems))?
             .cameras;
         Ok(Config { cameras, ..self.config.clone() })
     }

@@ -4,6 +4,7 @@
 use std::sync::MutexGuard;
 
 use roundel_core::{id::ObjectId, marker::Pattern, world::LifeStage};
+use roundel_proto::v1::ObjectSetup;
 
 use super::{
     Roster, RosterError, State, bodies::kind_names, error::wrong, setup, text_without_passwords,
@@ -11,20 +12,20 @@ use super::{
 use crate::{
     config::{
         CameraPose, Config, ObjectConfig,
-        edit::{self, Written, WrittenObject, WrittenRoundels},
+        edit::{self, EditError},
     },
     fusion::{FusionLimits, Known, Order, Settings, WrittenSettings},
     hub::{Change, Happening, ObjectRecord},
 };
 
 impl Roster {
-    /// An object as it is written.
-    pub fn written_object(&self, name: &str) -> Result<WrittenObject, RosterError> {
+    /// An object as configured.
+    pub fn object_setup(&self, name: &str) -> Result<ObjectSetup, RosterError> {
         Ok(edit::read(self.lock().config.file.text(), name)?)
     }
 
     /// Adds an object behind the last one. Says where that is kept.
-    pub fn add_object(&self, object: &WrittenObject) -> Result<String, RosterError> {
+    pub fn add_object(&self, object: &ObjectSetup) -> Result<String, RosterError> {
         let mut state = self.alive()?;
         let text = edit::add(state.config.file.text(), object)?;
         let index = state.config.objects.len();
@@ -39,11 +40,11 @@ impl Roster {
     pub fn change_object(
         &self,
         name: &str,
-        object: &WrittenObject,
+        object: &ObjectSetup,
         keys: &[&str],
     ) -> Result<(String, String), RosterError> {
         let mut state = self.alive()?;
-        let before: WrittenObject = edit::read(state.config.file.text(), name)?;
+        let before: ObjectSetup = edit::read(state.config.file.text(), name)?;
         let mut text = edit::change(state.config.file.text(), name, object, keys)?;
         let fresh = if keys.contains(&"name") { object.name.as_str() } else { name };
         if fresh != name {
@@ -51,8 +52,8 @@ impl Roster {
         }
         let index = state.config.objects.iter().position(|it| it.name == name).unwrap_or_default();
         let kept = self.take_objects(&mut state, text, index, Some((name, fresh)))?;
-        let after: WrittenObject = edit::read(state.config.file.text(), fresh)?;
-        let words = difference(&before, &after);
+        let after: ObjectSetup = edit::read(state.config.file.text(), fresh)?;
+        let words = difference(&before, &after)?;
         if !words.is_empty() {
             let message = format!("Object \"{name}\" was changed ({words}); {kept}.");
             self.tell_configured(Change::Changed, fresh, message);
@@ -63,7 +64,7 @@ impl Roster {
     /// Removes an object. What carries its roundels goes on as what these are. Says where that is kept.
     pub fn remove_object(&self, name: &str) -> Result<String, RosterError> {
         let mut state = self.alive()?;
-        let text = edit::remove::<WrittenObject>(state.config.file.text(), name)?;
+        let text = edit::remove::<ObjectSetup>(state.config.file.text(), name)?;
         let object = self.hub.object_named(name);
         // A camera that rides on it is to blame then.
         let kept = self.take_objects(&mut state, text, usize::MAX, None)?;
@@ -79,7 +80,7 @@ impl Roster {
         let record = record.ok_or(RosterError::Unseen(object.0))?;
         let installation = self.hub.installation();
         let before = installation.object_name(record.kind, record.body);
-        let fresh = WrittenObject { name: name.to_owned(), ..WrittenObject::default() };
+        let fresh = ObjectSetup { name: name.to_owned(), ..ObjectSetup::default() };
         if !before.is_empty() {
             return self.change_object(before, &fresh, &["name"]).map(|(_, kept)| kept);
         }
@@ -100,8 +101,7 @@ impl Roster {
             return Err(RosterError::Alike { object: object.0, kind });
         }
         let code = record.code.map(|code| code.number.into());
-        let roundel = Some(WrittenRoundels::One(kind));
-        self.add_object(&WrittenObject { roundel, code, ..fresh })
+        self.add_object(&ObjectSetup { roundel: kind, code, ..fresh })
     }
 
     /// The state, if the server is not going down.
@@ -120,7 +120,7 @@ impl Roster {
         renamed: Option<(&str, &str)>,
     ) -> Result<String, RosterError> {
         let objects = Config::parse(&text, &state.config.folder)
-            .map_err(|problems| wrong::<WrittenObject>(&text, index, &problems))?
+            .map_err(|problems| wrong::<ObjectSetup>(&text, index, &problems))?
             .objects;
         state.config.file.replace(text)?;
         self.follow(state, objects, renamed, None);
@@ -198,17 +198,14 @@ impl Roster {
     }
 }
 
-/// What is written otherwise, in words, commas between.
-fn difference(before: &WrittenObject, after: &WrittenObject) -> String {
-    let text = |it: &WrittenObject, key: &str| it.value(key).map(|value| value.to_string());
-    let keys = WrittenObject::KEYS.iter().filter(|key| text(before, key) != text(after, key));
-    let word = |key: &&str| match *key {
+/// Labels of the keys that differ, commas between.
+fn difference(before: &ObjectSetup, after: &ObjectSetup) -> Result<String, EditError> {
+    let label = |key: &'static str| match key {
         "offset_m" => "followed point",
         "height_m" => "height",
         "roundel" => "roundels",
-        "code" => "code",
-        "motion" => "motion",
-        _ => "name",
+        key => key,
     };
-    keys.map(word).collect::<Vec<_>>().join(", ")
+    let labels = edit::difference(before, after)?.into_iter().map(label);
+    Ok(labels.collect::<Vec<_>>().join(", "))
 }

@@ -6,7 +6,7 @@ use std::io::Write as _;
 use anyhow::{Context, bail};
 use roundel_core::{
     camera::{Intrinsics, Lens, NormalizedPoint},
-    marker::{Kind, Mode},
+    marker::Kind,
     plan::{
         Sensor, paper,
         precision::{Expected, LensDoubt, expect},
@@ -21,6 +21,7 @@ use super::{
     load::{Seen, load},
     optics, roundel,
 };
+use crate::config::{MODES, word};
 
 /// Everything that is told.
 struct Told {
@@ -151,10 +152,7 @@ impl Told {
                 camera.height(),
                 sensor.imaging.noise,
                 sensor.imaging.blur_px,
-                match sensor.mode {
-                    Mode::Precise => "precise",
-                    Mode::Fast => "fast",
-                }
+                word(&MODES, sensor.mode)
             ),
             format!(
                 "roundel    {}{}, tilted by {}°",

@@ -1,3 +1,5 @@
+use roundel_proto::v1::{self, CameraSetup, ObjectSetup};
+
 use super::*;
 
 const TEXT: &str = r#"# The lab.
@@ -26,54 +28,62 @@ orientation_xyzw = [1, 0, 0, 0]
 name = "robot"
 "#;
 
-fn read(text: &str, name: &str) -> Result<WrittenCamera, EditError> {
+fn read(text: &str, name: &str) -> Result<CameraSetup, EditError> {
     super::read(text, name)
 }
 
 fn remove(text: &str, name: &str) -> Result<String, EditError> {
-    super::remove::<WrittenCamera>(text, name)
+    super::remove::<CameraSetup>(text, name)
 }
 
-fn south_pose() -> WrittenPose {
-    WrittenPose::At {
-        position_m: [0.0, 1.0, 2.0],
-        orientation_xyzw: [1.0, 0.0, 0.0, 0.0],
-        object: None,
-        localizes: false,
-    }
+fn vector(x: f64, y: f64, z: f64) -> v1::Vector3 {
+    v1::Vector3 { x, y, z }
+}
+
+fn pose(x: f64, y: f64, z: f64) -> v1::CameraPoseSetup {
+    let orientation = v1::Quaternion { x: 1.0, ..Default::default() };
+    let pose = v1::Pose { position: Some(vector(x, y, z)), orientation: Some(orientation) };
+    v1::CameraPoseSetup { pose: Some(pose), ..Default::default() }
+}
+
+fn unknown() -> v1::CameraPoseSetup {
+    v1::CameraPoseSetup { unknown: true, ..Default::default() }
+}
+
+fn polygon(corners: [[f64; 2]; 3]) -> v1::MaskPolygon {
+    v1::MaskPolygon { corners: corners.map(|[u, v]| v1::PixelPoint { u, v }).into() }
 }
 
 #[test]
 fn what_is_written_is_read() {
     let north = read(TEXT, "north").unwrap();
-    let expected = WrittenCamera {
+    let expected = CameraSetup {
         name: "north".into(),
         source: "http://10.0.0.2/stream".into(),
         rate_hz: Some(30.0),
-        pose: Some(WrittenPose::Unknown),
-        ..WrittenCamera::default()
+        pose: Some(unknown()),
+        ..CameraSetup::default()
     };
     assert_eq!(north, expected);
     let south = read(TEXT, "south").unwrap();
-    assert_eq!(south.pose, Some(south_pose()));
-    assert_eq!(south.mask, [vec![[0.0, 0.0], [320.0, 0.5], [0.0, 200.0]]]);
+    assert_eq!(south.pose, Some(pose(0.0, 1.0, 2.0)));
+    assert_eq!(south.mask, [polygon([[0.0, 0.0], [320.0, 0.5], [0.0, 200.0]])]);
     assert_eq!(read(TEXT, "east"), Err(EditError::Missing { what: "camera", name: "east".into() }));
 }
 
 #[test]
 fn one_that_is_added_stands_behind_the_last_and_nothing_else_moves() {
-    let camera = WrittenCamera {
+    let camera = CameraSetup {
         name: "ea\"st".into(),
         source: "sim:r4_lite?camera=2".into(),
         rate_hz: Some(29.97),
-        pose: Some(WrittenPose::At {
-            position_m: [1.0, -2.5, 3.0],
-            orientation_xyzw: [1.0, 0.0, 0.0, 0.0],
-            object: Some("drone".into()),
+        pose: Some(v1::CameraPoseSetup {
+            object: "drone".into(),
             localizes: true,
+            ..pose(1.0, -2.5, 3.0)
         }),
-        mask: vec![vec![[0.0, 0.0], [9.0, 0.0], [0.0, 9.0]]],
-        ..WrittenCamera::default()
+        mask: vec![polygon([[0.0, 0.0], [9.0, 0.0], [0.0, 9.0]])],
+        ..CameraSetup::default()
     };
     let text = add(TEXT, &camera).unwrap();
     let added = "\n[[camera]]\nname = 'ea\"st'\nsource = \"sim:r4_lite?camera=2\"\n\
@@ -89,12 +99,12 @@ fn one_that_is_added_stands_behind_the_last_and_nothing_else_moves() {
 
 #[test]
 fn what_changes_keeps_its_comments_and_what_does_not_its_form() {
-    let camera = WrittenCamera {
+    let camera = CameraSetup {
         name: "door".into(),
         rate_hz: Some(30.0),
-        pose: Some(south_pose()),
-        mode: Some("fast".into()),
-        ..WrittenCamera::default()
+        pose: Some(pose(0.0, 1.0, 2.0)),
+        mode: "fast".into(),
+        ..CameraSetup::default()
     };
     let text = change(TEXT, "north", &camera, &["name", "rate_hz", "pose", "mode"]).unwrap();
     let expected = TEXT
@@ -105,21 +115,15 @@ fn what_changes_keeps_its_comments_and_what_does_not_its_form() {
         );
     assert_eq!(text, expected);
     // A table under its own header stays one, and a key that is to be no more goes.
-    let moved = WrittenPose::At {
-        position_m: [0.0, 1.5, 2.0],
-        orientation_xyzw: [1.0, 0.0, 0.0, 0.0],
-        object: None,
-        localizes: false,
-    };
-    let camera = WrittenCamera { pose: Some(moved), ..WrittenCamera::default() };
+    let camera = CameraSetup { pose: Some(pose(0.0, 1.5, 2.0)), ..CameraSetup::default() };
     let text = change(TEXT, "south", &camera, &["pose", "mask"]).unwrap();
     let expected = TEXT
         .replace("[0.0, 1.0, 2.0]", "[0.0, 1.5, 2.0]")
         .replace("mask = [[[0, 0], [320, 0.5], [0, 200]]]\n", "");
     assert_eq!(text, expected);
-    let camera = WrittenCamera { pose: Some(WrittenPose::Unknown), ..WrittenCamera::default() };
+    let camera = CameraSetup { pose: Some(unknown()), ..CameraSetup::default() };
     let text = change(TEXT, "south", &camera, &["pose"]).unwrap();
-    assert_eq!(read(&text, "south").unwrap().pose, Some(WrittenPose::Unknown), "{text}");
+    assert_eq!(read(&text, "south").unwrap().pose, Some(unknown()), "{text}");
 }
 
 #[test]
@@ -138,10 +142,10 @@ fn one_that_goes_takes_its_own_comment_and_no_other() {
 fn cameras_in_one_line_are_changed_as_well() {
     let text =
         "camera = [{ name = \"a\", source = \"sim:\" }, { name = \"b\", source = \"sim:\" }]\n";
-    let camera = WrittenCamera { source: "push:".into(), ..WrittenCamera::default() };
+    let camera = CameraSetup { source: "push:".into(), ..CameraSetup::default() };
     let changed = change(text, "b", &camera, &["source"]).unwrap();
     assert_eq!(changed, text.replace("\"b\", source = \"sim:\"", "\"b\", source = \"push:\""));
-    let camera = WrittenCamera { name: "c".into(), source: "sim:".into(), ..camera };
+    let camera = CameraSetup { name: "c".into(), source: "sim:".into(), ..camera };
     let added = add(text, &camera).unwrap();
     assert_eq!(read(&added, "c").unwrap(), camera);
     assert_eq!(read(&remove(&added, "a").unwrap(), "c").unwrap(), camera);
@@ -149,16 +153,16 @@ fn cameras_in_one_line_are_changed_as_well() {
 
 #[test]
 fn the_key_at_a_place_is_found_with_its_camera() {
-    let at = |words: &str| key_at::<WrittenCamera>(TEXT, TEXT.find(words).unwrap());
+    let at = |words: &str| key_at::<CameraSetup>(TEXT, TEXT.find(words).unwrap());
     assert_eq!(at("name = \"north\""), Some((0, "name")));
     assert_eq!(at("30 # by"), Some((0, "rate_hz")));
     assert_eq!(at("by its menu"), None);
     assert_eq!(at("320, 0.5"), Some((1, "mask")));
     assert_eq!(at("orientation_xyzw"), Some((1, "pose")));
     assert_eq!(at("name = \"robot\""), None);
-    assert_eq!(key_named::<WrittenCamera>("missing key `pose` in [[camera]]"), Some("pose"));
-    assert_eq!(key_named::<WrittenCamera>("`outer_mm` is not `mode`"), Some("mode"));
-    assert_eq!(key_named::<WrittenCamera>("nothing at all"), None);
+    assert_eq!(key_named::<CameraSetup>("missing key `pose` in [[camera]]"), Some("pose"));
+    assert_eq!(key_named::<CameraSetup>("`outer_mm` is not `mode`"), Some("mode"));
+    assert_eq!(key_named::<CameraSetup>("nothing at all"), None);
 }
 
 const OBJECTS: &str = r#"
@@ -193,28 +197,27 @@ object = "cart"
 
 #[test]
 fn objects_are_read_in_both_their_forms() {
-    let all: Vec<WrittenObject> = read_all(OBJECTS).unwrap();
+    let all: Vec<ObjectSetup> = read_all(OBJECTS).unwrap();
     let [cart, drone] = &all[..] else { panic!("{all:?}") };
-    assert_eq!(cart.roundel, Some(WrittenRoundels::One("robot".into())));
-    assert_eq!((cart.code, cart.offset_m), (Some(3), Some([0.0, 0.0, 0.1])));
-    let Some(WrittenRoundels::Several(mounts)) = &drone.roundel else { panic!("{drone:?}") };
-    assert_eq!((mounts[0].code, mounts[0].position_m), (Some(4), Some([0.2, 0.0, 0.0])));
+    assert_eq!(cart.roundel, "robot");
+    assert_eq!((cart.code, cart.offset_m), (Some(3), Some(vector(0.0, 0.0, 0.1))));
+    let mounts = &drone.roundels;
+    assert_eq!((mounts[0].code, mounts[0].position_m), (Some(4), Some(vector(0.2, 0.0, 0.0))));
     assert_eq!((mounts[1].code, mounts[1].yaw_deg), (Some(5), Some(90.0)));
-    let added = add(OBJECTS, &WrittenObject { name: "other".into(), ..drone.clone() }).unwrap();
-    let back: WrittenObject = super::read(&added, "other").unwrap();
-    assert_eq!(back.roundel, drone.roundel, "in one line: {added}");
-    assert_eq!(super::remove::<WrittenObject>(&added, "other").unwrap(), OBJECTS);
+    let added = add(OBJECTS, &ObjectSetup { name: "other".into(), ..drone.clone() }).unwrap();
+    let back: ObjectSetup = super::read(&added, "other").unwrap();
+    assert_eq!(back.roundels, drone.roundels, "in one line: {added}");
+    assert_eq!(super::remove::<ObjectSetup>(&added, "other").unwrap(), OBJECTS);
 }
 
 #[test]
 fn what_is_the_same_of_an_object_stays_as_it_was_written() {
-    let mut drone: WrittenObject = super::read(OBJECTS, "drone").unwrap();
-    assert_eq!(change(OBJECTS, "drone", &drone, WrittenObject::KEYS).unwrap(), OBJECTS);
-    let Some(WrittenRoundels::Several(mounts)) = &mut drone.roundel else { panic!("{drone:?}") };
-    mounts[1].position_m = Some([-0.3, 0.0, 0.0]);
+    let mut drone: ObjectSetup = super::read(OBJECTS, "drone").unwrap();
+    assert_eq!(change(OBJECTS, "drone", &drone, ObjectSetup::KEYS).unwrap(), OBJECTS);
+    drone.roundels[1].position_m = Some(vector(-0.3, 0.0, 0.0));
     let text = change(OBJECTS, "drone", &drone, &["roundel"]).unwrap();
     assert_eq!(text, OBJECTS.replace("[-0.2, 0, 0]", "[-0.3, 0.0, 0.0]"));
-    let cart = WrittenObject { offset_m: Some([0.0, 0.0, 0.2]), ..WrittenObject::default() };
+    let cart = ObjectSetup { offset_m: Some(vector(0.0, 0.0, 0.2)), ..ObjectSetup::default() };
     let text = change(OBJECTS, "cart", &cart, &["offset_m", "code"]).unwrap();
     let expected =
         OBJECTS.replace("[0, 0, 0.1] #", "[0.0, 0.0, 0.2] #").replacen("code = 3\n", "", 1);
