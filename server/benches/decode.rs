@@ -15,9 +15,11 @@ mod shared;
 use std::{fs, path::Path, process::Command, time::Instant};
 
 use roundel_server::{
-    image_file,
-    source::{OpenSource, Playback, SourceAddress, SourceError, SourceOpener},
-    stop::Stop,
+    capture::{
+        image_file,
+        source::{OpenSource, Playback, SourceError, SourceOpener},
+    },
+    model::{address::SourceAddress, stop::Stop},
 };
 use shared::{ROUND, SIZE, draw, processor_s};
 

@@ -10,7 +10,7 @@ use std::{
 };
 
 use roundel_core::time::Timestamp;
-use roundel_server::history::{
+use roundel_server::archive::history::{
     TIERS,
     store::{Identity, MAX_POINTS, Point, Question, Store},
 };

@@ -24,12 +24,9 @@ use std::{
 
 use roundel_core::{frame::Frame, id::CameraId, time::Timestamp};
 use roundel_server::{
-    clock::Clock,
-    config::Config,
-    hub::CameraState,
-    serve::Server,
-    source::{FrameInfo, FrameSource, LentFrame, OpenSource, SourceError},
-    stop::Stop,
+    app::serve::Server,
+    capture::source::{FrameInfo, FrameSource, LentFrame, OpenSource, SourceError},
+    model::{clock::Clock, config::Config, hub::CameraState, stop::Stop},
 };
 use shared::{ROUND, ROUNDELS, SIZE, draw, processor_s};
 

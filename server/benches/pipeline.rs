@@ -33,11 +33,9 @@ use roundel_proto::v1::{
     ObjectState, Snapshot, SubscribeSnapshotsRequest, roundel_client::RoundelClient,
 };
 use roundel_server::{
-    config::Config,
-    hub::FusedSnapshot,
-    serve::Server,
-    source::{FrameInfo, FrameSource, LentFrame, OpenSource, SIM_LATENCY_S, SourceError},
-    stop::Stop,
+    app::serve::Server,
+    capture::source::{FrameInfo, FrameSource, LentFrame, OpenSource, SIM_LATENCY_S, SourceError},
+    model::{config::Config, hub::FusedSnapshot, stop::Stop},
 };
 use tokio::runtime::{Builder, Runtime};
 use tonic::{Streaming, transport::Endpoint};

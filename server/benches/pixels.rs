@@ -4,7 +4,7 @@ use std::hint::black_box;
 
 use criterion::{Criterion, Throughput, criterion_group, criterion_main};
 use jpeg_encoder::{ColorType, Encoder};
-use roundel_server::{
+use roundel_server::capture::{
     image_file,
     source::pixels::{Converter, PixelFormat, Raw},
 };

@@ -26,9 +26,13 @@ use roundel_core::{
     world::{FrameObservations, Snapshot},
 };
 use roundel_server::{
-    clock::Clock,
-    hub::{CameraInfo, Hub, Installation},
-    record::{Recorder, RecordingConfig, Wanted, tap::Item},
+    archive::record::{Recorder, Wanted},
+    model::{
+        clock::Clock,
+        config::RecordingConfig,
+        hub::{CameraInfo, Hub, Installation},
+        tap::Item,
+    },
 };
 
 const RATE_HZ: f64 = 60.0;

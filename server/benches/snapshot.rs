@@ -14,7 +14,7 @@ use roundel_core::{time::Timestamp, world::Snapshot};
 use roundel_proto::v1;
 use roundel_server::{
     api::selection::{MESSAGE_FIELDS, Selection},
-    hub::{CameraInfo, FusedSnapshot, Installation},
+    model::hub::{CameraInfo, FusedSnapshot, Installation},
 };
 
 const OBJECTS: u64 = 100;

@@ -8,9 +8,9 @@ use roundel_core::{
     time::Timestamp,
     world::{LifeStage, ObjectState, ProcessNoise, Snapshot},
 };
-use roundel_server::source::{
-    SimAddress, SimPreset,
-    fleet::{FleetError, Fleets, Order, SILENCE_S},
+use roundel_server::{
+    capture::source::fleet::{FleetError, Fleets, Order, SILENCE_S},
+    model::address::{SimAddress, SimPreset},
 };
 
 const ORIGIN: Timestamp = Timestamp::from_ns(1_000_000_000);

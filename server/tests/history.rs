@@ -6,7 +6,7 @@ use axum::body::Body;
 use http_body_util::BodyExt;
 use hyper_util::{client::legacy, rt::TokioExecutor};
 use roundel_client::{Client, v1};
-use roundel_server::{config::Config, serve::Server};
+use roundel_server::{app::serve::Server, model::config::Config};
 use tokio::time::{sleep, timeout};
 
 /// Nothing here takes so long but on a machine that stands still.

@@ -5,13 +5,13 @@ use std::{collections::BTreeMap, fs, path::Path, time::Duration};
 use prost::Message;
 use roundel_proto::v1;
 use roundel_server::{
-    config::Config,
-    record::{
+    app::serve::Server,
+    archive::record::{
         RecordError, State, Wanted,
         reader::{Raw, Reader, Source},
         schema::Topic,
     },
-    serve::Server,
+    model::config::Config,
 };
 use tokio::time::{sleep, timeout};
 

@@ -9,18 +9,20 @@ use std::{
 use prost::Message;
 use roundel_client::{Client, v1};
 use roundel_server::{
-    config::Config,
-    record::{
-        State, Wanted,
-        reader::{Raw, Reader, Source},
-        schema::Topic,
+    app::{replay_server::ReplayServer, serve::Server},
+    archive::{
+        record::{
+            State, Wanted,
+            reader::{Raw, Reader, Source},
+            schema::Topic,
+        },
+        replay::{
+            self, From,
+            copy::copy,
+            scene::{Scene, beginning},
+        },
     },
-    replay::{
-        self, From,
-        copy::copy,
-        server::{ReplayServer, Scene, beginning},
-    },
-    serve::Server,
+    model::config::Config,
 };
 use tokio::time::{sleep, timeout};
 
@@ -70,7 +72,7 @@ async fn until(what: &str, wanted: impl Fn() -> bool) {
 
 fn open(file: &Path, from: From) -> Scene {
     let file = file.to_owned();
-    Scene::open(&replay::server::Wanted { file, from, config: None }).unwrap()
+    Scene::open(&replay::scene::Wanted { file, from, config: None }).unwrap()
 }
 
 fn read<M: Message + Default>(path: &Path, topic: Topic) -> Vec<M> {
@@ -278,7 +280,7 @@ async fn what_a_recording_lacks_is_said() {
     until("its end", || recorder.status().state == State::Stopped).await;
     server.shutdown().await;
     let file = recorder.status().folder.join(recorder.status().file);
-    let wanted = |from, config| replay::server::Wanted { file: file.clone(), from, config };
+    let wanted = |from, config| replay::scene::Wanted { file: file.clone(), from, config };
     let error = Scene::open(&wanted(From::Frames, None)).err().unwrap().to_string();
     assert!(error.contains("has no frames; record with --frames-every 1"), "{error}");
     let other = folder.path().join("other.toml");

@@ -12,10 +12,12 @@ use std::{
 use roundel_core::camera::{Camera, Intrinsics, Lens};
 use roundel_proto::v1::{self, roundel_client::RoundelClient};
 use roundel_server::{
-    camera_file,
-    config::Config,
-    hub::{CameraState, CameraStatus},
-    serve::Server,
+    app::serve::Server,
+    model::{
+        camera_file,
+        config::Config,
+        hub::{CameraState, CameraStatus},
+    },
 };
 use tokio::time::{sleep, timeout};
 

@@ -22,13 +22,13 @@ use roundel_core::{
         ProcessNoise, Snapshot,
     },
 };
-use roundel_server::{
+use roundel_server::model::{
+    capture_clock::{CaptureClock, TimeBase},
     convert,
     hub::{
         CameraInfo, CameraPlace, CameraState, CameraStatus, Event, FusedSnapshot, Happening,
         Installation, ObjectRecord, PoseStatus,
     },
-    source::{CaptureClock, TimeBase},
 };
 use serde::Serialize;
 

@@ -257,7 +257,7 @@ pub fn lens_by(board: Board, pictures: &[Image]) -> Result<LensCalibration, Lens
 /// What is found in pictures of a chessboard that is described as on the command line.
 #[cfg(feature = "chessboard")]
 pub fn lens_of_chessboard(text: &str, pictures: &[Image]) -> anyhow::Result<LensCalibration> {
-    use roundel_server::lens::{
+    use roundel_server::lab::lens::{
         chessboard,
         search::{Search, Sought},
     };

@@ -4,7 +4,7 @@
 //! runs them over the repository and, beside that, over examples that must be refused. Source is
 //! read without comments, strings and test items, so that a rule is about code that ships.
 
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, BTreeSet};
 
 /// Modules of core from the bottom up: each may use only those before it.
 pub const CORE_ORDER: [&str; 15] = [
@@ -40,6 +40,10 @@ pub const IMPURE: [&str; 10] = [
     "tracing",
     "log",
 ];
+
+/// Top-level modules of the server from the bottom up: each may use those of the rows before its own.
+pub const SERVER_LAYERS: [&[&str]; 6] =
+    [&["model"], &["capture"], &["fusion"], &["archive", "lab"], &["api"], &["app"]];
 
 /// Parts of the standard library that core must not use: clocks, files, sockets, processes.
 pub const IMPURE_STD: [&str; 7] = ["env", "fs", "io", "net", "process", "thread", "time"];
@@ -140,27 +144,95 @@ pub fn upward_imports(path: &str, source: &str) -> Vec<String> {
         .collect()
 }
 
+/// Imports in a source file of the server that do not run down. `path` is relative to `server/src`.
+pub fn upward_server_imports(path: &str, source: &str) -> Vec<String> {
+    let own = module_path(path);
+    let Some(module) = own.first().filter(|module| *module != "main") else { return Vec::new() };
+    let layer = |name: &str| SERVER_LAYERS.iter().position(|layer| layer.contains(&name));
+    let Some(own_layer) = layer(module) else {
+        return vec![format!("server/src/{path}: module `{module}` is in no layer")];
+    };
+    crate_uses(&own, &shipped_code(source))
+        .into_iter()
+        .filter(|used| used != module && layer(used).is_some_and(|layer| layer >= own_layer))
+        .map(|used| format!("server/src/{path} uses `{used}`, which is not below `{module}`"))
+        .collect()
+}
+
+/// Cycles between files and folders that lie in the same folder. A folder's own module (`mod.rs`) is left out: it declares
+/// the others and re-exports from them.
+///
+/// `files` are paths relative to the crate's `src` with their text.
+pub fn import_cycles(files: &[(String, String)]) -> Vec<String> {
+    let modules: BTreeSet<Vec<String>> = files.iter().map(|(path, _)| module_path(path)).collect();
+    // For each folder: its entries, and the entries that each of them imports.
+    let mut folders: BTreeMap<Vec<String>, BTreeMap<String, BTreeSet<String>>> = BTreeMap::new();
+    for (path, source) in files {
+        let own = module_path(path);
+        for mut used in module_uses(&own, &shipped_code(source)) {
+            while !used.is_empty() && !modules.contains(&used) {
+                used.pop();
+            }
+            let shared = own.iter().zip(&used).take_while(|(own, used)| own == used).count();
+            if let (Some(from), Some(to)) = (own.get(shared), used.get(shared)) {
+                let folder = folders.entry(own[..shared].to_vec()).or_default();
+                folder.entry(from.clone()).or_default().insert(to.clone());
+            }
+        }
+    }
+    let mut cycles = Vec::new();
+    for (folder, imports) in folders {
+        let mut open = imports;
+        // Entries that import nothing of the others are in no cycle; without them, others may be.
+        loop {
+            let entries: BTreeSet<String> = open.keys().cloned().collect();
+            open.values_mut().for_each(|used| used.retain(|name| entries.contains(name)));
+            let before = open.len();
+            open.retain(|_, used| !used.is_empty());
+            if open.len() == before {
+                break;
+            }
+        }
+        if !open.is_empty() {
+            let each: Vec<String> = open
+                .iter()
+                .map(|(from, to)| {
+                    format!("{from} -> {}", to.iter().cloned().collect::<Vec<_>>().join(", "))
+                })
+                .collect();
+            cycles.push(format!("cycle in {}: {}", folder.join("/"), each.join("; ")));
+        }
+    }
+    cycles
+}
+
 /// Files of the server that convert between core and proto without being the one that does, or that
 /// name proto where only core's types belong. `path` is relative to `server/src`.
 ///
 /// Converting means building one of the [`CONVERTED`] messages where core's types are at hand; to
-/// choose, address or pass on what `convert.rs` made is not.
+/// choose, address or pass on what `model/convert` made is not.
 pub fn misplaced_types(path: &str, source: &str) -> Vec<String> {
     let code = shipped_code(source);
     let (core, proto) = (names(&code, "roundel_core"), names(&code, "roundel_proto"));
-    let room = path.split(['/', '.']).next().unwrap_or_default();
     let mut broken = Vec::new();
-    if path != "convert.rs" && core && proto {
+    if !path.starts_with("model/convert") && core && proto {
         broken.extend(CONVERTED.iter().filter(|name| builds(&code, name)).map(|name| {
-            format!("server/src/{path} builds a {name} next to core's types: only convert.rs may")
+            format!(
+                "server/src/{path} builds a {name} next to core's types: only model/convert may"
+            )
         }));
     }
-    if matches!(room, "fusion" | "worker" | "source") && proto {
+    let is_pure = |folder: &&str| path.starts_with(*folder);
+    if PROTO_FREE.iter().any(is_pure) && proto {
         broken
             .push(format!("server/src/{path} names roundel_proto: it works on core's types only"));
     }
     broken
 }
+
+/// Folders of the server that work on core's types only.
+const PROTO_FREE: [&str; 4] =
+    ["capture/source", "capture/worker", "fusion/calibration", "fusion/mod.rs"];
 
 /// Messages that say what core's types hold.
 const CONVERTED: [&str; 11] = [
@@ -231,6 +303,75 @@ fn crate_uses(own: &[String], code: &str) -> Vec<String> {
     used.sort_unstable();
     used.dedup();
     used
+}
+
+/// Modules and items that code in module `own` names by `crate::`, `super::` or `self::`, as absolute paths.
+fn module_uses(own: &[String], code: &str) -> Vec<Vec<String>> {
+    let mut found = Vec::new();
+    for (at, _) in code.match_indices("crate::") {
+        if !preceded_by_word(code, at) {
+            expand_use_tree(&code[at + "crate::".len()..], &mut Vec::new(), &mut found);
+        }
+    }
+    for (at, _) in code.match_indices("self::") {
+        if !preceded_by_word(code, at) {
+            expand_use_tree(&code[at + "self::".len()..], &mut own.to_vec(), &mut found);
+        }
+    }
+    let mut rest = code;
+    while let Some(at) = rest.find("super::") {
+        rest = &rest[at..];
+        let mut base = own.to_vec();
+        while let Some(after) = rest.strip_prefix("super::") {
+            base.pop();
+            rest = after;
+        }
+        expand_use_tree(rest, &mut base, &mut found);
+    }
+    found
+}
+
+/// Appends every path of a use tree such as `a::{b, c::{self, d}}`; returns what follows the tree.
+fn expand_use_tree<'a>(
+    text: &'a str,
+    prefix: &mut Vec<String>,
+    found: &mut Vec<Vec<String>>,
+) -> &'a str {
+    let text = text.trim_start();
+    if let Some(mut rest) = text.strip_prefix('{') {
+        loop {
+            rest = rest.trim_start();
+            if let Some(after) = rest.strip_prefix('}') {
+                return after;
+            }
+            if rest.is_empty() {
+                return rest;
+            }
+            rest = match rest.strip_prefix(',') {
+                Some(after) => after,
+                None => {
+                    let depth = prefix.len();
+                    let after = expand_use_tree(rest, prefix, found);
+                    prefix.truncate(depth);
+                    // Skips what no path consists of, such as `as Name`.
+                    let end = after.find([',', '}']).unwrap_or(after.len());
+                    &after[end..]
+                }
+            };
+        }
+    }
+    let end = text.find(|c| !is_word(c)).unwrap_or(text.len());
+    let (word, rest) = text.split_at(end);
+    if !word.is_empty() && word != "self" {
+        prefix.push(word.to_owned());
+    }
+    match rest.strip_prefix("::") {
+        Some(after) if !word.is_empty() => expand_use_tree(after, prefix, found),
+        _ => {
+            found.push(prefix.clone());
+            rest
+        }
+    }
 }
 
 /// The first segments of all paths that begin with `root`.

@@ -11,10 +11,9 @@ use std::{
 use anyhow::Context;
 use roundel_core::{time::Timestamp, world::FrameObservations};
 use roundel_server::{
-    config::Config,
-    serve::Server,
-    source::{Arrival, CaptureClock, FrameSource, LentFrame, OpenSource, Sighting, SourceError},
-    stop::Stop,
+    app::serve::Server,
+    capture::source::{Arrival, FrameSource, LentFrame, OpenSource, Sighting, SourceError},
+    model::{capture_clock::CaptureClock, config::Config, stop::Stop},
 };
 
 use crate::{
@@ -38,7 +37,7 @@ pub struct Recorded {
 /// What one camera sees, each frame when it is due.
 struct Sights {
     coming: VecDeque<FrameObservations>,
-    clock: roundel_server::clock::Clock,
+    clock: roundel_server::model::clock::Clock,
     stop: Stop,
 }
 

@@ -12,9 +12,9 @@ use roundel_client::{
 };
 use roundel_core::frame::Frame;
 use roundel_server::{
-    config::Config,
-    serve::{CameraSetting, Server},
-    source::{FrameInfo, FrameSource, LentFrame, OpenSource, SourceError},
+    app::serve::{CameraSetting, Server},
+    capture::source::{FrameInfo, FrameSource, LentFrame, OpenSource, SourceError},
+    model::config::Config,
 };
 use roundel_tests::{
     arena::Arena, export::Export, sensor::Sensing, sensor::Stream, survey::Survey,
@@ -35,8 +35,8 @@ struct Black(CameraPace, Vec<u8>);
 #[derive(Clone)]
 struct CameraPace {
     size: (usize, usize),
-    clock: roundel_server::clock::Clock,
-    stop: roundel_server::stop::Stop,
+    clock: roundel_server::model::clock::Clock,
+    stop: roundel_server::model::stop::Stop,
 }
 
 impl OpenSource for Black {

@@ -5,7 +5,7 @@ use roundel_core::{
     calib::lens::{Target, Verdict, calibrate},
     frame::Frame,
 };
-use roundel_server::lens::{
+use roundel_server::lab::lens::{
     chessboard,
     search::{Search, SearchError, Sought},
 };

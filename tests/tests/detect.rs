@@ -8,7 +8,7 @@ use std::{
 };
 
 use nalgebra::{Isometry3, Translation3, UnitQuaternion, Vector3};
-use roundel_server::image_file;
+use roundel_server::capture::image_file;
 use roundel_tests::{
     export::{camera_yaml, write_png},
     normal::Random,

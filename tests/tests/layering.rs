@@ -9,8 +9,8 @@ use std::{
 
 use roundel_tests::{
     layering::{
-        forbidden_dependencies, impurities, misplaced_types, shipped_code, stray_names,
-        upward_imports,
+        forbidden_dependencies, import_cycles, impurities, misplaced_types, shipped_code,
+        stray_names, upward_imports, upward_server_imports,
     },
     process::workspace_root,
 };
@@ -89,6 +89,62 @@ fn core_is_pure_and_its_imports_run_down() {
         broken.extend(upward_imports(path, source));
     }
     assert_clean(&broken);
+}
+
+#[test]
+fn imports_of_the_server_run_down() {
+    let files = sources(&workspace_root().join("server/src"));
+    let broken: Vec<_> =
+        files.iter().flat_map(|(path, source)| upward_server_imports(path, source)).collect();
+    assert_clean(&broken);
+}
+
+#[test]
+fn no_files_of_server_proto_and_client_import_each_other_in_a_cycle() {
+    for folder in ["server/src", "proto/src", "client/rust/src"] {
+        let files = sources(&workspace_root().join(folder));
+        assert!(!files.is_empty(), "{folder}");
+        assert_clean(&import_cycles(&files));
+    }
+}
+
+#[test]
+fn upward_imports_of_the_server_are_refused() {
+    for (path, source, used) in [
+        ("model/hub.rs", "use crate::archive::record::Tap;", "archive"),
+        ("fusion/mod.rs", "use crate::{api::{Api, error::E}, model::hub::Hub};", "api"),
+        ("lab/plan/mod.rs", "fn f() { crate::archive::eval::run() }", "archive"),
+        ("api/ws/socket.rs", "use super::super::super::app::cli;", "app"),
+    ] {
+        let broken = upward_server_imports(path, source);
+        assert_eq!(broken.len(), 1, "{path}: {source}: {broken:?}");
+        assert!(broken[0].contains(&format!("`{used}`")), "{broken:?}");
+    }
+    let good = "use crate::{capture::worker, model::hub::Hub, fusion::calibration};";
+    assert_clean(&upward_server_imports("fusion/mod.rs", good));
+    assert!(upward_server_imports("gadget/mod.rs", "")[0].contains("no layer"));
+}
+
+#[test]
+fn cycles_are_found_at_every_depth() {
+    let files = |list: &[(&str, &str)]| -> Vec<(String, String)> {
+        list.iter().map(|(path, text)| ((*path).to_owned(), (*text).to_owned())).collect()
+    };
+    let top = [("a/mod.rs", "use crate::b::x::Y as Z;"), ("b/x.rs", "use crate::{a::{self, T}};")];
+    assert_eq!(import_cycles(&files(&top)).len(), 1);
+    let deep =
+        [("a/b.rs", "use super::c::D;"), ("a/c.rs", "fn f() { super::b::g() }"), ("a/mod.rs", "")];
+    assert_eq!(import_cycles(&files(&deep)), ["cycle in a: b -> c; c -> b"]);
+    let three =
+        [("a.rs", "use crate::b::X;"), ("b.rs", "use crate::c::X;"), ("c.rs", "use crate::a::X;")];
+    assert_eq!(import_cycles(&files(&three)).len(), 1);
+    let none = [
+        ("a/mod.rs", "mod b; mod c; pub use b::B; use self::c::C;"),
+        ("a/b.rs", "use super::{Own, c::{self, C}}; use crate::d::D;"),
+        ("a/c.rs", "use super::Own; #[cfg(test)] mod tests { use super::super::b::B; }"),
+        ("d.rs", "// crate::a::b"),
+    ];
+    assert_clean(&import_cycles(&files(&none)));
 }
 
 #[test]
@@ -193,18 +249,18 @@ fn conversions_elsewhere_are_refused() {
     let both = "use roundel_core::world; use roundel_proto::v1;\n";
     let convert = "fn f(s: &world::Snapshot) -> v1::Snapshot { v1::Snapshot { sequence: 1 } }";
     let pass_on = "fn f(s: &world::Snapshot) -> v1::Snapshot { convert::snapshot(s) }";
-    assert_clean(&misplaced_types("convert.rs", &format!("{both}{convert}")));
+    assert_clean(&misplaced_types("model/convert.rs", &format!("{both}{convert}")));
     assert_clean(&misplaced_types("api/grpc.rs", &format!("{both}{pass_on}")));
     assert_clean(&misplaced_types("api/query.rs", "use roundel_proto::v1; f(v1::Pose { x })"));
     assert_clean(&misplaced_types(
-        "worker.rs",
+        "capture/worker/mod.rs",
         "// roundel_proto\nuse roundel_core::frame::Frame;",
     ));
     for (path, source) in [
-        ("record.rs", format!("{both}{convert}")),
-        ("hub.rs", format!("{both}use v1::Event; fn f() {{ let e = Event {{ time }}; }}")),
+        ("archive/record.rs", format!("{both}{convert}")),
+        ("model/hub.rs", format!("{both}use v1::Event; fn f() {{ let e = Event {{ time }}; }}")),
         ("fusion/mod.rs", "use roundel_proto::v1::Snapshot;".to_owned()),
-        ("source/images.rs", "use roundel_proto::v1::Camera;".to_owned()),
+        ("capture/source/images.rs", "use roundel_proto::v1::Camera;".to_owned()),
     ] {
         assert_eq!(misplaced_types(path, &source).len(), 1, "{path}");
     }

@@ -8,7 +8,7 @@ use std::{
 };
 
 use nalgebra::{Isometry3, Translation3, UnitQuaternion, Vector2, Vector3};
-use roundel_server::camera_file;
+use roundel_server::model::camera_file;
 use roundel_tests::{
     board::{board_print, camera, imaging, pictures, poses},
     export::write_png,

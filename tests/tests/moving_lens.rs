@@ -8,7 +8,7 @@ use std::{
 };
 
 use roundel_core::world::FrameObservations;
-use roundel_server::camera_file;
+use roundel_server::model::camera_file;
 use roundel_tests::{
     arena::Arena,
     optics::Pinhole,

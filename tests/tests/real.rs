@@ -11,7 +11,7 @@ use roundel_core::{
     ellipse::Ellipse,
     marker::{Detector, Kind, Params, Polarity, Ring, Scratch, Tracker},
 };
-use roundel_server::image_file;
+use roundel_server::capture::image_file;
 use roundel_tests::{elliptical, python::Python, shared_data::shared_data};
 use serde::Deserialize;
 

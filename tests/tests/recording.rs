@@ -190,7 +190,7 @@ fn judged(folder: &Path) -> (PathBuf, PathBuf) {
     use nalgebra::{Isometry3, UnitQuaternion, Vector3};
     use roundel_core::time::Timestamp;
     use roundel_proto::v1;
-    use roundel_server::record::{
+    use roundel_server::archive::record::{
         schema::Topic,
         writer::{FileWriter, Stamp},
     };

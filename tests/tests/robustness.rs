@@ -8,7 +8,7 @@
 use nalgebra::{Isometry3, Matrix3, Translation3, UnitQuaternion, Vector2, Vector3};
 use rayon::prelude::*;
 use roundel_core::marker::Mode;
-use roundel_server::image_file;
+use roundel_server::capture::image_file;
 use roundel_tests::{
     arena::Kind,
     coverage::{Contour, Patch},

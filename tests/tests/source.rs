@@ -17,7 +17,7 @@ use roundel_client::{
     Client, Subscription, Update,
     v1::{CameraStatus, LifeStage, TimeBase},
 };
-use roundel_server::image_file;
+use roundel_server::capture::image_file;
 use roundel_tests::{process::Server, python::Python, shared_data::shared_data};
 use tokio::time::timeout;
 

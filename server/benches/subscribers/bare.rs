@@ -14,8 +14,7 @@ use roundel_server::{
         encoded::{Encoder, Form, Own},
         selection::{MESSAGE_FIELDS, Selection},
     },
-    clock::Clock,
-    hub::Hub,
+    model::{clock::Clock, hub::Hub},
 };
 
 use crate::{arrival::arrive, grpc::length_prefixed, measure::Readings, messages::Messages};

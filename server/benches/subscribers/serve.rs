@@ -12,8 +12,10 @@ use std::{
 use roundel_core::world::Snapshot;
 use roundel_server::{
     api::{self, Limits, Served},
-    clock::Clock,
-    hub::{CameraInfo, Hub, Installation},
+    model::{
+        clock::Clock,
+        hub::{CameraInfo, Hub, Installation},
+    },
 };
 use tokio_util::sync::CancellationToken;
 

@@ -13,8 +13,8 @@ use super::{
     error::{ApiError, ErrorBody},
 };
 use crate::{
-    calibration::{Apply, CalibrateError, DEFAULT_SECONDS, SECONDS, Wanted},
-    convert,
+    api::convert,
+    fusion::calibration::{Apply, CalibrateError, DEFAULT_SECONDS, SECONDS, Wanted},
 };
 
 /// The newest calibration of the arena: how far it is, and what came out.

@@ -17,7 +17,7 @@ use super::{
     error::{ApiError, ErrorBody},
     setup::{allowed, on_thread},
 };
-use crate::convert;
+use crate::api::convert;
 
 const TOML: &str = "application/toml";
 const EXAMPLE: &str = r#"{"toml": "name = \"lab\"\n…"}, or the text itself as application/toml"#;

@@ -16,7 +16,7 @@ use prost::Message;
 use roundel_proto::v1;
 
 use super::selection::Filter;
-use crate::hub::{FusedSnapshot, Hub};
+use crate::model::hub::{FusedSnapshot, Hub};
 
 /// How a message is written.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
@@ -180,8 +180,8 @@ mod tests {
         assert_eq!((again.as_ptr(), encoder.encoded()), (next.as_ptr(), 3));
     }
 
-    fn installation() -> crate::hub::Installation {
-        crate::hub::Installation {
+    fn installation() -> crate::model::hub::Installation {
+        crate::model::hub::Installation {
             name: String::new(),
             source_id: "ab".into(),
             started: Default::default(),

@@ -16,7 +16,7 @@ use crate::{
         encoded::{Form, Own},
         selection::Selection,
     },
-    hub::FusedSnapshot,
+    model::hub::FusedSnapshot,
 };
 
 /// No server makes snapshots at such a rate, so a limit there is none.

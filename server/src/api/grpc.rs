@@ -3,8 +3,6 @@
 //! Health knows two names: the empty one serves as long as the process works; that of the service
 //! serves while `/readyz` says so, too.
 
-mod answer;
-mod observer;
 mod snapshots;
 
 use std::{pin::Pin, sync::Arc};
@@ -20,16 +18,17 @@ use tower::service_fn;
 use super::{
     Api, MAX_REQUEST_BYTES, calibration, configuration,
     error::{ApiError, SHUTTING_DOWN},
-    history, objects as configured, picture, push, recording, replay, rest,
+    history, objects as configured,
+    observer::Observer,
+    picture, push,
+    queries::{
+        self, cameras, checked_backlog, newest_observations, newest_snapshot, next_event, objects,
+    },
+    recording, replay,
     selection::{self, MESSAGE_FIELDS, Selection},
     setup, simulation, trial,
 };
-use crate::convert;
-pub(super) use answer::{
-    camera, camera_id, cameras, checked_backlog, newest_observations, newest_snapshot, next_event,
-    objects, removed,
-};
-pub(super) use observer::Observer;
+use crate::api::convert;
 
 type Messages<T> = Pin<Box<dyn Stream<Item = Result<T, Status>> + Send>>;
 
@@ -383,6 +382,6 @@ impl v1::roundel_server::Roundel for Service {
         &self,
         _: Request<v1::GetServerInfoRequest>,
     ) -> Result<Response<v1::ServerInfo>, Status> {
-        Ok(Response::new(rest::server_info(&self.api)))
+        Ok(Response::new(queries::server_info(&self.api)))
     }
 }

@@ -18,8 +18,8 @@ use super::{
     region::Region,
 };
 use crate::{
-    convert,
-    history::{
+    api::convert,
+    archive::history::{
         HistoryError, export,
         store::{Answer, MAX_EXPORTED, MAX_POINTS, Question},
     },

@@ -15,9 +15,9 @@ use utoipa::ToSchema;
 use super::{
     Api,
     error::{ApiError, ErrorBody},
-    grpc, setup,
+    queries, setup,
 };
-use crate::{
+use crate::lab::{
     lens::{DEFAULT_VIEWS, LensError, Subject, VIEWS, Wanted, report::LensStatus},
     print::{BOARD_LAYOUT, Order, spec},
 };
@@ -225,7 +225,7 @@ fn subject(api: &Api, request: &LensRequest) -> Result<(Subject, String), ApiErr
     match (camera.as_str(), source.as_str()) {
         ("", "") => Err(ApiError::invalid("camera", "a camera's name, or a `source`", "neither")),
         (camera, "") => {
-            let id = grpc::camera_id(api, camera)?;
+            let id = queries::camera_id(api, camera)?;
             Ok((Subject::Camera(id, camera.to_owned()), camera.to_owned()))
         }
         ("", source) => {

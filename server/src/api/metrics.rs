@@ -30,7 +30,7 @@ use tonic_health::{ServingStatus, server::HealthReporter};
 use utoipa::ToSchema;
 
 use super::{Api, grpc};
-use crate::hub::{CameraState, CameraStatus};
+use crate::model::hub::{CameraState, CameraStatus};
 
 /// A snapshot older than this, or than this many periods, means that fusion does not publish.
 const STALE_SECONDS: f64 = 1.0;

@@ -34,6 +34,7 @@
 
 pub mod calibration;
 pub mod configuration;
+pub(crate) mod convert;
 mod cors;
 mod deadline;
 mod dispatch;
@@ -46,12 +47,15 @@ pub mod lens;
 mod listener;
 pub mod metrics;
 pub mod objects;
+mod observer;
 pub mod openapi;
 pub mod page;
+mod path;
 pub mod picture;
 pub mod plan;
 pub mod print;
 pub mod push;
+mod queries;
 pub mod query;
 pub mod recording;
 mod region;
@@ -77,16 +81,17 @@ use tokio_util::sync::CancellationToken;
 
 use self::{encoded::Encoder, error::ApiError};
 use crate::{
-    calibration::{Calibrator, CalibratorParts, file::CalibrationFile},
-    clock::Clock,
-    history::History,
-    hub::Hub,
-    lens::LensCalibrator,
-    record::Recorder,
-    replay::Replay,
-    roster::Roster,
-    source::{fleet::Fleets, push::Ports},
-    trial::Trier,
+    archive::{history::History, record::Recorder, replay::Replay},
+    capture::{
+        source::{fleet::Fleets, push::Ports},
+        trial::Trier,
+    },
+    fusion::{
+        calibration::{Calibrator, CalibratorParts, file::CalibrationFile},
+        roster::Roster,
+    },
+    lab::lens::LensCalibrator,
+    model::{clock::Clock, hub::Hub},
 };
 
 /// Largest request, by whichever protocol; of pushed frames see [`push`].

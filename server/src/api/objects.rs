@@ -16,10 +16,10 @@ use utoipa::ToSchema;
 use super::{
     Api,
     error::{ApiError, ErrorBody},
-    rest::{Segment, object_number, text_of},
+    path::{Segment, object_number, text_of},
     setup::{allowed, on_thread},
 };
-use crate::config::edit::Message;
+use crate::model::config::edit::Message;
 
 const EXAMPLE: &str = concat!(
     r#"{"name": "cart", "roundel": "robot", "code": 3, "offset_m": {"x": 0, "y": 0, "z": -0.3}} "#,

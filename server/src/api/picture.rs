@@ -1,6 +1,6 @@
 //! A camera's frame with what was found in it drawn in, as JPEG.
 //!
-//! What the colours mean stands in [`crate::drawing`]. Drawing and encoding take some milliseconds a frame, so they run off the async threads,
+//! What the colours mean stands in [`crate::lab::drawing`]. Drawing and encoding take some milliseconds a frame, so they run off the async threads,
 //! and once for all who look at the same frame.
 
 use std::{sync::Arc, time::Duration};
@@ -10,8 +10,8 @@ use jpeg_encoder::{ColorType, Encoder};
 use roundel_core::{camera::PixelPoint, time::Timestamp};
 use tokio::time::timeout;
 
-use super::{Api, error::ApiError, grpc};
-use crate::{drawing::Canvas, hub::Picture};
+use super::{Api, error::ApiError, queries};
+use crate::{lab::drawing::Canvas, model::hub::Picture};
 
 const QUALITY: u8 = 80;
 /// How long a picture may take to come: a camera of 1 Hz still makes one.
@@ -20,9 +20,9 @@ const WAIT: Duration = Duration::from_secs(1);
 /// The newest picture of the camera of that name as JPEG, and when it was taken: a new one if one comes soon, else the
 /// last there was.
 pub(super) async fn newest(api: &Api, name: &str) -> Result<(Bytes, Timestamp), ApiError> {
-    let id = grpc::camera_id(api, name)?;
+    let id = queries::camera_id(api, name)?;
     let Some(mut pictures) = api.hub.request_picture(id) else {
-        return Err(grpc::removed(api, id));
+        return Err(queries::removed(api, id));
     };
     let fresh = timeout(WAIT, pictures.changed());
     tokio::select! {
@@ -32,7 +32,7 @@ pub(super) async fn newest(api: &Api, name: &str) -> Result<(Bytes, Timestamp), 
     }
     let newest = pictures.borrow().clone();
     let Some(picture) = newest else {
-        let shown = grpc::camera(api, id)?;
+        let shown = queries::camera(api, id)?;
         let status = roundel_proto::json::camera_status::word(shown.status);
         let link = api.hub.camera(id).and_then(|state| state.link);
         let why = match &link {

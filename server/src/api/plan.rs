@@ -22,7 +22,7 @@ use super::{
     error::{ApiError, ErrorBody},
     query::Parameters,
 };
-use crate::{
+use crate::lab::{
     plan::{
         SPOTS,
         picture::{self, Show},

@@ -16,7 +16,7 @@ use super::{
     error::{ApiError, ErrorBody},
     query::Parameters,
 };
-use crate::print::{
+use crate::lab::print::{
     self, BOARD_LAYOUT, Listed, Order, Page, PageSize,
     spec::{self, PolarityWord, Print},
 };

@@ -13,12 +13,14 @@ use tonic::{Request, Response, Status, Streaming};
 use super::{
     Api,
     error::{ApiError, SHUTTING_DOWN},
-    grpc,
+    queries,
 };
 use crate::{
-    convert::push::{self as convert, WireError},
-    hub::Picture,
-    source::push::{Attachment, Greeting, Port, PushError, Pushed, Times},
+    capture::{
+        push_messages::{self as convert, WireError},
+        source::push::{Attachment, Greeting, Port, PushError, Pushed, Times},
+    },
+    model::hub::Picture,
 };
 
 /// Largest message: a grey picture of 5000 x 3000 pixels fits.
@@ -115,7 +117,7 @@ fn read(greeting: &v1::PushGreeting, times: Times, peer: Option<Peer>) -> Greeti
 }
 
 fn port(api: &Api, name: &str) -> Result<(CameraId, Arc<Port>), ApiError> {
-    let id = grpc::camera_id(api, name)?;
+    let id = queries::camera_id(api, name)?;
     let port = api.ports.get(id);
     let port = port.ok_or_else(|| {
         let installation = api.hub.installation();

@@ -13,8 +13,8 @@ use super::{
     error::{ApiError, ErrorBody},
 };
 use crate::{
-    convert,
-    record::{RecordError, Recorder, State as Stage, Wanted},
+    api::convert,
+    archive::record::{RecordError, Recorder, State as Stage, Wanted},
 };
 
 /// A recording may be told to end after so long: ten years.

@@ -13,8 +13,8 @@ use super::{
     error::{ApiError, ErrorBody},
 };
 use crate::{
-    convert,
-    replay::{Replay, SPEEDS, Wish},
+    api::convert,
+    archive::replay::{Replay, SPEEDS, Wish},
 };
 
 /// The recording that is played, and how far it is.

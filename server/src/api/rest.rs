@@ -4,7 +4,7 @@ use std::sync::Arc;
 
 use axum::{
     Json,
-    extract::{Path, State, rejection::PathRejection},
+    extract::State,
     http::{HeaderName, HeaderValue, Uri, header},
     response::{IntoResponse, Response},
 };
@@ -16,32 +16,17 @@ use utoipa::ToSchema;
 use super::{
     Api,
     error::{ApiError, ErrorBody},
-    grpc, picture,
+    path::{Segment, object_number, text_of},
+    picture, queries,
     query::Parameters,
     selection::{QUERY_FIELDS, Selection},
 };
-use crate::convert;
+use crate::api::convert;
 
 /// When the picture was taken: middle of the exposure, ns since the Unix epoch.
 const CAPTURE_TIME_HEADER: HeaderName = HeaderName::from_static("roundel-capture-time-ns");
 /// Events given if nobody says how many.
 const DEFAULT_BACKLOG: u32 = 50;
-
-/// The changing part of a path.
-pub(super) type Segment = Result<Path<String>, PathRejection>;
-
-pub(super) fn text_of(segment: Segment) -> Result<String, ApiError> {
-    match segment {
-        Ok(Path(text)) => Ok(text),
-        Err(error) => Err(ApiError::invalid("path", "percent-encoded UTF-8", error)),
-    }
-}
-
-pub(super) fn object_number(id: Segment) -> Result<u64, ApiError> {
-    let id = text_of(id)?;
-    let expected = "the number of an object (object_id)";
-    id.parse().map_err(|_| ApiError::invalid("id", expected, format!("{id:?}")))
-}
 
 /// The newest snapshot.
 #[utoipa::path(
@@ -70,7 +55,7 @@ pub async fn snapshot(
     let request = parameters.take_selection()?;
     parameters.finish()?;
     let selection = Selection::new(request, &api.hub.installation().kinds, &QUERY_FIELDS)?;
-    grpc::newest_snapshot(&api, &selection).map(Json)
+    queries::newest_snapshot(&api, &selection).map(Json)
 }
 
 /// Every object, by id; lost ones are kept for a minute.
@@ -79,7 +64,7 @@ pub async fn snapshot(
     responses((status = 200, description = "the objects", body = v1::ListObjectsResponse)),
 )]
 pub async fn objects(State(api): State<Arc<Api>>) -> Json<v1::ListObjectsResponse> {
-    Json(v1::ListObjectsResponse { objects: grpc::objects(&api) })
+    Json(v1::ListObjectsResponse { objects: queries::objects(&api) })
 }
 
 /// An object with where it is.
@@ -124,7 +109,7 @@ pub async fn object(
     responses((status = 200, description = "the cameras", body = v1::ListCamerasResponse)),
 )]
 pub async fn cameras(State(api): State<Arc<Api>>) -> Json<v1::ListCamerasResponse> {
-    Json(v1::ListCamerasResponse { cameras: grpc::cameras(&api) })
+    Json(v1::ListCamerasResponse { cameras: queries::cameras(&api) })
 }
 
 /// One camera.
@@ -141,8 +126,8 @@ pub async fn camera(
     name: Segment,
 ) -> Result<Json<v1::Camera>, ApiError> {
     let name = text_of(name)?;
-    let id = grpc::camera_id(&api, &name)?;
-    grpc::camera(&api, id).map(Json)
+    let id = queries::camera_id(&api, &name)?;
+    queries::camera(&api, id).map(Json)
 }
 
 /// The camera's newest frame, with what was found in it drawn in.
@@ -188,7 +173,7 @@ pub async fn events(State(api): State<Arc<Api>>, uri: Uri) -> Result<Json<EventL
     let mut parameters = Parameters::of(&uri)?;
     let backlog = parameters.take_parsed("backlog", "a number of events")?;
     parameters.finish()?;
-    let backlog = grpc::checked_backlog(backlog.unwrap_or(DEFAULT_BACKLOG), "backlog")?;
+    let backlog = queries::checked_backlog(backlog.unwrap_or(DEFAULT_BACKLOG), "backlog")?;
     let (remembered, _) = api.hub.events(backlog);
     let events = remembered.iter().map(|event| convert::event(event)).collect();
     Ok(Json(EventList { events }))
@@ -200,17 +185,7 @@ pub async fn events(State(api): State<Arc<Api>>, uri: Uri) -> Result<Json<EventL
     responses((status = 200, description = "the server", body = v1::ServerInfo)),
 )]
 pub async fn info(State(api): State<Arc<Api>>) -> Json<v1::ServerInfo> {
-    Json(server_info(&api))
-}
-
-pub(super) fn server_info(api: &Api) -> v1::ServerInfo {
-    v1::ServerInfo {
-        records: api.recorder.is_some(),
-        replays: api.replay.is_some(),
-        keeps_history: api.history.is_some(),
-        allows_setup: api.roster.is_some(),
-        ..convert::server_info(&api.hub.installation())
-    }
+    Json(queries::server_info(&api))
 }
 
 /// What each camera saw in its newest frame, with the poses in the camera's own frame.
@@ -230,7 +205,7 @@ pub async fn observations(
     let mut parameters = Parameters::of(&uri)?;
     let names: Vec<String> = parameters.take_list("cameras", "names of cameras")?;
     parameters.finish()?;
-    grpc::newest_observations(&api, &names).map(Json)
+    queries::newest_observations(&api, &names).map(Json)
 }
 
 /// The server's clock.

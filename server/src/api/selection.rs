@@ -16,9 +16,8 @@ use roundel_core::{id::KindId, world};
 use roundel_proto::v1;
 
 use crate::{
-    api::{error::ApiError, region::Region},
-    convert,
-    hub::{FusedSnapshot, Installation},
+    api::{convert, error::ApiError, region::Region},
+    model::hub::{FusedSnapshot, Installation},
 };
 pub use who::MAX_NAMED;
 use who::Who;

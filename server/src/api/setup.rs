@@ -13,12 +13,12 @@ use serde_json::{Map, Value};
 use super::{
     Api,
     error::{ApiError, ErrorBody, SHUTTING_DOWN},
-    grpc,
-    rest::{Segment, text_of},
+    path::{Segment, text_of},
+    queries,
 };
 use crate::{
-    config::edit::Message,
-    roster::{Roster, RosterError},
+    fusion::roster::{Roster, RosterError},
+    model::config::edit::Message,
 };
 
 const EXAMPLE: &str = concat!(
@@ -152,7 +152,7 @@ async fn on_roster<T: Send + 'static>(
     act: impl FnOnce(&Roster, &str) -> Result<T, RosterError> + Send + 'static,
 ) -> Result<T, ApiError> {
     let roster = allowed(api)?;
-    let _: Option<CameraId> = name.map(|name| grpc::camera_id(api, name)).transpose()?;
+    let _: Option<CameraId> = name.map(|name| queries::camera_id(api, name)).transpose()?;
     let name = name.unwrap_or_default().to_owned();
     on_thread(move || act(&roster, &name)).await
 }
@@ -179,7 +179,7 @@ pub(super) async fn on_thread<T: Send + 'static>(
 }
 
 fn change_of(api: &Api, name: &str, kept: String) -> Result<v1::CameraChange, ApiError> {
-    let camera = grpc::camera(api, grpc::camera_id(api, name)?)?;
+    let camera = queries::camera(api, queries::camera_id(api, name)?)?;
     Ok(v1::CameraChange { camera: Some(camera), kept })
 }
 

@@ -14,7 +14,9 @@ use super::{
     Api,
     error::{ApiError, ErrorBody},
 };
-use crate::source::fleet::{FleetError, LONGEST_PUSH_MS, Order, TOP_PUSH_M_S, TOP_SPEED_M_S};
+use crate::capture::source::fleet::{
+    FleetError, LONGEST_PUSH_MS, Order, TOP_PUSH_M_S, TOP_SPEED_M_S,
+};
 
 const DRIVE_EXAMPLE: &str =
     r#"{"robots": [{"object_id": 3, "velocity": {"x": 0.5, "y": 0, "z": 0}}]}"#;

@@ -12,7 +12,7 @@ use super::{
     Api,
     error::{ApiError, ErrorBody},
 };
-use crate::{convert, trial::TrialError};
+use crate::{api::convert, capture::trial::TrialError};
 
 /// Opens a source for about two seconds, and says what it gives: size, rate, clock, roundels, or why nothing comes.
 ///

@@ -32,15 +32,17 @@ use tokio_tungstenite::tungstenite::{
     protocol::{CloseFrame, WebSocketConfig, frame::coding::CloseCode},
 };
 
+use super::convert;
 use super::{
     Api, MAX_REQUEST_BYTES,
     encoded::Form,
     error::{ApiError, ErrorBody, SHUTTING_DOWN},
     feed::{EncodedSnapshot, Feed},
-    grpc,
     listener::count_stalled,
+    observer::Observer,
+    queries,
 };
-use crate::{convert, hub};
+use crate::model::hub;
 use socket::{Handshake, Socket, offered};
 use wanted::Wanted;
 
@@ -191,7 +193,7 @@ struct Session {
     cameras: Option<Interval>,
     remembered: Vec<Arc<hub::Event>>,
     events: Option<broadcast::Receiver<Arc<hub::Event>>>,
-    observer: Option<grpc::Observer>,
+    observer: Option<Observer>,
 }
 
 impl Session {
@@ -263,7 +265,7 @@ impl Session {
                 snapshot = next_snapshot(&mut self.feed, self.form) => {
                     Outgoing::Snapshot(snapshot.ok_or(End::Shutdown)?)
                 }
-                () = next_tick(&mut self.cameras) => Outgoing::Cameras(grpc::cameras(&self.api)),
+                () = next_tick(&mut self.cameras) => Outgoing::Cameras(queries::cameras(&self.api)),
                 frame = next_frame(&mut self.observer) => match frame.ok_or(End::Shutdown)? {
                     Ok(frame) => Outgoing::Observations(frame),
                     Err(error) => {
@@ -342,13 +344,13 @@ async fn next_event(
     events: &mut Option<broadcast::Receiver<Arc<hub::Event>>>,
 ) -> Option<Arc<hub::Event>> {
     match events {
-        Some(events) => grpc::next_event(events).await,
+        Some(events) => queries::next_event(events).await,
         None => std::future::pending().await,
     }
 }
 
 async fn next_frame(
-    observer: &mut Option<grpc::Observer>,
+    observer: &mut Option<Observer>,
 ) -> Option<Result<v1::FrameObservations, ApiError>> {
     match observer {
         Some(observer) => observer.next().await,

@@ -14,7 +14,7 @@ use roundel_core::{
     world::{Compared, Fusion},
 };
 
-use crate::hub::Hub;
+use crate::model::hub::Hub;
 
 /// From one look at a camera to the next.
 const EVERY_NS: i64 = 1_000_000_000;

@@ -9,7 +9,7 @@ use roundel_core::{
     world::{CameraPlacement, Fusion, Unplaced},
 };
 
-use crate::hub::{CameraPlace, Happening, Hub, PoseStatus, RideInfo};
+use crate::model::hub::{CameraPlace, Happening, Hub, PoseStatus, RideInfo};
 
 /// Unknown for so long: told.
 const AWAY_S: f64 = 1.0;

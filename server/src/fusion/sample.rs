@@ -12,7 +12,7 @@ use roundel_core::{
     world::FrameObservations,
 };
 
-use crate::hub::{CameraInfo, Hub, Installation};
+use crate::model::hub::{CameraInfo, Hub, Installation};
 
 /// How far below the cameras the roundel is, metres.
 pub(super) const DEPTH_M: f64 = 3.0;

@@ -6,7 +6,7 @@ use roundel_core::{
     world::{Event, EventKind, WrongHeight},
 };
 
-use crate::hub::Installation;
+use crate::model::hub::Installation;
 
 /// Kind, body and code of an object.
 pub(super) type Subject = (Option<KindId>, Option<BodyId>, Option<Code>);

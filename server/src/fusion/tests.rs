@@ -8,7 +8,7 @@ use roundel_core::{
 };
 
 use super::*;
-use crate::hub::EVENTS_KEPT;
+use crate::model::hub::EVENTS_KEPT;
 
 fn hub(clock: &Clock) -> Arc<Hub> {
     Arc::new(sample::hub(&["north"], clock.now()))

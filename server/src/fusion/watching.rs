@@ -15,9 +15,11 @@ use roundel_core::{
 
 use super::watchman::{Findings, Note, Watchman};
 use crate::{
-    calibration::Calibrator,
-    hub::{CameraPlace, Happening, Hub, Installation, PoseStatus},
-    record::tap::{Change, Told},
+    fusion::calibration::Calibrator,
+    model::{
+        command::{Change, Told},
+        hub::{CameraPlace, Happening, Hub, Installation, PoseStatus},
+    },
 };
 
 /// What the watch needs beside cameras.
@@ -217,10 +219,9 @@ mod tests {
 
     use super::*;
     use crate::{
-        calibration::{Calibrated, CalibratorParts, file::CalibrationFile},
-        clock::Clock,
-        hub::CameraInfo,
-        worker::adoption::Inbox,
+        capture::worker::adoption::Inbox,
+        fusion::calibration::{Calibrated, CalibratorParts, file::CalibrationFile},
+        model::{clock::Clock, hub::CameraInfo},
     };
 
     const NORTH: CameraId = CameraId(0);

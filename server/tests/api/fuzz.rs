@@ -16,8 +16,8 @@ use tokio::{
 use tonic::Streaming;
 
 use crate::{
-    grpc, rig,
-    rig::{HANG, Rig, objects},
+    grpc,
+    rig::{self, HANG, Rig, objects},
 };
 
 /// Xorshift: the same bytes in every run.

@@ -11,7 +11,7 @@ use roundel_core::{
     world::{EventKind, FrameObservations},
 };
 use roundel_proto::v1::{self, roundel_client::RoundelClient};
-use roundel_server::hub::{CameraStatus, Happening};
+use roundel_server::model::hub::{CameraStatus, Happening};
 use tokio::time::timeout;
 use tonic::{
     Code, Streaming,

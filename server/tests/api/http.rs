@@ -12,7 +12,7 @@ use roundel_core::{
     world::{ClockEstimate, FusionCounts},
 };
 use roundel_proto::v1;
-use roundel_server::hub::{CameraStatus, Happening};
+use roundel_server::model::hub::{CameraStatus, Happening};
 use serde_json::Value;
 
 use crate::rig::{Rig, objects};

@@ -7,7 +7,7 @@ use axum::{
     http::{Request, StatusCode},
 };
 use roundel_core::{id::CameraId, world::FrameObservations};
-use roundel_server::hub::Picture;
+use roundel_server::model::hub::Picture;
 use serde_json::Value;
 
 use crate::rig::{Answer, Rig};

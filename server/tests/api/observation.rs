@@ -7,7 +7,7 @@ use futures::{SinkExt, StreamExt};
 use prost::Message as _;
 use roundel_core::{id::CameraId, world::FrameObservations};
 use roundel_proto::v1::{self, stream_message::Message as Alternative};
-use roundel_server::hub::CameraInfo;
+use roundel_server::model::hub::CameraInfo;
 use serde_json::Value;
 use tokio::time::timeout;
 use tokio_tungstenite::{

@@ -13,7 +13,7 @@ use roundel_core::{
     time::Timestamp,
     world::FrameObservations,
 };
-use roundel_server::hub::{CameraStatus, Picture};
+use roundel_server::model::hub::{CameraStatus, Picture};
 use zune_core::{bytestream::ZCursor, colorspace::ColorSpace, options::DecoderOptions};
 use zune_jpeg::JpegDecoder;
 

@@ -9,7 +9,7 @@ use roundel_core::{
 };
 use roundel_server::{
     api::Limits,
-    hub::{CameraInfo, CameraPlace, Happening, Hub, PoseStatus, RideInfo},
+    model::hub::{CameraInfo, CameraPlace, Happening, Hub, PoseStatus, RideInfo},
 };
 use serde_json::{Value, json};
 

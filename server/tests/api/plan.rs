@@ -9,7 +9,7 @@ use roundel_core::{
     rigid::{Covariance6, Rigid},
     world::CameraPlacement,
 };
-use roundel_server::hub::{CameraInfo, CameraPlace, PoseStatus};
+use roundel_server::model::hub::{CameraInfo, CameraPlace, PoseStatus};
 
 use crate::rig::Rig;
 

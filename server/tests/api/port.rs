@@ -14,8 +14,8 @@ use tokio_tungstenite::tungstenite::{Message, protocol::frame::coding::CloseCode
 use tonic::Code;
 
 use crate::{
-    grpc, rig,
-    rig::{HANG, Rig, objects},
+    grpc,
+    rig::{self, HANG, Rig, objects},
     websocket,
 };
 

@@ -18,8 +18,10 @@ use roundel_core::{
 };
 use roundel_server::{
     api::{self, Limits, Served},
-    clock::Clock,
-    hub::{CameraInfo, CameraStatus, Hub, Installation},
+    model::{
+        clock::Clock,
+        hub::{CameraInfo, CameraStatus, Hub, Installation},
+    },
 };
 use serde_json::Value;
 use tokio::{net::TcpListener, task::JoinHandle};

@@ -5,7 +5,7 @@ use std::time::Duration;
 use futures::StreamExt;
 use roundel_core::{id::CameraId, world::ClockEstimate};
 use roundel_proto::v1;
-use roundel_server::{hub::CameraStatus, source::CaptureClock};
+use roundel_server::model::{capture_clock::CaptureClock, hub::CameraStatus};
 use tokio::time::{sleep, timeout};
 use tonic::Code;
 use tonic_health::pb::{HealthCheckRequest, health_check_response::ServingStatus, health_client};

@@ -16,7 +16,7 @@ use roundel_core::{
 use roundel_proto::v1;
 use roundel_server::{
     api::Limits,
-    hub::{CameraStatus, Happening},
+    model::hub::{CameraStatus, Happening},
 };
 use tokio::{
     io::{AsyncReadExt, AsyncWriteExt},

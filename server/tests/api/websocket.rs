@@ -10,7 +10,7 @@ use roundel_core::{
 };
 use roundel_proto::v1::{self, stream_message::Message as Alternative};
 use roundel_server::api::Limits;
-use roundel_server::hub::{CameraStatus, Happening};
+use roundel_server::model::hub::{CameraStatus, Happening};
 use serde_json::Value;
 use tokio::{net::TcpStream, time::timeout};
 use tokio_tungstenite::{

@@ -7,7 +7,7 @@ use roundel_core::{
     marker::Mode,
     world::{Body, MotionClass},
 };
-use roundel_server::config::{Carried, Config, ObjectConfig};
+use roundel_server::model::config::{Carried, Config, ObjectConfig};
 
 use super::{EXAMPLE, camera_yaml, expect, lab, problems};
 

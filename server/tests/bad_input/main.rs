@@ -6,7 +6,7 @@
 use std::{fs, path::Path};
 
 use roundel_core::camera::{Camera, Intrinsics, Lens};
-use roundel_server::{camera_file, config::Config};
+use roundel_server::model::{camera_file, config::Config};
 
 mod command;
 mod configuration;

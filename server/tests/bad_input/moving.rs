@@ -3,7 +3,7 @@
 
 use nalgebra::Vector3;
 use roundel_core::world::MotionClass;
-use roundel_server::config::{CameraPose, Carried, Config, RideConfig};
+use roundel_server::model::config::{CameraPose, Carried, Config, RideConfig};
 
 use super::{EXAMPLE, expect, lab, problems};
 

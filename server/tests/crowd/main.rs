@@ -8,7 +8,7 @@ mod rig;
 use std::fs;
 
 use axum::http::Method;
-use roundel_server::config::Config;
+use roundel_server::model::config::Config;
 use serde_json::json;
 
 use rig::{CONFIG, Rig, come_about, third};

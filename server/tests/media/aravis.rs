@@ -6,7 +6,10 @@ use std::{
     time::Instant,
 };
 
-use roundel_server::source::{FrameSource, SourceError, TimeBase};
+use roundel_server::{
+    capture::source::{FrameSource, SourceError},
+    model::capture_clock::TimeBase,
+};
 
 use super::{PATIENCE, alone, failure, open_again, opener};
 

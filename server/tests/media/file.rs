@@ -2,7 +2,7 @@
 
 use std::{path::Path, process::Command};
 
-use roundel_server::source::{SourceError, TimeBase};
+use roundel_server::{capture::source::SourceError, model::capture_clock::TimeBase};
 
 use super::{SIZE, alone, failure, open};
 

@@ -16,9 +16,8 @@ use std::{
 };
 
 use roundel_server::{
-    clock::Clock,
-    source::{FrameSource, OpenSource, Playback, SourceAddress, SourceError, SourceOpener},
-    stop::Stop,
+    capture::source::{FrameSource, OpenSource, Playback, SourceError, SourceOpener},
+    model::{address::SourceAddress, clock::Clock, stop::Stop},
 };
 
 /// Of all that the tests make.

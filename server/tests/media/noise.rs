@@ -11,7 +11,7 @@ use std::{
     time::{Duration, Instant},
 };
 
-use roundel_server::source::{FrameSource, OpenSource, SourceError};
+use roundel_server::capture::source::{FrameSource, OpenSource, SourceError};
 
 use super::{
     PATIENCE, SIZE, alone, failure, opener,

@@ -6,7 +6,10 @@ use std::{
 };
 
 use roundel_core::frame::Frame;
-use roundel_server::source::{FrameSource, OpenSource, SourceError, TimeBase};
+use roundel_server::{
+    capture::source::{FrameSource, OpenSource, SourceError},
+    model::capture_clock::TimeBase,
+};
 
 use super::{PATIENCE, SIZE, alone, failure, open, open_again, opener, server::RtspServer};
 

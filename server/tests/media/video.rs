@@ -7,11 +7,13 @@ use roundel_core::{
     world::EventKind,
 };
 use roundel_server::{
-    camera_file,
-    config::Config,
-    hub::{CameraStatus, Happening},
-    serve::Server,
-    source::TimeBase,
+    app::serve::Server,
+    model::{
+        camera_file,
+        capture_clock::TimeBase,
+        config::Config,
+        hub::{CameraStatus, Happening},
+    },
 };
 use tokio::time::{sleep, timeout};
 

@@ -4,9 +4,9 @@ use std::time::{Duration, SystemTime, UNIX_EPOCH};
 
 use jpeg_encoder::{ColorType, Encoder};
 use roundel_client::{Client, Picture, PushOptions, Pusher, v1};
-use roundel_server::{
+use roundel_server::model::{
+    capture_clock::{CaptureClock, TimeBase},
     hub::CameraStatus,
-    source::{CaptureClock, TimeBase},
 };
 
 use crate::rig::{Rig, SIZE, come_about, picture};

@@ -9,9 +9,9 @@ use roundel_core::{
     world::{CameraPlacement, FusionCounts},
 };
 use roundel_server::{
-    hub::{CameraState, CameraStatus, Happening, PoseStatus},
-    serve::node::NodeReport,
-    worker::{Place, adoption::Adoption},
+    app::serve::node::NodeReport,
+    capture::worker::{Place, adoption::Adoption},
+    model::hub::{CameraState, CameraStatus, Happening, PoseStatus},
 };
 use tokio::time::sleep;
 

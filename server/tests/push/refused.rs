@@ -4,9 +4,8 @@ use std::time::Duration;
 
 use roundel_client::{Client, Picture, PushOptions, PushStatus, Pusher, v1};
 use roundel_server::{
-    config::Config,
-    hub::CameraStatus,
-    serve::{ServeError, node::Node},
+    app::serve::{ServeError, node::Node},
+    model::{config::Config, hub::CameraStatus},
 };
 
 use crate::rig::{CAMERAS, Rig, SIZE, come_about, config};
@@ -38,7 +37,7 @@ async fn cameras_that_cannot_be_fed_are_told_apart() {
                 [[roundel]]\nname = \"robot\"\nouter_mm = 160\ninner_mm = 64\n\
                 [[camera]]\nname = \"north\"\nsource = \"sim:\"\n";
     let simulated = Config::parse(text, folder.path()).unwrap();
-    let server = roundel_server::serve::Server::start(simulated).await.unwrap();
+    let server = roundel_server::app::serve::Server::start(simulated).await.unwrap();
     let client = Client::connect(&server.local_addr().to_string()).await.unwrap();
     let status = refusal(&client.push(PushOptions::new("north")).unwrap()).await;
     assert!(

@@ -16,16 +16,12 @@ use roundel_core::{
     id::CameraId,
 };
 use roundel_server::{
-    camera_file,
-    clock::Clock,
-    config::Config,
-    hub::CameraState,
-    serve::{
+    app::serve::{
         Server,
         node::{Node, NodeReport},
     },
-    source::{FrameInfo, FrameSource, LentFrame, OpenSource, SourceError},
-    stop::Stop,
+    capture::source::{FrameInfo, FrameSource, LentFrame, OpenSource, SourceError},
+    model::{camera_file, clock::Clock, config::Config, hub::CameraState, stop::Stop},
 };
 use tokio::time::{sleep, timeout};
 

@@ -3,7 +3,7 @@
 use axum::http::Method;
 use roundel_client::{Client, PushOptions};
 use roundel_proto::v1;
-use roundel_server::hub::{CameraStatus, PoseStatus};
+use roundel_server::model::hub::{CameraStatus, PoseStatus};
 use serde_json::json;
 
 use crate::rig::{CONFIG, Rig, THIRD, third};

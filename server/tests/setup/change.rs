@@ -5,7 +5,7 @@ use std::fs;
 use axum::http::Method;
 use roundel_client::Client;
 use roundel_proto::v1;
-use roundel_server::hub::PoseStatus;
+use roundel_server::model::hub::PoseStatus;
 use serde_json::json;
 
 use crate::rig::{CONFIG, Rig, come_about, lens, third, write_lens};

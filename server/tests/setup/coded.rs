@@ -9,10 +9,9 @@ use roundel_core::{
 };
 use roundel_proto::v1;
 use roundel_server::{
-    camera_file,
-    config::Config,
-    print::{self, Item, PageSize, sheets},
-    serve::Server,
+    app::serve::Server,
+    lab::print::{self, Item, PageSize, sheets},
+    model::{camera_file, config::Config},
 };
 
 use crate::rig::PATIENCE;

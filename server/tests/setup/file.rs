@@ -3,7 +3,7 @@
 use std::{fs, os::unix::fs::PermissionsExt, path::Path};
 
 use axum::http::Method;
-use roundel_server::{config::Config, serve::Server};
+use roundel_server::{app::serve::Server, model::config::Config};
 use serde_json::json;
 
 use crate::rig::{CONFIG, Rig, lab, third};

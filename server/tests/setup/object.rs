@@ -6,7 +6,7 @@ use axum::http::Method;
 use roundel_client::{Client, Error};
 use roundel_core::world::LifeStage;
 use roundel_proto::v1;
-use roundel_server::hub::ObjectRecord;
+use roundel_server::model::hub::ObjectRecord;
 use serde_json::{Value, json};
 use tokio::time::sleep;
 
@@ -63,7 +63,7 @@ async fn followed(rig: &Rig, what: &str, wanted: impl Fn(&Value) -> bool) -> Val
 fn events_since(rig: &Rig, sequence: u64) -> Vec<v1::Event> {
     let (events, _) = rig.server.hub().events(1000);
     let new = events.iter().filter(|event| event.sequence > sequence);
-    new.map(|event| roundel_server::convert::event(event)).collect()
+    new.map(|event| roundel_server::model::convert::event(event)).collect()
 }
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]

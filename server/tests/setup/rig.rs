@@ -9,7 +9,10 @@ use axum::{
 use http_body_util::BodyExt;
 use hyper_util::{client::legacy, rt::TokioExecutor};
 use roundel_core::camera::{Camera, Intrinsics, Lens};
-use roundel_server::{camera_file, config::Config, hub::CameraState, serve::Server};
+use roundel_server::{
+    app::serve::Server,
+    model::{camera_file, config::Config, hub::CameraState},
+};
 use serde_json::{Value, json};
 use tokio::time::{sleep, timeout};
 

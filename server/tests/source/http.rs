@@ -9,7 +9,7 @@ use std::{
 };
 
 use roundel_core::{id::CameraId, world::FrameObservations};
-use roundel_server::{hub::CameraStatus, source::TimeBase};
+use roundel_server::model::{capture_clock::TimeBase, hub::CameraStatus};
 use tokio::{sync::broadcast::error::RecvError, time::timeout};
 
 use super::{

@@ -7,10 +7,12 @@ use roundel_core::{
     id::CameraId,
 };
 use roundel_server::{
-    camera_file,
-    config::Config,
-    hub::{CameraState, CameraStatus, Happening},
-    serve::Server,
+    app::serve::Server,
+    model::{
+        camera_file,
+        config::Config,
+        hub::{CameraState, CameraStatus, Happening},
+    },
 };
 use tokio::time::{sleep, timeout};
 

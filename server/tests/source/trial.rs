@@ -34,7 +34,7 @@ async fn a_server_that_is_open_tries_nothing_unless_it_is_told_to() {
     let mut config = crate::rig::config("push:", folder.path());
     assert!(config.server.setup, "on the loopback it may");
     config.server.setup = false;
-    let server = roundel_server::serve::Server::start(config).await.unwrap();
+    let server = roundel_server::app::serve::Server::start(config).await.unwrap();
     let client = Client::connect(&server.local_addr().to_string()).await.unwrap();
     let error = client.test_source("sim:", None).await.unwrap_err();
     assert!(error.to_string().contains("`setup = true` under [server] allows it"), "{error}");

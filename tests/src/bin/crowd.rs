@@ -26,8 +26,10 @@ use roundel_core::{
 };
 use roundel_server::{
     api::{self, Limits, Served},
-    clock::Clock,
-    hub::{CameraInfo, CameraPlace, CameraStatus, Hub, Installation, Picture, PoseStatus},
+    model::{
+        clock::Clock,
+        hub::{CameraInfo, CameraPlace, CameraStatus, Hub, Installation, Picture, PoseStatus},
+    },
 };
 use tokio::net::TcpListener;
 use tokio_util::sync::CancellationToken;

@@ -15,10 +15,11 @@ use std::{
 };
 
 use anyhow::bail;
-use roundel_server::replay::{
+use roundel_server::app::replay_server::ReplayServer;
+use roundel_server::archive::replay::{
     From, Status,
     copy::copy,
-    server::{ReplayServer, Scene, Wanted, beginning},
+    scene::{Scene, Wanted, beginning},
 };
 use roundel_tests::{
     arena::Arena,

@@ -18,7 +18,7 @@ use roundel_core::{
     plan::{paper::Speed, time::Load},
     pose::Locator,
 };
-use roundel_server::plan::machine::{self, Machine};
+use roundel_server::lab::plan::machine::{self, Machine};
 
 use super::{
     Aim, Length, Row, Table,

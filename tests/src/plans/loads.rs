@@ -14,7 +14,7 @@ use roundel_core::{
     plan::time::Load,
     pose::Locator,
 };
-use roundel_server::plan::{machine, quiet::Probe, trial::Way};
+use roundel_server::lab::plan::{machine, quiet::Probe, trial::Way};
 
 use super::Pair;
 use crate::{

@@ -7,8 +7,8 @@ use roundel_core::{
     marker::{CodeLayout, Kind, Pattern, Polarity},
 };
 use roundel_server::{
-    image_file::GreyImage,
-    print::{self, board_page, of_kind, sheets, spec},
+    capture::image_file::GreyImage,
+    lab::print::{self, board_page, of_kind, sheets, spec},
 };
 
 use super::{A4, coded, found, kinds, numbers, picture};

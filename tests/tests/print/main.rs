@@ -11,8 +11,8 @@ use roundel_core::{
     marker::{CodeLayout, Detector, Kind, Mode, Params, Pattern, Polarity, Ring, Scratch},
 };
 use roundel_server::{
-    image_file::{self, GreyImage},
-    print::{self, Item, Page, PageSize, board_page, sheets},
+    capture::image_file::{self, GreyImage},
+    lab::print::{self, Item, Page, PageSize, board_page, sheets},
 };
 
 const A4: PageSize = PageSize { width_mm: 210.0, height_mm: 297.0 };

@@ -10,8 +10,8 @@ use roundel_core::{
     marker::{CodeLayout, Kind, Pattern, Polarity},
 };
 use roundel_server::{
-    image_file::{self, GreyImage},
-    print::{
+    capture::image_file::{self, GreyImage},
+    lab::print::{
         self, Item, Page, PageSize, board_page, of_kind,
         path::{self, Place, Step},
         sheets, spec,

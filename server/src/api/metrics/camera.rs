@@ -5,7 +5,7 @@ use std::{collections::BTreeMap, sync::Arc};
 use roundel_core::{id::CameraId, marker::Reject};
 
 use super::Page;
-use crate::{
+use crate::model::{
     hub::{CameraInfo, CameraState, CameraStatus, Installation, PoseStatus},
     reason,
 };

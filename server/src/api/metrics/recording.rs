@@ -1,7 +1,7 @@
 //! The numbers of the recording that is being made, or of the last one.
 
 use super::Page;
-use crate::record::{State, Status};
+use crate::archive::record::{State, Status};
 
 pub(super) fn write_recording(page: &mut Page, status: &Status) {
     let name = "roundel_recording_state";

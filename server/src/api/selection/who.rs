@@ -11,7 +11,7 @@ use roundel_core::{
 use roundel_proto::v1;
 
 use super::FieldNames;
-use crate::{api::error::ApiError, hub::Installation};
+use crate::{api::error::ApiError, model::hub::Installation};
 
 /// Most objects that one subscriber can name in each of the three ways.
 pub const MAX_NAMED: usize = 10_000;

@@ -9,7 +9,7 @@ use crate::api::{
     Api,
     encoded::Form,
     error::ApiError,
-    grpc::Observer,
+    observer::Observer,
     query::Parameters,
     selection::{MESSAGE_FIELDS, QUERY_FIELDS, Selection},
 };

@@ -1,0 +1,119 @@
+//! A lens out of a recording: what one camera saw of robots, held against where the others had them.
+
+use std::{fmt::Write as _, path::Path, process::ExitCode, time::Duration};
+
+use anyhow::Context;
+use indicatif::{ProgressBar, ProgressStyle};
+use roundel_core::calib::lens::moving::{MovingLens, Seen, calibrate};
+use serde_json::json;
+
+use super::{
+    Format,
+    lens::{self, LensArgs},
+};
+use crate::archive::replay::witness::{Witnessed, witness};
+
+/// The spinner turns so often while all is solved together.
+const TICK: Duration = Duration::from_millis(200);
+
+/// Solves, writes the file, and prints the report.
+pub(super) fn run(arguments: &LensArgs, file: &Path, camera: &str) -> anyhow::Result<ExitCode> {
+    let bar = ProgressBar::new_spinner();
+    bar.set_style(ProgressStyle::with_template("{spinner} {msg}")?);
+    let witnessed = witness(file, camera, |seconds| {
+        bar.set_message(format!("fusing what the others saw: {seconds:.1} s"));
+        bar.tick();
+    })?;
+    let Witnessed { size, ways, glimpses, clock, damage, .. } = &witnessed;
+    for sentence in damage {
+        bar.suspend(|| eprintln!("{}: not whole: {sentence}", file.display()));
+    }
+    bar.set_message(format!("solving: {} sightings", glimpses.len()));
+    bar.enable_steady_tick(TICK);
+    let seen = Seen { size: *size, ways, glimpses, clock: *clock };
+    let found = calibrate(&seen, arguments.model());
+    bar.finish_and_clear();
+    let found =
+        found.with_context(|| format!("no lens was found: {}", told(camera, &witnessed)))?;
+    let text = match arguments.format() {
+        Format::Json => format!("{}\n", report(&found, &witnessed)),
+        Format::Table => table(&found, &told(camera, &witnessed))?,
+    };
+    lens::hand_out(arguments, &found.lens, camera, &text)?;
+    Ok(ExitCode::SUCCESS)
+}
+
+fn told(camera: &str, witnessed: &Witnessed) -> String {
+    let Witnessed { ways, glimpses, frames, unwitnessed, .. } = witnessed;
+    format!(
+        "{frames} frames of \"{camera}\", {} sightings of {} roundels that others saw, {unwitnessed} of what nobody else saw",
+        glimpses.len(),
+        ways.len()
+    )
+}
+
+fn report(found: &MovingLens, witnessed: &Witnessed) -> serde_json::Value {
+    let mut report = lens::report(&found.lens);
+    let place = found.world_from_camera;
+    let deviations: Vec<f64> =
+        found.pose_covariance.diagonal().iter().map(|it| it.max(0.0).sqrt()).collect();
+    let more = json!({
+        "frames": witnessed.frames,
+        "sightings": found.sightings,
+        "unwitnessed": witnessed.unwitnessed,
+        "roundels": witnessed.ways.len(),
+        "coverage": found.coverage(),
+        "depths_m": found.depths_m,
+        "position_m": place.translation.vector.as_slice(),
+        "orientation_xyzw": place.rotation.coords.as_slice(),
+        "pose_deviations": deviations,
+        "clock_late_s": {"value": found.offset_s.0, "deviation": found.offset_s.1},
+        "rim_deviation_px": found.unstated.0,
+        "stamp_deviation_s": found.unstated.1,
+        "missing": found.missing.iter().map(ToString::to_string).collect::<Vec<_>>(),
+    });
+    if let (Some(report), serde_json::Value::Object(more)) = (report.as_object_mut(), more) {
+        report.extend(more);
+    }
+    report
+}
+
+fn table(found: &MovingLens, told: &str) -> anyhow::Result<String> {
+    let mut text = String::new();
+    let [nearest_m, farthest_m] = found.depths_m;
+    writeln!(text, "{told}")?;
+    writeln!(
+        text,
+        "{} sightings used, {} left out, {nearest_m:.2} to {farthest_m:.2} m before the camera; rms {:.3} px; {} % of the \
+         picture covered",
+        found.sightings,
+        found.lens.outliers,
+        found.lens.rms_px,
+        (found.coverage() * 100.0).round()
+    )?;
+    lens::write_parameters(&mut text, &found.lens)?;
+    lens::write_evidence(&mut text, &found.lens)?;
+    let place = found.world_from_camera.translation.vector;
+    let deviation = |first: usize| {
+        let variances = found.pose_covariance.diagonal();
+        (variances.rows(first, 3).sum().max(0.0) / 3.0).sqrt()
+    };
+    writeln!(
+        text,
+        "it stands at ({:.4}, {:.4}, {:.4}) m ± {:.1} mm, turned ± {:.3}°; its stamps are {:.2} ± {:.2} ms late",
+        place.x,
+        place.y,
+        place.z,
+        deviation(0) * 1e3,
+        deviation(3).to_degrees(),
+        found.offset_s.0 * 1e3,
+        found.offset_s.1 * 1e3
+    )?;
+    if !found.missing.is_empty() {
+        writeln!(text, "It would be known better with:")?;
+        for missing in &found.missing {
+            writeln!(text, "  {missing}")?;
+        }
+    }
+    Ok(text)
+}

@@ -1,0 +1,183 @@
+//! `roundel cameras`: what is connected to this machine.
+
+use std::{fmt::Write as _, io::Write as _, path::PathBuf, process::ExitCode};
+
+use anyhow::Context;
+use clap::{Args, ValueEnum};
+
+use super::size;
+use crate::{
+    api::convert,
+    capture::{
+        source::{
+            Playback,
+            v4l2::{ControlListing, DeviceListing, FormatListing, devices},
+        },
+        trial::{Trial, Trier},
+    },
+};
+
+/// List the cameras of this machine, with their formats and controls, or try one
+#[derive(Debug, Args)]
+#[command(after_help = "Example:\n  \
+    roundel cameras\n  \
+    roundel cameras --test http://10.0.0.2:81/stream\n\n\
+    A camera's address in a configuration is its device file with wishes behind it:\n  \
+    source = \"v4l2:/dev/video0?fps=30&auto_exposure=1&exposure_time_absolute=40\"")]
+pub struct CamerasArgs {
+    /// How it is printed
+    #[arg(long, value_enum, default_value_t = Format::Table)]
+    format: Format,
+    /// Open this source for about two seconds, and say what it gives
+    #[arg(long, value_name = "SOURCE")]
+    test: Option<String>,
+    /// Size that its pictures are to have
+    #[arg(long, value_name = "WIDTHxHEIGHT", value_parser = size, requires = "test")]
+    size: Option<(usize, usize)>,
+}
+
+#[derive(Clone, Copy, Debug, ValueEnum)]
+enum Format {
+    Table,
+    Json,
+}
+
+/// Prints the list.
+pub(super) fn run(arguments: &CamerasArgs) -> anyhow::Result<ExitCode> {
+    if let Some(source) = &arguments.test {
+        return try_source(source, arguments);
+    }
+    let devices = devices().context("cannot list /dev")?;
+    let text = match arguments.format {
+        Format::Json => format!("{}\n", serde_json::to_string_pretty(&devices)?),
+        Format::Table => table(&devices),
+    };
+    std::io::stdout().write_all(text.as_bytes()).context("cannot write to the standard output")?;
+    Ok(ExitCode::SUCCESS)
+}
+
+/// Says what a source gives; a failure of the source is one of the command.
+fn try_source(source: &str, arguments: &CamerasArgs) -> anyhow::Result<ExitCode> {
+    let (clock, playback) = Playback::begin(std::iter::empty())?;
+    // Rings of any ratio are found.
+    let trier = Trier::new(Vec::new(), PathBuf::new(), clock, playback);
+    let trial = trier.try_source(source, arguments.size)?;
+    let text = match arguments.format {
+        Format::Json => format!("{}\n", serde_json::to_string_pretty(&convert::trial(&trial))?),
+        Format::Table => described(&trial),
+    };
+    std::io::stdout().write_all(text.as_bytes()).context("cannot write to the standard output")?;
+    Ok(if trial.error.is_empty() { ExitCode::SUCCESS } else { ExitCode::FAILURE })
+}
+
+fn described(trial: &Trial) -> String {
+    let mut text = String::new();
+    let Trial { width, height, frames, broken, rate_hz, promised_hz, .. } = trial;
+    if *frames > 0 {
+        let promised = match promised_hz {
+            0.0 => String::new(),
+            promised_hz => format!(" ({promised_hz:.1} promised)"),
+        };
+        let clock = trial.capture_clock.map_or(String::new(), |clock| {
+            format!(", times by {:?} within {:.0} ms", clock.base, clock.deviation_s * 1e3)
+        });
+        let _ = writeln!(text, "{width}x{height} at {rate_hz:.1} Hz{promised}{clock}");
+        let _ = writeln!(
+            text,
+            "{frames} frames, {broken} broken; {} rings in the newest one; decoded in {:.2} ms, searched in {:.2} ms",
+            trial.roundels, trial.decode_ms, trial.detect_ms
+        );
+    }
+    if !trial.error.is_empty() {
+        let _ = writeln!(text, "error: {}", trial.error);
+    }
+    text
+}
+
+fn table(devices: &[DeviceListing]) -> String {
+    if devices.is_empty() {
+        return "No camera is connected: this machine has no /dev/video*. Network cameras are not listed; their address \
+                (http://…, rtsp://…) stands in the configuration.\n"
+            .to_owned();
+    }
+    let mut text = String::new();
+    for device in devices {
+        // Writing to a string cannot fail.
+        let _ = match device.error.as_str() {
+            "" => writeln!(text, "{}  {} ({})", device.path.display(), device.card, device.bus),
+            error => writeln!(text, "{}  cannot be asked: {error}", device.path.display()),
+        };
+        for format in &device.formats {
+            let _ = writeln!(text, "  {}", of_format(format));
+        }
+        for control in &device.controls {
+            let _ = writeln!(text, "  {}", of_control(control));
+        }
+    }
+    text
+}
+
+fn of_format(format: &FormatListing) -> String {
+    let FormatListing { width, height, rates_hz, .. } = format;
+    let size = if *width == 0 { "any size".to_owned() } else { format!("{width}x{height}") };
+    let rates: Vec<String> = rates_hz.iter().map(|rate| format!("{rate:.0}")).collect();
+    let rates =
+        if rates.is_empty() { String::new() } else { format!(" at {} Hz", rates.join(", ")) };
+    let unread = if format.is_read { "" } else { "  (not read)" };
+    format!("{:<4}  {size}{rates}{unread}", format.format)
+}
+
+fn of_control(control: &ControlListing) -> String {
+    let ControlListing { name, least, most, step, default, value, is_settable, .. } = control;
+    let steps = if *step > 1 { format!(" in steps of {step}") } else { String::new() };
+    let fixed = if *is_settable { "" } else { "  (cannot be set now)" };
+    format!("{name}={value}  from {least} to {most}{steps}, {default} when plugged in{fixed}")
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_camera_is_listed_as_its_address_wants_it() {
+        let device = DeviceListing {
+            path: "/dev/video0".into(),
+            card: "Test Camera".into(),
+            bus: "usb-1".into(),
+            formats: vec![FormatListing {
+                format: "YUYV".into(),
+                description: "YUYV 4:2:2".into(),
+                is_read: true,
+                width: 640,
+                height: 480,
+                rates_hz: vec![30.0, 15.0],
+                ..FormatListing::default()
+            }],
+            controls: vec![ControlListing {
+                name: "gain".into(),
+                least: 0,
+                most: 255,
+                step: 5,
+                default: 0,
+                value: 64,
+                is_settable: false,
+                ..ControlListing::default()
+            }],
+            error: String::new(),
+        };
+        let locked = DeviceListing {
+            path: "/dev/video2".into(),
+            formats: Vec::new(),
+            controls: Vec::new(),
+            error: "Permission denied".into(),
+            ..device.clone()
+        };
+        assert_eq!(
+            table(&[device, locked]),
+            "/dev/video0  Test Camera (usb-1)\n  YUYV  640x480 at 30, 15 Hz\n  \
+             gain=64  from 0 to 255 in steps of 5, 0 when plugged in  (cannot be set now)\n\
+             /dev/video2  cannot be asked: Permission denied\n"
+        );
+        assert!(table(&[]).starts_with("No camera is connected"));
+    }
+}

@@ -1,0 +1,84 @@
+//! What a recording says: one trajectory per object, and how late its snapshots were.
+
+use std::collections::BTreeMap;
+
+use nalgebra::{Quaternion, UnitQuaternion, Vector3};
+use prost::Message;
+use roundel_core::time::Timestamp;
+use roundel_proto::v1;
+
+use super::{Sample, Trajectory};
+use crate::archive::{
+    record::{reader::Source, schema::Topic},
+    replay::{ReplayError, script::Script},
+};
+
+/// What a recording says of objects.
+#[derive(Clone, Debug, Default)]
+pub struct Estimate {
+    /// Each object while some camera saw it.
+    pub objects: BTreeMap<u64, Seen>,
+    /// Seconds from the capture of the newest observation to the snapshot that it is in.
+    pub latencies_s: Vec<f64>,
+    /// Pose times of all snapshots.
+    pub times: Vec<Timestamp>,
+}
+
+/// One object.
+#[derive(Clone, Debug, Default)]
+pub struct Seen {
+    /// Its number in its code, if it has one.
+    pub code: Option<u32>,
+    /// Where it was.
+    pub trajectory: Trajectory,
+}
+
+/// Reads a recording's snapshots. Only what was observed counts: predictions beyond that do not.
+pub fn read(script: &mut Script) -> Result<Estimate, ReplayError> {
+    let mut estimate = Estimate::default();
+    while let Some(raw) = script.take()? {
+        if raw.source != Source::Topic(Topic::Snapshots) {
+            continue;
+        }
+        if let Ok(snapshot) = v1::Snapshot::decode(raw.data.as_slice()) {
+            estimate.add(&snapshot);
+        }
+    }
+    Ok(estimate)
+}
+
+impl Estimate {
+    fn add(&mut self, snapshot: &v1::Snapshot) {
+        let time = Timestamp::from_ns(snapshot.pose_time_ns);
+        if self.times.last().is_some_and(|last| *last >= time) {
+            return;
+        }
+        self.times.push(time);
+        if snapshot.capture_time_ns != 0 {
+            let late_ns = snapshot.fused_time_ns - snapshot.capture_time_ns;
+            self.latencies_s.push(late_ns as f64 * 1e-9);
+        }
+        for state in &snapshot.objects {
+            if state.stage() == v1::LifeStage::Tracked {
+                let seen = self.objects.entry(state.object_id).or_default();
+                seen.add(time, state);
+            }
+        }
+    }
+}
+
+impl Seen {
+    fn add(&mut self, time: Timestamp, state: &v1::ObjectState) {
+        let Some(position) = state.position else { return };
+        self.code = state.code.map(|code| code.number).or(self.code);
+        if self.trajectory.name.is_empty() {
+            self.trajectory.name = state.name.clone();
+        }
+        let turn = state.orientation.filter(|_| state.yaw_observed);
+        let orientation = turn.map(|turn| {
+            UnitQuaternion::from_quaternion(Quaternion::new(turn.w, turn.x, turn.y, turn.z))
+        });
+        let position_m = Vector3::new(position.x, position.y, position.z);
+        self.trajectory.samples.push(Sample { time, position_m, orientation });
+    }
+}

@@ -1,0 +1,181 @@
+//! A history as a table for other programs: CSV, and Parquet with the feature of that name.
+
+use std::fmt::Write as _;
+
+use super::{HistoryError, store::Answer};
+
+/// A row for each point, below a row of names. Angles in radians, lengths in metres; empty: not known.
+pub fn csv(answer: &Answer) -> String {
+    let quoted = |text: &str| {
+        if text.contains([',', '"', '\n']) {
+            format!("\"{}\"", text.replace('"', "\"\""))
+        } else {
+            text.to_owned()
+        }
+    };
+    let mut text = "time_ns,object_id,name,roundel,code,x_m,y_m,z_m,yaw_rad,source_id\n".to_owned();
+    for (identity, points) in &answer.objects {
+        let [name, kind, run] =
+            [&identity.name, &identity.kind, &identity.run].map(|it| quoted(it));
+        let code = if identity.code > 0 { identity.code.to_string() } else { String::new() };
+        for point in points {
+            let [x, y, z] = point.position_m;
+            let yaw = point.yaw_rad.map_or(String::new(), |yaw| yaw.to_string());
+            // Writing to a string cannot fail.
+            let _ = writeln!(
+                text,
+                "{},{},{name},{kind},{code},{x},{y},{z},{yaw},{run}",
+                point.time.as_ns(),
+                identity.id
+            );
+        }
+    }
+    text
+}
+
+/// The same columns as Parquet: `time_ns` as a timestamp in UTC, `code` and `yaw_rad` null where they are not known.
+#[cfg(feature = "parquet")]
+pub fn parquet(answer: &Answer) -> Result<Vec<u8>, HistoryError> {
+    columns::written(answer).map_err(|error| HistoryError::Form(format!("no Parquet: {error}")))
+}
+
+/// Says how to get it.
+///
+/// # Errors
+/// [`HistoryError::Form`], always.
+#[cfg(not(feature = "parquet"))]
+pub fn parquet(_: &Answer) -> Result<Vec<u8>, HistoryError> {
+    Err(HistoryError::Form(
+        "this server was built without Parquet (`cargo build --release -p roundel-server --features parquet` builds it \
+         with that); history.csv has the same columns"
+            .to_owned(),
+    ))
+}
+
+#[cfg(feature = "parquet")]
+mod columns {
+    use std::{io::Write, sync::Arc};
+
+    use parquet::{
+        basic::{Compression, ZstdLevel},
+        data_type::{ByteArray, ByteArrayType, DataType, DoubleType, Int32Type, Int64Type},
+        errors::Result,
+        file::{
+            properties::WriterProperties,
+            writer::{SerializedFileWriter, SerializedRowGroupWriter},
+        },
+        schema::parser::parse_message_type,
+    };
+
+    use crate::archive::history::store::{Answer, Identity, Point};
+
+    const SCHEMA: &str = "message history {
+        required int64 time_ns (TIMESTAMP(NANOS, true));
+        required int64 object_id;
+        required binary name (STRING);
+        required binary roundel (STRING);
+        optional int32 code;
+        required double x_m;
+        required double y_m;
+        required double z_m;
+        optional double yaw_rad;
+        required binary source_id (STRING);
+    }";
+
+    type Row<'a> = (&'a Identity, &'a Point);
+
+    pub(super) fn written(answer: &Answer) -> Result<Vec<u8>> {
+        let rows: Vec<Row> = answer
+            .objects
+            .iter()
+            .flat_map(|(identity, points)| points.iter().map(move |point| (identity, point)))
+            .collect();
+        let properties = WriterProperties::builder()
+            .set_compression(Compression::ZSTD(ZstdLevel::default()))
+            .build();
+        let schema = Arc::new(parse_message_type(SCHEMA)?);
+        let mut file = SerializedFileWriter::new(Vec::new(), schema, Arc::new(properties))?;
+        let mut group = file.next_row_group()?;
+        let text = |text: &str| Some(ByteArray::from(text));
+        let all = rows.as_slice();
+        column::<Int64Type, _>(&mut group, all, |(_, point)| Some(point.time.as_ns()))?;
+        column::<Int64Type, _>(&mut group, all, |(identity, _)| i64::try_from(identity.id).ok())?;
+        column::<ByteArrayType, _>(&mut group, all, |(identity, _)| text(&identity.name))?;
+        column::<ByteArrayType, _>(&mut group, all, |(identity, _)| text(&identity.kind))?;
+        column::<Int32Type, _>(&mut group, all, |(identity, _)| {
+            i32::try_from(identity.code).ok().filter(|&code| code > 0)
+        })?;
+        for axis in 0..3 {
+            column::<DoubleType, _>(&mut group, all, |(_, point)| Some(point.position_m[axis]))?;
+        }
+        column::<DoubleType, _>(&mut group, all, |(_, point)| point.yaw_rad)?;
+        column::<ByteArrayType, _>(&mut group, all, |(identity, _)| text(&identity.run))?;
+        group.close()?;
+        file.into_inner()
+    }
+
+    /// The next column; `None`: null, of which a required column has none.
+    fn column<T: DataType, W: Write + Send>(
+        group: &mut SerializedRowGroupWriter<'_, W>,
+        rows: &[Row],
+        value: impl Fn(Row) -> Option<T::T>,
+    ) -> Result<()> {
+        let Some(mut column) = group.next_column()? else { return Ok(()) };
+        let values: Vec<Option<T::T>> = rows.iter().map(|&row| value(row)).collect();
+        let is_there: Vec<i16> = values.iter().map(|value| i16::from(value.is_some())).collect();
+        let there: Vec<T::T> = values.into_iter().flatten().collect();
+        column.typed::<T>().write_batch(&there, Some(&is_there), None)?;
+        column.close()
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use roundel_core::time::Timestamp;
+
+    use super::*;
+    use crate::archive::history::store::{Identity, Point};
+
+    fn answer() -> Answer {
+        let identity = |id, name: &str, code| Identity {
+            run: "r1".into(),
+            id,
+            name: name.into(),
+            kind: "robot".into(),
+            code,
+        };
+        let point = |ns, x_m, yaw_rad| Point {
+            time: Timestamp::from_ns(ns),
+            position_m: [x_m, -0.5, 0.25],
+            yaw_rad,
+        };
+        Answer {
+            objects: vec![
+                (
+                    identity(3, "cart, \"old\"", 12),
+                    vec![point(1, 1.5, Some(0.5)), point(2, 2.5, None)],
+                ),
+                (identity(4, "", 0), vec![point(1, -1.0, None)]),
+            ],
+            step_s: 0.1,
+            kept: None,
+        }
+    }
+
+    #[test]
+    fn rows_of_csv_quote_what_must_be_quoted() {
+        let text = csv(&answer());
+        let rows: Vec<&str> = text.lines().collect();
+        assert_eq!(rows[1], r#"1,3,"cart, ""old""",robot,12,1.5,-0.5,0.25,0.5,r1"#);
+        assert_eq!(rows[2], r#"2,3,"cart, ""old""",robot,12,2.5,-0.5,0.25,,r1"#);
+        assert_eq!(rows[3], "1,4,,robot,,-1,-0.5,0.25,,r1");
+        assert_eq!(rows.len(), 4);
+    }
+
+    #[cfg(not(feature = "parquet"))]
+    #[test]
+    fn without_the_feature_it_says_how_to_get_it() {
+        let error = parquet(&answer()).unwrap_err().to_string();
+        assert!(error.contains("--features parquet"), "{error}");
+    }
+}

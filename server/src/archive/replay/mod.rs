@@ -1,0 +1,184 @@
+//! Replay: a recording is served as if it were live, through the same hub and APIs, or fused anew into another file.
+//!
+//! | module | what it does |
+//! | --- | --- |
+//! | [`script`] | what the file says, in its order, from any place |
+//! | [`stage`] | has it happen: as recorded, fused anew, or searched and fused anew |
+//! | `player` | the thread that keeps time, and obeys: pause, speed, seek |
+//! | [`scene`] | a recording that is ready to be played |
+//! | [`copy`] | as fast as it goes, into a file |
+//! | [`witness`] | fused anew without one camera: where the others had what that one saw |
+//!
+//! Times are those of the recording. The server's clock begins at the recording's begin and runs on by itself; after a
+//! pause, a seek or at another speed than 1 it is not where the recording is, which the status says.
+
+pub mod copy;
+pub mod player;
+pub mod replayed;
+pub mod scene;
+pub mod script;
+pub mod stage;
+pub mod witness;
+
+use std::{
+    path::PathBuf,
+    sync::{Arc, Condvar, Mutex, MutexGuard, PoisonError},
+};
+
+use roundel_core::time::Timestamp;
+use thiserror::Error;
+
+use crate::fusion::setup::ObjectError;
+use crate::{archive::record::reader::ReadError, model::config::Problem};
+
+/// How many recorded seconds may pass in one.
+pub const SPEEDS: [f64; 2] = [0.01, 100.0];
+
+/// What is taken from a recording.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub enum From {
+    /// Snapshots and events, as they are.
+    #[default]
+    Snapshots,
+    /// Observations, to be fused anew.
+    Observations,
+    /// Frames, to be searched and fused anew.
+    Frames,
+}
+
+/// Why a recording is not played.
+#[derive(Debug, Error)]
+pub enum ReplayError {
+    /// It cannot be read.
+    #[error(transparent)]
+    Read(#[from] ReadError),
+    /// The disk fails.
+    #[error("cannot read {}: {source}", .path.display())]
+    Io {
+        /// Which file.
+        path: PathBuf,
+        /// What the system says.
+        source: std::io::Error,
+    },
+    /// It has no message of the kind that is asked for.
+    #[error("{}: has no {what}; {remedy}", .path.display())]
+    Lacks {
+        /// Which file.
+        path: PathBuf,
+        /// What it lacks.
+        what: &'static str,
+        /// What to do.
+        remedy: &'static str,
+    },
+    /// Its configuration is not one.
+    #[error(
+        "{}: the configuration {origin} cannot be used: {}; give another one with --config FILE",
+        .path.display(), sentences(.problems)
+    )]
+    Config {
+        /// Which file.
+        path: PathBuf,
+        /// Whose configuration.
+        origin: String,
+        /// What is wrong with it.
+        problems: Vec<Problem>,
+    },
+    /// What is configured cannot be.
+    #[error(transparent)]
+    Object(#[from] ObjectError),
+}
+
+fn sentences(problems: &[Problem]) -> String {
+    problems.iter().map(|problem| problem.message.as_str()).collect::<Vec<_>>().join("; ")
+}
+
+/// What is to be done, and how far it is.
+#[derive(Clone, Debug, Default)]
+pub struct Status {
+    /// The file.
+    pub file: PathBuf,
+    /// What is taken from it.
+    pub from: From,
+    /// Nothing goes on.
+    pub paused: bool,
+    /// Recorded seconds in one.
+    pub speed: f64,
+    /// It begins again after the end.
+    pub looping: bool,
+    /// Log times of the first and the last message.
+    pub span: (Timestamp, Timestamp),
+    /// The recorded instant that is being played.
+    pub position: Timestamp,
+    /// It waits at the end.
+    pub ended: bool,
+    /// What cannot be read.
+    pub damage: Vec<String>,
+}
+
+/// What is to become of a replay; `None`: as before.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct Wish {
+    /// Whether nothing is to go on.
+    pub paused: Option<bool>,
+    /// Recorded seconds in one, within [`SPEEDS`].
+    pub speed: Option<f64>,
+    /// Where to go on, seconds from the begin.
+    pub position_s: Option<f64>,
+    /// Whether it begins again after the end.
+    pub looping: Option<bool>,
+}
+
+#[derive(Default)]
+struct State {
+    status: Status,
+    seek: Option<Timestamp>,
+    stopped: bool,
+}
+
+/// A handle on a recording that is being played; clones are the same.
+#[derive(Clone, Default)]
+pub struct Replay {
+    shared: Arc<(Mutex<State>, Condvar)>,
+}
+
+impl Replay {
+    /// Of a recording that has not begun.
+    pub fn new(status: Status) -> Self {
+        let state = State { status, ..State::default() };
+        Self { shared: Arc::new((Mutex::new(state), Condvar::new())) }
+    }
+
+    /// How far it is.
+    pub fn status(&self) -> Status {
+        self.lock().status.clone()
+    }
+
+    /// Has it obey, at once.
+    pub fn control(&self, wish: &Wish) {
+        let mut state = self.lock();
+        let status = &mut state.status;
+        wish.paused.into_iter().for_each(|paused| status.paused = paused);
+        wish.speed.into_iter().for_each(|speed| status.speed = speed);
+        wish.looping.into_iter().for_each(|looping| status.looping = looping);
+        let (begin, end) = status.span;
+        // Playing on from the end is beginning again.
+        let again = (status.ended && wish.paused == Some(false)).then_some(0.0);
+        if let Some(position_s) = wish.position_s.or(again) {
+            let position = begin.plus_seconds(position_s.max(0.0)).min(end);
+            (status.position, status.ended) = (position, false);
+            state.seek = Some(position);
+        }
+        drop(state);
+        self.shared.1.notify_all();
+    }
+
+    /// Ends it for good.
+    pub fn stop(&self) {
+        self.lock().stopped = true;
+        self.shared.1.notify_all();
+    }
+
+    fn lock(&self) -> MutexGuard<'_, State> {
+        self.shared.0.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+}

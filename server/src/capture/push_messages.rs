@@ -1,0 +1,349 @@
+//! What remote programs send, read: proto's types become core's here, and each number is looked at once.
+
+use std::fmt;
+
+use nalgebra::Vector3;
+use roundel_core::{
+    camera, ellipse,
+    id::{CameraId, KindId, TrackNumber},
+    marker::{Code, CodeReading, Ring},
+    pose,
+    rigid::from_upper_triangle,
+    time::Timestamp,
+    world,
+};
+use roundel_proto::v1;
+use thiserror::Error;
+
+use crate::model::convert::{self, capture_clock, intrinsics, pixels};
+use crate::{
+    capture::source::push::{Payload, RemoteFigures, Still, Times},
+    model::{
+        capture_clock::{CaptureClock, TimeBase},
+        hub::{CameraState, Installation},
+    },
+};
+
+/// A sender's deviation is at most so long; more is a mistake of units.
+const MAX_DEVIATION_MS: f64 = 3.6e6;
+
+/// A field that does not hold what it should.
+#[derive(Clone, Debug, PartialEq, Eq, Error)]
+#[error("{field}: expected {expected}, found {found}")]
+pub struct WireError {
+    /// Which, from the message on.
+    pub field: String,
+    /// What it may be.
+    pub expected: String,
+    /// What it was.
+    pub found: String,
+}
+
+fn wrong(field: impl ToString, expected: impl Into<String>, found: impl ToString) -> WireError {
+    WireError { field: field.to_string(), expected: expected.into(), found: found.to_string() }
+}
+
+/// What a sender's times are.
+pub fn times(times: i32) -> Result<Times, WireError> {
+    match v1::PushTimes::try_from(times) {
+        Ok(v1::PushTimes::Unspecified) => Ok(Times::Arrival),
+        Ok(v1::PushTimes::Server) => Ok(Times::Server),
+        Ok(v1::PushTimes::Counter) => Ok(Times::Counter),
+        Ok(v1::PushTimes::Unix) => Ok(Times::Unix),
+        Err(_) => Err(wrong("greeting.times", "a value of PushTimes", times)),
+    }
+}
+
+/// A frame's pixels and its clock.
+pub fn frame(frame: v1::PushedFrame) -> Result<(Payload, Option<CaptureClock>), WireError> {
+    let clock = frame.clock.map(|clock| sent_clock("frame.clock", clock)).transpose()?;
+    let capture = Timestamp::from_ns(frame.capture_time_ns);
+    let payload = match frame.picture {
+        Some(v1::pushed_frame::Picture::Jpeg(file)) => Payload::Jpeg(file, capture),
+        Some(v1::pushed_frame::Picture::Grey(grey)) => {
+            Payload::Grey(grey.pixels, (grey.width as usize, grey.height as usize), capture)
+        }
+        None => return Err(wrong("frame.picture", "`jpeg` or `grey`", "neither")),
+    };
+    Ok((payload, clock))
+}
+
+/// A picture with what was seen in it, for people to look at; or why there is none.
+pub fn still(
+    installation: &Installation,
+    picture: v1::PushedPicture,
+) -> Result<Result<(Still, world::FrameObservations), String>, WireError> {
+    let v1::PushedPicture { error, picture, observations } = picture;
+    let still = match picture {
+        _ if !error.is_empty() => return Ok(Err(error)),
+        Some(v1::pushed_picture::Picture::Jpeg(file)) => Still::Jpeg(file),
+        Some(v1::pushed_picture::Picture::Grey(grey)) => {
+            Still::Grey(grey.pixels, (grey.width as usize, grey.height as usize))
+        }
+        None => return Err(wrong("picture", "`jpeg`, `grey` or `error`", "neither")),
+    };
+    let seen =
+        read_observations(installation, observations.unwrap_or_default(), "picture.observations")?;
+    Ok(Ok((still, seen)))
+}
+
+/// What was seen in a frame, and its clock.
+pub fn seen(
+    installation: &Installation,
+    message: v1::PushedObservations,
+) -> Result<(Payload, Option<CaptureClock>), WireError> {
+    let clock = message.clock.map(|clock| sent_clock("observations.clock", clock)).transpose()?;
+    let Some(frame) = message.observations else {
+        return Err(wrong("observations.observations", "what was seen in a frame", "nothing"));
+    };
+    let observations = read_observations(installation, frame, "observations")?;
+    let figures = message.figures.map(|figures| RemoteFigures {
+        width: figures.width as usize,
+        height: figures.height as usize,
+        dropped: figures.dropped,
+        broken: figures.broken,
+        detect_ms: figures.detect_ms,
+        decode_ms: figures.decode_ms,
+        blur_px: figures.blur_px,
+        noise: figures.noise,
+    });
+    Ok((Payload::Seen(Box::new(observations), figures), clock))
+}
+
+pub fn read_observations(
+    installation: &Installation,
+    frame: v1::FrameObservations,
+    field: &str,
+) -> Result<world::FrameObservations, WireError> {
+    let detections = frame.detections.iter().enumerate().map(|(index, detection)| {
+        read_detection(installation, detection, Place { frame: field, index, name: "" })
+    });
+    Ok(world::FrameObservations {
+        camera: CameraId(0),
+        frame: 0,
+        capture_time: Timestamp::from_ns(frame.capture_time_ns),
+        received_time: Timestamp::from_ns(frame.received_time_ns),
+        calibration_version: frame.calibration_version,
+        detections: detections.collect::<Result<_, _>>()?,
+    })
+}
+
+/// The clock of what is sent; `None` within: it says no more than how far off it may be.
+fn sent_clock(field: &str, clock: v1::CaptureClock) -> Result<CaptureClock, WireError> {
+    let base = match v1::TimeBase::try_from(clock.base) {
+        Ok(v1::TimeBase::Server) => TimeBase::Server,
+        Ok(v1::TimeBase::Arrival) => TimeBase::Arrival,
+        Ok(v1::TimeBase::Camera) => TimeBase::Camera,
+        Ok(v1::TimeBase::Unspecified | v1::TimeBase::Driver) => TimeBase::Driver,
+        Ok(v1::TimeBase::Synchronized) => TimeBase::Synchronized,
+        Err(_) => return Err(wrong(format!("{field}.base"), "a value of TimeBase", clock.base)),
+    };
+    if !(0.0..=MAX_DEVIATION_MS).contains(&clock.deviation_ms) {
+        let expected = format!("0 to {MAX_DEVIATION_MS} milliseconds");
+        return Err(wrong(format!("{field}.deviation_ms"), expected, clock.deviation_ms));
+    }
+    Ok(CaptureClock { base, deviation_s: clock.deviation_ms * 1e-3 })
+}
+
+/// Where in a message something stands; spelt out only where that is wrong, since there are thousands a second.
+#[derive(Clone, Copy)]
+struct Place<'a> {
+    /// Of the frame's observations.
+    frame: &'a str,
+    /// Of the detection.
+    index: usize,
+    /// Of what is in it, a dot first.
+    name: &'static str,
+}
+
+impl Place<'_> {
+    fn at(self, name: &'static str) -> Self {
+        Self { name, ..self }
+    }
+}
+
+impl fmt::Display for Place<'_> {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        let Self { frame, index, name } = self;
+        write!(f, "{frame}.detections[{index}]{name}")
+    }
+}
+
+fn read_detection(
+    installation: &Installation,
+    detection: &v1::Detection,
+    place: Place<'_>,
+) -> Result<pose::Detection, WireError> {
+    let kind = match detection.roundel.as_str() {
+        "" => None,
+        name => Some(kind_named(installation, name, place)?),
+    };
+    let outer = read_ellipse(detection.outer.as_ref(), place.at(".outer"))?;
+    let inner = read_ellipse(detection.inner.as_ref(), place.at(".inner"))?;
+    let threshold = u8::try_from(detection.threshold)
+        .map_err(|_| wrong(place.at(".threshold"), "0 to 255", detection.threshold))?;
+    let code =
+        detection.code.as_ref().map(|code| read_code(code, place.at(".code"))).transpose()?;
+    let ring = Ring {
+        kind,
+        threshold,
+        black: detection.black,
+        white: detection.white,
+        code,
+        ..Ring::of_rims(outer, inner)
+    };
+    let pose = detection.pose.as_ref().map(|pose| read_pose(pose, place));
+    Ok(pose::Detection {
+        track: TrackNumber(detection.track),
+        ring,
+        capture_time: Timestamp::from_ns(detection.capture_time_ns),
+        pose: pose.transpose()?,
+    })
+}
+
+fn kind_named(
+    installation: &Installation,
+    name: &str,
+    place: Place<'_>,
+) -> Result<KindId, WireError> {
+    let kind = installation.kinds.iter().position(|kind| kind == name);
+    kind.and_then(|kind| u16::try_from(kind).ok()).map(KindId).ok_or_else(|| {
+        let known = installation.kinds.join("\", \"");
+        wrong(
+            place.at(".roundel"),
+            format!("a [[roundel]] of the server's configuration (\"{known}\")"),
+            format!("\"{name}\""),
+        )
+    })
+}
+
+fn read_ellipse(
+    ellipse: Option<&v1::Ellipse>,
+    place: Place<'_>,
+) -> Result<ellipse::Ellipse, WireError> {
+    let whole = ellipse.and_then(|ellipse| Some((ellipse, ellipse.center.as_ref()?)));
+    let Some((ellipse, center)) = whole else {
+        return Err(wrong(place, "an ellipse with its centre", "none"));
+    };
+    let numbers =
+        [center.u, center.v, ellipse.semi_major_px, ellipse.semi_minor_px, ellipse.angle_rad];
+    finite(&numbers, place)?;
+    Ok(ellipse::Ellipse {
+        center: camera::PixelPoint { u: center.u, v: center.v },
+        semi_major_px: ellipse.semi_major_px,
+        semi_minor_px: ellipse.semi_minor_px,
+        angle_rad: ellipse.angle_rad,
+    })
+}
+
+fn read_code(code: &v1::CodeReading, place: Place<'_>) -> Result<CodeReading, WireError> {
+    let bits = u8::try_from(code.bits).ok().filter(|bits| (5..=16).contains(bits));
+    let bits = bits.ok_or_else(|| wrong(format!("{place}.bits"), "5 to 16", code.bits))?;
+    let number = u16::try_from(code.number).ok().filter(|&number| number > 0);
+    let number =
+        number.ok_or_else(|| wrong(format!("{place}.number"), "1 to 65535", code.number))?;
+    finite(&[code.confidence], place.at(".code.confidence"))?;
+    let zero = code.zero.as_ref().map_or((f64::NAN, f64::NAN), |zero| (zero.u, zero.v));
+    let zero = camera::PixelPoint { u: zero.0, v: zero.1 };
+    let corrected = u8::try_from(code.corrected_bits).unwrap_or(u8::MAX);
+    let confidence = code.confidence;
+    Ok(CodeReading { confidence, corrected, ..CodeReading::certain(Code { bits, number }, zero) })
+}
+
+fn read_pose(pose: &v1::RoundelPose, place: Place<'_>) -> Result<pose::RoundelPose, WireError> {
+    let position_m = read_vector(pose.position.as_ref(), place.at(".pose.position"))?;
+    let normal = read_direction(pose.normal.as_ref(), place.at(".pose.normal"))?;
+    let other_normal = read_direction(pose.other_normal.as_ref(), place.at(".pose.other_normal"))?;
+    let angles = [pose.normal_likelihood, pose.yaw_rad.unwrap_or(0.0)];
+    finite(&angles, place.at(".pose"))?;
+    finite(&pose.covariance, place.at(".pose.covariance"))?;
+    let covariance = from_upper_triangle(&pose.covariance).ok_or_else(|| {
+        let expected = "the 21 numbers of a covariance's upper triangle";
+        wrong(place.at(".pose.covariance"), expected, pose.covariance.len())
+    })?;
+    Ok(pose::RoundelPose {
+        position_m,
+        normal,
+        normal_likelihood: pose.normal_likelihood,
+        other_normal,
+        yaw_rad: pose.yaw_rad,
+        yaw_symmetry: pose.yaw_symmetry.max(1),
+        covariance,
+    })
+}
+
+fn read_vector(vector: Option<&v1::Vector3>, place: Place<'_>) -> Result<Vector3<f64>, WireError> {
+    let vector = vector.ok_or_else(|| wrong(place, "three numbers", "none"))?;
+    finite(&[vector.x, vector.y, vector.z], place)?;
+    Ok(Vector3::new(vector.x, vector.y, vector.z))
+}
+
+fn read_direction(
+    vector: Option<&v1::Vector3>,
+    place: Place<'_>,
+) -> Result<Vector3<f64>, WireError> {
+    let vector = read_vector(vector, place)?;
+    let length = vector.norm();
+    if (length - 1.0).abs() > 1e-3 {
+        return Err(wrong(place, "a vector of length 1", format!("one of {length}")));
+    }
+    // One of length 1 but for rounding is taken bit for bit.
+    Ok(if (length - 1.0).abs() < 1e-12 { vector } else { vector / length })
+}
+
+fn finite(numbers: &[f64], place: Place<'_>) -> Result<(), WireError> {
+    match numbers.iter().find(|number| !number.is_finite()) {
+        Some(number) => Err(wrong(place, "finite numbers", number)),
+        None => Ok(()),
+    }
+}
+
+/// What a node sends of what its camera saw.
+pub fn pushed_observations(
+    installation: &Installation,
+    seen: &world::FrameObservations,
+    state: &CameraState,
+) -> v1::PushedObservations {
+    v1::PushedObservations {
+        // Given when it is sent.
+        sequence: 0,
+        clock: state.capture_clock.map(capture_clock),
+        observations: Some(convert::observations(installation, seen)),
+        figures: Some(v1::PushedFigures {
+            width: pixels(state.width),
+            height: pixels(state.height),
+            dropped: state.dropped,
+            broken: state.broken,
+            detect_ms: state.detect_ms,
+            decode_ms: state.decode_ms,
+            blur_px: state.blur_px,
+            noise: state.noise,
+        }),
+    }
+}
+
+/// The lens and the place that the server has a camera at.
+pub fn pushed_calibration(state: &CameraState) -> Option<v1::PushedCalibration> {
+    let model = state.camera.as_ref()?;
+    Some(v1::PushedCalibration {
+        width: pixels(model.width()),
+        height: pixels(model.height()),
+        intrinsics: Some(intrinsics(model)),
+        version: state.calibration_version,
+    })
+}
+
+/// The lens that a server says; `None` if it is none that this version knows.
+pub fn told_camera(calibration: &v1::PushedCalibration) -> Option<camera::Camera> {
+    let told = calibration.intrinsics.as_ref()?;
+    camera::Camera::new(camera::Intrinsics {
+        width: calibration.width as usize,
+        height: calibration.height as usize,
+        fx_px: told.fx_px,
+        fy_px: told.fy_px,
+        cx_px: told.cx_px,
+        cy_px: told.cy_px,
+        lens: camera::Lens::from_ros(&told.lens, &told.distortion)?,
+    })
+    .ok()
+}

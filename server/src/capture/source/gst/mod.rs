@@ -1,0 +1,330 @@
+//! `rtsp://…`, `file:` and `gst:` – whatever GStreamer receives and decodes.
+//!
+//! One pipeline for all: what the address asks for, then an appsink that keeps the newest frame. Frames stay where
+//! GStreamer put them: a luma plane is lent as it lies there. The pipeline's clock is the machine's monotonic one,
+//! as the server's is, so a frame's running time says when it was taken.
+//!
+//! | address | capture time |
+//! | --- | --- |
+//! | `rtsp://` | the camera's NTP time, from its sender reports. While it has sent none: arrival. Where its clock is not that of this machine: the same brought to the server's clock |
+//! | `file:` | when it is due; `speed=max`: when it is given |
+//! | `gst:` | base time + time stamp: of a live source, its driver's. Of a source that counts by its camera's clock from the first frame's arrival on, as `aravissrc` does, the count brought to the server's clock: by itself it would drift away |
+
+mod decoding;
+mod launch;
+mod plugin;
+
+use std::{
+    sync::atomic::{AtomicU64, Ordering},
+    time::{Duration, Instant},
+};
+
+use gstreamer as gst;
+use gstreamer::prelude::*;
+use gstreamer_app::AppSink;
+use gstreamer_video as gst_video;
+use gstreamer_video::prelude::*;
+use roundel_core::time::Timestamp;
+
+use decoding::Decoding;
+use launch::Launched;
+
+use super::{
+    CaptureClock, FrameInfo, FrameSource, LentFrame, MediaAddress, SourceError, SourceParts,
+    bad_frame,
+    pixels::{Converter, PixelFormat, Raw, Samples},
+    timing::CameraTimeline,
+    wrong_size,
+};
+use crate::model::stop::Stop;
+
+/// How often a wait looks whether the server goes down or the pipeline has failed.
+const LOOK_EVERY: gst::ClockTime = gst::ClockTime::from_mseconds(20);
+/// A pipeline may take so long to its first frame: connections, negotiation, the first key frame.
+const FIRST_FRAME: Duration = Duration::from_secs(10);
+/// Seconds from NTP's epoch to Unix'.
+const UNIX_FROM_NTP_S: u64 = 2_208_988_800;
+/// A camera whose clock is in step never stamps what arrives sooner than it was taken, nor so late.
+const STEP_EARLY_S: f64 = 0.5;
+const STEP_LATE_S: f64 = 5.0;
+
+/// A pipeline that plays.
+pub(super) struct GstSource {
+    pipeline: gst::Pipeline,
+    bus: gst::Bus,
+    sink: AppSink,
+    address: MediaAddress,
+    parts: SourceParts,
+    stop: Stop,
+    timeline: CameraTimeline,
+    converter: Converter,
+    current: Option<gst_video::VideoFrame<gst_video::video_frame::Readable>>,
+    /// The number of the newest frame, as [`number_frames`] gave it.
+    newest: u64,
+    patience: Duration,
+    /// What the pipeline could not find.
+    missing: Vec<String>,
+    decoding: Decoding,
+    /// Whether time stamps are the camera's count, and not this machine's clock.
+    counts_itself: bool,
+    /// Frames a second, as the newest frame's source has it.
+    promised_hz: Option<f64>,
+}
+
+impl GstSource {
+    pub(super) fn open(
+        address: &MediaAddress,
+        parts: SourceParts,
+        stop: Stop,
+    ) -> Result<Self, SourceError> {
+        let failed = SourceError::Failed;
+        gst::init().map_err(|error| failed(format!("GStreamer does not start: {error}")))?;
+        let Launched { pipeline, sink, decoding } = launch::launch(address).map_err(failed)?;
+        let bus = pipeline.bus().ok_or_else(|| failed("the pipeline has no bus".to_owned()))?;
+        number_frames(&sink);
+        pipeline.use_clock(Some(&gst::SystemClock::obtain()));
+        let counts_itself = launch::counts_itself(&pipeline);
+        let mut source = Self {
+            pipeline,
+            bus,
+            sink,
+            address: address.clone(),
+            parts,
+            stop,
+            timeline: CameraTimeline::default(),
+            converter: Converter::default(),
+            current: None,
+            newest: 0,
+            patience: FIRST_FRAME.max(address.stall()),
+            missing: Vec::new(),
+            decoding,
+            counts_itself,
+            promised_hz: None,
+        };
+        if source.pipeline.set_state(gst::State::Playing).is_err() {
+            source.look_at_bus()?;
+            return Err(failed(source.named("the pipeline does not start")));
+        }
+        Ok(source)
+    }
+
+    /// Waits for the newest sample.
+    fn sample(&mut self) -> Result<gst::Sample, SourceError> {
+        let begun = Instant::now();
+        loop {
+            if self.stop.is_stopped() {
+                return Err(SourceError::Stopped);
+            }
+            if let Some(sample) = self.sink.try_pull_sample(LOOK_EVERY) {
+                self.patience = self.address.stall();
+                return Ok(sample);
+            }
+            self.look_at_bus()?;
+            if self.sink.is_eos() {
+                self.end()?;
+            }
+            if begun.elapsed() >= self.patience {
+                let words = format!("stalled: no picture for {:.1} s", self.patience.as_secs_f64());
+                return Err(SourceError::Failed(self.named(&words)));
+            }
+        }
+    }
+
+    /// Errors that the pipeline has told of.
+    fn look_at_bus(&mut self) -> Result<(), SourceError> {
+        while let Some(message) = self.bus.pop() {
+            match message.view() {
+                gst::MessageView::Element(element) => {
+                    let structure = element.structure();
+                    self.missing.extend(structure.and_then(plugin::missing));
+                }
+                gst::MessageView::Error(error) => {
+                    let what = error.error().to_string();
+                    let element = error.src().map(|source| source.name().to_string());
+                    let debug = error.debug().map(|debug| debug.to_string()).unwrap_or_default();
+                    return Err(SourceError::Failed(self.told(&what, element.as_deref(), &debug)));
+                }
+                _ => {}
+            }
+        }
+        Ok(())
+    }
+
+    fn told(&self, what: &str, element: Option<&str>, debug: &str) -> String {
+        if let Some(missing) = self.missing.first() {
+            return self.named(missing);
+        }
+        let mut words = what.trim_end_matches('.').to_owned();
+        // The last line says what happened; those before it, where in GStreamer's sources.
+        match debug.lines().last().filter(|line| !line.contains("gst")) {
+            Some(detail) => words.push_str(&format!(" ({})", detail.trim_end_matches('.'))),
+            None => words.push_str(&element.map_or(String::new(), |it| format!(" ({it})"))),
+        }
+        if let Some(remedy) = plugin::remedy(what, debug) {
+            words.push_str(&format!("; {remedy}"));
+        }
+        self.named(&words)
+    }
+
+    /// The address before what is the matter with it.
+    fn named(&self, what: &str) -> String {
+        format!("{}: {what}", self.address)
+    }
+
+    /// The stream is over: again from its beginning, or that was all.
+    fn end(&mut self) -> Result<(), SourceError> {
+        match &self.address {
+            MediaAddress::File { repeat: true, .. } => {
+                let flags = gst::SeekFlags::FLUSH | gst::SeekFlags::KEY_UNIT;
+                let seek = self.pipeline.seek_simple(flags, gst::ClockTime::ZERO);
+                seek.map_err(|_| SourceError::Failed(self.named("it cannot be played again")))
+            }
+            MediaAddress::File { .. } => Err(SourceError::Finished),
+            _ => Err(SourceError::Failed(self.named("the stream has ended"))),
+        }
+    }
+
+    /// When the sample's frame was taken, and by which clock.
+    fn time(&mut self, sample: &gst::Sample) -> (Timestamp, CaptureClock) {
+        let now = self.parts.clock.now();
+        let buffer = sample.buffer();
+        if let Some(ntp_ns) = buffer.and_then(ntp_ns) {
+            let unix_ns = ntp_ns - UNIX_FROM_NTP_S as i64 * 1_000_000_000;
+            let age_s = now.seconds_since(Timestamp::from_ns(unix_ns));
+            if (-STEP_EARLY_S..STEP_LATE_S).contains(&age_s) {
+                return (Timestamp::from_ns(unix_ns), CaptureClock::SYNCHRONIZED);
+            }
+            return (self.timeline.capture_time(unix_ns, now), CaptureClock::CAMERA);
+        }
+        let segment = sample.segment().and_then(|segment| segment.downcast_ref::<gst::ClockTime>());
+        let running = segment.zip(buffer.and_then(|buffer| buffer.pts()));
+        let running = running.and_then(|(segment, pts)| segment.to_running_time(pts));
+        if let Some(count) = running.filter(|_| self.counts_itself) {
+            let count_ns = i64::try_from(count.nseconds()).unwrap_or(i64::MAX);
+            return (self.timeline.capture_time(count_ns, now), CaptureClock::CAMERA);
+        }
+        let due = running.zip(self.pipeline.base_time()).map(|(running, base)| base + running);
+        let due = due.zip(self.pipeline.clock().map(|clock| clock.time()));
+        let capture_time = due.map_or(now, |(due, clock_now)| {
+            now.plus_ns(due.nseconds() as i64 - clock_now.nseconds() as i64)
+        });
+        match &self.address {
+            // Its time stamps are those of packets that arrived.
+            MediaAddress::Rtsp { .. } => (capture_time.min(now), CaptureClock::ARRIVAL),
+            MediaAddress::File { hurry: true, .. } => (now, CaptureClock::EXACT),
+            MediaAddress::File { .. } => (capture_time, CaptureClock::EXACT),
+            MediaAddress::Pipeline(_) => (capture_time.min(now), CaptureClock::DRIVER),
+        }
+    }
+}
+
+/// Numbers what comes to the sink, from 1, so that what it drops for something newer is counted.
+fn number_frames(sink: &AppSink) {
+    let Some(pad) = sink.static_pad("sink") else { return };
+    let number = AtomicU64::new(1);
+    pad.add_probe(gst::PadProbeType::BUFFER, move |_, info| {
+        if let Some(buffer) = info.buffer_mut() {
+            // Its pixels stay where they are.
+            buffer.make_mut().set_offset(number.fetch_add(1, Ordering::Relaxed));
+        }
+        gst::PadProbeReturn::Ok
+    });
+}
+
+/// The camera's own time of a frame, ns since NTP's epoch.
+fn ntp_ns(buffer: &gst::BufferRef) -> Option<i64> {
+    let metas = buffer.iter_meta::<gst::ReferenceTimestampMeta>();
+    let mut ntp = metas.filter(|meta| {
+        meta.reference().structure(0).is_some_and(|it| it.name() == "timestamp/x-ntp")
+    });
+    ntp.next().and_then(|meta| i64::try_from(meta.timestamp().nseconds()).ok())
+}
+
+impl GstSource {
+    /// Frames a second that the camera promises. What decoders make of an H.264 stream is often nobody's promise.
+    fn promise(&self, video: &gst_video::VideoInfo) -> Option<f64> {
+        match &self.address {
+            // Of the stream's description.
+            MediaAddress::Rtsp { .. } => {
+                let origin = self.pipeline.by_name(launch::ORIGIN)?;
+                let caps = origin.src_pads().iter().find_map(|pad| pad.current_caps())?;
+                caps.structure(0)?.get::<&str>("a-framerate").ok()?.parse().ok()
+            }
+            MediaAddress::File { .. } => None,
+            MediaAddress::Pipeline(_) => {
+                let (frames, seconds) = (video.fps().numer(), video.fps().denom());
+                Some(f64::from(frames) / f64::from(seconds))
+            }
+        }
+    }
+}
+
+impl FrameSource for GstSource {
+    fn promised_hz(&self) -> Option<f64> {
+        self.promised_hz.filter(|hz| (0.01..1e4).contains(hz))
+    }
+
+    fn next_frame(&mut self) -> Result<LentFrame<'_>, SourceError> {
+        let sample = self.sample()?;
+        let number = sample.buffer().map_or(0, |buffer| buffer.offset());
+        let skipped = number.saturating_sub(self.newest + 1);
+        self.newest = number;
+        let (capture_time, clock) = self.time(&sample);
+        let decoding = self.decoding.newest();
+        let info = FrameInfo { clock, skipped, decoding, ..FrameInfo::at(capture_time) };
+
+        let caps = sample.caps().ok_or_else(|| bad_frame("a sample without caps"))?;
+        let video = gst_video::VideoInfo::from_caps(caps).map_err(bad_frame)?;
+        let found = (video.width() as usize, video.height() as usize);
+        if found != self.parts.size {
+            return Err(wrong_size(&self.address.to_string(), self.parts.size, found));
+        }
+        if self.current.is_none() {
+            self.promised_hz = self.promise(&video);
+        }
+        let format = pixel_format(video.format())
+            .ok_or_else(|| SourceError::Failed(self.named(&format!("found frames of {caps}"))))?;
+        let buffer = sample.buffer_owned().ok_or_else(|| bad_frame("a sample without buffer"))?;
+        let frame = gst_video::VideoFrame::from_buffer_readable(buffer, &video)
+            .map_err(|_| bad_frame("a buffer that cannot be read"))?;
+        // The one before is given back to GStreamer here.
+        let frame = self.current.insert(frame);
+        let raw = Raw {
+            format,
+            bytes: frame.plane_data(0).map_err(bad_frame)?,
+            width: found.0,
+            height: found.1,
+            stride: usize::try_from(frame.plane_stride()[0]).map_err(bad_frame)?,
+        };
+        Ok(LentFrame { frame: self.converter.grey(&raw).map_err(bad_frame)?, info })
+    }
+}
+
+/// Of those that the pipeline's end takes.
+fn pixel_format(format: gst_video::VideoFormat) -> Option<PixelFormat> {
+    use gst_video::VideoFormat as Known;
+    match format {
+        Known::Gray8
+        | Known::I420
+        | Known::Yv12
+        | Known::Nv12
+        | Known::Nv21
+        | Known::Y42b
+        | Known::Nv16
+        | Known::Y444 => Some(PixelFormat::GREY8),
+        Known::Gray16Le => Some(PixelFormat::Grey(Samples::Words(16))),
+        Known::Yuy2 | Known::Yvyu => Some(PixelFormat::Packed { chroma_first: false }),
+        Known::Uyvy => Some(PixelFormat::Packed { chroma_first: true }),
+        _ => None,
+    }
+}
+
+impl Drop for GstSource {
+    fn drop(&mut self) {
+        // A frame that is still lent would keep a driver's buffer.
+        self.current = None;
+        if self.pipeline.set_state(gst::State::Null).is_err() {
+            tracing::warn!(source = %self.address, "the pipeline does not stop");
+        }
+    }
+}

@@ -1,0 +1,195 @@
+//! One request to a camera, and the meaning of its answer.
+
+use std::{io, time::Duration};
+
+use base64::{Engine, prelude::BASE64_STANDARD};
+use http_body_util::Empty;
+use hyper::{
+    HeaderMap, Request, Response, StatusCode,
+    body::{Bytes, Incoming},
+    client::conn::http1::{self, SendRequest},
+    header::{self, HeaderName, HeaderValue},
+};
+use hyper_util::rt::TokioIo;
+use tokio::{net::TcpStream, time::timeout};
+
+use crate::model::address::HttpAddress;
+
+/// Timeout of the answer. Cameras may first have to switch on.
+pub(super) const ANSWER: Duration = Duration::from_secs(5);
+const CONNECT: Duration = Duration::from_secs(3);
+const ACCEPT: &str = "multipart/x-mixed-replace, image/jpeg;q=0.9, */*;q=0.1";
+
+pub(super) enum Answer {
+    Stream(Incoming),
+    /// One picture; the next one needs another request.
+    Snapshot(Incoming),
+}
+
+pub(super) struct Connection(SendRequest<Empty<Bytes>>);
+
+impl Connection {
+    /// Connects; a task of the current runtime drives the connection.
+    pub(super) async fn open(address: &HttpAddress) -> Result<Self, String> {
+        let to = (address.host.as_str(), address.port);
+        let stream = match timeout(CONNECT, TcpStream::connect(to)).await {
+            Ok(Ok(stream)) => stream,
+            Ok(Err(error)) => return Err(unreachable(address, &error)),
+            Err(_) => {
+                return Err(format!(
+                    "{} does not answer within {} s: is the camera on, and in this network?",
+                    address.authority(),
+                    CONNECT.as_secs()
+                ));
+            }
+        };
+        // Without it, requests only leave later.
+        let _ = stream.set_nodelay(true);
+        let handshake = http1::Builder::new()
+            .allow_spaces_after_header_name_in_responses(true)
+            .allow_obsolete_multiline_headers_in_responses(true)
+            .ignore_invalid_headers_in_responses(true)
+            .handshake(TokioIo::new(stream))
+            .await;
+        let (sender, connection) = handshake.map_err(|error| describe(address, &error))?;
+        // Its errors are also those of the response or its body.
+        tokio::spawn(connection);
+        Ok(Self(sender))
+    }
+
+    /// Requests the picture or the stream.
+    pub(super) async fn ask(mut self, address: &HttpAddress) -> Result<Answer, String> {
+        let request = request(address)?;
+        let ask = async {
+            self.0.ready().await?;
+            self.0.send_request(request).await
+        };
+        match timeout(ANSWER, ask).await {
+            Ok(Ok(response)) => judge(address, response),
+            Ok(Err(error)) => Err(describe(address, &error)),
+            Err(_) => Err(format!(
+                "{address} took the connection, but gives no answer within {} s: many cameras serve one viewer at \
+                 a time; is another one watching?",
+                ANSWER.as_secs()
+            )),
+        }
+    }
+}
+
+fn request(address: &HttpAddress) -> Result<Request<Empty<Bytes>>, String> {
+    let mut request = Request::builder()
+        .uri(&address.target)
+        .header(header::HOST, address.authority())
+        .header(header::ACCEPT, ACCEPT)
+        .header(header::USER_AGENT, concat!("roundel/", env!("CARGO_PKG_VERSION")));
+    if let Some((user, password)) = &address.credentials {
+        let basic = format!("Basic {}", BASE64_STANDARD.encode(format!("{user}:{password}")));
+        if let Ok(mut value) = HeaderValue::try_from(basic) {
+            value.set_sensitive(true);
+            request = request.header(header::AUTHORIZATION, value);
+        }
+    }
+    request.body(Empty::new()).map_err(|error| format!("{address}: {error}"))
+}
+
+fn unreachable(address: &HttpAddress, error: &io::Error) -> String {
+    let remedy = match error.kind() {
+        io::ErrorKind::ConnectionRefused => {
+            "nothing listens on that port; an ESP32-CAM streams on port 81"
+        }
+        io::ErrorKind::HostUnreachable | io::ErrorKind::NetworkUnreachable => {
+            "is the camera on, and in this network?"
+        }
+        _ => "check host and port",
+    };
+    format!("cannot reach {}: {error}; {remedy}", address.authority())
+}
+
+/// A hyper error with the name of the camera.
+pub(super) fn describe(address: &HttpAddress, error: &hyper::Error) -> String {
+    if error.is_parse() {
+        format!("{} does not speak HTTP: {error}; check the port", address.authority())
+    } else if error.is_incomplete_message() || error.is_closed() || error.is_canceled() {
+        format!("{} closed the connection", address.authority())
+    } else {
+        let cause = std::error::Error::source(error).map(|cause| format!(": {cause}"));
+        format!("{}: {error}{}", address.authority(), cause.unwrap_or_default())
+    }
+}
+
+fn judge(address: &HttpAddress, response: Response<Incoming>) -> Result<Answer, String> {
+    let status = response.status();
+    if !status.is_success() {
+        return Err(refusal(address, status, response.headers()));
+    }
+    let kind = text(response.headers(), header::CONTENT_TYPE);
+    let main = kind.split(';').next().unwrap_or_default().trim().to_ascii_lowercase();
+    match main.as_str() {
+        "image/jpeg" | "image/jpg" => Ok(Answer::Snapshot(response.into_body())),
+        // Some cameras send no type, or a generic one.
+        "multipart/x-mixed-replace"
+        | "multipart/mixed"
+        | "application/octet-stream"
+        | "video/x-motion-jpeg"
+        | "" => Ok(Answer::Stream(response.into_body())),
+        _ => Err(format!(
+            "{address}: expected multipart/x-mixed-replace or image/jpeg, found {main}: {}",
+            advice(&main)
+        )),
+    }
+}
+
+fn advice(kind: &str) -> &'static str {
+    if kind == "text/html" {
+        "this is a page for people; find the address of the stream itself in the camera's manual (ESP32-CAM: \
+         http://HOST:81/stream)"
+    } else if kind.starts_with("image/") {
+        "set the camera to JPEG"
+    } else if kind.starts_with("video/") {
+        "set the camera to MJPEG"
+    } else {
+        "find the address of the MJPEG stream in the camera's manual"
+    }
+}
+
+fn refusal(address: &HttpAddress, status: StatusCode, headers: &HeaderMap) -> String {
+    if status.is_redirection() {
+        let to = text(headers, header::LOCATION);
+        return format!(
+            "{address} sends to `{to}` ({status}): redirects are not followed, so that a password goes nowhere \
+             else; write that address as the source"
+        );
+    }
+    let why = match status {
+        StatusCode::UNAUTHORIZED | StatusCode::FORBIDDEN => {
+            let scheme = text(headers, header::WWW_AUTHENTICATE);
+            let is_digest = scheme.to_ascii_lowercase().starts_with("digest");
+            match (&address.credentials, is_digest) {
+                (_, true) => {
+                    "it wants Digest authentication, which this version does not speak: set the camera to Basic, \
+                     or use its RTSP stream"
+                }
+                (None, false) => {
+                    "it wants a user and a password: http://USER:PASSWORD@HOST/…, with %40 for an @ in them"
+                }
+                (Some(_), false) => "user or password is wrong",
+            }
+        }
+        StatusCode::NOT_FOUND => {
+            "it has no such path; find the address of the stream in the camera's manual (ESP32-CAM: \
+             http://HOST:81/stream)"
+        }
+        StatusCode::SERVICE_UNAVAILABLE | StatusCode::TOO_MANY_REQUESTS => {
+            "it is busy: many cameras serve one viewer at a time; is another one watching?"
+        }
+        _ if status.is_server_error() => "the camera has a fault; switch it off and on",
+        _ => "expected 200",
+    };
+    format!("{address} answers {status}: {why}")
+}
+
+/// A header as text, shortened for messages.
+fn text(headers: &HeaderMap, name: HeaderName) -> String {
+    let value = headers.get(name).and_then(|value| value.to_str().ok()).unwrap_or_default();
+    value.chars().take(200).collect()
+}

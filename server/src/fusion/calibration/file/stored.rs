@@ -1,0 +1,207 @@
+//! One camera of a calibration file: numbers as they stand there, read and written, and held against what the
+//! configuration says by now.
+
+use nalgebra::{Quaternion, UnitQuaternion, Vector3};
+use roundel_core::{
+    camera::{Camera, Intrinsics, Lens},
+    rigid::{Rigid, from_upper_triangle, upper_triangle},
+    world::CameraPlacement,
+};
+use serde::{Deserialize, Serialize};
+
+use crate::model::config::{CameraConfig, CameraPose, Config};
+
+/// Numbers that were written and read back differ by less, relative to 1 or to themselves.
+const SAME: f64 = 1e-9;
+
+/// One camera's result.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct CalibratedCamera {
+    /// As configured.
+    pub name: String,
+    /// 6x6 over (position m, rotation rad), world frame, left perturbation: upper triangle.
+    pub covariance: Vec<f64>,
+    /// Where it stands.
+    pub pose: StoredPose,
+    /// What the pose was found with.
+    pub lens: StoredLens,
+    /// What the configuration said.
+    pub configured: Configured,
+}
+
+/// world_from_camera.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct StoredPose {
+    position_m: Vec<f64>,
+    orientation_xyzw: Vec<f64>,
+}
+
+/// A lens with its image.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct StoredLens {
+    model: String,
+    size_px: [usize; 2],
+    focal_px: [f64; 2],
+    center_px: [f64; 2],
+    distortion: Vec<f64>,
+}
+
+/// What the configuration says of a camera.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct Configured {
+    /// None: unknown.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub pose: Option<StoredPose>,
+    /// Of its camera file.
+    pub lens: StoredLens,
+}
+
+impl CalibratedCamera {
+    /// A result, with what the configuration says of the camera.
+    pub fn new(
+        name: String,
+        placement: &CameraPlacement,
+        lens: &Camera,
+        configured: Configured,
+    ) -> Self {
+        Self {
+            name,
+            covariance: upper_triangle(&placement.covariance),
+            pose: StoredPose::of(&placement.world_from_camera),
+            lens: StoredLens::of(lens),
+            configured,
+        }
+    }
+
+    pub(super) fn merge_into(&self, config: &mut Config) -> Result<(), String> {
+        let name = &self.name;
+        let camera = config.cameras.iter_mut().find(|camera| camera.name == *name);
+        let camera = camera.ok_or_else(|| {
+            format!(
+                "The calibration of camera {name} is dropped: no camera has that name any more."
+            )
+        })?;
+        if let Some(what) = Configured::of(camera).difference(&self.configured) {
+            return Err(format!(
+                "The calibration of camera {name} is dropped: the configuration gives it another {what} than \
+                 it did then. The configuration's is used; calibrate the arena anew."
+            ));
+        }
+        let (placement, lens) = self.read()?;
+        camera.pose = CameraPose::Calibrated(Box::new(placement));
+        camera.calibration = lens;
+        Ok(())
+    }
+
+    pub(super) fn read(&self) -> Result<(CameraPlacement, Camera), String> {
+        let world_from_camera = self.pose.read()?;
+        let is_finite = self.covariance.iter().all(|it| it.is_finite());
+        let covariance = from_upper_triangle(&self.covariance).filter(|_| is_finite);
+        let covariance = covariance.ok_or_else(|| {
+            format!("`covariance`: expected 21 finite numbers, found {:?}", self.covariance)
+        })?;
+        Ok((CameraPlacement { world_from_camera, covariance }, self.lens.read()?))
+    }
+}
+
+impl StoredPose {
+    fn of(pose: &Rigid) -> Self {
+        let quaternion = pose.rotation.quaternion();
+        Self {
+            position_m: pose.translation.vector.as_slice().to_vec(),
+            orientation_xyzw: vec![quaternion.i, quaternion.j, quaternion.k, quaternion.w],
+        }
+    }
+
+    fn read(&self) -> Result<Rigid, String> {
+        let expected = || {
+            format!(
+                "expected a `position_m` of three numbers and an `orientation_xyzw` of four and of length 1, \
+                 found {:?} and {:?}",
+                self.position_m, self.orientation_xyzw
+            )
+        };
+        let (&[x, y, z], &[i, j, k, w]) = (&self.position_m[..], &self.orientation_xyzw[..]) else {
+            return Err(expected());
+        };
+        let (place_m, quaternion) = (Vector3::new(x, y, z), Quaternion::new(w, i, j, k));
+        // What is not a number is not within either.
+        let is_unit = (quaternion.norm() - 1.0).abs() < 1e-6;
+        if !(is_unit && place_m.iter().all(|it| it.is_finite())) {
+            return Err(expected());
+        }
+        let turn = UnitQuaternion::from_quaternion(quaternion);
+        Ok(Rigid::from_parts(place_m.into(), turn))
+    }
+}
+
+impl StoredLens {
+    fn of(lens: &Camera) -> Self {
+        let it = lens.intrinsics();
+        Self {
+            model: it.lens.name().to_owned(),
+            size_px: [it.width, it.height],
+            focal_px: [it.fx_px, it.fy_px],
+            center_px: [it.cx_px, it.cy_px],
+            distortion: it.lens.coefficients().to_vec(),
+        }
+    }
+
+    fn read(&self) -> Result<Camera, String> {
+        let Some(lens) = Lens::from_ros(&self.model, &self.distortion) else {
+            let count = self.distortion.len();
+            return Err(format!(
+                "`lens`: expected a model of ROS with its coefficients, found \"{}\" with {count}",
+                self.model
+            ));
+        };
+        let ([width, height], [fx_px, fy_px]) = (self.size_px, self.focal_px);
+        let [cx_px, cy_px] = self.center_px;
+        let intrinsics = Intrinsics { width, height, fx_px, fy_px, cx_px, cy_px, lens };
+        Camera::new(intrinsics).map_err(|error| format!("`lens`: {error}"))
+    }
+
+    fn numbers(&self) -> impl Iterator<Item = f64> {
+        let size = self.size_px.map(|it| it as f64);
+        let head = size.into_iter().chain(self.focal_px).chain(self.center_px);
+        head.chain(self.distortion.iter().copied())
+    }
+}
+
+impl Configured {
+    /// As it is before a calibration is merged.
+    pub fn of(camera: &CameraConfig) -> Self {
+        let pose = match &camera.pose {
+            CameraPose::Known(pose) => Some(StoredPose::of(pose)),
+            _ => None,
+        };
+        Self { pose, lens: StoredLens::of(&camera.calibration) }
+    }
+
+    /// What differs, in a word.
+    fn difference(&self, other: &Self) -> Option<&'static str> {
+        let same = |one: f64, other: f64| (one - other).abs() <= SAME * (1.0 + one.abs());
+        let are_same = |(one, other): (&StoredPose, &StoredPose)| {
+            let numbers = |it: &StoredPose| [&it.position_m[..], &it.orientation_xyzw[..]].concat();
+            std::iter::zip(numbers(one), numbers(other)).all(|(one, other)| same(one, other))
+        };
+        let is_same_pose = match (&self.pose, &other.pose) {
+            (Some(one), Some(other)) => are_same((one, other)),
+            (None, None) => true,
+            _ => false,
+        };
+        let (one, other) = (&self.lens, &other.lens);
+        let is_same_lens = one.model == other.model
+            && one.distortion.len() == other.distortion.len()
+            && one.numbers().zip(other.numbers()).all(|(one, other)| same(one, other));
+        match (is_same_lens, is_same_pose) {
+            (false, _) => Some("lens"),
+            (_, false) => Some("pose"),
+            _ => None,
+        }
+    }
+}

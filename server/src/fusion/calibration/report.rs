@@ -1,0 +1,148 @@
+//! What a calibration found, in the installation's own names.
+
+use std::collections::BTreeMap;
+
+use roundel_core::{
+    calib::arena::{ArenaCalibration, CalibratedCamera, Names},
+    camera::Camera,
+    id::{CameraId, KindId},
+    rigid::Rigid,
+    world::CameraPlacement,
+};
+
+use crate::model::hub::{CameraState, Installation};
+
+/// A trusted clock that is off by more than this and by more than so many deviations is told, seconds.
+const CLOCK_OFF_S: f64 = 1e-3;
+const CLOCK_DEVIATIONS: f64 = 5.0;
+
+/// What came out.
+#[derive(Clone, Debug)]
+pub struct Report {
+    /// In the order of the configuration, without those that nothing ties to the references.
+    pub cameras: Vec<CameraReport>,
+    /// What a person should know, the gravest first.
+    pub findings: Vec<Told>,
+    /// Sightings that were used.
+    pub sightings: usize,
+    /// Robots' roundels that two cameras saw or more.
+    pub roundels: usize,
+    /// Of the recording, seconds.
+    pub length_s: f64,
+    /// Steps of the adjustment.
+    pub steps: usize,
+    /// How long that took, seconds.
+    pub solve_s: f64,
+}
+
+/// One camera.
+#[derive(Clone, Debug)]
+pub struct CameraReport {
+    /// Where it stands, how well that is known, and what says so.
+    pub result: CalibratedCamera,
+    /// With which lens.
+    pub lens: Camera,
+    /// How far from where it stood before, metres and radians; `None` if that was not known.
+    pub moved: Option<[f64; 2]>,
+}
+
+impl CameraReport {
+    /// For fusion.
+    pub fn placement(&self) -> CameraPlacement {
+        let CalibratedCamera { world_from_camera, covariance, .. } = self.result;
+        CameraPlacement { world_from_camera, covariance }
+    }
+}
+
+/// A finding in words.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Told {
+    /// A sentence.
+    pub text: String,
+    /// The result should not be used before somebody has looked at it.
+    pub is_grave: bool,
+}
+
+impl Report {
+    /// Whether cameras may take it over unasked.
+    pub fn is_sound(&self) -> bool {
+        !self.findings.iter().any(|finding| finding.is_grave)
+    }
+}
+
+/// Things by their configured names; references by their place in the configuration, from 1.
+pub struct Configured<'a>(pub &'a Installation);
+
+impl Names for Configured<'_> {
+    fn camera(&self, id: CameraId) -> String {
+        format!("camera {}", self.0.camera_name(id))
+    }
+
+    fn reference(&self, index: usize) -> String {
+        format!("reference {}", index + 1)
+    }
+
+    fn kind(&self, id: KindId) -> String {
+        format!("\"{}\"", self.0.kind_name(Some(id)))
+    }
+}
+
+/// What came out, beside what was known before (`states`, by [`CameraId`]).
+pub(super) fn report(
+    found: ArenaCalibration,
+    installation: &Installation,
+    states: &BTreeMap<CameraId, CameraState>,
+    solve_s: f64,
+) -> Report {
+    let names = Configured(installation);
+    let state = |id: CameraId| states.get(&id);
+    let told = found
+        .findings
+        .iter()
+        .map(|finding| Told { text: finding.told(&names), is_grave: finding.is_grave() });
+    let clocks = found.cameras.iter().filter_map(|camera| {
+        let is_trusted = state(camera.camera)?.clock.is_none_or(|clock| clock.deviation_s == 0.0);
+        let text = clock_sentence(camera, &names).filter(|_| is_trusted)?;
+        Some(Told { text, is_grave: false })
+    });
+    let mut findings: Vec<Told> = told.chain(clocks).collect();
+    findings.sort_by_key(|finding| !finding.is_grave);
+    let cameras = found.cameras.iter().filter_map(|result| {
+        let state = state(result.camera)?;
+        let refined = result.lens.as_ref().map(|lens| lens.camera.clone());
+        let before = state.place.placement.as_ref().map(|it| &it.world_from_camera);
+        Some(CameraReport {
+            lens: refined.or_else(|| state.camera.clone())?,
+            moved: before.map(|before| moved(before, &result.world_from_camera)),
+            result: result.clone(),
+        })
+    });
+    Report {
+        cameras: cameras.collect(),
+        findings,
+        sightings: found.sightings,
+        roundels: found.roundels,
+        length_s: found.length_s,
+        steps: found.steps,
+        solve_s,
+    }
+}
+
+fn moved(before: &Rigid, after: &Rigid) -> [f64; 2] {
+    let distance_m = (after.translation.vector - before.translation.vector).norm();
+    [distance_m, before.rotation.angle_to(&after.rotation)]
+}
+
+fn clock_sentence(camera: &CalibratedCamera, names: &Configured<'_>) -> Option<String> {
+    let (offset_s, deviation_s) = (camera.clock_offset_s, camera.clock_offset_deviation_s);
+    let is_off = offset_s.abs() > CLOCK_OFF_S && offset_s.abs() > CLOCK_DEVIATIONS * deviation_s;
+    is_off.then(|| {
+        format!(
+            "the stamps of {} are {:.1} ms off those of the camera that sees the references, and the \
+             configuration takes them as right: set its `clock_uncertainty_ms` to {:.0}",
+            names.camera(camera.camera),
+            offset_s.abs() * 1e3,
+            (offset_s.abs() * 2e3).ceil()
+        )
+    })
+}

@@ -1,0 +1,29 @@
+//! `[history]`: whether it is kept where objects were, and for how long.
+
+use std::{
+    path::{Path, PathBuf},
+    time::Duration,
+};
+
+use super::reader::{Allowed, Table};
+
+/// `[history]`.
+#[derive(Clone, Debug, PartialEq)]
+pub struct HistoryConfig {
+    /// The SQLite file.
+    pub file: PathBuf,
+    /// How long the finest tier is kept.
+    pub keep: Duration,
+}
+
+const KEYS: [&str; 2] = ["file", "keep_hours"];
+const DEFAULT_HOURS: f64 = 24.0;
+const MAX_HOURS: f64 = 24.0 * 366.0;
+
+/// `None` without the table: nothing is kept.
+pub(super) fn history(root: &Table<'_, '_>, folder: &Path) -> Option<HistoryConfig> {
+    let table = root.table("history", "[history]", &KEYS)?;
+    let hours = table.number("keep_hours", Allowed::PositiveUpTo(MAX_HOURS), DEFAULT_HOURS);
+    let file = folder.join(table.text("file").unwrap_or("history.sqlite"));
+    Some(HistoryConfig { file, keep: Duration::from_secs_f64(hours * 3600.0) })
+}

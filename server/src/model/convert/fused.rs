@@ -1,0 +1,156 @@
+//! What fusion was told, as it is recorded.
+
+use nalgebra::{Quaternion, UnitQuaternion, Vector3};
+use roundel_core::{
+    id::{BodyId, CameraId},
+    rigid::{Covariance6, Rigid, from_upper_triangle, upper_triangle},
+    world::{CameraMount, CameraPlacement, Carrier, ClockPrior},
+};
+use roundel_proto::v1;
+
+use super::pose;
+use crate::model::{
+    command::{Change, Known, Stand, Timekeeping, Told, WrittenSettings},
+    hub::{Installation, RideInfo},
+};
+
+/// The configuration of a recording as it begins.
+pub fn recorded_configuration(
+    installation: &Installation,
+    text: &str,
+) -> v1::RecordedConfiguration {
+    v1::RecordedConfiguration {
+        text: text.to_owned(),
+        version: env!("CARGO_PKG_VERSION").to_owned(),
+        source_id: installation.source_id.clone(),
+        name: installation.name.clone(),
+        snapshot_rate_hz: installation.snapshot_rate_hz,
+        roundels: installation.kinds.clone(),
+        ..v1::RecordedConfiguration::default()
+    }
+}
+
+/// One that fusion goes by from here on.
+pub fn fused_configuration(
+    installation: &Installation,
+    written: &WrittenSettings,
+) -> v1::RecordedConfiguration {
+    let (renamed_from, renamed_to) = written.renamed.clone().unwrap_or_default();
+    v1::RecordedConfiguration {
+        fused: true,
+        renamed_from,
+        renamed_to,
+        ..recorded_configuration(installation, &written.text)
+    }
+}
+
+/// What fusion was told of a camera.
+pub fn fused_camera(installation: &Installation, told: &Told) -> v1::FusedCamera {
+    let mut message = v1::FusedCamera {
+        camera: installation.camera_name(told.camera).to_owned(),
+        number: told.camera.0,
+        ..v1::FusedCamera::default()
+    };
+    match &told.change {
+        Change::Removed => message.removed = true,
+        Change::Quarantined => message.place = v1::FusedPlace::Quarantined.into(),
+        Change::Spared(is_spared) => message.spared = Some(*is_spared),
+        Change::Placed(placement) => stands(&mut message, placement),
+        Change::Set(known) => {
+            match &known.place {
+                None => {}
+                Some(Stand::At { placement, .. }) => stands(&mut message, placement),
+                Some(Stand::Unknown) => message.place = v1::FusedPlace::Unknown.into(),
+                Some(Stand::On(mount, ride)) => rides(&mut message, mount.as_ref(), ride),
+            }
+            match known.clock {
+                None => {}
+                Some(Timekeeping::Exact) => message.clock = v1::FusedClock::Exact.into(),
+                Some(Timekeeping::Estimated(prior)) => {
+                    message.clock = v1::FusedClock::Estimated.into();
+                    (message.clock_offset_s, message.clock_skew) = (prior.offset_s, prior.skew);
+                }
+            }
+        }
+    }
+    message
+}
+
+fn stands(message: &mut v1::FusedCamera, placement: &CameraPlacement) {
+    message.place = v1::FusedPlace::Stands.into();
+    message.pose = Some(pose(&placement.world_from_camera));
+    message.covariance = upper_triangle(&placement.covariance);
+}
+
+fn rides(message: &mut v1::FusedCamera, mount: Option<&CameraMount>, ride: &RideInfo) {
+    message.place = v1::FusedPlace::Rides.into();
+    message.pose = Some(pose(&ride.object_from_camera));
+    message.carrier = ride.carrier.clone();
+    message.localizes = ride.localizes;
+    if let Some(CameraMount { carrier: Carrier::Body(body), .. }) = mount {
+        message.carrier_body = body.0 + 1;
+    }
+}
+
+/// The same, read from a recording; `None`: it says nothing that this version understands.
+pub fn read_fused_camera(message: &v1::FusedCamera) -> Option<Told> {
+    let told = |change| Some(Told { camera: CameraId(message.number), change });
+    if message.removed {
+        return told(Change::Removed);
+    }
+    if let Some(is_spared) = message.spared {
+        return told(Change::Spared(is_spared));
+    }
+    let place = match message.place() {
+        v1::FusedPlace::Unspecified => None,
+        v1::FusedPlace::Quarantined => return told(Change::Quarantined),
+        v1::FusedPlace::Unknown => Some(Stand::Unknown),
+        v1::FusedPlace::Stands => {
+            let covariance = read_covariance(&message.covariance);
+            let world_from_camera = read_pose(message.pose.as_ref()?)?;
+            let placement = CameraPlacement { world_from_camera, covariance };
+            Some(Stand::At { placement, is_written: false })
+        }
+        v1::FusedPlace::Rides => {
+            let object_from_camera = read_pose(message.pose.as_ref()?)?;
+            let localizes = message.localizes;
+            let mount = message.carrier_body.checked_sub(1).map(|body| CameraMount {
+                carrier: Carrier::Body(BodyId(body)),
+                object_from_camera,
+                covariance: Covariance6::zeros(),
+                localizes,
+            });
+            let carrier = message.carrier.clone();
+            Some(Stand::On(mount, RideInfo { carrier, object_from_camera, localizes }))
+        }
+    };
+    let clock = match message.clock() {
+        v1::FusedClock::Unspecified => None,
+        v1::FusedClock::Exact => Some(Timekeeping::Exact),
+        v1::FusedClock::Estimated => Some(Timekeeping::Estimated(ClockPrior {
+            offset_s: message.clock_offset_s,
+            skew: message.clock_skew,
+        })),
+    };
+    if place.is_none() && clock.is_none() {
+        return None;
+    }
+    told(Change::Set(Box::new(Known { place, clock })))
+}
+
+/// A recorded pose, bit for bit; `None` if something is missing or not finite.
+pub fn read_pose(pose: &v1::Pose) -> Option<Rigid> {
+    let (position, turn) = (pose.position.as_ref()?, pose.orientation.as_ref()?);
+    let numbers = [position.x, position.y, position.z, turn.x, turn.y, turn.z, turn.w];
+    let turn = Quaternion::new(turn.w, turn.x, turn.y, turn.z);
+    let is_sound = numbers.iter().all(|it| it.is_finite()) && (turn.norm() - 1.0).abs() < 1e-6;
+    is_sound.then(|| {
+        let place = Vector3::new(position.x, position.y, position.z);
+        Rigid::from_parts(place.into(), UnitQuaternion::new_unchecked(turn))
+    })
+}
+
+/// 21 numbers; all 0 if there are others.
+pub fn read_covariance(triangle: &[f64]) -> Covariance6 {
+    from_upper_triangle(triangle).unwrap_or_else(Covariance6::zeros)
+}
