@@ -19,7 +19,7 @@ use roundel_server::{
         image_file,
         source::{OpenSource, Playback, SourceError, SourceOpener},
     },
-    model::{address::SourceAddress, stop::Stop},
+    model::{address::SourceAddress, stop::StopSignal},
 };
 use shared::{ROUND, SIZE, draw, processor_s};
 
@@ -94,7 +94,7 @@ fn play(path: &str) -> (usize, f64, f64) {
     let url = format!("file:{path}?speed=max");
     let address = SourceAddress::parse(&url, Path::new("/")).expect("an address");
     let (clock, playback) = Playback::begin(std::iter::once(&address)).expect("a time line");
-    let mut opener = SourceOpener::new(address, SIZE, clock, playback, Stop::default());
+    let mut opener = SourceOpener::new(address, SIZE, clock, playback, StopSignal::default());
     let mut source = opener.open().expect("a source");
     let (processor, begun) = (processor_s(), Instant::now());
     let mut frames = 0;

@@ -12,7 +12,7 @@ use std::{
 use roundel_core::time::Timestamp;
 use roundel_server::archive::history::{
     TIERS,
-    store::{Identity, MAX_POINTS, Point, Question, Store},
+    store::{HistoryObject, HistoryPoint, HistoryQuery, MAX_POINTS, Store},
 };
 
 const OBJECTS: u64 = 100;
@@ -36,7 +36,7 @@ fn main() {
         begun.elapsed().as_secs_f64()
     );
     let store = Store::open(&path).expect("the file");
-    let all = Question {
+    let all = HistoryQuery {
         objects: Vec::new(),
         region_m: None,
         from: Timestamp::from_ns(BEGIN_NS),
@@ -44,15 +44,15 @@ fn main() {
         max_points: MAX_POINTS,
         step_s: None,
     };
-    let last = |ns: i64| Question { from: Timestamp::from_ns(end_ns - ns), ..all.clone() };
+    let last = |ns: i64| HistoryQuery { from: Timestamp::from_ns(end_ns - ns), ..all.clone() };
     let one = || vec!["robot-7".to_owned()];
     let corner = Some([[0.0, 0.0, 0.0], [5.0, 4.0, 1.0]]);
     ask(&store, "all of it, all objects", &all);
     ask(&store, "the last hour, all objects", &last(HOUR_NS));
     ask(&store, "the last minute, all objects", &last(60 * NS_PER_S));
-    ask(&store, "all of it, one object", &Question { objects: one(), ..all.clone() });
-    ask(&store, "the last hour, one object", &Question { objects: one(), ..last(HOUR_NS) });
-    ask(&store, "all of it, within a corner", &Question { region_m: corner, ..all.clone() });
+    ask(&store, "all of it, one object", &HistoryQuery { objects: one(), ..all.clone() });
+    ask(&store, "the last hour, one object", &HistoryQuery { objects: one(), ..last(HOUR_NS) });
+    ask(&store, "all of it, within a corner", &HistoryQuery { region_m: corner, ..all.clone() });
 }
 
 /// What a server would have kept; the number of points.
@@ -60,7 +60,7 @@ fn fill(path: &Path, end_ns: i64) -> u64 {
     let mut store = Store::open(path).expect("a file");
     let begin = Timestamp::from_ns(BEGIN_NS);
     let key = |id: u64| {
-        let identity = Identity {
+        let identity = HistoryObject {
             run: "bench".into(),
             id,
             name: format!("robot-{id}"),
@@ -86,21 +86,21 @@ fn fill(path: &Path, end_ns: i64) -> u64 {
     rows
 }
 
-fn place(key: i64, time_ns: i64) -> Point {
+fn place(key: i64, time_ns: i64) -> HistoryPoint {
     let phase = (time_ns - BEGIN_NS) as f64 * 1e-9 * 0.05 + key as f64;
-    Point {
+    HistoryPoint {
         time: Timestamp::from_ns(time_ns),
         position_m: [5.0 + 4.5 * phase.sin(), 4.0 + 3.5 * (0.7 * phase).cos(), 0.3],
         yaw_rad: Some(phase.sin()),
     }
 }
 
-fn ask(store: &Store, what: &str, question: &Question) {
+fn ask(store: &Store, what: &str, query: &HistoryQuery) {
     let mut times: Vec<Duration> = Vec::new();
     let mut answer = Default::default();
     for _ in 0..ROUNDS {
         let begun = Instant::now();
-        answer = store.ask(question).expect("an answer");
+        answer = store.query(query).expect("an answer");
         times.push(begun.elapsed());
     }
     times.sort_unstable();

@@ -26,7 +26,7 @@ use roundel_core::{frame::Frame, id::CameraId, time::Timestamp};
 use roundel_server::{
     app::serve::Server,
     capture::source::{FrameInfo, FrameSource, LentFrame, OpenSource, SourceError},
-    model::{clock::Clock, config::Config, hub::CameraState, stop::Stop},
+    model::{clock::Clock, config::Config, hub::CameraState, stop::StopSignal},
 };
 use shared::{ROUND, ROUNDELS, SIZE, draw, processor_s};
 
@@ -65,7 +65,7 @@ struct Played {
     begin: Timestamp,
     number: u64,
     clock: Clock,
-    stop: Stop,
+    stop: StopSignal,
 }
 
 impl OpenSource for Played {

@@ -35,7 +35,7 @@ use roundel_proto::v1::{
 use roundel_server::{
     app::serve::Server,
     capture::source::{FrameInfo, FrameSource, LentFrame, OpenSource, SIM_LATENCY_S, SourceError},
-    model::{config::Config, hub::FusedSnapshot, stop::Stop},
+    model::{config::Config, hub::FusedSnapshot, stop::StopSignal},
 };
 use tokio::runtime::{Builder, Runtime};
 use tonic::{Streaming, transport::Endpoint};
@@ -62,7 +62,7 @@ struct Fed {
     frames: Option<Receiver<(Pixels, Timestamp)>>,
     newest: Pixels,
     size: (usize, usize),
-    stop: Stop,
+    stop: StopSignal,
 }
 
 impl OpenSource for Fed {

@@ -6,7 +6,7 @@ use criterion::{Criterion, Throughput, criterion_group, criterion_main};
 use jpeg_encoder::{ColorType, Encoder};
 use roundel_server::capture::{
     image_file,
-    source::pixels::{Converter, PixelFormat, Raw},
+    source::pixels::{GreyConverter, PixelFormat, RawImage},
 };
 
 const WIDTH: usize = 1280;
@@ -22,13 +22,13 @@ fn formats(criterion: &mut Criterion) {
     let mut group = criterion.benchmark_group("grey_1280x720");
     group.throughput(Throughput::Elements((WIDTH * HEIGHT) as u64));
     for code in [b"NV12", b"YUYV", b"Y10 ", b"Y10P", b"Y12P", b"RGGB", b"RG12"] {
-        let format = PixelFormat::of_fourcc(*code).expect("a known format");
+        let format = PixelFormat::from_fourcc(*code).expect("a known format");
         let stride = format.row_bytes(WIDTH);
         let bytes = bytes(stride * HEIGHT);
-        let mut converter = Converter::default();
+        let mut converter = GreyConverter::default();
         group.bench_function(String::from_utf8_lossy(code).trim(), |bencher| {
             bencher.iter(|| {
-                let raw = Raw { format, bytes: &bytes, width: WIDTH, height: HEIGHT, stride };
+                let raw = RawImage { format, bytes: &bytes, width: WIDTH, height: HEIGHT, stride };
                 black_box(converter.grey(black_box(&raw)).expect("a whole picture"));
             });
         });

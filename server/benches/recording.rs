@@ -26,12 +26,12 @@ use roundel_core::{
     world::{FrameObservations, Snapshot},
 };
 use roundel_server::{
-    archive::record::{Recorder, Wanted},
+    archive::record::{Recorder, RecordingOptions},
     model::{
         clock::Clock,
         config::RecordingConfig,
         hub::{CameraInfo, Hub, Installation},
-        tap::Item,
+        tap::RecordedItem,
     },
 };
 
@@ -85,7 +85,7 @@ fn hub(cameras: u32, clock: &Clock) -> Arc<Hub> {
         source_id: "bench".into(),
         started: clock.now(),
         snapshot_rate_hz: RATE_HZ,
-        cameras: Installation::numbered((0..cameras).map(camera)),
+        cameras: Installation::number_cameras((0..cameras).map(camera)),
         kinds: vec!["robot".into()],
         object_names: BTreeMap::new(),
         body_names: Vec::new(),
@@ -99,7 +99,7 @@ fn run(name: &str, (cameras, roundels): (u32, u64), objects: u64, seconds: f64) 
     let config =
         RecordingConfig { folder: folder.clone(), min_free_bytes: 0, ..RecordingConfig::default() };
     let recorder = Recorder::new(hub.clone(), clock, config, Box::new(String::new));
-    recorder.start(&Wanted::default()).expect("a recording");
+    recorder.start(&RecordingOptions::default()).expect("a recording");
     let begun = Instant::now();
     let steps = (seconds * RATE_HZ) as u64;
     for step in 0..steps {
@@ -116,7 +116,7 @@ fn run(name: &str, (cameras, roundels): (u32, u64), objects: u64, seconds: f64) 
                 calibration_version: 0,
                 detections: (0..roundels).map(|it| detection(it, phase, now)).collect(),
             };
-            hub.tap().offer(|| Item::Observed(Arc::new(frame), now));
+            hub.tap().offer(|| RecordedItem::Detections(Arc::new(frame), now));
         }
         let states = (0..objects).map(|id| object::object(id, phase, now)).collect();
         let snapshot = Snapshot { pose_time: now, capture_time: Some(now), objects: states };

@@ -27,7 +27,7 @@ fn installation() -> Installation {
         source_id: "0123456789abcdef".into(),
         started: Timestamp::default(),
         snapshot_rate_hz: 60.0,
-        cameras: Installation::numbered((0..4).map(camera)),
+        cameras: Installation::number_cameras((0..4).map(camera)),
         kinds: vec!["robot".into()],
         object_names: BTreeMap::new(),
         body_names: vec![],

@@ -9,7 +9,7 @@ use roundel_core::{
     world::{LifeStage, ObjectState, ProcessNoise, Snapshot},
 };
 use roundel_server::{
-    capture::source::fleet::{FleetError, Fleets, Order, SILENCE_S},
+    capture::source::fleet::{COMMAND_TIMEOUT_S, DriveCommand, FleetError, Fleets},
     model::address::{SimAddress, SimPreset},
 };
 
@@ -44,16 +44,16 @@ fn who_is_not_seen_is_known_by_where_it_was_seen_last() {
     assert!(nowhere > 0, "expected a robot that has turned meanwhile: another instant has one");
 
     let wanted_m_s = |robot: &RobotTruth| Vector3::new(0.1 * robot.index as f64, -0.25, 0.0);
-    let order = |robot: &RobotTruth| Order {
+    let order = |robot: &RobotTruth| DriveCommand {
         object: ObjectId(robot.index as u64 + 1),
         velocity_m_s: wanted_m_s(robot).cap_magnitude(1.0),
     };
-    let orders: Vec<Order> = then.iter().map(order).collect();
+    let orders: Vec<DriveCommand> = then.iter().map(order).collect();
     // The world in which each robot itself is told what its object is.
     let mut expected = fleet.scenario().as_ref().clone();
     let begin_s = fleets.drive(&orders, &predicted, pose_time).unwrap().seconds_since(ORIGIN);
-    for (robot, Order { velocity_m_s, .. }) in then.iter().zip(&orders) {
-        let span_s = [begin_s, begin_s + SILENCE_S];
+    for (robot, DriveCommand { velocity_m_s, .. }) in then.iter().zip(&orders) {
+        let span_s = [begin_s, begin_s + COMMAND_TIMEOUT_S];
         expected.drive(robot.index, Drive { velocity_m_s: *velocity_m_s, span_s });
     }
     let soon_s = begin_s + 0.4;

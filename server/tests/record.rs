@@ -7,8 +7,8 @@ use roundel_proto::v1;
 use roundel_server::{
     app::serve::Server,
     archive::record::{
-        RecordError, State, Wanted,
-        reader::{Raw, Reader, Source},
+        RecordError, RecordingOptions, RecordingState,
+        file_reader::{Channel, FileReader, RecordedMessage},
         schema::Topic,
     },
     model::config::Config,
@@ -45,8 +45,8 @@ async fn until(what: &str, wanted: impl Fn() -> bool) {
 }
 
 /// What is in a file, in its order.
-fn read(path: &Path) -> Vec<Raw> {
-    let mut reader = Reader::open(path).unwrap();
+fn read(path: &Path) -> Vec<RecordedMessage> {
+    let mut reader = FileReader::open(path).unwrap();
     let mut all = Vec::new();
     while let Some(messages) = reader.next_chunk().unwrap() {
         all.extend(messages);
@@ -55,8 +55,8 @@ fn read(path: &Path) -> Vec<Raw> {
     all
 }
 
-fn of<M: Message + Default>(raws: &[Raw], topic: Topic) -> Vec<M> {
-    let ours = raws.iter().filter(|raw| raw.source == Source::Topic(topic));
+fn of<M: Message + Default>(raws: &[RecordedMessage], topic: Topic) -> Vec<M> {
+    let ours = raws.iter().filter(|raw| raw.channel == Channel::Topic(topic));
     ours.map(|raw| M::decode(raw.data.as_slice()).unwrap()).collect()
 }
 
@@ -65,16 +65,22 @@ async fn everything_goes_into_a_file_that_is_whole_at_the_end() {
     let folder = tempfile::tempdir().unwrap();
     let server = start(folder.path(), "frames_every = 5\nfolder = \"kept\"\n").await;
     let recorder = server.recorder().unwrap().clone();
-    assert_eq!(recorder.status().state, State::Idle);
+    assert_eq!(recorder.status().state, RecordingState::Idle);
     until("objects", || !server.hub().snapshots().borrow().snapshot.objects.is_empty()).await;
-    recorder.start(&Wanted { name: "trial".into(), ..Wanted::default() }).unwrap();
-    let busy = recorder.start(&Wanted::default()).unwrap_err();
+    recorder
+        .start(&RecordingOptions { name: "trial".into(), ..RecordingOptions::default() })
+        .unwrap();
+    let busy = recorder.start(&RecordingOptions::default()).unwrap_err();
     assert!(matches!(&busy, RecordError::Busy(file) if file.starts_with("trial-")), "{busy}");
     until("messages", || recorder.status().messages > 200).await;
     let before = server.hub().snapshots().borrow().sequence;
     server.shutdown().await;
     let status = recorder.status();
-    assert_eq!((status.state, status.dropped, status.files), (State::Stopped, 0, 1), "{status:?}");
+    assert_eq!(
+        (status.state, status.dropped, status.files),
+        (RecordingState::Stopped, 0, 1),
+        "{status:?}"
+    );
 
     let path = folder.path().join("kept").join(&status.file);
     assert_eq!(fs::metadata(&path).unwrap().len(), status.bytes);
@@ -100,14 +106,14 @@ async fn everything_goes_into_a_file_that_is_whole_at_the_end() {
     // What fusion was told before the recording began is in it, ahead of what it saw.
     let told: Vec<v1::FusedCamera> = of(&raws, Topic::Calibration);
     assert!(told.iter().any(|told| told.camera == "c1" && told.pose.is_some()), "{told:?}");
-    let place = |topic| raws.iter().position(|raw| raw.source == Source::Topic(topic)).unwrap();
+    let place = |topic| raws.iter().position(|raw| raw.channel == Channel::Topic(topic)).unwrap();
     assert!(place(Topic::Calibration) < place(Topic::Observations));
     let configuration: Vec<v1::RecordedConfiguration> = of(&raws, Topic::Configuration);
     assert_eq!(configuration.len(), 1);
     assert!(configuration[0].text.contains("name = \"c1\""), "{}", configuration[0].text);
     let health: Vec<v1::ListCamerasResponse> = of(&raws, Topic::Health);
     assert!(health.iter().all(|list| list.cameras.len() == 2) && health.len() > 1);
-    let pictures = raws.iter().filter(|raw| raw.source == Source::Frame("c0".into()));
+    let pictures = raws.iter().filter(|raw| raw.channel == Channel::Frame("c0".into()));
     let numbers: Vec<u32> = pictures.map(|raw| raw.sequence).collect();
     assert!(!numbers.is_empty() && numbers.iter().all(|number| number % 5 == 0), "{numbers:?}");
     let events: Vec<v1::Event> = of(&raws, Topic::Events);
@@ -124,7 +130,7 @@ async fn files_follow_one_another_within_the_budget() {
     until("room made", || recorder.status().deleted >= 2).await;
     server.shutdown().await;
     let status = recorder.status();
-    assert_eq!((status.state, status.dropped), (State::Stopped, 0), "{status:?}");
+    assert_eq!((status.state, status.dropped), (RecordingState::Stopped, 0), "{status:?}");
     let files = recorder.list().unwrap();
     assert_eq!(files.len() as u32 + status.deleted, status.files, "{files:?}");
     assert!(files.iter().map(|file| file.bytes).sum::<u64>() < 900_000, "{files:?}");
@@ -158,10 +164,12 @@ async fn what_cannot_be_written_is_told_and_the_service_goes_on() {
     );
     until("snapshots", || server.hub().snapshots().borrow().sequence > 5).await;
     let recorder = server.recorder().unwrap().clone();
-    let error = recorder.start(&Wanted::default()).unwrap_err().to_string();
+    let error = recorder.start(&RecordingOptions::default()).unwrap_err().to_string();
     assert!(error.contains("taken/here") && error.contains("`folder` in [recording]"), "{error}");
-    let error = recorder.start(&Wanted { name: "../a".into(), ..Wanted::default() }).unwrap_err();
+    let error = recorder
+        .start(&RecordingOptions { name: "../a".into(), ..RecordingOptions::default() })
+        .unwrap_err();
     assert!(error.to_string().contains("found '/'"), "{error}");
-    assert!(matches!(recorder.stop(), Err(RecordError::NothingRuns)));
+    assert!(matches!(recorder.stop(), Err(RecordError::NotRecording)));
     server.shutdown().await;
 }

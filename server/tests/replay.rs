@@ -12,14 +12,14 @@ use roundel_server::{
     app::{replay_server::ReplayServer, serve::Server},
     archive::{
         record::{
-            State, Wanted,
-            reader::{Raw, Reader, Source},
+            RecordingOptions, RecordingState,
+            file_reader::{Channel, FileReader, RecordedMessage},
             schema::Topic,
         },
         replay::{
-            self, From,
+            self, ReplayFrom,
             copy::copy,
-            scene::{Scene, beginning},
+            session::{ReplaySession, initial_status},
         },
     },
     model::config::Config,
@@ -70,16 +70,16 @@ async fn until(what: &str, wanted: impl Fn() -> bool) {
     timeout(PATIENCE, look).await.unwrap_or_else(|_| panic!("{what} did not come about"));
 }
 
-fn open(file: &Path, from: From) -> Scene {
+fn open(file: &Path, from: ReplayFrom) -> ReplaySession {
     let file = file.to_owned();
-    Scene::open(&replay::scene::Wanted { file, from, config: None }).unwrap()
+    ReplaySession::open(&replay::session::ReplayOptions { file, from, config: None }).unwrap()
 }
 
 fn read<M: Message + Default>(path: &Path, topic: Topic) -> Vec<M> {
-    let mut reader = Reader::open(path).unwrap();
-    let mut all: Vec<Raw> = Vec::new();
+    let mut reader = FileReader::open(path).unwrap();
+    let mut all: Vec<RecordedMessage> = Vec::new();
     while let Some(messages) = reader.next_chunk().unwrap() {
-        all.extend(messages.into_iter().filter(|raw| raw.source == Source::Topic(topic)));
+        all.extend(messages.into_iter().filter(|raw| raw.channel == Channel::Topic(topic)));
     }
     all.iter().map(|raw| M::decode(raw.data.as_slice()).unwrap()).collect()
 }
@@ -96,8 +96,8 @@ async fn fused_anew_it_gives_the_same_bits_as_before_and_each_time() {
     let file = recorded(folder.path()).await;
     let anew = [1, 2, 3].map(|run| {
         let to = folder.path().join(format!("anew{run}.mcap"));
-        let copied = copy(open(&file, From::Observations), &to, |_| {}).unwrap();
-        assert_eq!(copied.faulty, 0, "{copied:?}");
+        let copied = copy(open(&file, ReplayFrom::Observations), &to, |_| {}).unwrap();
+        assert_eq!(copied.invalid_messages, 0, "{copied:?}");
         to
     });
     let bytes = anew.each_ref().map(|path| fs::read(path).unwrap());
@@ -119,13 +119,13 @@ async fn fused_anew_it_gives_the_same_bits_as_before_and_each_time() {
     assert_eq!(kinds(&anew[0]), kinds(&file));
     // What comes out is a recording like any other.
     let again = folder.path().join("again.mcap");
-    copy(open(&anew[0], From::Observations), &again, |_| {}).unwrap();
+    copy(open(&anew[0], ReplayFrom::Observations), &again, |_| {}).unwrap();
     assert_eq!(said(&read::<v1::Snapshot>(&again, Topic::Snapshots)), said(&live));
 
     // Searched anew, frames show what they showed.
     let searched = folder.path().join("searched.mcap");
-    let copied = copy(open(&file, From::Frames), &searched, |_| {}).unwrap();
-    assert_eq!(copied.faulty, 0, "{copied:?}");
+    let copied = copy(open(&file, ReplayFrom::Frames), &searched, |_| {}).unwrap();
+    assert_eq!(copied.invalid_messages, 0, "{copied:?}");
     let before: Vec<v1::FrameObservations> = read(&file, Topic::Observations);
     let after: Vec<v1::FrameObservations> = read(&searched, Topic::Observations);
     let mut compared = 0;
@@ -163,7 +163,10 @@ async fn what_was_changed_meanwhile_changes_again_where_it_did() {
     assert_eq!(told.iter().map(|it| it.fused).collect::<Vec<_>>(), [false, true, true]);
 
     let anew = folder.path().join("anew.mcap");
-    assert_eq!(copy(open(&file, From::Observations), &anew, |_| {}).unwrap().faulty, 0);
+    assert_eq!(
+        copy(open(&file, ReplayFrom::Observations), &anew, |_| {}).unwrap().invalid_messages,
+        0
+    );
     let live: Vec<v1::Snapshot> = read(&file, Topic::Snapshots);
     let fused: Vec<v1::Snapshot> = read(&anew, Topic::Snapshots);
     // Live, the name was another one as soon as it was wanted, a moment before fusion heard of it.
@@ -179,13 +182,13 @@ async fn what_was_changed_meanwhile_changes_again_where_it_did() {
     assert_eq!([name(followed().next()), name(followed().next_back())], ["the robot", "rover"]);
     // What comes out can be fused anew itself.
     let again = folder.path().join("again.mcap");
-    copy(open(&anew, From::Observations), &again, |_| {}).unwrap();
+    copy(open(&anew, ReplayFrom::Observations), &again, |_| {}).unwrap();
     assert_eq!(nameless(read(&again, Topic::Snapshots)), live);
 
     // Begun near the end, it is as if all before had happened; and at its begin nothing of it has.
-    let scene = open(&file, From::Observations);
-    let begin = beginning(&scene, &file, From::Observations);
-    let server = ReplayServer::start(scene, "127.0.0.1:0".parse().unwrap(), begin).await.unwrap();
+    let session = open(&file, ReplayFrom::Observations);
+    let begin = initial_status(&session, &file, ReplayFrom::Observations);
+    let server = ReplayServer::start(session, "127.0.0.1:0".parse().unwrap(), begin).await.unwrap();
     let called = |what| {
         let installation = server.hub().installation();
         installation.object_names.values().any(|name| name == what)
@@ -210,10 +213,10 @@ async fn what_was_changed_meanwhile_changes_again_where_it_did() {
 async fn it_is_served_as_if_live_and_obeys() {
     let folder = tempfile::tempdir().unwrap();
     let file = recorded(folder.path()).await;
-    let scene = open(&file, From::Snapshots);
-    let begin = beginning(&scene, &file, From::Snapshots);
+    let session = open(&file, ReplayFrom::Snapshots);
+    let begin = initial_status(&session, &file, ReplayFrom::Snapshots);
     let length_s = begin.span.1.seconds_since(begin.span.0);
-    let server = ReplayServer::start(scene, "127.0.0.1:0".parse().unwrap(), begin).await.unwrap();
+    let server = ReplayServer::start(session, "127.0.0.1:0".parse().unwrap(), begin).await.unwrap();
     let client = Client::connect(&format!("http://{}", server.local_addr())).await.unwrap();
     assert_eq!(client.info().await.unwrap().name, "lab");
     until("the end", || server.replay().status().ended).await;
@@ -276,16 +279,19 @@ async fn what_a_recording_lacks_is_said() {
     assert!(error.contains("everything here is live"), "{error}");
     let recorder = server.recorder().unwrap().clone();
     let length = Some(Duration::from_millis(300));
-    recorder.start(&Wanted { length, ..Wanted::default() }).unwrap();
-    until("its end", || recorder.status().state == State::Stopped).await;
+    recorder.start(&RecordingOptions { length, ..RecordingOptions::default() }).unwrap();
+    until("its end", || recorder.status().state == RecordingState::Stopped).await;
     server.shutdown().await;
     let file = recorder.status().folder.join(recorder.status().file);
-    let wanted = |from, config| replay::scene::Wanted { file: file.clone(), from, config };
-    let error = Scene::open(&wanted(From::Frames, None)).err().unwrap().to_string();
+    let wanted = |from, config| replay::session::ReplayOptions { file: file.clone(), from, config };
+    let error = ReplaySession::open(&wanted(ReplayFrom::Frames, None)).err().unwrap().to_string();
     assert!(error.contains("has no frames; record with --frames-every 1"), "{error}");
     let other = folder.path().join("other.toml");
     fs::write(&other, "name = 3\n").unwrap();
-    let error = Scene::open(&wanted(From::Observations, Some(other))).err().unwrap().to_string();
+    let error = ReplaySession::open(&wanted(ReplayFrom::Observations, Some(other)))
+        .err()
+        .unwrap()
+        .to_string();
     assert!(
         error.contains("other.toml cannot be used") && error.contains("`name` must be"),
         "{error}"

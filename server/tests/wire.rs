@@ -18,15 +18,15 @@ use roundel_core::{
     rigid::{Covariance6, Rigid},
     time::Timestamp,
     world::{
-        CameraPlacement, ClockEstimate, EventKind, FrameObservations, LifeStage, ObjectState,
-        ProcessNoise, Snapshot,
+        CameraPlacement, ClockEstimate, FrameObservations, LifeStage, ObjectState, ProcessNoise,
+        Snapshot,
     },
 };
 use roundel_server::model::{
     capture_clock::{CaptureClock, TimeBase},
     convert,
     hub::{
-        CameraInfo, CameraPlace, CameraState, CameraStatus, Event, FusedSnapshot, Happening,
+        CameraInfo, CameraPoseState, CameraState, CameraStatus, Event, EventKind, FusedSnapshot,
         Installation, ObjectRecord, PoseStatus,
     },
 };
@@ -119,7 +119,7 @@ fn a_camera_is_told_in_milliseconds_and_parts_per_million() {
         status: CameraStatus::Running,
         width: 1280,
         height: 720,
-        place: CameraPlace::standing(PoseStatus::Calibrated, placement),
+        pose: CameraPoseState::fixed(PoseStatus::Calibrated, placement),
         camera: Some(camera),
         calibration_version: 3,
         frames: 1000,
@@ -171,7 +171,7 @@ fn objects_and_events_carry_ids_names_and_unix_times() {
     let event = Event {
         sequence: 99,
         time: POSE_TIME,
-        happening: Happening::Object(ObjectId(3), EventKind::Recovered),
+        kind: EventKind::ObjectStageChanged(ObjectId(3), roundel_core::world::EventKind::Recovered),
         camera: String::new(),
         message: "carrier is seen again.".to_owned(),
     };
@@ -233,7 +233,7 @@ fn installation() -> Installation {
         source_id: "run-1".to_owned(),
         started: POSE_TIME.plus_ns(-3_600_000_000_000),
         snapshot_rate_hz: 60.0,
-        cameras: Installation::numbered([camera("north"), camera("south")]),
+        cameras: Installation::number_cameras([camera("north"), camera("south")]),
         kinds: vec!["coded".to_owned(), "plain".to_owned()],
         object_names: BTreeMap::new(),
         body_names: vec!["carrier".to_owned()],

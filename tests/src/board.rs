@@ -258,12 +258,13 @@ pub fn lens_by(board: Board, pictures: &[Image]) -> Result<LensCalibration, Lens
 #[cfg(feature = "chessboard")]
 pub fn lens_of_chessboard(text: &str, pictures: &[Image]) -> anyhow::Result<LensCalibration> {
     use roundel_server::lab::lens::{
+        board_search::{BoardSearch, CalibrationTarget},
         chessboard,
-        search::{Search, Sought},
     };
     let described = chessboard::parse(text).and_then(Result::ok);
-    let sought = Sought::Chessboard(described.with_context(|| format!("no chessboard: {text}"))?);
-    let mut search = Search::new(&sought, false)?;
+    let sought =
+        CalibrationTarget::Chessboard(described.with_context(|| format!("no chessboard: {text}"))?);
+    let mut search = BoardSearch::new(&sought, false)?;
     for image in pictures {
         search.look(&Frame::new(&image.pixels, image.width, image.height, image.width)?)?;
     }

@@ -12,8 +12,10 @@ use anyhow::Context;
 use roundel_core::{time::Timestamp, world::FrameObservations};
 use roundel_server::{
     app::serve::Server,
-    capture::source::{Arrival, FrameSource, LentFrame, OpenSource, Sighting, SourceError},
-    model::{capture_clock::CaptureClock, config::Config, stop::Stop},
+    capture::source::{
+        FrameSource, LentFrame, OpenSource, RemoteDetections, SourceError, SourceOutput,
+    },
+    model::{capture_clock::CaptureClock, config::Config, stop::StopSignal},
 };
 
 use crate::{
@@ -38,7 +40,7 @@ pub struct Recorded {
 struct Sights {
     coming: VecDeque<FrameObservations>,
     clock: roundel_server::model::clock::Clock,
-    stop: Stop,
+    stop: StopSignal,
 }
 
 impl FrameSource for Sights {
@@ -46,7 +48,7 @@ impl FrameSource for Sights {
         Err(SourceError::Failed("it gives what was seen, and no frames".into()))
     }
 
-    fn next(&mut self) -> Result<Arrival<'_>, SourceError> {
+    fn next(&mut self) -> Result<SourceOutput<'_>, SourceError> {
         let observations = self.coming.pop_front().ok_or(SourceError::Finished)?;
         let wait_s = observations.received_time.seconds_since(self.clock.now());
         if wait_s > 0.0 {
@@ -56,7 +58,12 @@ impl FrameSource for Sights {
             return Err(SourceError::Stopped);
         }
         let clock = CaptureClock::EXACT;
-        Ok(Arrival::Seen(Box::new(Sighting { observations, clock, skipped: 0, figures: None })))
+        Ok(SourceOutput::Detections(Box::new(RemoteDetections {
+            observations,
+            clock,
+            skipped: 0,
+            figures: None,
+        })))
     }
 }
 

@@ -12,7 +12,7 @@ use roundel_client::{
 };
 use roundel_core::frame::Frame;
 use roundel_server::{
-    app::serve::{CameraSetting, Server},
+    app::serve::{Server, SourceContext},
     capture::source::{FrameInfo, FrameSource, LentFrame, OpenSource, SourceError},
     model::config::Config,
 };
@@ -36,7 +36,7 @@ struct Black(CameraPace, Vec<u8>);
 struct CameraPace {
     size: (usize, usize),
     clock: roundel_server::model::clock::Clock,
-    stop: roundel_server::model::stop::Stop,
+    stop: roundel_server::model::stop::StopSignal,
 }
 
 impl OpenSource for Black {
@@ -59,8 +59,8 @@ impl FrameSource for Black {
 async fn serve(config: &Path) -> anyhow::Result<(Server, Client)> {
     let mut config = Config::load(config)?;
     config.server.listen = "127.0.0.1:0".parse()?;
-    let server = Server::start_with_sources(config, |setting: CameraSetting<'_>| {
-        let CameraSetting { camera, clock, stop, .. } = setting;
+    let server = Server::start_with_sources(config, |setting: SourceContext<'_>| {
+        let SourceContext { camera, clock, stop, .. } = setting;
         let size = (camera.calibration.width(), camera.calibration.height());
         Box::new(Black(CameraPace { size, clock, stop }, vec![0; size.0 * size.1]))
     })

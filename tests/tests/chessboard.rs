@@ -6,8 +6,8 @@ use roundel_core::{
     frame::Frame,
 };
 use roundel_server::lab::lens::{
+    board_search::{BoardSearch, CalibrationTarget, SearchError},
     chessboard,
-    search::{Search, SearchError, Sought},
 };
 use roundel_tests::{
     board::{
@@ -18,12 +18,12 @@ use roundel_tests::{
     render::{Image, Print},
 };
 
-fn sought(text: &str) -> Sought {
-    Sought::Chessboard(chessboard::parse(text).unwrap().unwrap())
+fn sought(text: &str) -> CalibrationTarget {
+    CalibrationTarget::Chessboard(chessboard::parse(text).unwrap().unwrap())
 }
 
-fn search(text: &str, pictures: &[Image]) -> Result<Search, SearchError> {
-    let mut search = Search::new(&sought(text), false)?;
+fn search(text: &str, pictures: &[Image]) -> Result<BoardSearch, SearchError> {
+    let mut search = BoardSearch::new(&sought(text), false)?;
     for image in pictures {
         search.look(&frame(image)).unwrap();
     }
@@ -81,7 +81,7 @@ fn part_of_a_charuco_board_is_a_view_and_part_of_a_chessboard_is_none() {
         image
     };
     let verdict = |text: &str, image: &Image| {
-        Search::new(&sought(text), false).unwrap().look(&frame(image)).unwrap().0
+        BoardSearch::new(&sought(text), false).unwrap().look(&frame(image)).unwrap().0
     };
     let charuco = cut(&charuco_print());
     assert_eq!(verdict(CHARUCO, &charuco), Verdict::Taken);
@@ -112,7 +112,7 @@ fn what_is_not_as_described_is_told() {
     let target: &Target = gathered.chooser.target();
     let error = calibrate(target, gathered.size, gathered.chooser.taken(), None).unwrap_err();
     assert!(error.to_string().contains("found 0"), "{error}");
-    let error = |text: &str| Search::new(&sought(text), false).err().unwrap().to_string();
+    let error = |text: &str| BoardSearch::new(&sought(text), false).err().unwrap().to_string();
     let unknown = error("charuco:10x7:25:17.5:DICT_4X4_60");
     assert!(unknown.contains("`DICT_4X4_60`; expected one of DICT_4X4_100"), "{unknown}");
     let small = error("charuco:20x15:25:17.5:DICT_4X4_50");

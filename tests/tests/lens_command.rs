@@ -70,7 +70,7 @@ fn a_folder_with_broken_pictures_among_them_gives_a_file_that_is_right() {
     assert_eq!((&report["files_left_out"], &report["frames"]), (&2.into(), &VIEWS.into()));
 
     let truth = camera();
-    let (found, doubt) = camera_file::load_with_doubt(&at("north.yaml")).unwrap();
+    let (found, doubt) = camera_file::load_with_uncertainty(&at("north.yaml")).unwrap();
     let intrinsics = found.intrinsics();
     println!("{intrinsics:?}");
     for (value, truth) in

@@ -191,8 +191,8 @@ fn judged(folder: &Path) -> (PathBuf, PathBuf) {
     use roundel_core::time::Timestamp;
     use roundel_proto::v1;
     use roundel_server::archive::record::{
+        file_writer::{FileWriter, MessageStamp},
         schema::Topic,
-        writer::{FileWriter, Stamp},
     };
     let recording = folder.join("run.mcap");
     let mut file = FileWriter::create(&recording, &Default::default()).unwrap();
@@ -224,7 +224,7 @@ fn judged(folder: &Path) -> (PathBuf, PathBuf) {
         };
         let snapshot =
             v1::Snapshot { pose_time_ns: ns, objects: vec![state], ..v1::Snapshot::default() };
-        let stamp = Stamp::at(Timestamp::from_ns(ns), step as u64);
+        let stamp = MessageStamp::at(Timestamp::from_ns(ns), step as u64);
         file.write(Topic::Snapshots, stamp, &snapshot).unwrap();
         // The other system's clock is 80 ms ahead.
         let there = frame * seen;

@@ -11,8 +11,8 @@ use std::{
 
 use roundel_server::{
     api::{
-        encoded::{Encoder, Form, Own},
         selection::{MESSAGE_FIELDS, Selection},
+        snapshot_encoder::{Encoding, SnapshotEncoder, SubscriberFields},
     },
     model::{clock::Clock, hub::Hub},
 };
@@ -26,7 +26,7 @@ type Connections = Arc<Mutex<Vec<TcpStream>>>;
 /// Writes all snapshots of the hub to every connection.
 pub fn run(listener: TcpListener, hub: &Arc<Hub>, clock: Clock, covariances: bool) {
     let shares: [Connections; THREADS] = std::array::from_fn(|_| Connections::default());
-    let encoder = Arc::new(Encoder::default());
+    let encoder = Arc::new(SnapshotEncoder::default());
     for share in &shares {
         let (share, encoder, hub) = (share.clone(), encoder.clone(), hub.clone());
         thread::spawn(move || send(&share, &encoder, &hub, clock, covariances));
@@ -42,7 +42,13 @@ fn lock(share: &Connections) -> std::sync::MutexGuard<'_, Vec<TcpStream>> {
     share.lock().unwrap_or_else(PoisonError::into_inner)
 }
 
-fn send(share: &Connections, encoder: &Encoder, hub: &Hub, clock: Clock, covariances: bool) {
+fn send(
+    share: &Connections,
+    encoder: &SnapshotEncoder,
+    hub: &Hub,
+    clock: Clock,
+    covariances: bool,
+) {
     let wanted = roundel_proto::v1::SubscribeSnapshotsRequest {
         omit_covariance: !covariances,
         ..Default::default()
@@ -52,8 +58,8 @@ fn send(share: &Connections, encoder: &Encoder, hub: &Hub, clock: Clock, covaria
     let mut snapshots = hub.snapshots();
     while runtime.block_on(snapshots.changed()).is_ok() {
         let fused = snapshots.borrow_and_update().clone();
-        let shared = encoder.shared(hub, &fused, &filter, Form::Protobuf);
-        let own = Own { sent_time_ns: clock.now().as_ns(), missed: 0 }.protobuf();
+        let shared = encoder.shared(hub, &fused, &filter, Encoding::Protobuf);
+        let own = SubscriberFields { sent_time_ns: clock.now().as_ns(), missed: 0 }.protobuf();
         let bytes = length_prefixed(&[own, shared.to_vec()].concat());
         lock(share).retain_mut(|stream| stream.write_all(&bytes).is_ok());
     }

@@ -141,12 +141,12 @@ struct Figures {
 }
 
 /// A server in another process; it ends with this.
-struct Served {
+struct ApiParts {
     process: Child,
     address: SocketAddr,
 }
 
-impl Served {
+impl ApiParts {
     fn start(case: &Case) -> Self {
         let program = std::env::current_exe().expect("this program");
         let arguments: &[&str] = match (case.bare, case.covariances) {
@@ -168,7 +168,7 @@ impl Served {
     }
 }
 
-impl Drop for Served {
+impl Drop for ApiParts {
     fn drop(&mut self) {
         let _ = self.process.kill();
         let _ = self.process.wait();
@@ -177,7 +177,7 @@ impl Drop for Served {
 
 /// Measures a case.
 async fn run(case: Case, length: Duration) -> Figures {
-    let server = Served::start(&case);
+    let server = ApiParts::start(&case);
     let readings = Readings::default();
     let mut clients = tokio::task::JoinSet::new();
     for number in 0..case.grpc {

@@ -11,7 +11,7 @@ use std::{
 
 use roundel_core::world::Snapshot;
 use roundel_server::{
-    api::{self, Limits, Served},
+    api::{self, ApiLimits, ApiParts},
     model::{
         clock::Clock,
         hub::{CameraInfo, Hub, Installation},
@@ -49,8 +49,8 @@ pub fn run(bare: Option<bool>) {
     runtime.block_on(async {
         listener.set_nonblocking(true).expect("an option");
         let listener = tokio::net::TcpListener::from_std(listener).expect("a port");
-        let served = Served::of_hub(hub, clock);
-        let limits = Limits { max_clients: 4000, ..Limits::default() };
+        let served = ApiParts::of_hub(hub, clock);
+        let limits = ApiLimits { max_clients: 4000, ..ApiLimits::default() };
         api::serve(listener, served, limits, CancellationToken::new()).await;
     });
 }
@@ -63,7 +63,7 @@ fn installation(clock: Clock) -> Installation {
         source_id: "0123456789abcdef".into(),
         started: clock.now(),
         snapshot_rate_hz: RATE_HZ,
-        cameras: Installation::numbered((0..4).map(camera)),
+        cameras: Installation::number_cameras((0..4).map(camera)),
         kinds: vec!["robot".into()],
         object_names: BTreeMap::new(),
         body_names: vec![],

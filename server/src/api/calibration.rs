@@ -9,12 +9,14 @@ use axum::{
 use roundel_proto::v1;
 
 use super::{
-    Api,
+    ApiState,
     error::{ApiError, ErrorBody},
 };
 use crate::{
     api::convert,
-    fusion::calibration::{Apply, CalibrateError, DEFAULT_SECONDS, SECONDS, Wanted},
+    fusion::calibration::{
+        ApplyPolicy, CalibrationError, CalibrationRequest, DEFAULT_DURATION_S, DURATION_RANGE_S,
+    },
 };
 
 /// The newest calibration of the arena: how far it is, and what came out.
@@ -22,7 +24,7 @@ use crate::{
     get, path = "/api/v1/calibration", tag = "calibration",
     responses((status = 200, description = "the newest one", body = v1::Calibration)),
 )]
-pub async fn show(State(api): State<Arc<Api>>) -> Json<v1::Calibration> {
+pub async fn show(State(api): State<Arc<ApiState>>) -> Json<v1::Calibration> {
     Json(newest(&api))
 }
 
@@ -37,7 +39,7 @@ pub async fn show(State(api): State<Arc<Api>>) -> Json<v1::Calibration> {
     ),
 )]
 pub async fn start(
-    State(api): State<Arc<Api>>,
+    State(api): State<Arc<ApiState>>,
     body: Result<Json<v1::StartCalibrationRequest>, JsonRejection>,
 ) -> Result<Json<v1::Calibration>, ApiError> {
     let request = ApiError::body(body, r#"{"seconds": 60}"#)?;
@@ -52,7 +54,7 @@ pub async fn start(
         (status = 409, description = "none is running", body = ErrorBody),
     ),
 )]
-pub async fn cancel(State(api): State<Arc<Api>>) -> Result<Json<v1::Calibration>, ApiError> {
+pub async fn cancel(State(api): State<Arc<ApiState>>) -> Result<Json<v1::Calibration>, ApiError> {
     api.calibrator.cancel()?;
     Ok(Json(newest(&api)))
 }
@@ -65,30 +67,32 @@ pub async fn cancel(State(api): State<Arc<Api>>) -> Result<Json<v1::Calibration>
         (status = 409, description = "it found nothing", body = ErrorBody),
     ),
 )]
-pub async fn apply(State(api): State<Arc<Api>>) -> Result<Json<v1::Calibration>, ApiError> {
+pub async fn apply(State(api): State<Arc<ApiState>>) -> Result<Json<v1::Calibration>, ApiError> {
     take_over(&api).await.map(Json)
 }
 
-pub(super) fn newest(api: &Api) -> v1::Calibration {
+pub(super) fn newest(api: &ApiState) -> v1::Calibration {
     let status = api.calibrator.status().borrow().clone();
     convert::calibration(&api.hub.installation(), &status, api.calibrator.version())
 }
 
 pub(super) fn begin(
-    api: &Api,
+    api: &ApiState,
     request: &v1::StartCalibrationRequest,
 ) -> Result<v1::Calibration, ApiError> {
     let apply = match v1::CalibrationApply::try_from(request.apply) {
-        Ok(v1::CalibrationApply::Unspecified | v1::CalibrationApply::IfSound) => Apply::IfSound,
-        Ok(v1::CalibrationApply::Always) => Apply::Always,
-        Ok(v1::CalibrationApply::Never) => Apply::Never,
+        Ok(v1::CalibrationApply::Unspecified | v1::CalibrationApply::IfSound) => {
+            ApplyPolicy::IfSound
+        }
+        Ok(v1::CalibrationApply::Always) => ApplyPolicy::Always,
+        Ok(v1::CalibrationApply::Never) => ApplyPolicy::Never,
         Err(_) => {
             let expected = "a value of CalibrationApply";
             return Err(ApiError::invalid("apply", expected, request.apply));
         }
     };
-    api.calibrator.start(Wanted {
-        seconds: request.seconds.unwrap_or(DEFAULT_SECONDS),
+    api.calibrator.start(CalibrationRequest {
+        seconds: request.seconds.unwrap_or(DEFAULT_DURATION_S),
         refine_lenses: request.refine_lenses,
         apply,
     })?;
@@ -96,7 +100,7 @@ pub(super) fn begin(
 }
 
 /// On a thread that may wait for the disk.
-pub(super) async fn take_over(api: &Arc<Api>) -> Result<v1::Calibration, ApiError> {
+pub(super) async fn take_over(api: &Arc<ApiState>) -> Result<v1::Calibration, ApiError> {
     let calibrator = api.calibrator.clone();
     let applied = tokio::task::spawn_blocking(move || calibrator.apply()).await;
     applied
@@ -104,14 +108,14 @@ pub(super) async fn take_over(api: &Arc<Api>) -> Result<v1::Calibration, ApiErro
     Ok(newest(api))
 }
 
-impl From<CalibrateError> for ApiError {
-    fn from(error: CalibrateError) -> Self {
+impl From<CalibrationError> for ApiError {
+    fn from(error: CalibrationError) -> Self {
         match error {
-            CalibrateError::Seconds(found) => {
-                let [least, most] = SECONDS;
+            CalibrationError::Seconds(found) => {
+                let [least, most] = DURATION_RANGE_S;
                 Self::invalid("seconds", format!("{least} to {most} seconds"), found)
             }
-            CalibrateError::Thread(_) => Self::Internal(error.to_string()),
+            CalibrationError::Thread(_) => Self::Internal(error.to_string()),
             _ => Self::FailedPrecondition(error.to_string()),
         }
     }

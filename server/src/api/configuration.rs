@@ -13,9 +13,9 @@ use roundel_proto::v1;
 use serde::de::DeserializeOwned;
 
 use super::{
-    Api,
+    ApiState,
     error::{ApiError, ErrorBody},
-    setup::{allowed, on_thread},
+    setup::{manager_if_allowed, run_blocking},
 };
 use crate::api::convert;
 
@@ -30,7 +30,7 @@ const EXAMPLE: &str = r#"{"toml": "name = \"lab\"\n…"}, or the text itself as 
         (status = 409, description = "clients may not", body = ErrorBody),
     ),
 )]
-pub async fn show(State(api): State<Arc<Api>>) -> Result<Json<v1::Configuration>, ApiError> {
+pub async fn show(State(api): State<Arc<ApiState>>) -> Result<Json<v1::Configuration>, ApiError> {
     in_force(&api).await.map(Json)
 }
 
@@ -44,7 +44,7 @@ pub async fn show(State(api): State<Arc<Api>>) -> Result<Json<v1::Configuration>
         (status = 409, description = "clients may not", body = ErrorBody),
     ),
 )]
-pub async fn text(State(api): State<Arc<Api>>) -> Result<Response, ApiError> {
+pub async fn text(State(api): State<Arc<ApiState>>) -> Result<Response, ApiError> {
     let v1::Configuration { toml, version, .. } = in_force(&api).await?;
     let version = HeaderValue::from_str(&format!("\"{version}\""));
     let version = version.map_err(|error| ApiError::Internal(error.to_string()))?;
@@ -66,7 +66,7 @@ pub async fn text(State(api): State<Arc<Api>>) -> Result<Response, ApiError> {
     ),
 )]
 pub async fn check(
-    State(api): State<Arc<Api>>,
+    State(api): State<Arc<ApiState>>,
     headers: HeaderMap,
     body: Result<Bytes, BytesRejection>,
 ) -> Result<Json<v1::ConfigurationCheck>, ApiError> {
@@ -92,7 +92,7 @@ pub async fn check(
     ),
 )]
 pub async fn apply(
-    State(api): State<Arc<Api>>,
+    State(api): State<Arc<ApiState>>,
     headers: HeaderMap,
     body: Result<Bytes, BytesRejection>,
 ) -> Result<Json<v1::AppliedConfiguration>, ApiError> {
@@ -107,27 +107,28 @@ pub async fn apply(
     apply_text(&api, request).await.map(Json)
 }
 
-pub(super) async fn in_force(api: &Api) -> Result<v1::Configuration, ApiError> {
-    let roster = allowed(api)?;
-    on_thread(move || Ok(convert::configuration(roster.configuration()?)?)).await
+pub(super) async fn in_force(api: &ApiState) -> Result<v1::Configuration, ApiError> {
+    let camera_manager = manager_if_allowed(api)?;
+    run_blocking(move || Ok(convert::configuration(camera_manager.configuration()?)?)).await
 }
 
 pub(super) async fn check_text(
-    api: &Api,
+    api: &ApiState,
     request: v1::CheckConfigurationRequest,
 ) -> Result<v1::ConfigurationCheck, ApiError> {
-    let roster = allowed(api)?;
-    on_thread(move || Ok(convert::configuration_check(roster.check(&request.toml)))).await
+    let camera_manager = manager_if_allowed(api)?;
+    run_blocking(move || Ok(convert::configuration_check(camera_manager.check(&request.toml))))
+        .await
 }
 
 pub(super) async fn apply_text(
-    api: &Api,
+    api: &ApiState,
     request: v1::ApplyConfigurationRequest,
 ) -> Result<v1::AppliedConfiguration, ApiError> {
-    let roster = allowed(api)?;
-    on_thread(move || {
-        let (changes, kept) = roster.apply(&request.toml, &request.version)?;
-        let version = roster.version();
+    let camera_manager = manager_if_allowed(api)?;
+    run_blocking(move || {
+        let (changes, kept) = camera_manager.apply(&request.toml, &request.version)?;
+        let version = camera_manager.version();
         Ok(v1::AppliedConfiguration { changes, version, kept })
     })
     .await
@@ -139,7 +140,7 @@ fn request<T: DeserializeOwned>(
     body: Result<Bytes, BytesRejection>,
     of_text: impl FnOnce(String) -> T,
 ) -> Result<T, ApiError> {
-    let body = body.map_err(|error| ApiError::unread(&error))?;
+    let body = body.map_err(|error| ApiError::body_error(&error))?;
     let content_type = headers.get(header::CONTENT_TYPE).map_or(&b""[..], HeaderValue::as_bytes);
     let wrong = |found: String| ApiError::invalid("body", format!("JSON such as {EXAMPLE}"), found);
     if content_type.starts_with(TOML.as_bytes()) {

@@ -12,9 +12,9 @@ use tower_http::cors::{AllowHeaders, AllowOrigin, CorsLayer};
 use super::error::ApiError;
 
 /// How long a browser may remember that it may ask.
-const REMEMBERED: Duration = Duration::from_secs(600);
+const PREFLIGHT_MAX_AGE: Duration = Duration::from_secs(600);
 /// Headers of answers that pages may read beside the common ones: gRPC's, and those of REST.
-const EXPOSED: [&str; 6] = [
+const EXPOSED_HEADERS: [&str; 6] = [
     "grpc-status",
     "grpc-message",
     "grpc-status-details-bin",
@@ -27,9 +27,9 @@ const METHODS: [Method; 5] =
 
 /// Whose pages may open WebSockets.
 #[derive(Clone, Debug)]
-pub struct Origins(Vec<String>);
+pub struct AllowedOrigins(Vec<String>);
 
-impl Origins {
+impl AllowedOrigins {
     /// These, and the server's own; `*` stands for any.
     pub fn new(origins: Vec<String>) -> Self {
         Self(origins)
@@ -63,9 +63,9 @@ pub(super) fn layer(origins: &[String]) -> Option<CorsLayer> {
     } else {
         AllowOrigin::list(origins.iter().filter_map(|it| HeaderValue::from_str(it).ok()))
     };
-    let exposed = EXPOSED.map(HeaderName::from_static);
+    let exposed = EXPOSED_HEADERS.map(HeaderName::from_static);
     let layer = CorsLayer::new().allow_origin(origins).allow_methods(METHODS);
     // Whatever gRPC-Web's libraries send; nothing here follows from a header but the forms of bodies.
     let layer = layer.allow_headers(AllowHeaders::mirror_request()).expose_headers(exposed);
-    Some(layer.max_age(REMEMBERED).vary([header::ORIGIN]))
+    Some(layer.max_age(PREFLIGHT_MAX_AGE).vary([header::ORIGIN]))
 }

@@ -23,15 +23,15 @@ use super::error::ApiError;
 
 const HEADER: &str = "grpc-timeout";
 /// Longer deadlines are ignored.
-const LONGEST: Duration = Duration::from_secs(365 * 86_400);
+const MAX_TIMEOUT: Duration = Duration::from_secs(365 * 86_400);
 
 /// Answers a call within its deadline, if it has one.
 pub(super) async fn answer(
     headers: &HeaderMap,
     call: impl Future<Output = Result<Response<Body>, Infallible>>,
 ) -> Result<Response<Body>, Infallible> {
-    let after = match of(headers) {
-        Ok(Some(after)) if after < LONGEST => after,
+    let after = match parse_timeout(headers) {
+        Ok(Some(after)) if after < MAX_TIMEOUT => after,
         Ok(_) => return call.await,
         Err(error) => return Ok(Status::from(error).into_http()),
     };
@@ -39,16 +39,16 @@ pub(super) async fn answer(
     match timeout_at(at, call).await {
         Ok(Ok(response)) => Ok(response.map(|body| Body::new(DeadlineBody::new(body, at, after)))),
         Ok(Err(never)) => match never {},
-        Err(_) => Ok(passed(after).into_http()),
+        Err(_) => Ok(deadline_exceeded(after).into_http()),
     }
 }
 
-fn passed(after: Duration) -> Status {
+fn deadline_exceeded(after: Duration) -> Status {
     Status::deadline_exceeded(format!("the call's deadline of {after:?} has passed"))
 }
 
 /// Parses the header; `None` if it is absent.
-fn of(headers: &HeaderMap) -> Result<Option<Duration>, ApiError> {
+fn parse_timeout(headers: &HeaderMap) -> Result<Option<Duration>, ApiError> {
     let Some(value) = headers.get(HEADER) else { return Ok(None) };
     let wrong = || {
         let expected = "up to eight digits and one of H, M, S, m, u, n, such as 500m";
@@ -98,7 +98,7 @@ impl hyper::body::Body for DeadlineBody {
             this.body = None;
             let mut trailers = HeaderMap::new();
             // What cannot be a header is left out of the message by tonic, and the code stays.
-            let _ = passed(this.after).add_header(&mut trailers);
+            let _ = deadline_exceeded(this.after).add_header(&mut trailers);
             return Poll::Ready(Some(Ok(Frame::trailers(trailers))));
         }
         let frame = Pin::new(body).poll_frame(context);
@@ -127,7 +127,7 @@ mod tests {
     fn said(text: &'static str) -> Result<Option<Duration>, ApiError> {
         let mut headers = HeaderMap::new();
         headers.insert(HEADER, text.parse().unwrap());
-        of(&headers)
+        parse_timeout(&headers)
     }
 
     #[tokio::test]
@@ -144,13 +144,13 @@ mod tests {
 
     #[test]
     fn every_unit_is_read_and_nothing_else() {
-        assert_eq!(of(&HeaderMap::new()), Ok(None));
+        assert_eq!(parse_timeout(&HeaderMap::new()), Ok(None));
         let good =
             [("2H", 7200.0), ("3M", 180.0), ("4S", 4.0), ("5m", 5e-3), ("6u", 6e-6), ("7n", 7e-9)];
         for (text, seconds) in good {
             assert_eq!(said(text), Ok(Some(Duration::from_secs_f64(seconds))), "{text}");
         }
-        assert!(said("99999999H").unwrap().unwrap() > LONGEST);
+        assert!(said("99999999H").unwrap().unwrap() > MAX_TIMEOUT);
         for text in ["", "5", "m", "-5m", "+5m", "5.0m", "999999999n", "5 m", "5ms", "5x"] {
             let error = said(text).unwrap_err().to_string();
             assert!(

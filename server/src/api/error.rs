@@ -101,14 +101,14 @@ impl ApiError {
         example: &str,
     ) -> Result<T, ApiError> {
         let refused = |error| match error {
-            JsonRejection::BytesRejection(error) => Self::unread(&error),
+            JsonRejection::BytesRejection(error) => Self::body_error(&error),
             other => Self::invalid("body", format!("JSON such as {example}"), other.body_text()),
         };
         body.map(|Json(body)| body).map_err(refused)
     }
 
     /// Why a body did not come whole.
-    pub(super) fn unread(error: &BytesRejection) -> Self {
+    pub(super) fn body_error(error: &BytesRejection) -> Self {
         match error.status() {
             StatusCode::PAYLOAD_TOO_LARGE => Self::TooLarge,
             _ => Self::invalid("body", "all of it", error.body_text()),

@@ -16,17 +16,17 @@ use tonic_health::server::HealthReporter;
 use tower::service_fn;
 
 use super::{
-    Api, MAX_REQUEST_BYTES, calibration, configuration,
+    ApiState, MAX_REQUEST_BYTES, calibration, configuration,
     error::{ApiError, SHUTTING_DOWN},
     history, objects as configured,
-    observer::Observer,
+    observation_subscription::ObservationSubscription,
     picture, push,
     queries::{
         self, cameras, checked_backlog, newest_observations, newest_snapshot, next_event, objects,
     },
     recording, replay,
     selection::{self, MESSAGE_FIELDS, Selection},
-    setup, simulation, trial,
+    setup, simulation, source_probe,
 };
 use crate::api::convert;
 
@@ -35,11 +35,11 @@ type Messages<T> = Pin<Box<dyn Stream<Item = Result<T, Status>> + Send>>;
 /// Answers gRPC requests out of the hub.
 #[derive(Clone)]
 pub struct Service {
-    api: Arc<Api>,
+    api: Arc<ApiState>,
 }
 
 /// The routes of the service, reflection and health, and the handle that sets the health.
-pub fn router(api: &Arc<Api>) -> (Router, HealthReporter) {
+pub fn router(api: &Arc<ApiState>) -> (Router, HealthReporter) {
     let (reporter, health) = tonic_health::server::health_reporter();
     let service = RoundelServer::new(Service { api: api.clone() })
         .max_decoding_message_size(MAX_REQUEST_BYTES);
@@ -102,11 +102,13 @@ impl v1::roundel_server::Roundel for Service {
         &self,
         request: Request<v1::SubscribeObservationsRequest>,
     ) -> Result<Response<Self::SubscribeObservationsStream>, Status> {
-        let observer = Observer::new(&self.api, request.into_inner().cameras)?;
-        let messages = stream::unfold(observer, |mut observer| async move {
-            let message = observer.next().await?.map_err(Status::from);
-            Some((message, observer))
-        });
+        let observation_subscription =
+            ObservationSubscription::new(&self.api, request.into_inner().cameras)?;
+        let messages =
+            stream::unfold(observation_subscription, |mut observation_subscription| async move {
+                let message = observation_subscription.next().await?.map_err(Status::from);
+                Some((message, observation_subscription))
+            });
         Ok(Response::new(until_shutdown(messages, self.api.cancel.clone())))
     }
 
@@ -136,7 +138,7 @@ impl v1::roundel_server::Roundel for Service {
         &self,
         request: Request<v1::GetSnapshotRequest>,
     ) -> Result<Response<v1::Snapshot>, Status> {
-        let request = selection::once(request.into_inner());
+        let request = selection::subscribe_request(request.into_inner());
         let kinds = &self.api.hub.installation().kinds;
         let selection = Selection::new(request, kinds, &MESSAGE_FIELDS)?;
         Ok(Response::new(newest_snapshot(&self.api, &selection)?))
@@ -258,14 +260,14 @@ impl v1::roundel_server::Roundel for Service {
         &self,
         request: Request<v1::ControlReplayRequest>,
     ) -> Result<Response<v1::Replay>, Status> {
-        Ok(Response::new(replay::obey(&self.api, &request.into_inner())?))
+        Ok(Response::new(replay::apply_control(&self.api, &request.into_inner())?))
     }
 
     async fn test_source(
         &self,
         request: Request<v1::TestSourceRequest>,
     ) -> Result<Response<v1::SourceTest>, Status> {
-        Ok(Response::new(trial::try_source(&self.api, request.into_inner()).await?))
+        Ok(Response::new(source_probe::probe(&self.api, request.into_inner()).await?))
     }
 
     async fn get_camera_setup(

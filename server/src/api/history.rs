@@ -12,16 +12,16 @@ use roundel_core::time::Timestamp;
 use roundel_proto::v1;
 
 use super::{
-    Api,
+    ApiState,
     error::{ApiError, ErrorBody},
-    query::Parameters,
+    query::QueryParameters,
     region::Region,
 };
 use crate::{
     api::convert,
     archive::history::{
         HistoryError, export,
-        store::{Answer, MAX_EXPORTED, MAX_POINTS, Question},
+        store::{HistoryQuery, HistoryResult, MAX_EXPORT_ROWS, MAX_POINTS},
     },
 };
 
@@ -56,13 +56,13 @@ const MESSAGE_FIELDS: Fields =
     ),
 )]
 pub async fn show(
-    State(api): State<Arc<Api>>,
+    State(api): State<Arc<ApiState>>,
     uri: Uri,
 ) -> Result<Json<v1::QueryHistoryResponse>, ApiError> {
-    let mut parameters = Parameters::of(&uri)?;
-    let request = wish(&mut parameters)?;
+    let mut parameters = QueryParameters::of(&uri)?;
+    let request = query_of(&mut parameters)?;
     parameters.finish()?;
-    answered(&api, request, &PARAMETERS).await.map(Json)
+    run(&api, request, &PARAMETERS).await.map(Json)
 }
 
 /// The same as a table for other programs, without thinning.
@@ -82,8 +82,8 @@ pub async fn show(
         (status = 409, description = "none is kept ([history] in the configuration)", body = ErrorBody),
     ),
 )]
-pub async fn export(State(api): State<Arc<Api>>, uri: Uri) -> Result<Response, ApiError> {
-    let text = written(whole(&api, &uri).await?, |answer| Ok(export::csv(answer))).await?;
+pub async fn export(State(api): State<Arc<ApiState>>, uri: Uri) -> Result<Response, ApiError> {
+    let text = written(unthinned(&api, &uri).await?, |answer| Ok(export::csv(answer))).await?;
     Ok(file("text/csv; charset=utf-8", "attachment; filename=\"history.csv\"", text))
 }
 
@@ -104,16 +104,16 @@ pub async fn export(State(api): State<Arc<Api>>, uri: Uri) -> Result<Response, A
         (status = 409, description = "none is kept ([history] in the configuration), or this server writes no Parquet", body = ErrorBody),
     ),
 )]
-pub async fn parquet(State(api): State<Arc<Api>>, uri: Uri) -> Result<Response, ApiError> {
-    let bytes = written(whole(&api, &uri).await?, export::parquet).await?;
+pub async fn parquet(State(api): State<Arc<ApiState>>, uri: Uri) -> Result<Response, ApiError> {
+    let bytes = written(unthinned(&api, &uri).await?, export::parquet).await?;
     let kind = "application/vnd.apache.parquet";
     Ok(file(kind, "attachment; filename=\"history.parquet\"", bytes))
 }
 
 /// A table, on a thread that may take its time for millions of rows.
 async fn written<T: Send + 'static>(
-    answer: Answer,
-    write: fn(&Answer) -> Result<T, HistoryError>,
+    answer: HistoryResult,
+    write: fn(&HistoryResult) -> Result<T, HistoryError>,
 ) -> Result<T, ApiError> {
     let written = tokio::task::spawn_blocking(move || write(&answer)).await;
     let written =
@@ -130,20 +130,21 @@ fn file(kind: &'static str, disposition: &'static str, content: impl IntoRespons
 }
 
 /// All that is asked for, without thinning.
-async fn whole(api: &Api, uri: &Uri) -> Result<Answer, ApiError> {
-    let mut parameters = Parameters::of(uri)?;
+async fn unthinned(api: &ApiState, uri: &Uri) -> Result<HistoryResult, ApiError> {
+    let mut parameters = QueryParameters::of(uri)?;
     let step_s = parameters.take_parsed::<f64>("step_s", "a number of seconds")?.unwrap_or(0.1);
     if step_s.is_nan() || step_s <= 0.0 {
         return Err(ApiError::invalid("step_s", "seconds above 0", step_s));
     }
-    let mut request = wish(&mut parameters)?;
+    let mut request = query_of(&mut parameters)?;
     parameters.finish()?;
     request.max_points = 0;
-    let question = question(api, request, &PARAMETERS)?;
-    ask(api, Question { max_points: MAX_EXPORTED, step_s: Some(step_s), ..question }).await
+    let query = history_query(api, request, &PARAMETERS)?;
+    run_query(api, HistoryQuery { max_points: MAX_EXPORT_ROWS, step_s: Some(step_s), ..query })
+        .await
 }
 
-fn wish(parameters: &mut Parameters) -> Result<v1::QueryHistoryRequest, ApiError> {
+fn query_of(parameters: &mut QueryParameters) -> Result<v1::QueryHistoryRequest, ApiError> {
     const TIME: &str = "nanoseconds since the Unix epoch";
     let region = parameters.take_region()?;
     Ok(v1::QueryHistoryRequest {
@@ -156,26 +157,26 @@ fn wish(parameters: &mut Parameters) -> Result<v1::QueryHistoryRequest, ApiError
 }
 
 pub(super) async fn query(
-    api: &Api,
+    api: &ApiState,
     request: v1::QueryHistoryRequest,
 ) -> Result<v1::QueryHistoryResponse, ApiError> {
-    answered(api, request, &MESSAGE_FIELDS).await
+    run(api, request, &MESSAGE_FIELDS).await
 }
 
-async fn answered(
-    api: &Api,
+async fn run(
+    api: &ApiState,
     request: v1::QueryHistoryRequest,
     fields: &Fields,
 ) -> Result<v1::QueryHistoryResponse, ApiError> {
-    let question = question(api, request, fields)?;
-    Ok(convert::history(&ask(api, question).await?))
+    let query = history_query(api, request, fields)?;
+    Ok(convert::history(&run_query(api, query).await?))
 }
 
-fn question(
-    api: &Api,
+fn history_query(
+    api: &ApiState,
     request: v1::QueryHistoryRequest,
     fields: &Fields,
-) -> Result<Question, ApiError> {
+) -> Result<HistoryQuery, ApiError> {
     let until = match request.until_time_ns {
         0 => api.clock.now(),
         ns => Timestamp::from_ns(ns),
@@ -196,27 +197,27 @@ fn question(
     let region = request.region.map(|it| Region::checked(it, fields.corners)).transpose()?;
     let region_m = region.map(|it| [it.min_m.into(), it.max_m.into()]);
     let objects = request.objects;
-    Ok(Question { objects, region_m, from, until, max_points, step_s: None })
+    Ok(HistoryQuery { objects, region_m, from, until, max_points, step_s: None })
 }
 
 /// On a thread that may wait for the disk.
-async fn ask(api: &Api, question: Question) -> Result<Answer, ApiError> {
+async fn run_query(api: &ApiState, query: HistoryQuery) -> Result<HistoryResult, ApiError> {
     let history = api.history.clone().ok_or_else(|| {
         ApiError::FailedPrecondition(
             "this server keeps no history: [history] in its configuration says where to".to_owned(),
         )
     })?;
-    let answered = tokio::task::spawn_blocking(move || history.ask(&question)).await;
-    let answered = answered
-        .map_err(|error| ApiError::Internal(format!("the history ended badly: {error}")))?;
-    Ok(answered?)
+    let run = tokio::task::spawn_blocking(move || history.query(&query)).await;
+    let run =
+        run.map_err(|error| ApiError::Internal(format!("the history ended badly: {error}")))?;
+    Ok(run?)
 }
 
 impl From<HistoryError> for ApiError {
     fn from(error: HistoryError) -> Self {
         match error {
-            HistoryError::TooMuch(found) => Self::Invalid { field: "from", message: found },
-            HistoryError::Store { .. } | HistoryError::Newer { .. } | HistoryError::Form(_) => {
+            HistoryError::TooManyPoints(found) => Self::Invalid { field: "from", message: found },
+            HistoryError::Store { .. } | HistoryError::Newer { .. } | HistoryError::Format(_) => {
                 Self::FailedPrecondition(error.to_string())
             }
         }

@@ -13,13 +13,13 @@ use serde::Deserialize;
 use utoipa::ToSchema;
 
 use super::{
-    Api,
+    ApiState,
     error::{ApiError, ErrorBody},
     queries, setup,
 };
 use crate::lab::{
-    lens::{DEFAULT_VIEWS, LensError, Subject, VIEWS, Wanted, report::LensStatus},
-    print::{BOARD_LAYOUT, Order, spec},
+    lens::{DEFAULT_VIEWS, LensError, LensRun, PictureSource, VIEWS, report::LensStatus},
+    print::{BOARD_LAYOUT, PrintJob, spec},
 };
 
 /// If nobody says another one.
@@ -61,7 +61,7 @@ pub struct LensRequest {
     get, path = "/api/v1/lens", tag = "calibration",
     responses((status = 200, description = "the newest one", body = LensStatus)),
 )]
-pub async fn show(State(api): State<Arc<Api>>) -> Json<LensStatus> {
+pub async fn show(State(api): State<Arc<ApiState>>) -> Json<LensStatus> {
     Json(newest(&api))
 }
 
@@ -81,12 +81,12 @@ pub async fn show(State(api): State<Arc<Api>>) -> Json<LensStatus> {
     ),
 )]
 pub async fn start(
-    State(api): State<Arc<Api>>,
+    State(api): State<Arc<ApiState>>,
     body: Result<Json<LensRequest>, JsonRejection>,
 ) -> Result<Json<LensStatus>, ApiError> {
     let request = ApiError::body(body, EXAMPLE)?;
-    let wanted = wanted(&api, &request)?;
-    api.lenses.start(wanted)?;
+    let run = lens_run(&api, &request)?;
+    api.lenses.start(run)?;
     Ok(Json(newest(&api)))
 }
 
@@ -98,7 +98,7 @@ pub async fn start(
         (status = 409, description = "none is running", body = ErrorBody),
     ),
 )]
-pub async fn cancel(State(api): State<Arc<Api>>) -> Result<Json<LensStatus>, ApiError> {
+pub async fn cancel(State(api): State<Arc<ApiState>>) -> Result<Json<LensStatus>, ApiError> {
     api.lenses.cancel()?;
     Ok(Json(newest(&api)))
 }
@@ -111,7 +111,7 @@ pub async fn cancel(State(api): State<Arc<Api>>) -> Result<Json<LensStatus>, Api
         (status = 409, description = "none is running", body = ErrorBody),
     ),
 )]
-pub async fn finish(State(api): State<Arc<Api>>) -> Result<Json<LensStatus>, ApiError> {
+pub async fn finish(State(api): State<Arc<ApiState>>) -> Result<Json<LensStatus>, ApiError> {
     api.lenses.finish()?;
     Ok(Json(newest(&api)))
 }
@@ -124,7 +124,7 @@ pub async fn finish(State(api): State<Arc<Api>>) -> Result<Json<LensStatus>, Api
         (status = 503, description = "none was looked at yet", body = ErrorBody),
     ),
 )]
-pub async fn picture(State(api): State<Arc<Api>>) -> Result<Response, ApiError> {
+pub async fn picture(State(api): State<Arc<ApiState>>) -> Result<Response, ApiError> {
     let Some(shown) = api.lenses.shown() else {
         let why = "no picture was looked at yet: start a calibration of a lens, and wait for its first picture";
         return Err(ApiError::Unavailable(why.to_owned()));
@@ -149,7 +149,7 @@ pub async fn picture(State(api): State<Arc<Api>>) -> Result<Response, ApiError> 
         (status = 409, description = "no lens was found yet", body = ErrorBody),
     ),
 )]
-pub async fn file(State(api): State<Arc<Api>>) -> Result<Response, ApiError> {
+pub async fn file(State(api): State<Arc<ApiState>>) -> Result<Response, ApiError> {
     let found = api.lenses.found()?;
     let mut headers = HeaderMap::new();
     headers.insert(header::CONTENT_TYPE, HeaderValue::from_static("application/yaml"));
@@ -171,25 +171,25 @@ pub async fn file(State(api): State<Arc<Api>>) -> Result<Response, ApiError> {
         (status = 409, description = "no lens was found yet, or clients may not", body = ErrorBody),
     ),
 )]
-pub async fn apply(State(api): State<Arc<Api>>) -> Result<Json<LensStatus>, ApiError> {
+pub async fn apply(State(api): State<Arc<ApiState>>) -> Result<Json<LensStatus>, ApiError> {
     let found = api.lenses.found()?;
-    let roster = setup::allowed(&api)?;
-    let kept = setup::on_thread(move || match &found.camera {
-        Some(camera) => roster.use_lens(camera, &found.file()).map(|(file, _)| file),
-        None => roster.keep_lens(&found.name, &found.file()),
+    let camera_manager = setup::manager_if_allowed(&api)?;
+    let kept = setup::run_blocking(move || match &found.camera {
+        Some(camera) => camera_manager.use_lens(camera, &found.file()).map(|(file, _)| file),
+        None => camera_manager.save_lens(&found.name, &found.file()),
     })
     .await?;
     api.lenses.applied(&kept);
     Ok(Json(newest(&api)))
 }
 
-fn newest(api: &Api) -> LensStatus {
-    let can_apply = api.roster.is_some();
+fn newest(api: &ApiState) -> LensStatus {
+    let can_apply = api.camera_manager.is_some();
     LensStatus { can_apply, ..api.lenses.status() }
 }
 
-fn wanted(api: &Api, request: &LensRequest) -> Result<Wanted, ApiError> {
-    let (subject, shown) = subject(api, request)?;
+fn lens_run(api: &ApiState, request: &LensRequest) -> Result<LensRun, ApiError> {
+    let (picture_source, shown) = picture_source(api, request)?;
     let wrong = |field| move |message: String| ApiError::Invalid { field, message };
     let sides = if request.board.is_empty() { BOARD } else { &request.board };
     let sides = spec::sides(sides).map_err(wrong("board"))?;
@@ -199,7 +199,7 @@ fn wanted(api: &Api, request: &LensRequest) -> Result<Wanted, ApiError> {
         "" => BOARD_LAYOUT,
         code => spec::code(code).map_err(wrong("code"))?,
     };
-    let board = Order::board(sides, marker, request.pitch, layout)
+    let board = PrintJob::board(sides, marker, request.pitch, layout)
         .map_err(|error| wrong("board")(error.to_string()))?;
     let model = match request.model.as_str() {
         "" => None,
@@ -211,25 +211,28 @@ fn wanted(api: &Api, request: &LensRequest) -> Result<Wanted, ApiError> {
             return Err(ApiError::invalid("model", expected, format!("{other:?}")));
         }
     };
-    let name = match (&subject, request.name.as_str()) {
-        (Subject::Camera(_, camera), "") => camera.clone(),
-        (Subject::Source(..), "") => "camera".to_owned(),
+    let name = match (&picture_source, request.name.as_str()) {
+        (PictureSource::Camera(_, camera), "") => camera.clone(),
+        (PictureSource::Source(..), "") => "camera".to_owned(),
         (_, name) => name.to_owned(),
     };
     let most = request.views.unwrap_or(DEFAULT_VIEWS);
-    Ok(Wanted { subject, name, shown, board, most, model })
+    Ok(LensRun { picture_source, name, shown, board, most, model })
 }
 
-fn subject(api: &Api, request: &LensRequest) -> Result<(Subject, String), ApiError> {
+fn picture_source(
+    api: &ApiState,
+    request: &LensRequest,
+) -> Result<(PictureSource, String), ApiError> {
     let LensRequest { camera, source, width, height, .. } = request;
     match (camera.as_str(), source.as_str()) {
         ("", "") => Err(ApiError::invalid("camera", "a camera's name, or a `source`", "neither")),
         (camera, "") => {
             let id = queries::camera_id(api, camera)?;
-            Ok((Subject::Camera(id, camera.to_owned()), camera.to_owned()))
+            Ok((PictureSource::Camera(id, camera.to_owned()), camera.to_owned()))
         }
         ("", source) => {
-            if api.trier.is_none() {
+            if api.source_probe.is_none() {
                 return Err(ApiError::FailedPrecondition(
                     "this server is open to a network, and opens no sources for its clients: `setup = true` under [server] \
                      allows it, to everybody who reaches its port; `roundel calibrate lens SOURCE` does it on its machine"

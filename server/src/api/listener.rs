@@ -1,7 +1,7 @@
 //! The one port: accepts connections, enforces the limits on them, and ends them on shutdown.
 //!
 //! A connection is *pending* until its first request has arrived (its preface for HTTP/2), and takes one of
-//! [`Limits::max_clients`](super::Limits) slots only then, so that silent connections lock nobody out. hyper serves
+//! [`ApiLimits::max_clients`](super::ApiLimits) slots only then, so that silent connections lock nobody out. hyper serves
 //! HTTP/1.1 and HTTP/2; `dispatch` hands each request to tonic or axum.
 
 mod connection;
@@ -20,7 +20,7 @@ use connection::{Connection, Slots};
 pub(super) use connection::{ConnectionSlot, count_stalled};
 use pending::PendingConnections;
 
-use super::{Api, dispatch::Dispatch};
+use super::{ApiState, dispatch::Dispatch};
 
 /// Bytes that the kernel may hold unsent for a client. More would be stale snapshots.
 const UNSENT_LIMIT_BYTES: u32 = 64 * 1024;
@@ -28,7 +28,7 @@ const UNSENT_LIMIT_BYTES: u32 = 64 * 1024;
 const ACCEPT_PAUSE: Duration = Duration::from_millis(100);
 
 /// Accepts until cancellation, then waits for the last client, at most for the grace time.
-pub(super) async fn run(listener: TcpListener, dispatch: Dispatch, api: Arc<Api>) {
+pub(super) async fn run(listener: TcpListener, dispatch: Dispatch, api: Arc<ApiState>) {
     // An upper bound of tokio's semaphores, far above the number of open files.
     let max_clients = api.limits.max_clients.clamp(1, u32::MAX as usize >> 4);
     let slots = Arc::new(Slots::new(max_clients));

@@ -29,7 +29,7 @@ use tonic::server::NamedService;
 use tonic_health::{ServingStatus, server::HealthReporter};
 use utoipa::ToSchema;
 
-use super::{Api, grpc};
+use super::{ApiState, grpc};
 use crate::model::hub::{CameraState, CameraStatus};
 
 /// A snapshot older than this, or than this many periods, means that fusion does not publish.
@@ -67,7 +67,7 @@ pub async fn health() -> Json<Health> {
         (status = 503, description = "says what is missing", body = Health),
     ),
 )]
-pub async fn readiness(State(api): State<Arc<Api>>) -> Response {
+pub async fn readiness(State(api): State<Arc<ApiState>>) -> Response {
     let missing = missing(&api);
     if missing.is_empty() {
         Json(Health { status: "ok", missing }).into_response()
@@ -78,7 +78,7 @@ pub async fn readiness(State(api): State<Arc<Api>>) -> Response {
 }
 
 /// What keeps clients from getting poses; empty when they do.
-fn missing(api: &Api) -> Vec<String> {
+fn missing(api: &ApiState) -> Vec<String> {
     let mut missing = Vec::new();
     if api.cancel.is_cancelled() {
         missing.push(super::error::SHUTTING_DOWN.to_owned());
@@ -108,7 +108,7 @@ fn missing(api: &Api) -> Vec<String> {
 }
 
 /// Tells gRPC's health service about the readiness, until the server goes down.
-pub async fn report_readiness(api: Arc<Api>, reporter: HealthReporter) {
+pub async fn report_readiness(api: Arc<ApiState>, reporter: HealthReporter) {
     loop {
         let is_ready = missing(&api).is_empty();
         let status = if is_ready { ServingStatus::Serving } else { ServingStatus::NotServing };
@@ -129,8 +129,8 @@ pub async fn report_readiness(api: Arc<Api>, reporter: HealthReporter) {
     get, path = "/metrics", tag = "server",
     responses((status = 200, description = "Prometheus' text format", body = String, content_type = "text/plain")),
 )]
-pub async fn metrics(State(api): State<Arc<Api>>) -> Response {
-    let mut page = Page::default();
+pub async fn metrics(State(api): State<Arc<ApiState>>) -> Response {
+    let mut page = MetricsText::default();
     write_server(&mut page, &api);
     camera::write_cameras(&mut page, &api.hub.installation(), &api.hub.cameras());
     write_fusion(&mut page, &api);
@@ -142,7 +142,7 @@ pub async fn metrics(State(api): State<Arc<Api>>) -> Response {
         .into_response()
 }
 
-fn write_server(page: &mut Page, api: &Api) {
+fn write_server(page: &mut MetricsText, api: &ApiState) {
     let installation = api.hub.installation();
     page.family("roundel_info", "gauge", "Always 1; its labels name the server.");
     let labels = [
@@ -159,12 +159,14 @@ fn write_server(page: &mut Page, api: &Api) {
     page.single("roundel_cameras", "gauge", "Cameras that are configured now.", cameras);
     let name = "roundel_camera_changes_total";
     page.family(name, "counter", "Cameras that were set up anew while the server runs.");
-    for (change, count) in ["added", "changed", "removed"].into_iter().zip(api.hub.changes()) {
+    for (change, count) in
+        ["added", "changed", "removed"].into_iter().zip(api.hub.camera_change_counts())
+    {
         page.sample(name, &[("change", change)], count as f64);
     }
 }
 
-fn write_fusion(page: &mut Page, api: &Api) {
+fn write_fusion(page: &mut MetricsText, api: &ApiState) {
     write_fusion_counts(page, &api.hub.fusion_counts());
     let fused = api.hub.snapshots().borrow().clone();
     let help = "Snapshots that fusion made.";
@@ -186,7 +188,7 @@ fn write_fusion(page: &mut Page, api: &Api) {
     }
 }
 
-fn write_fusion_counts(page: &mut Page, counts: &FusionCounts) {
+fn write_fusion_counts(page: &mut MetricsText, counts: &FusionCounts) {
     let taken = counts
         .frames
         .saturating_sub(counts.duplicate_frames + counts.late_frames + counts.jumped_frames);
@@ -200,12 +202,12 @@ fn write_fusion_counts(page: &mut Page, counts: &FusionCounts) {
     ] {
         page.sample(name, &[("outcome", outcome)], count as f64);
     }
-    write_fates(page, counts);
+    write_detection_outcomes(page, counts);
     write_fusion_events(page, counts);
 }
 
 /// What became of detections: each counts once, so that all of them add up.
-fn write_fates(page: &mut Page, counts: &FusionCounts) {
+fn write_detection_outcomes(page: &mut MetricsText, counts: &FusionCounts) {
     // What carries a camera being out of sight is counted by itself.
     let unknown_place =
         counts.no_camera_pose.saturating_sub(counts.carrier_unseen + counts.carrier_unturned);
@@ -233,7 +235,7 @@ fn write_fates(page: &mut Page, counts: &FusionCounts) {
     }
 }
 
-fn write_fusion_events(page: &mut Page, counts: &FusionCounts) {
+fn write_fusion_events(page: &mut MetricsText, counts: &FusionCounts) {
     for (name, help, count) in [
         (
             "roundel_fusion_missing_frames_total",
@@ -288,7 +290,7 @@ fn write_fusion_events(page: &mut Page, counts: &FusionCounts) {
     }
 }
 
-fn write_clients(page: &mut Page, api: &Api) {
+fn write_clients(page: &mut MetricsText, api: &ApiState) {
     let counters = &api.counters;
     for (name, kind, help, counter) in [
         ("roundel_connections", "gauge", "Open connections.", &counters.connections),
@@ -329,11 +331,11 @@ fn write_clients(page: &mut Page, api: &Api) {
 
 /// Prometheus' text format, version 0.0.4.
 #[derive(Default)]
-struct Page {
+struct MetricsText {
     text: String,
 }
 
-impl Page {
+impl MetricsText {
     fn family(&mut self, name: &str, kind: &str, help: &str) {
         // Writing to a string cannot fail.
         let _ = writeln!(self.text, "# HELP {name} {help}\n# TYPE {name} {kind}");

@@ -16,12 +16,12 @@
 //! | [`lens`] | the lens of a camera, while the board is moved before it |
 //! | [`plan`] | what the cameras would make of roundels all over the arena |
 //! | [`simulation`] | simulated robots that clients drive |
-//! | [`trial`] | one try of a source |
+//! | [`source_probe`] | one try of a source |
 //! | [`ws`] | `/api/v1/stream` |
 //! | [`metrics`] | `/metrics`, `/healthz`, `/readyz` |
-//! | [`page`] | the dashboard's files |
-//! | [`encoded`] | snapshots as bytes, once for all who want the same |
-//! | [`selection`], [`feed`] | which snapshots a subscriber gets, and what is in them |
+//! | [`dashboard`] | the dashboard's files |
+//! | [`snapshot_encoder`] | snapshots as bytes, once for all who want the same |
+//! | [`selection`], [`snapshot_subscription`] | which snapshots a subscriber gets, and what is in them |
 //! | `region` | a box of the world that a client asks for |
 //! | [`picture`] | a frame with its detections drawn in, as JPEG |
 //! | `deadline` | calls that end when their client gives up |
@@ -36,20 +36,18 @@ pub mod calibration;
 pub mod configuration;
 pub(crate) mod convert;
 mod cors;
+pub mod dashboard;
 mod deadline;
 mod dispatch;
-pub mod encoded;
 pub mod error;
-pub mod feed;
 pub mod grpc;
 pub mod history;
 pub mod lens;
 mod listener;
 pub mod metrics;
 pub mod objects;
-mod observer;
+mod observation_subscription;
 pub mod openapi;
-pub mod page;
 mod path;
 pub mod picture;
 pub mod plan;
@@ -64,7 +62,9 @@ pub mod rest;
 pub mod selection;
 pub mod setup;
 pub mod simulation;
-pub mod trial;
+pub mod snapshot_encoder;
+pub mod snapshot_subscription;
+pub mod source_probe;
 pub mod ws;
 
 use std::{
@@ -79,16 +79,16 @@ use roundel_core::{marker::Kind, plan::Trials};
 use tokio::net::TcpListener;
 use tokio_util::sync::CancellationToken;
 
-use self::{encoded::Encoder, error::ApiError};
+use self::{error::ApiError, snapshot_encoder::SnapshotEncoder};
 use crate::{
     archive::{history::History, record::Recorder, replay::Replay},
     capture::{
-        source::{fleet::Fleets, push::Ports},
-        trial::Trier,
+        source::{fleet::Fleets, push::PushEndpoints},
+        source_probe::SourceProbe,
     },
     fusion::{
         calibration::{Calibrator, CalibratorParts, file::CalibrationFile},
-        roster::Roster,
+        camera_manager::CameraManager,
     },
     lab::lens::LensCalibrator,
     model::{clock::Clock, hub::Hub},
@@ -99,7 +99,7 @@ const MAX_REQUEST_BYTES: usize = 256 * 1024;
 
 /// What the port allows.
 #[derive(Clone, Copy, Debug)]
-pub struct Limits {
+pub struct ApiLimits {
     /// Open connections; further ones are refused with an error that says so.
     pub max_clients: usize,
     /// How long clients may take to end after the shutdown's begin, before they are cut off.
@@ -111,7 +111,7 @@ pub struct Limits {
     pub request_timeout: Duration,
 }
 
-impl Default for Limits {
+impl Default for ApiLimits {
     fn default() -> Self {
         Self {
             max_clients: 2000,
@@ -124,7 +124,7 @@ impl Default for Limits {
 
 /// What the port has done so far.
 #[derive(Debug, Default)]
-pub struct Counters {
+pub struct ApiCounters {
     /// Open connections.
     pub connections: AtomicU64,
     /// Connections refused because of the limit.
@@ -140,7 +140,7 @@ pub struct Counters {
 }
 
 /// What is served.
-pub struct Served {
+pub struct ApiParts {
     /// The newest of everything.
     pub hub: Arc<Hub>,
     /// The server's clock.
@@ -154,14 +154,14 @@ pub struct Served {
     /// Simulated robots, which clients may drive.
     pub fleets: Arc<Fleets>,
     /// Where remote programs feed cameras, by camera; `None`: one that is not fed.
-    pub ports: Arc<Ports>,
+    pub ports: Arc<PushEndpoints>,
     /// Observations that are older against the newest of all cameras are of no use, milliseconds.
     pub late_window_ms: f64,
     /// Tries sources; `None`: clients may not.
-    pub trier: Option<Arc<Trier>>,
+    pub source_probe: Option<Arc<SourceProbe>>,
     /// Adds, changes and removes cameras and objects; `None`: clients may not.
-    pub roster: Option<Arc<Roster>>,
-    /// Origins whose pages may ask; `*` is any.
+    pub camera_manager: Option<Arc<CameraManager>>,
+    /// Origins whose pages may send requests; `*` is any.
     pub allow_origins: Vec<String>,
     /// Records what is served; `None`: nothing is recorded here.
     pub recorder: Option<Arc<Recorder>>,
@@ -171,7 +171,7 @@ pub struct Served {
     pub history: Option<Arc<History>>,
 }
 
-impl Served {
+impl ApiParts {
     /// What a hub alone can serve: nothing is calibrated, fed, changed, recorded or kept here.
     pub fn of_hub(hub: Arc<Hub>, clock: Clock) -> Self {
         let calibrator = Arc::new(Calibrator::new(CalibratorParts {
@@ -192,8 +192,8 @@ impl Served {
             fleets: Arc::default(),
             ports: Arc::default(),
             late_window_ms: 300.0,
-            trier: None,
-            roster: None,
+            source_probe: None,
+            camera_manager: None,
             allow_origins: Vec::new(),
             recorder: None,
             replay: None,
@@ -203,7 +203,7 @@ impl Served {
 }
 
 /// What every handler of a request shares.
-pub struct Api {
+pub struct ApiState {
     /// The newest of everything.
     pub hub: Arc<Hub>,
     /// The server's clock.
@@ -212,18 +212,18 @@ pub struct Api {
     pub calibrator: Arc<Calibrator>,
     /// Finds lenses.
     pub lenses: Arc<LensCalibrator>,
-    /// As in [`Served`].
+    /// As in [`ApiParts`].
     pub kinds: Vec<Kind>,
     /// Simulated robots, which clients may drive.
     pub fleets: Arc<Fleets>,
     /// Where remote programs feed cameras.
-    pub ports: Arc<Ports>,
-    /// As in [`Served`].
+    pub ports: Arc<PushEndpoints>,
+    /// As in [`ApiParts`].
     pub late_window_ms: f64,
     /// Tries sources, where clients may have them tried.
-    pub trier: Option<Arc<Trier>>,
+    pub source_probe: Option<Arc<SourceProbe>>,
     /// Adds, changes and removes cameras and objects, where clients may have that done.
-    pub roster: Option<Arc<Roster>>,
+    pub camera_manager: Option<Arc<CameraManager>>,
     /// Records what is served, where something is recorded.
     pub recorder: Option<Arc<Recorder>>,
     /// The recording that is played, where one is.
@@ -231,15 +231,15 @@ pub struct Api {
     /// Where objects were, where that is kept.
     pub history: Option<Arc<History>>,
     /// Whose pages may ask.
-    pub origins: cors::Origins,
+    pub origins: cors::AllowedOrigins,
     /// Set when the server goes down.
     pub cancel: CancellationToken,
     /// What the port allows.
-    pub limits: Limits,
+    pub limits: ApiLimits,
     /// What the port has done so far.
-    pub counters: Counters,
+    pub counters: ApiCounters,
     /// Snapshots as subscribers want them.
-    pub encoder: Arc<Encoder>,
+    pub encoder: Arc<SnapshotEncoder>,
     /// What was tried for plans.
     pub trials: Trials,
 }
@@ -251,17 +251,19 @@ pub struct Api {
 /// frame (1001), and no connection is taken any more.
 pub async fn serve(
     listener: TcpListener,
-    served: Served,
-    limits: Limits,
+    served: ApiParts,
+    limits: ApiLimits,
     cancel: CancellationToken,
 ) {
     let cors = cors::layer(&served.allow_origins);
-    let origins = cors::Origins::new(served.allow_origins);
-    let Served { hub, clock, calibrator, lenses, kinds, fleets, ports, .. } = served;
-    let Served { late_window_ms, trier, roster, recorder, replay, history, .. } = served;
-    let counters = Counters::default();
-    let encoder = Arc::new(Encoder::default());
-    let api = Arc::new(Api {
+    let origins = cors::AllowedOrigins::new(served.allow_origins);
+    let ApiParts { hub, clock, calibrator, lenses, kinds, fleets, ports, .. } = served;
+    let ApiParts {
+        late_window_ms, source_probe, camera_manager, recorder, replay, history, ..
+    } = served;
+    let counters = ApiCounters::default();
+    let encoder = Arc::new(SnapshotEncoder::default());
+    let api = Arc::new(ApiState {
         hub,
         clock,
         calibrator,
@@ -270,8 +272,8 @@ pub async fn serve(
         fleets,
         ports,
         late_window_ms,
-        trier,
-        roster,
+        source_probe,
+        camera_manager,
         recorder,
         replay,
         history,
@@ -293,12 +295,12 @@ pub async fn serve(
 }
 
 /// Everything that is not gRPC: the described paths, and the dashboard for what is left.
-fn http_router(api: Arc<Api>) -> Router {
+fn http_router(api: Arc<ApiState>) -> Router {
     let (router, _) = openapi::described_routes().split_for_parts();
     router
-        .fallback(page::file)
+        .fallback(dashboard::file)
         .method_not_allowed_fallback(async || ApiError::MethodNotAllowed)
-        .layer(middleware::map_response(page::with_security_headers))
+        .layer(middleware::map_response(dashboard::with_security_headers))
         .layer(DefaultBodyLimit::max(MAX_REQUEST_BYTES))
         .with_state(api)
 }

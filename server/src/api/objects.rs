@@ -14,10 +14,10 @@ use serde_json::{Map, Value};
 use utoipa::ToSchema;
 
 use super::{
-    Api,
+    ApiState,
     error::{ApiError, ErrorBody},
     path::{Segment, object_number, text_of},
-    setup::{allowed, on_thread},
+    setup::{manager_if_allowed, run_blocking},
 };
 use crate::model::config::edit::Message;
 
@@ -38,7 +38,7 @@ const NAME_EXAMPLE: &str = r#"{"name": "cart"}"#;
     ),
 )]
 pub async fn show(
-    State(api): State<Arc<Api>>,
+    State(api): State<Arc<ApiState>>,
     name: Segment,
 ) -> Result<Json<v1::ObjectSetup>, ApiError> {
     written(&api, text_of(name)?).await.map(Json)
@@ -55,7 +55,7 @@ pub async fn show(
     ),
 )]
 pub async fn add(
-    State(api): State<Arc<Api>>,
+    State(api): State<Arc<ApiState>>,
     body: Result<Json<v1::ObjectSetup>, JsonRejection>,
 ) -> Result<Json<v1::ObjectChange>, ApiError> {
     add_object(&api, ApiError::body(body, EXAMPLE)?).await.map(Json)
@@ -77,7 +77,7 @@ pub async fn add(
     ),
 )]
 pub async fn change(
-    State(api): State<Arc<Api>>,
+    State(api): State<Arc<ApiState>>,
     name: Segment,
     body: Result<Json<Map<String, Value>>, JsonRejection>,
 ) -> Result<Json<v1::ObjectChange>, ApiError> {
@@ -101,7 +101,7 @@ pub async fn change(
     ),
 )]
 pub async fn remove(
-    State(api): State<Arc<Api>>,
+    State(api): State<Arc<ApiState>>,
     name: Segment,
 ) -> Result<Json<v1::ObjectChange>, ApiError> {
     remove_object(&api, text_of(name)?).await.map(Json)
@@ -131,7 +131,7 @@ pub struct Name {
     ),
 )]
 pub async fn name(
-    State(api): State<Arc<Api>>,
+    State(api): State<Arc<ApiState>>,
     id: Segment,
     body: Result<Json<Name>, JsonRejection>,
 ) -> Result<Json<v1::ObjectChange>, ApiError> {
@@ -139,22 +139,22 @@ pub async fn name(
     name_object(&api, v1::NameObjectRequest { object_id, name }).await.map(Json)
 }
 
-pub(super) async fn written(api: &Api, name: String) -> Result<v1::ObjectSetup, ApiError> {
-    let roster = allowed(api)?;
-    on_thread(move || roster.object_setup(&name)).await
+pub(super) async fn written(api: &ApiState, name: String) -> Result<v1::ObjectSetup, ApiError> {
+    let camera_manager = manager_if_allowed(api)?;
+    run_blocking(move || camera_manager.object_setup(&name)).await
 }
 
 pub(super) async fn add_object(
-    api: &Api,
+    api: &ApiState,
     object: v1::ObjectSetup,
 ) -> Result<v1::ObjectChange, ApiError> {
-    let (roster, name) = (allowed(api)?, object.name.clone());
-    let kept = on_thread(move || roster.add_object(&object)).await?;
+    let (camera_manager, name) = (manager_if_allowed(api)?, object.name.clone());
+    let kept = run_blocking(move || camera_manager.add_object(&object)).await?;
     change_of(api, name, kept).await
 }
 
 pub(super) async fn change_object(
-    api: &Api,
+    api: &ApiState,
     request: v1::ChangeObjectRequest,
 ) -> Result<v1::ObjectChange, ApiError> {
     let v1::ChangeObjectRequest { name, object, mut fields } = request;
@@ -167,32 +167,40 @@ pub(super) async fn change_object(
         let expected = format!("any of {}, roundels", known.join(", "));
         return Err(ApiError::invalid("fields", expected, format!("{unknown:?}")));
     }
-    let (roster, object) = (allowed(api)?, object.unwrap_or_default());
+    let (camera_manager, object) = (manager_if_allowed(api)?, object.unwrap_or_default());
     let change = move || {
         let fields: Vec<&str> = fields.iter().map(String::as_str).collect();
-        roster.change_object(&name, &object, &fields)
+        camera_manager.change_object(&name, &object, &fields)
     };
-    let (name, kept) = on_thread(change).await?;
+    let (name, kept) = run_blocking(change).await?;
     change_of(api, name, kept).await
 }
 
-pub(super) async fn remove_object(api: &Api, name: String) -> Result<v1::ObjectChange, ApiError> {
-    let (roster, object) = (allowed(api)?, api.hub.object_named(&name));
-    let kept = on_thread(move || roster.remove_object(&name)).await?;
+pub(super) async fn remove_object(
+    api: &ApiState,
+    name: String,
+) -> Result<v1::ObjectChange, ApiError> {
+    let (camera_manager, object) = (manager_if_allowed(api)?, api.hub.object_by_name(&name));
+    let kept = run_blocking(move || camera_manager.remove_object(&name)).await?;
     Ok(v1::ObjectChange { object: None, kept, object_id: object.map_or(0, |object| object.0) })
 }
 
 pub(super) async fn name_object(
-    api: &Api,
+    api: &ApiState,
     request: v1::NameObjectRequest,
 ) -> Result<v1::ObjectChange, ApiError> {
     let v1::NameObjectRequest { object_id, name } = request;
-    let (roster, fresh) = (allowed(api)?, name.clone());
-    let kept = on_thread(move || roster.name_object(ObjectId(object_id), &fresh)).await?;
+    let (camera_manager, fresh) = (manager_if_allowed(api)?, name.clone());
+    let kept =
+        run_blocking(move || camera_manager.name_object(ObjectId(object_id), &fresh)).await?;
     Ok(v1::ObjectChange { object_id, ..change_of(api, name, kept).await? })
 }
 
-async fn change_of(api: &Api, name: String, kept: String) -> Result<v1::ObjectChange, ApiError> {
-    let object_id = api.hub.object_named(&name).map_or(0, |object| object.0);
+async fn change_of(
+    api: &ApiState,
+    name: String,
+    kept: String,
+) -> Result<v1::ObjectChange, ApiError> {
+    let object_id = api.hub.object_by_name(&name).map_or(0, |object| object.0);
     Ok(v1::ObjectChange { object: Some(written(api, name).await?), kept, object_id })
 }

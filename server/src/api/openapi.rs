@@ -7,8 +7,8 @@ use utoipa::{OpenApi, openapi};
 use utoipa_axum::{router::OpenApiRouter, routes};
 
 use super::{
-    Api, calibration, configuration, history, lens, metrics, objects, plan, print, recording,
-    replay, rest, setup, simulation, trial, ws,
+    ApiState, calibration, configuration, history, lens, metrics, objects, plan, print, recording,
+    replay, rest, setup, simulation, source_probe, ws,
 };
 
 #[derive(OpenApi)]
@@ -21,7 +21,7 @@ use super::{
 struct Description;
 
 /// Every path but the dashboard's files, with its description.
-pub fn described_routes() -> OpenApiRouter<Arc<Api>> {
+pub fn described_routes() -> OpenApiRouter<Arc<ApiState>> {
     OpenApiRouter::with_openapi(Description::openapi())
         .routes(routes!(rest::snapshot))
         .routes(routes!(rest::objects))
@@ -42,7 +42,7 @@ pub fn described_routes() -> OpenApiRouter<Arc<Api>> {
         .routes(routes!(rest::observations))
         .routes(routes!(rest::events))
         .routes(routes!(rest::time))
-        .routes(routes!(trial::test))
+        .routes(routes!(source_probe::test))
         .routes(routes!(rest::info))
         .routes(routes!(calibration::show, calibration::start, calibration::cancel))
         .routes(routes!(calibration::apply))

@@ -10,21 +10,21 @@ use jpeg_encoder::{ColorType, Encoder};
 use roundel_core::{camera::PixelPoint, time::Timestamp};
 use tokio::time::timeout;
 
-use super::{Api, error::ApiError, queries};
+use super::{ApiState, error::ApiError, queries};
 use crate::{lab::drawing::Canvas, model::hub::Picture};
 
 const QUALITY: u8 = 80;
 /// How long a picture may take to come: a camera of 1 Hz still makes one.
-const WAIT: Duration = Duration::from_secs(1);
+const FRAME_TIMEOUT: Duration = Duration::from_secs(1);
 
 /// The newest picture of the camera of that name as JPEG, and when it was taken: a new one if one comes soon, else the
 /// last there was.
-pub(super) async fn newest(api: &Api, name: &str) -> Result<(Bytes, Timestamp), ApiError> {
+pub(super) async fn newest(api: &ApiState, name: &str) -> Result<(Bytes, Timestamp), ApiError> {
     let id = queries::camera_id(api, name)?;
     let Some(mut pictures) = api.hub.request_picture(id) else {
-        return Err(queries::removed(api, id));
+        return Err(queries::removed_camera_error(api, id));
     };
-    let fresh = timeout(WAIT, pictures.changed());
+    let fresh = timeout(FRAME_TIMEOUT, pictures.changed());
     tokio::select! {
         // Whether it came or not: the newest is taken below.
         _ = fresh => {}

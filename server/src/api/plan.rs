@@ -18,22 +18,22 @@ use roundel_core::{
 };
 
 use super::{
-    Api,
+    ApiState,
     error::{ApiError, ErrorBody},
-    query::Parameters,
+    query::QueryParameters,
 };
 use crate::lab::{
     plan::{
-        SPOTS,
-        picture::{self, Show},
-        report::{PlanMap, used},
-        station::{self, Named},
+        DEFAULT_SPOTS,
+        map_drawing::{self, MapLayer},
+        plan_map::{PlanMap, usable_stations},
+        planned_camera::{self, PlannedCamera},
     },
-    print::spec::{self, Print},
+    print::spec::{self, PrintSpec},
 };
 
 /// Most spots that are computed for a request.
-const MOST_SPOTS: usize = 20_000;
+const MAX_SPOTS: usize = 20_000;
 /// Roundels lie so high, if nobody says how high, metres.
 const HEIGHT_M: f64 = 0.3;
 
@@ -58,13 +58,13 @@ const HEIGHT_M: f64 = 0.3;
         (status = 409, description = "no camera's place is known", body = ErrorBody),
     ),
 )]
-pub async fn show(State(api): State<Arc<Api>>, uri: Uri) -> Result<Response, ApiError> {
-    let mut parameters = Parameters::of(&uri)?;
+pub async fn show(State(api): State<Arc<ApiState>>, uri: Uri) -> Result<Response, ApiError> {
+    let mut parameters = QueryParameters::of(&uri)?;
     let format = parameters.take("format")?.unwrap_or_else(|| "json".to_owned());
     let show = match parameters.take("show")? {
-        Some(word) => Show::from_str(&word, true)
+        Some(word) => MapLayer::from_str(&word, true)
             .map_err(|_| ApiError::invalid("show", "precision or cameras", word))?,
-        None => Show::default(),
+        None => MapLayer::default(),
     };
     let kind = kind(&api, &mut parameters)?;
     let height_m = parameters.take_parsed("height", "metres")?.unwrap_or(HEIGHT_M);
@@ -86,11 +86,11 @@ pub async fn show(State(api): State<Arc<Api>>, uri: Uri) -> Result<Response, Api
             field: "query",
             message: error.to_string(),
         };
-        let map = map(&used(&cameras), &kind, field).map_err(wrong)?;
+        let map = map(&usable_stations(&cameras), &kind, field).map_err(wrong)?;
         let map = PlanMap::of(&map, &kind.name, &cameras);
         match format.as_str() {
-            "svg" => Ok(sent("image/svg+xml", picture::svg(&map, show).into_bytes())),
-            "png" => picture::png(&map, show)
+            "svg" => Ok(sent("image/svg+xml", map_drawing::svg(&map, show).into_bytes())),
+            "png" => map_drawing::png(&map, show)
                 .map(|bytes| sent("image/png", bytes))
                 .map_err(|error| ApiError::Internal(error.to_string())),
             _ => Ok(Json(map).into_response()),
@@ -102,16 +102,18 @@ pub async fn show(State(api): State<Arc<Api>>, uri: Uri) -> Result<Response, Api
 }
 
 /// The cameras as they are now, in their order.
-fn cameras(api: &Api) -> Vec<Named> {
+fn cameras(api: &ApiState) -> Vec<PlannedCamera> {
     let installation = api.hub.installation();
     let states = api.hub.cameras();
     let usual = Imaging::default();
     let each = installation.cameras.iter();
-    each.filter_map(|(id, info)| Some(station::live(info, states.get(id)?, usual, &api.trials)))
-        .collect()
+    each.filter_map(|(id, info)| {
+        Some(planned_camera::from_running(info, states.get(id)?, usual, &api.trials))
+    })
+    .collect()
 }
 
-fn kind(api: &Api, parameters: &mut Parameters) -> Result<Kind, ApiError> {
+fn kind(api: &ApiState, parameters: &mut QueryParameters) -> Result<Kind, ApiError> {
     let name = parameters.take("roundel")?;
     let marker = parameters.take("marker")?;
     let code = match parameters.take("code")? {
@@ -131,7 +133,7 @@ fn kind(api: &Api, parameters: &mut Parameters) -> Result<Kind, ApiError> {
         }
         let wrong = |message| ApiError::Invalid { field: "marker", message };
         let diameters = spec::diameters(&text).map_err(wrong)?;
-        let print = Print { diameters: Some(diameters), code, polarity: Polarity::BlackRing };
+        let print = PrintSpec { diameters: Some(diameters), code, polarity: Polarity::BlackRing };
         let expected =
             || ApiError::invalid("marker", "OUTER_MM:INNER_MM, such as 160:64, or a `code`", text);
         return Ok(Kind { name: "the roundel".to_owned(), ..print.kind().ok_or_else(expected)? });
@@ -152,12 +154,12 @@ fn kind(api: &Api, parameters: &mut Parameters) -> Result<Kind, ApiError> {
 
 /// What is looked at: what was asked for, else what the cameras see.
 fn field(
-    cameras: &[Named],
+    cameras: &[PlannedCamera],
     height_m: f64,
     [low, high]: [Option<[f64; 2]>; 2],
     step_m: Option<f64>,
 ) -> Result<Field, ApiError> {
-    let stations = used(cameras);
+    let stations = usable_stations(cameras);
     if stations.is_empty() {
         let reasons: Vec<String> = cameras
             .iter()
@@ -170,7 +172,7 @@ fn field(
             if reasons.is_empty() { "there are no cameras".to_owned() } else { reasons.join("; ") }
         )));
     }
-    let seen = Field::seen_by(&stations, height_m, SPOTS);
+    let seen = Field::seen_by(&stations, height_m, DEFAULT_SPOTS);
     let (low_m, high_m) = match (low.zip(high), &seen) {
         (Some(corners), _) => corners,
         (None, Some(seen)) => (low.unwrap_or(seen.low_m), high.unwrap_or(seen.high_m)),
@@ -182,21 +184,24 @@ fn field(
         }
     };
     let sides = [high_m[0] - low_m[0], high_m[1] - low_m[1]];
-    let usual_m = (sides[0] * sides[1] / SPOTS as f64).max(0.0).sqrt();
+    let usual_m = (sides[0] * sides[1] / DEFAULT_SPOTS as f64).max(0.0).sqrt();
     let field = Field { low_m, high_m, height_m, step_m: step_m.unwrap_or(usual_m) };
     let wrong = |error: roundel_core::plan::PlanError| ApiError::Invalid {
         field: "query",
         message: error.to_string(),
     };
     let [columns, rows] = field.counts().map_err(wrong)?;
-    if columns * rows > MOST_SPOTS {
-        let expected = format!("so long a step that there are at most {MOST_SPOTS} spots");
+    if columns * rows > MAX_SPOTS {
+        let expected = format!("so long a step that there are at most {MAX_SPOTS} spots");
         return Err(ApiError::invalid("step", expected, format!("{columns} x {rows}")));
     }
     Ok(field)
 }
 
-fn corner(parameters: &mut Parameters, name: &'static str) -> Result<Option<[f64; 2]>, ApiError> {
+fn corner(
+    parameters: &mut QueryParameters,
+    name: &'static str,
+) -> Result<Option<[f64; 2]>, ApiError> {
     let numbers: Vec<f64> = parameters.take_list(name, "x,y in metres")?;
     match numbers[..] {
         [] => Ok(None),

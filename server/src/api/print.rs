@@ -12,13 +12,13 @@ use clap::ValueEnum as _;
 use roundel_core::marker::CodeLayout;
 
 use super::{
-    Api,
+    ApiState,
     error::{ApiError, ErrorBody},
-    query::Parameters,
+    query::QueryParameters,
 };
 use crate::lab::print::{
-    self, BOARD_LAYOUT, Listed, Order, Page, PageSize,
-    spec::{self, PolarityWord, Print},
+    self, BOARD_LAYOUT, CodeListing, Page, PageSize, PrintJob,
+    spec::{self, PolarityArg, PrintSpec},
 };
 
 /// Most pages that are made for a request.
@@ -49,8 +49,8 @@ const DPI: f64 = 300.0;
         (status = 400, description = "names the wrong parameter", body = ErrorBody),
     ),
 )]
-pub async fn file(State(_): State<Arc<Api>>, uri: Uri) -> Result<Response, ApiError> {
-    let mut parameters = Parameters::of(&uri)?;
+pub async fn file(State(_): State<Arc<ApiState>>, uri: Uri) -> Result<Response, ApiError> {
+    let mut parameters = QueryParameters::of(&uri)?;
     let format = parameters.take("format")?.unwrap_or_else(|| "pdf".to_owned());
     let sheet = parameters.take_parsed::<usize>("sheet", "a page's number from 1")?;
     let page = read(&mut parameters, "page", |text| {
@@ -118,31 +118,34 @@ fn counted(copies: Option<usize>) -> Result<usize, ApiError> {
     get, path = "/api/v1/codes", tag = "print",
     params(("code" = Option<String>, Query, description = "BITS[:DISTANCE] [8:2]", example = "8:2")),
     responses(
-        (status = 200, description = "the codes by number", body = Vec<Listed>),
+        (status = 200, description = "the codes by number", body = Vec<CodeListing>),
         (status = 400, description = "names the wrong parameter", body = ErrorBody),
     ),
 )]
-pub async fn codes(State(_): State<Arc<Api>>, uri: Uri) -> Result<Json<Vec<Listed>>, ApiError> {
-    let mut parameters = Parameters::of(&uri)?;
+pub async fn codes(
+    State(_): State<Arc<ApiState>>,
+    uri: Uri,
+) -> Result<Json<Vec<CodeListing>>, ApiError> {
+    let mut parameters = QueryParameters::of(&uri)?;
     let code = read(&mut parameters, "code", spec::code)?;
     parameters.finish()?;
     let layout = code.unwrap_or(CodeLayout { bits: 8, min_distance: 2 });
-    let listed = tokio::task::spawn_blocking(move || print::list(layout)).await;
+    let listed = tokio::task::spawn_blocking(move || print::list_codes(layout)).await;
     listed
         .map_err(|error| ApiError::Internal(format!("listing the codes ended early: {error}")))?
         .map(Json)
         .map_err(|error| ApiError::Invalid { field: "code", message: error.to_string() })
 }
 
-fn order(parameters: &mut Parameters, copies: Option<usize>) -> Result<Order, ApiError> {
+fn order(parameters: &mut QueryParameters, copies: Option<usize>) -> Result<PrintJob, ApiError> {
     let marker = read(parameters, "marker", spec::diameters)?;
     let code = read(parameters, "code", spec::code)?;
     let numbers = read(parameters, "ids", spec::numbers)?;
-    let polarity = read(parameters, "polarity", |text| PolarityWord::from_str(text, true))?;
+    let polarity = read(parameters, "polarity", |text| PolarityArg::from_str(text, true))?;
     let board = read(parameters, "board", spec::sides)?;
     let pitch_mm = parameters.take_parsed::<f64>("pitch", "millimetres")?;
     let wrong = |field: &'static str| {
-        move |error: print::OrderError| ApiError::Invalid { field, message: error.to_string() }
+        move |error: print::PrintJobError| ApiError::Invalid { field, message: error.to_string() }
     };
     if let Some(sides) = board {
         const NO_BOARD: &str = "nothing: a board is one of its kind";
@@ -150,18 +153,19 @@ fn order(parameters: &mut Parameters, copies: Option<usize>) -> Result<Order, Ap
         alone("polarity", polarity.map(|_| "one"), NO_BOARD, false)?;
         alone("copies", copies, NO_BOARD, false)?;
         let layout = code.unwrap_or(BOARD_LAYOUT);
-        return Order::board(sides, marker, pitch_mm, layout)
-            .map(Order::Board)
+        return PrintJob::board(sides, marker, pitch_mm, layout)
+            .map(PrintJob::Board)
             .map_err(wrong("board"));
     }
     alone("pitch", pitch_mm, "it with `board` alone", false)?;
     if marker.is_none() {
         return Err(ApiError::invalid("marker", "OUTER_MM[:INNER_MM], or a board", "neither"));
     }
-    let print = Print { diameters: marker, code, polarity: polarity.unwrap_or_default().into() };
-    Order::roundels(&print, numbers.as_ref())
+    let print =
+        PrintSpec { diameters: marker, code, polarity: polarity.unwrap_or_default().into() };
+    PrintJob::roundels(&print, numbers.as_ref())
         .map_err(wrong("marker"))
-        .and_then(|items| Ok(Order::Roundels(items).copies(counted(copies)?)))
+        .and_then(|items| Ok(PrintJob::Roundels(items).copies(counted(copies)?)))
 }
 
 /// Refuses a parameter that is there and would change nothing.
@@ -179,7 +183,7 @@ fn alone<T: std::fmt::Display>(
 
 /// A parameter that `reader` understands; what it says is wrong is told with the parameter's name.
 fn read<T>(
-    parameters: &mut Parameters,
+    parameters: &mut QueryParameters,
     name: &'static str,
     reader: impl Fn(&str) -> Result<T, String>,
 ) -> Result<Option<T>, ApiError> {

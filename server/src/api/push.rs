@@ -5,20 +5,23 @@ use std::{net::SocketAddr, sync::Arc};
 use futures::{Stream, StreamExt, stream};
 use roundel_core::id::CameraId;
 use roundel_proto::v1::{
-    self, push_request::Message as Asked, push_response::Message as Answer, push_server::PushServer,
+    self, push_request::Message as Incoming, push_response::Message as Answer,
+    push_server::PushServer,
 };
 use tokio::sync::mpsc;
 use tonic::{Request, Response, Status, Streaming};
 
 use super::{
-    Api,
+    ApiState,
     error::{ApiError, SHUTTING_DOWN},
     queries,
 };
 use crate::{
     capture::{
-        push_messages::{self as convert, WireError},
-        source::push::{Attachment, Greeting, Port, PushError, Pushed, Times},
+        push_messages::{self as convert, WireFieldError},
+        source::push::{
+            PushEndpoint, PushError, PushedItem, SenderClock, SenderHello, SenderSession,
+        },
     },
     model::hub::Picture,
 };
@@ -32,16 +35,16 @@ const MAX_NAME: usize = 80;
 
 /// Who connects, as an extension of each request.
 #[derive(Clone, Copy, Debug)]
-pub struct Peer(pub SocketAddr);
+pub struct PeerAddress(pub SocketAddr);
 
 /// Takes what is pushed.
 #[derive(Clone)]
 pub struct Service {
-    api: Arc<Api>,
+    api: Arc<ApiState>,
 }
 
 /// The service, for the router.
-pub fn service(api: &Arc<Api>) -> PushServer<Service> {
+pub fn service(api: &Arc<ApiState>) -> PushServer<Service> {
     PushServer::new(Service { api: api.clone() }).max_decoding_message_size(MAX_MESSAGE_BYTES)
 }
 
@@ -55,13 +58,13 @@ impl v1::push_server::Push for Service {
         &self,
         request: Request<Streaming<v1::PushRequest>>,
     ) -> Result<Response<Self::SendStream>, Status> {
-        let peer = request.extensions().get::<Peer>().copied();
+        let peer = request.extensions().get::<PeerAddress>().copied();
         let (answers, receiver) = mpsc::channel(ANSWERS);
         let api = self.api.clone();
         tokio::spawn(async move {
-            let talk = converse(&api, request.into_inner(), peer, &answers);
+            let session = serve_sender(&api, request.into_inner(), peer, &answers);
             let outcome = tokio::select! {
-                outcome = talk => outcome,
+                outcome = session => outcome,
                 () = api.cancel.cancelled() => Err(Status::unavailable(SHUTTING_DOWN)),
                 // The sender has gone: nobody reads the answers any more.
                 () = answers.closed() => return,
@@ -80,33 +83,34 @@ impl v1::push_server::Push for Service {
 }
 
 /// Takes messages until their end.
-async fn converse(
-    api: &Api,
+async fn serve_sender(
+    api: &ApiState,
     mut messages: Streaming<v1::PushRequest>,
-    peer: Option<Peer>,
+    peer: Option<PeerAddress>,
     answers: &mpsc::Sender<Result<v1::PushResponse, Status>>,
 ) -> Result<(), Status> {
-    let Some(v1::PushRequest { message: Some(Asked::Greeting(greeting)) }) =
+    let Some(v1::PushRequest { message: Some(Incoming::Greeting(greeting)) }) =
         messages.message().await?
     else {
         return Err(ApiError::invalid("message", "a greeting first", "something else").into());
     };
-    let (camera, port) = port(api, &greeting.camera)?;
-    let times = convert::times(greeting.times).map_err(ApiError::from)?;
-    let attachment = port.attach(&read(&greeting, times, peer)).map_err(ApiError::from)?;
-    let hold = Hold { api, camera, port, attachment: Some(attachment) };
-    hold.show();
-    let port = hold.port.clone();
-    let talk = Talk { hold, times, answers, told: None, sends_detections: false };
+    let (camera, endpoint) = endpoint(api, &greeting.camera)?;
+    let times = convert::sender_clock(greeting.times).map_err(ApiError::from)?;
+    let session = endpoint.connect(&read(&greeting, times, peer)).map_err(ApiError::from)?;
+    let lease = CameraLease { api, camera, endpoint, session: Some(session) };
+    lease.show();
+    let endpoint = lease.endpoint.clone();
+    let session =
+        PushSession { lease, times, answers, sent_calibration: None, sends_detections: false };
     tokio::select! {
-        outcome = talk.welcome_and_take(&mut messages) => outcome,
-        () = port.closed() => Err(ApiError::from(PushError::Closed).into()),
+        outcome = session.run(&mut messages) => outcome,
+        () = endpoint.closed() => Err(ApiError::from(PushError::Closed).into()),
     }
 }
 
-fn read(greeting: &v1::PushGreeting, times: Times, peer: Option<Peer>) -> Greeting {
+fn read(greeting: &v1::PushGreeting, times: SenderClock, peer: Option<PeerAddress>) -> SenderHello {
     let name: String = greeting.sender.chars().take(MAX_NAME).collect();
-    Greeting {
+    SenderHello {
         sender: if name.trim().is_empty() { "a program".to_owned() } else { name },
         address: peer.map_or_else(|| "unknown address".to_owned(), |peer| peer.0.to_string()),
         run_id: greeting.run_id.chars().take(MAX_NAME).collect(),
@@ -116,130 +120,130 @@ fn read(greeting: &v1::PushGreeting, times: Times, peer: Option<Peer>) -> Greeti
     }
 }
 
-fn port(api: &Api, name: &str) -> Result<(CameraId, Arc<Port>), ApiError> {
+fn endpoint(api: &ApiState, name: &str) -> Result<(CameraId, Arc<PushEndpoint>), ApiError> {
     let id = queries::camera_id(api, name)?;
-    let port = api.ports.get(id);
-    let port = port.ok_or_else(|| {
+    let endpoint = api.ports.get(id);
+    let endpoint = endpoint.ok_or_else(|| {
         let installation = api.hub.installation();
         let source = installation.cameras.get(&id).map_or("", |info| &info.source);
         ApiError::FailedPrecondition(format!(
             "camera {name:?} takes its frames from `{source}`: only one with source = \"push:\" can be fed"
         ))
     })?;
-    Ok((id, port))
+    Ok((id, endpoint))
 }
 
 /// A sender's hold on a camera, shown in the hub to its very end: a connection may break at any await.
-struct Hold<'a> {
-    api: &'a Api,
+struct CameraLease<'a> {
+    api: &'a ApiState,
     camera: CameraId,
-    port: Arc<Port>,
+    endpoint: Arc<PushEndpoint>,
     /// Until the end.
-    attachment: Option<Attachment>,
+    session: Option<SenderSession>,
 }
 
-impl Hold<'_> {
+impl CameraLease<'_> {
     /// Shows who feeds the camera, and how that goes.
     fn show(&self) {
-        let link = self.port.link();
+        let link = self.endpoint.link();
         self.api.hub.update_camera(self.camera, |state| state.link = Some(link));
     }
 
-    fn attachment(&self) -> Result<&Attachment, PushError> {
-        self.attachment.as_ref().ok_or(PushError::Superseded)
+    fn session(&self) -> Result<&SenderSession, PushError> {
+        self.session.as_ref().ok_or(PushError::Superseded)
     }
 }
 
-impl Drop for Hold<'_> {
+impl Drop for CameraLease<'_> {
     fn drop(&mut self) {
-        self.attachment = None;
+        self.session = None;
         self.show();
     }
 }
 
 /// One sender's connection.
-struct Talk<'a> {
-    hold: Hold<'a>,
-    times: Times,
+struct PushSession<'a> {
+    lease: CameraLease<'a>,
+    times: SenderClock,
     answers: &'a mpsc::Sender<Result<v1::PushResponse, Status>>,
     /// What the sender was told of the camera's lens.
-    told: Option<v1::PushedCalibration>,
+    sent_calibration: Option<v1::PushedCalibration>,
     /// Of pictures, the worker has them.
     sends_detections: bool,
 }
 
-impl Talk<'_> {
+impl PushSession<'_> {
     async fn answer(&self, message: Answer) {
         // A sender that has gone ends the whole conversation elsewhere.
         let _ = self.answers.send(Ok(v1::PushResponse { message: Some(message) })).await;
     }
 
-    async fn welcome_and_take(
-        mut self,
-        messages: &mut Streaming<v1::PushRequest>,
-    ) -> Result<(), Status> {
-        let attachment = self.hold.attachment().map_err(ApiError::from)?;
+    async fn run(mut self, messages: &mut Streaming<v1::PushRequest>) -> Result<(), Status> {
+        let session = self.lease.session().map_err(ApiError::from)?;
         let welcome = v1::PushWelcome {
-            source_id: self.hold.api.hub.installation().source_id.clone(),
-            newest_sequence: attachment.newest_sequence,
-            late_window_ms: self.hold.api.late_window_ms,
+            source_id: self.lease.api.hub.installation().source_id.clone(),
+            newest_sequence: session.newest_sequence,
+            late_window_ms: self.lease.api.late_window_ms,
         };
         self.answer(Answer::Welcome(welcome)).await;
-        self.tell_calibration().await;
+        self.send_calibration().await;
         while let Some(request) = messages.message().await? {
             self.take(request).await?;
-            self.hold.show();
-            self.tell_calibration().await;
-            self.ask_for_picture().await;
+            self.lease.show();
+            self.send_calibration().await;
+            self.request_picture().await;
         }
         Ok(())
     }
 
     async fn take(&mut self, request: v1::PushRequest) -> Result<(), ApiError> {
-        let arrived = self.hold.api.clock.now();
+        let arrived = self.lease.api.clock.now();
         let (sequence, (what, clock)) = match request.message {
-            Some(Asked::Frame(frame)) => (frame.sequence, convert::frame(frame)?),
-            Some(Asked::Observations(seen)) => {
+            Some(Incoming::Frame(frame)) => (frame.sequence, convert::frame(frame)?),
+            Some(Incoming::Observations(seen)) => {
                 self.sends_detections = true;
-                (seen.sequence, convert::seen(&self.hold.api.hub.installation(), seen)?)
+                (
+                    seen.sequence,
+                    convert::pushed_detections(&self.lease.api.hub.installation(), seen)?,
+                )
             }
-            Some(Asked::Trouble(v1::PushedTrouble { error })) => {
-                return Ok(self.hold.attachment()?.trouble(error)?);
+            Some(Incoming::Trouble(v1::PushedTrouble { error })) => {
+                return Ok(self.lease.session()?.report_failure(error)?);
             }
-            Some(Asked::Probe(probe)) => {
+            Some(Incoming::Probe(probe)) => {
                 let known = [probe.round_trip_ms, probe.clock_deviation_ms];
-                self.hold.attachment()?.probe(probe.next_sequence, known)?;
-                let replied_time_ns = self.hold.api.clock.now().as_ns();
+                self.lease.session()?.keep_alive(probe.next_sequence, known)?;
+                let replied_time_ns = self.lease.api.clock.now().as_ns();
                 let (sent_time_ns, received_time_ns) = (probe.sent_time_ns, arrived.as_ns());
                 let times = v1::PushProbeAnswer { sent_time_ns, received_time_ns, replied_time_ns };
                 self.answer(Answer::ProbeAnswer(times)).await;
                 return Ok(());
             }
-            Some(Asked::Picture(picture)) => return self.take_picture(picture).await,
-            Some(Asked::Greeting(_)) => {
+            Some(Incoming::Picture(picture)) => return self.take_picture(picture).await,
+            Some(Incoming::Greeting(_)) => {
                 return Err(ApiError::invalid("message", "one greeting", "another one"));
             }
             None => {
                 return Err(ApiError::invalid("message", "what PushRequest knows", "nothing"));
             }
         };
-        let pushed = Pushed { what, times: self.times, clock, arrived };
-        self.hold.attachment()?.put(sequence, pushed).await?;
+        let pushed = PushedItem { what, times: self.times, clock, arrived };
+        self.lease.session()?.put(sequence, pushed).await?;
         self.answer(Answer::Acknowledgement(v1::PushAcknowledgement { sequence })).await;
         Ok(())
     }
 
     /// Whoever sees what the camera sees has to be asked for a picture, if somebody wants one.
-    async fn ask_for_picture(&self) {
-        let Hold { api, camera, .. } = &self.hold;
+    async fn request_picture(&self) {
+        let CameraLease { api, camera, .. } = &self.lease;
         if self.sends_detections && api.hub.take_picture_request(*camera) {
             self.answer(Answer::PictureRequest(v1::PushPictureRequest {})).await;
         }
     }
 
     async fn take_picture(&self, picture: v1::PushedPicture) -> Result<(), ApiError> {
-        let Hold { api, camera, .. } = &self.hold;
-        let no_picture = match convert::still(&api.hub.installation(), picture)? {
+        let CameraLease { api, camera, .. } = &self.lease;
+        let no_picture = match convert::still_image(&api.hub.installation(), picture)? {
             Ok((still, seen)) => {
                 let model = api.hub.camera(*camera).and_then(|state| state.camera);
                 let size = model.map_or((0, 0), |model| (model.width(), model.height()));
@@ -253,24 +257,26 @@ impl Talk<'_> {
             }
             Err(why) => Err(why),
         };
-        Ok(self.hold.attachment()?.pictured(no_picture.err().unwrap_or_default())?)
+        Ok(self.lease.session()?.picture_answered(no_picture.err().unwrap_or_default())?)
     }
 
     /// Tells the lens and the place's version, where they are new.
-    async fn tell_calibration(&mut self) {
+    async fn send_calibration(&mut self) {
         let mut newest = None;
-        self.hold.api.hub.update_camera(self.hold.camera, |state| {
+        self.lease.api.hub.update_camera(self.lease.camera, |state| {
             newest = convert::pushed_calibration(state);
         });
-        if let Some(calibration) = newest.filter(|newest| self.told.as_ref() != Some(newest)) {
-            self.told = Some(calibration.clone());
+        if let Some(calibration) =
+            newest.filter(|newest| self.sent_calibration.as_ref() != Some(newest))
+        {
+            self.sent_calibration = Some(calibration.clone());
             self.answer(Answer::Calibration(calibration)).await;
         }
     }
 }
 
-impl From<WireError> for ApiError {
-    fn from(WireError { field, expected, found }: WireError) -> Self {
+impl From<WireFieldError> for ApiError {
+    fn from(WireFieldError { field, expected, found }: WireFieldError) -> Self {
         Self::InvalidArgument { field, expected, found }
     }
 }

@@ -7,12 +7,15 @@ use roundel_proto::v1;
 use tokio::sync::broadcast::{self, error::RecvError};
 
 use crate::{
-    api::{Api, convert, error::ApiError, selection::Selection},
+    api::{ApiState, convert, error::ApiError, selection::Selection},
     model::hub,
 };
 
 /// The newest snapshot as a subscriber of `selection` would get it.
-pub(super) fn newest_snapshot(api: &Api, selection: &Selection) -> Result<v1::Snapshot, ApiError> {
+pub(super) fn newest_snapshot(
+    api: &ApiState,
+    selection: &Selection,
+) -> Result<v1::Snapshot, ApiError> {
     let fused = api.hub.snapshots().borrow().clone();
     if fused.sequence == 0 {
         return Err(ApiError::Unavailable(
@@ -26,7 +29,7 @@ pub(super) fn newest_snapshot(api: &Api, selection: &Selection) -> Result<v1::Sn
 
 /// The newest frame of each of these cameras, or of all.
 pub(super) fn newest_observations(
-    api: &Api,
+    api: &ApiState,
     names: &[String],
 ) -> Result<v1::GetObservationsResponse, ApiError> {
     let wanted: Vec<CameraId> =
@@ -39,22 +42,22 @@ pub(super) fn newest_observations(
 }
 
 /// Every camera, in the order of the configuration.
-pub(super) fn cameras(api: &Api) -> Vec<v1::Camera> {
+pub(super) fn cameras(api: &ApiState) -> Vec<v1::Camera> {
     let (installation, states) = (api.hub.installation(), api.hub.cameras());
     let each = states.iter().filter(|(id, _)| installation.cameras.contains_key(id));
     each.map(|(id, state)| convert::camera(&installation, *id, state)).collect()
 }
 
 /// One camera.
-pub(super) fn camera(api: &Api, id: CameraId) -> Result<v1::Camera, ApiError> {
+pub(super) fn camera(api: &ApiState, id: CameraId) -> Result<v1::Camera, ApiError> {
     match api.hub.camera(id) {
         Some(state) => Ok(convert::camera(&api.hub.installation(), id, &state)),
-        None => Err(removed(api, id)),
+        None => Err(removed_camera_error(api, id)),
     }
 }
 
 /// The error of a camera that was there when the request came.
-pub(super) fn removed(api: &Api, id: CameraId) -> ApiError {
+pub(super) fn removed_camera_error(api: &ApiState, id: CameraId) -> ApiError {
     let installation = api.hub.installation();
     let names: Vec<&str> = installation.cameras.values().map(|c| c.name.as_str()).collect();
     let known = format!("it was removed; there are: {}", names.join(", "));
@@ -62,13 +65,13 @@ pub(super) fn removed(api: &Api, id: CameraId) -> ApiError {
 }
 
 /// Every object that is remembered, by id.
-pub(super) fn objects(api: &Api) -> Vec<v1::Object> {
+pub(super) fn objects(api: &ApiState) -> Vec<v1::Object> {
     let records = api.hub.objects();
     records.iter().map(|record| convert::object(&api.hub.installation(), record)).collect()
 }
 
 /// The id of the camera of that name, or an error that names those there are.
-pub(super) fn camera_id(api: &Api, name: &str) -> Result<CameraId, ApiError> {
+pub(super) fn camera_id(api: &ApiState, name: &str) -> Result<CameraId, ApiError> {
     let installation = api.hub.installation();
     installation.camera_id(name).ok_or_else(|| {
         let names: Vec<&str> = installation.cameras.values().map(|c| c.name.as_str()).collect();
@@ -84,8 +87,8 @@ pub(super) fn camera_id(api: &Api, name: &str) -> Result<CameraId, ApiError> {
 /// A wish for remembered events that the hub can fulfil.
 pub(super) fn checked_backlog(backlog: u32, field: &str) -> Result<usize, ApiError> {
     let backlog = backlog as usize;
-    if backlog > hub::EVENTS_KEPT {
-        let expected = format!("at most {} events", hub::EVENTS_KEPT);
+    if backlog > hub::EVENT_LOG_LEN {
+        let expected = format!("at most {} events", hub::EVENT_LOG_LEN);
         return Err(ApiError::invalid(field, expected, backlog));
     }
     Ok(backlog)
@@ -104,12 +107,12 @@ pub(super) async fn next_event(
     }
 }
 
-pub(super) fn server_info(api: &Api) -> v1::ServerInfo {
+pub(super) fn server_info(api: &ApiState) -> v1::ServerInfo {
     v1::ServerInfo {
         records: api.recorder.is_some(),
         replays: api.replay.is_some(),
         keeps_history: api.history.is_some(),
-        allows_setup: api.roster.is_some(),
+        allows_setup: api.camera_manager.is_some(),
         ..convert::server_info(&api.hub.installation())
     }
 }

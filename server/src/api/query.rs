@@ -9,12 +9,12 @@ use super::error::ApiError;
 
 /// The parameters of one query. Each is taken once; what is left at the end is a mistake.
 #[derive(Debug)]
-pub struct Parameters {
+pub struct QueryParameters {
     left: Vec<(String, String)>,
     known: Vec<&'static str>,
 }
 
-impl Parameters {
+impl QueryParameters {
     /// Reads a query; a parameter without a value counts as left out.
     pub fn of(uri: &Uri) -> Result<Self, ApiError> {
         let Query(left) = Query::<Vec<(String, String)>>::try_from_uri(uri).map_err(|error| {

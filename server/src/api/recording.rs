@@ -9,12 +9,12 @@ use axum::{
 use roundel_proto::v1;
 
 use super::{
-    Api,
+    ApiState,
     error::{ApiError, ErrorBody},
 };
 use crate::{
     api::convert,
-    archive::record::{RecordError, Recorder, State as Stage, Wanted},
+    archive::record::{RecordError, Recorder, RecordingOptions, RecordingState as Stage},
 };
 
 /// A recording may be told to end after so long: ten years.
@@ -28,7 +28,7 @@ const LONGEST_S: f64 = 3.2e8;
         (status = 409, description = "this server cannot record", body = ErrorBody),
     ),
 )]
-pub async fn show(State(api): State<Arc<Api>>) -> Result<Json<v1::Recording>, ApiError> {
+pub async fn show(State(api): State<Arc<ApiState>>) -> Result<Json<v1::Recording>, ApiError> {
     newest(&api).map(Json)
 }
 
@@ -43,7 +43,7 @@ pub async fn show(State(api): State<Arc<Api>>) -> Result<Json<v1::Recording>, Ap
     ),
 )]
 pub async fn start(
-    State(api): State<Arc<Api>>,
+    State(api): State<Arc<ApiState>>,
     body: Result<Json<v1::StartRecordingRequest>, JsonRejection>,
 ) -> Result<Json<v1::Recording>, ApiError> {
     let request = ApiError::body(body, r#"{"name": "trial", "frames_every": 0}"#)?;
@@ -58,7 +58,7 @@ pub async fn start(
         (status = 409, description = "nothing is recorded", body = ErrorBody),
     ),
 )]
-pub async fn stop(State(api): State<Arc<Api>>) -> Result<Json<v1::Recording>, ApiError> {
+pub async fn stop(State(api): State<Arc<ApiState>>) -> Result<Json<v1::Recording>, ApiError> {
     end(&api).await.map(Json)
 }
 
@@ -71,17 +71,17 @@ pub async fn stop(State(api): State<Arc<Api>>) -> Result<Json<v1::Recording>, Ap
     ),
 )]
 pub async fn files(
-    State(api): State<Arc<Api>>,
+    State(api): State<Arc<ApiState>>,
 ) -> Result<Json<v1::ListRecordingsResponse>, ApiError> {
     list(&api).await.map(Json)
 }
 
-pub(super) fn newest(api: &Api) -> Result<v1::Recording, ApiError> {
+pub(super) fn newest(api: &ApiState) -> Result<v1::Recording, ApiError> {
     Ok(convert::recording(&recorder(api)?.status()))
 }
 
 pub(super) async fn begin(
-    api: &Api,
+    api: &ApiState,
     request: v1::StartRecordingRequest,
 ) -> Result<v1::Recording, ApiError> {
     let length = match request.seconds {
@@ -91,7 +91,8 @@ pub(super) async fn begin(
         }
         seconds => seconds.map(Duration::from_secs_f64),
     };
-    let wanted = Wanted { name: request.name, frames_every: request.frames_every, length };
+    let wanted =
+        RecordingOptions { name: request.name, frames_every: request.frames_every, length };
     on_disk(api, move |recorder| {
         recorder.start(&wanted)?;
         Ok(convert::recording(&recorder.status()))
@@ -99,7 +100,7 @@ pub(super) async fn begin(
     .await
 }
 
-pub(super) async fn end(api: &Api) -> Result<v1::Recording, ApiError> {
+pub(super) async fn end(api: &ApiState) -> Result<v1::Recording, ApiError> {
     on_disk(api, |recorder| {
         recorder.stop()?;
         Ok(convert::recording(&recorder.status()))
@@ -107,7 +108,7 @@ pub(super) async fn end(api: &Api) -> Result<v1::Recording, ApiError> {
     .await
 }
 
-pub(super) async fn list(api: &Api) -> Result<v1::ListRecordingsResponse, ApiError> {
+pub(super) async fn list(api: &ApiState) -> Result<v1::ListRecordingsResponse, ApiError> {
     on_disk(api, |recorder| {
         let (files, status) = (recorder.list()?, recorder.status());
         let open = (status.state == Stage::Recording).then_some(status.file.as_str());
@@ -116,7 +117,7 @@ pub(super) async fn list(api: &Api) -> Result<v1::ListRecordingsResponse, ApiErr
     .await
 }
 
-fn recorder(api: &Api) -> Result<&Arc<Recorder>, ApiError> {
+fn recorder(api: &ApiState) -> Result<&Arc<Recorder>, ApiError> {
     api.recorder.as_ref().ok_or_else(|| {
         ApiError::FailedPrecondition("this server plays a recording, and makes none".to_owned())
     })
@@ -124,7 +125,7 @@ fn recorder(api: &Api) -> Result<&Arc<Recorder>, ApiError> {
 
 /// On a thread that may wait for the disk.
 async fn on_disk<T: Send + 'static>(
-    api: &Api,
+    api: &ApiState,
     work: impl FnOnce(&Recorder) -> Result<T, RecordError> + Send + 'static,
 ) -> Result<T, ApiError> {
     let recorder = recorder(api)?.clone();

@@ -9,12 +9,12 @@ use axum::{
 use roundel_proto::v1;
 
 use super::{
-    Api,
+    ApiState,
     error::{ApiError, ErrorBody},
 };
 use crate::{
     api::convert,
-    archive::replay::{Replay, SPEEDS, Wish},
+    archive::replay::{Control, Replay, SPEEDS},
 };
 
 /// The recording that is played, and how far it is.
@@ -25,7 +25,7 @@ use crate::{
         (status = 409, description = "everything here is live", body = ErrorBody),
     ),
 )]
-pub async fn show(State(api): State<Arc<Api>>) -> Result<Json<v1::Replay>, ApiError> {
+pub async fn show(State(api): State<Arc<ApiState>>) -> Result<Json<v1::Replay>, ApiError> {
     newest(&api).map(Json)
 }
 
@@ -40,17 +40,21 @@ pub async fn show(State(api): State<Arc<Api>>) -> Result<Json<v1::Replay>, ApiEr
     ),
 )]
 pub async fn control(
-    State(api): State<Arc<Api>>,
+    State(api): State<Arc<ApiState>>,
     body: Result<Json<v1::ControlReplayRequest>, JsonRejection>,
 ) -> Result<Json<v1::Replay>, ApiError> {
-    obey(&api, &ApiError::body(body, r#"{"paused": false, "position_s": 12.5}"#)?).map(Json)
+    apply_control(&api, &ApiError::body(body, r#"{"paused": false, "position_s": 12.5}"#)?)
+        .map(Json)
 }
 
-pub(super) fn newest(api: &Api) -> Result<v1::Replay, ApiError> {
+pub(super) fn newest(api: &ApiState) -> Result<v1::Replay, ApiError> {
     Ok(convert::replay(&replay(api)?.status()))
 }
 
-pub(super) fn obey(api: &Api, request: &v1::ControlReplayRequest) -> Result<v1::Replay, ApiError> {
+pub(super) fn apply_control(
+    api: &ApiState,
+    request: &v1::ControlReplayRequest,
+) -> Result<v1::Replay, ApiError> {
     let replay = replay(api)?;
     let [slowest, fastest] = SPEEDS;
     if let Some(speed) = request.speed.filter(|speed| !(slowest..=fastest).contains(speed)) {
@@ -62,7 +66,7 @@ pub(super) fn obey(api: &Api, request: &v1::ControlReplayRequest) -> Result<v1::
         let expected = format!("0 to {length_s:.3} seconds, the recording's length");
         return Err(ApiError::invalid("position_s", expected, position_s));
     }
-    replay.control(&Wish {
+    replay.control(&Control {
         paused: request.paused,
         speed: request.speed,
         position_s: request.position_s,
@@ -71,7 +75,7 @@ pub(super) fn obey(api: &Api, request: &v1::ControlReplayRequest) -> Result<v1::
     newest(api)
 }
 
-fn replay(api: &Api) -> Result<&Replay, ApiError> {
+fn replay(api: &ApiState) -> Result<&Replay, ApiError> {
     api.replay.as_ref().ok_or_else(|| {
         ApiError::FailedPrecondition(
             "everything here is live: `roundel replay FILE` serves a recording".to_owned(),

@@ -14,11 +14,11 @@ use serde::Serialize;
 use utoipa::ToSchema;
 
 use super::{
-    Api,
+    ApiState,
     error::{ApiError, ErrorBody},
     path::{Segment, object_number, text_of},
     picture, queries,
-    query::Parameters,
+    query::QueryParameters,
     selection::{QUERY_FIELDS, Selection},
 };
 use crate::api::convert;
@@ -48,10 +48,10 @@ const DEFAULT_BACKLOG: u32 = 50;
     ),
 )]
 pub async fn snapshot(
-    State(api): State<Arc<Api>>,
+    State(api): State<Arc<ApiState>>,
     uri: Uri,
 ) -> Result<Json<v1::Snapshot>, ApiError> {
-    let mut parameters = Parameters::of(&uri)?;
+    let mut parameters = QueryParameters::of(&uri)?;
     let request = parameters.take_selection()?;
     parameters.finish()?;
     let selection = Selection::new(request, &api.hub.installation().kinds, &QUERY_FIELDS)?;
@@ -63,7 +63,7 @@ pub async fn snapshot(
     get, path = "/api/v1/objects", tag = "poses",
     responses((status = 200, description = "the objects", body = v1::ListObjectsResponse)),
 )]
-pub async fn objects(State(api): State<Arc<Api>>) -> Json<v1::ListObjectsResponse> {
+pub async fn objects(State(api): State<Arc<ApiState>>) -> Json<v1::ListObjectsResponse> {
     Json(v1::ListObjectsResponse { objects: queries::objects(&api) })
 }
 
@@ -87,7 +87,7 @@ pub struct ObjectWithState {
     ),
 )]
 pub async fn object(
-    State(api): State<Arc<Api>>,
+    State(api): State<Arc<ApiState>>,
     id: Segment,
 ) -> Result<Json<ObjectWithState>, ApiError> {
     let number = object_number(id)?;
@@ -108,7 +108,7 @@ pub async fn object(
     get, path = "/api/v1/cameras", tag = "cameras",
     responses((status = 200, description = "the cameras", body = v1::ListCamerasResponse)),
 )]
-pub async fn cameras(State(api): State<Arc<Api>>) -> Json<v1::ListCamerasResponse> {
+pub async fn cameras(State(api): State<Arc<ApiState>>) -> Json<v1::ListCamerasResponse> {
     Json(v1::ListCamerasResponse { cameras: queries::cameras(&api) })
 }
 
@@ -122,7 +122,7 @@ pub async fn cameras(State(api): State<Arc<Api>>) -> Json<v1::ListCamerasRespons
     ),
 )]
 pub async fn camera(
-    State(api): State<Arc<Api>>,
+    State(api): State<Arc<ApiState>>,
     name: Segment,
 ) -> Result<Json<v1::Camera>, ApiError> {
     let name = text_of(name)?;
@@ -143,7 +143,7 @@ pub async fn camera(
         (status = 503, description = "the camera gives no frames; says why", body = ErrorBody),
     ),
 )]
-pub async fn frame(State(api): State<Arc<Api>>, name: Segment) -> Result<Response, ApiError> {
+pub async fn frame(State(api): State<Arc<ApiState>>, name: Segment) -> Result<Response, ApiError> {
     let (jpeg, capture_time) = picture::newest(&api, &text_of(name)?).await?;
     let headers = [
         (header::CONTENT_TYPE, HeaderValue::from_static("image/jpeg")),
@@ -169,8 +169,11 @@ pub struct EventList {
         (status = 400, description = "names the wrong parameter", body = ErrorBody),
     ),
 )]
-pub async fn events(State(api): State<Arc<Api>>, uri: Uri) -> Result<Json<EventList>, ApiError> {
-    let mut parameters = Parameters::of(&uri)?;
+pub async fn events(
+    State(api): State<Arc<ApiState>>,
+    uri: Uri,
+) -> Result<Json<EventList>, ApiError> {
+    let mut parameters = QueryParameters::of(&uri)?;
     let backlog = parameters.take_parsed("backlog", "a number of events")?;
     parameters.finish()?;
     let backlog = queries::checked_backlog(backlog.unwrap_or(DEFAULT_BACKLOG), "backlog")?;
@@ -184,7 +187,7 @@ pub async fn events(State(api): State<Arc<Api>>, uri: Uri) -> Result<Json<EventL
     get, path = "/api/v1/info", tag = "server",
     responses((status = 200, description = "the server", body = v1::ServerInfo)),
 )]
-pub async fn info(State(api): State<Arc<Api>>) -> Json<v1::ServerInfo> {
+pub async fn info(State(api): State<Arc<ApiState>>) -> Json<v1::ServerInfo> {
     Json(queries::server_info(&api))
 }
 
@@ -199,10 +202,10 @@ pub async fn info(State(api): State<Arc<Api>>) -> Json<v1::ServerInfo> {
     ),
 )]
 pub async fn observations(
-    State(api): State<Arc<Api>>,
+    State(api): State<Arc<ApiState>>,
     uri: Uri,
 ) -> Result<Json<v1::GetObservationsResponse>, ApiError> {
-    let mut parameters = Parameters::of(&uri)?;
+    let mut parameters = QueryParameters::of(&uri)?;
     let names: Vec<String> = parameters.take_list("cameras", "names of cameras")?;
     parameters.finish()?;
     queries::newest_observations(&api, &names).map(Json)
@@ -220,9 +223,12 @@ pub async fn observations(
         (status = 400, description = "names the wrong parameter", body = ErrorBody),
     ),
 )]
-pub async fn time(State(api): State<Arc<Api>>, uri: Uri) -> Result<Json<v1::ServerTime>, ApiError> {
+pub async fn time(
+    State(api): State<Arc<ApiState>>,
+    uri: Uri,
+) -> Result<Json<v1::ServerTime>, ApiError> {
     let received_time_ns = api.clock.now().as_ns();
-    let mut parameters = Parameters::of(&uri)?;
+    let mut parameters = QueryParameters::of(&uri)?;
     let sent = parameters.take_parsed("sent_time_ns", "whole nanoseconds")?;
     parameters.finish()?;
     let replied_time_ns = api.clock.now().as_ns();

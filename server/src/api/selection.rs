@@ -1,10 +1,10 @@
 //! What a subscriber wants of the snapshots: validated once, then applied to each.
 //!
 //! A request becomes a [`Selection`]: a [`Filter`], which decides what a message holds, and a rate,
-//! which decides when one is due ([`crate::api::feed`]). Filters compare and hash by value, so that
+//! which decides when one is due ([`crate::api::snapshot_subscription`]). Filters compare and hash by value, so that
 //! subscribers with the same one can share what was encoded for it.
 
-mod who;
+mod object_selector;
 
 use std::{
     borrow::Cow,
@@ -19,8 +19,8 @@ use crate::{
     api::{convert, error::ApiError, region::Region},
     model::hub::{FusedSnapshot, Installation},
 };
-pub use who::MAX_NAMED;
-use who::Who;
+pub use object_selector::MAX_SELECTORS;
+use object_selector::ObjectSelector;
 
 /// Longest prediction past the server's pose time, milliseconds.
 pub const MAX_HORIZON_MS: f64 = 1000.0;
@@ -65,15 +65,15 @@ pub const QUERY_FIELDS: FieldNames = FieldNames {
 /// What a snapshot's message holds. Cloning, hashing and comparing with a clone take the same time whatever it is.
 #[derive(Clone, Debug)]
 pub struct Filter {
-    wish: Arc<Wish>,
-    /// Of the wish.
+    spec: Arc<FilterSpec>,
+    /// Of the spec.
     digest: u64,
 }
 
 /// What is in a filter.
 #[derive(Clone, Debug, Default)]
-struct Wish {
-    who: Who,
+struct FilterSpec {
+    objects: ObjectSelector,
     /// Ascending, each once; empty: all.
     kinds: Vec<KindId>,
     region: Option<Region>,
@@ -81,28 +81,28 @@ struct Wish {
     omit_covariance: bool,
 }
 
-impl Wish {
+impl FilterSpec {
     /// Everything that takes part in comparing and hashing. Zero has one sign here, and no number
     /// is NaN, so that bits stand for values.
-    fn key(&self) -> (&Who, &[KindId], Option<[u64; 6]>, u64, bool) {
+    fn key(&self) -> (&ObjectSelector, &[KindId], Option<[u64; 6]>, u64, bool) {
         let region = self.region.as_ref().map(|region| {
             let (min, max) = (&region.min_m, &region.max_m);
             [min.x, min.y, min.z, max.x, max.y, max.z].map(|side| (side + 0.0).to_bits())
         });
-        (&self.who, &self.kinds, region, (self.horizon_s + 0.0).to_bits(), self.omit_covariance)
+        (&self.objects, &self.kinds, region, (self.horizon_s + 0.0).to_bits(), self.omit_covariance)
     }
 
-    fn choose<'a>(
+    fn select<'a>(
         &self,
         installation: &Installation,
         snapshot: &'a world::Snapshot,
     ) -> Cow<'a, world::Snapshot> {
         let mut chosen = Cow::Borrowed(snapshot);
-        if !self.who.is_everybody() || !self.kinds.is_empty() {
+        if !self.objects.selects_all() || !self.kinds.is_empty() {
             let wanted = |state: &&world::ObjectState| {
                 let is_kind = |kind| self.kinds.binary_search(&kind).is_ok();
                 let of_kind = self.kinds.is_empty() || state.kind.is_some_and(is_kind);
-                of_kind && self.who.includes(installation, state)
+                of_kind && self.objects.includes(installation, state)
             };
             chosen = Cow::Owned(world::Snapshot {
                 objects: snapshot.objects.iter().filter(wanted).cloned().collect(),
@@ -121,17 +121,17 @@ impl Wish {
     }
 }
 
-impl From<Wish> for Filter {
-    fn from(wish: Wish) -> Self {
+impl From<FilterSpec> for Filter {
+    fn from(spec: FilterSpec) -> Self {
         let mut hasher = DefaultHasher::new();
-        wish.key().hash(&mut hasher);
-        Self { wish: Arc::new(wish), digest: hasher.finish() }
+        spec.key().hash(&mut hasher);
+        Self { spec: Arc::new(spec), digest: hasher.finish() }
     }
 }
 
 impl Default for Filter {
     fn default() -> Self {
-        Wish::default().into()
+        FilterSpec::default().into()
     }
 }
 
@@ -139,15 +139,15 @@ impl Filter {
     /// The message that this filter makes of a snapshot; `sent_time_ns` and `missed` belong to the
     /// subscriber and are left 0.
     pub fn message(&self, installation: &Installation, fused: &FusedSnapshot) -> v1::Snapshot {
-        let chosen = self.wish.choose(installation, &fused.snapshot);
-        convert::snapshot(installation, fused, &chosen, !self.wish.omit_covariance)
+        let chosen = self.spec.select(installation, &fused.snapshot);
+        convert::snapshot(installation, fused, &chosen, !self.spec.omit_covariance)
     }
 }
 
 impl PartialEq for Filter {
     fn eq(&self, other: &Self) -> bool {
-        Arc::ptr_eq(&self.wish, &other.wish)
-            || self.digest == other.digest && self.wish.key() == other.wish.key()
+        Arc::ptr_eq(&self.spec, &other.spec)
+            || self.digest == other.digest && self.spec.key() == other.spec.key()
     }
 }
 
@@ -189,8 +189,8 @@ impl Selection {
             return Err(ApiError::invalid(names.horizon_ms, expected, horizon_ms));
         }
         Ok(Self {
-            filter: Filter::from(Wish {
-                who: Who::checked(&request, names)?,
+            filter: Filter::from(FilterSpec {
+                objects: ObjectSelector::checked(&request, names)?,
                 kinds: checked_kinds(&request.roundels, kinds, names)?,
                 region,
                 horizon_s: horizon_ms * 1e-3,
@@ -201,8 +201,8 @@ impl Selection {
     }
 }
 
-/// The same wish, of which there is one answer.
-pub fn once(request: v1::GetSnapshotRequest) -> v1::SubscribeSnapshotsRequest {
+/// The same spec, of which there is one answer.
+pub fn subscribe_request(request: v1::GetSnapshotRequest) -> v1::SubscribeSnapshotsRequest {
     let v1::GetSnapshotRequest { object_ids, region, horizon_ms, omit_covariance, .. } = request;
     let v1::GetSnapshotRequest { roundels, names, codes, .. } = request;
     v1::SubscribeSnapshotsRequest {
@@ -273,15 +273,15 @@ mod tests {
             filter(&[1, 1, 2, 2], 0.0, -0.0),
         ];
         assert_eq!(HashSet::from(same).len(), 1);
-        let wish = || Wish::clone(&filter(&[1, 2], 0.0, 0.0).wish);
+        let spec = || FilterSpec::clone(&filter(&[1, 2], 0.0, 0.0).spec);
         let different = [
             filter(&[1, 2], 0.0, 0.0),
             filter(&[1], 0.0, 0.0),
             filter(&[1, 2], 0.5, 0.0),
             filter(&[1, 2], 0.0, 0.5),
-            Filter::from(Wish { omit_covariance: true, ..wish() }),
-            Filter::from(Wish { region: None, ..wish() }),
-            Filter::from(Wish { kinds: vec![KindId(1)], ..wish() }),
+            Filter::from(FilterSpec { omit_covariance: true, ..spec() }),
+            Filter::from(FilterSpec { region: None, ..spec() }),
+            Filter::from(FilterSpec { kinds: vec![KindId(1)], ..spec() }),
             named(&["a"], &[]),
             named(&["b"], &[]),
             named(&[], &[(0, 1)]),
@@ -300,7 +300,7 @@ mod tests {
             ..Default::default()
         };
         let selection = |name| Selection::new(request(name), &kinds(), &MESSAGE_FIELDS);
-        assert_eq!(selection("robot").unwrap().filter.wish.kinds, [KindId(0), KindId(1)]);
+        assert_eq!(selection("robot").unwrap().filter.spec.kinds, [KindId(0), KindId(1)]);
         let error = selection("robots").unwrap_err().to_string();
         assert_eq!(error, "roundels: expected any of robot, cart, found \"robots\"");
     }

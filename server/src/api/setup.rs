@@ -11,13 +11,13 @@ use roundel_proto::v1;
 use serde_json::{Map, Value};
 
 use super::{
-    Api,
+    ApiState,
     error::{ApiError, ErrorBody, SHUTTING_DOWN},
     path::{Segment, text_of},
     queries,
 };
 use crate::{
-    fusion::roster::{Roster, RosterError},
+    fusion::camera_manager::{CameraManager, CameraManagerError},
     model::config::edit::Message,
 };
 
@@ -38,7 +38,7 @@ const EXAMPLE: &str = concat!(
     ),
 )]
 pub async fn show(
-    State(api): State<Arc<Api>>,
+    State(api): State<Arc<ApiState>>,
     name: Segment,
 ) -> Result<Json<v1::CameraSetup>, ApiError> {
     written(&api, text_of(name)?).await.map(Json)
@@ -55,7 +55,7 @@ pub async fn show(
     ),
 )]
 pub async fn add(
-    State(api): State<Arc<Api>>,
+    State(api): State<Arc<ApiState>>,
     body: Result<Json<v1::CameraSetup>, JsonRejection>,
 ) -> Result<Json<v1::CameraChange>, ApiError> {
     add_camera(&api, ApiError::body(body, EXAMPLE)?).await.map(Json)
@@ -78,7 +78,7 @@ pub async fn add(
     ),
 )]
 pub async fn change(
-    State(api): State<Arc<Api>>,
+    State(api): State<Arc<ApiState>>,
     name: Segment,
     body: Result<Json<Map<String, Value>>, JsonRejection>,
 ) -> Result<Json<v1::CameraChange>, ApiError> {
@@ -99,27 +99,34 @@ pub async fn change(
     ),
 )]
 pub async fn remove(
-    State(api): State<Arc<Api>>,
+    State(api): State<Arc<ApiState>>,
     name: Segment,
 ) -> Result<Json<v1::CameraChange>, ApiError> {
     remove_camera(&api, text_of(name)?).await.map(Json)
 }
 
-pub(super) async fn written(api: &Arc<Api>, name: String) -> Result<v1::CameraSetup, ApiError> {
-    on_roster(api, Some(&name), move |roster, name| roster.camera_setup(name)).await
+pub(super) async fn written(
+    api: &Arc<ApiState>,
+    name: String,
+) -> Result<v1::CameraSetup, ApiError> {
+    with_camera_manager(api, Some(&name), move |camera_manager, name| {
+        camera_manager.camera_setup(name)
+    })
+    .await
 }
 
 pub(super) async fn add_camera(
-    api: &Arc<Api>,
+    api: &Arc<ApiState>,
     camera: v1::CameraSetup,
 ) -> Result<v1::CameraChange, ApiError> {
     let name = camera.name.clone();
-    let kept = on_roster(api, None, move |roster, _| roster.add(&camera)).await?;
+    let kept = with_camera_manager(api, None, move |camera_manager, _| camera_manager.add(&camera))
+        .await?;
     change_of(api, &name, kept)
 }
 
 pub(super) async fn change_camera(
-    api: &Arc<Api>,
+    api: &Arc<ApiState>,
     request: v1::ChangeCameraRequest,
 ) -> Result<v1::CameraChange, ApiError> {
     let v1::ChangeCameraRequest { name, camera, fields } = request;
@@ -129,37 +136,39 @@ pub(super) async fn change_camera(
         return Err(ApiError::invalid("fields", expected, format!("{unknown:?}")));
     }
     let camera = camera.unwrap_or_default();
-    let change = move |roster: &Roster, name: &str| {
+    let change = move |camera_manager: &CameraManager, name: &str| {
         let fields: Vec<&str> = fields.iter().map(String::as_str).collect();
-        roster.change(name, &camera, &fields)
+        camera_manager.change(name, &camera, &fields)
     };
-    let (name, kept) = on_roster(api, Some(&name), change).await?;
+    let (name, kept) = with_camera_manager(api, Some(&name), change).await?;
     change_of(api, &name, kept)
 }
 
 pub(super) async fn remove_camera(
-    api: &Arc<Api>,
+    api: &Arc<ApiState>,
     name: String,
 ) -> Result<v1::CameraChange, ApiError> {
-    let kept = on_roster(api, Some(&name), |roster, name| roster.remove(name)).await?;
+    let kept =
+        with_camera_manager(api, Some(&name), |camera_manager, name| camera_manager.remove(name))
+            .await?;
     Ok(v1::CameraChange { camera: None, kept })
 }
 
 /// Does something with a camera, which has to be there if one is named.
-async fn on_roster<T: Send + 'static>(
-    api: &Arc<Api>,
+async fn with_camera_manager<T: Send + 'static>(
+    api: &Arc<ApiState>,
     name: Option<&str>,
-    act: impl FnOnce(&Roster, &str) -> Result<T, RosterError> + Send + 'static,
+    act: impl FnOnce(&CameraManager, &str) -> Result<T, CameraManagerError> + Send + 'static,
 ) -> Result<T, ApiError> {
-    let roster = allowed(api)?;
+    let camera_manager = manager_if_allowed(api)?;
     let _: Option<CameraId> = name.map(|name| queries::camera_id(api, name)).transpose()?;
     let name = name.unwrap_or_default().to_owned();
-    on_thread(move || act(&roster, &name)).await
+    run_blocking(move || act(&camera_manager, &name)).await
 }
 
 /// Whom clients may have change what is configured, if they may.
-pub(super) fn allowed(api: &Api) -> Result<Arc<Roster>, ApiError> {
-    api.roster.clone().ok_or_else(|| {
+pub(super) fn manager_if_allowed(api: &ApiState) -> Result<Arc<CameraManager>, ApiError> {
+    api.camera_manager.clone().ok_or_else(|| {
         ApiError::FailedPrecondition(
             "this server is open to a network, and lets no client change what is configured: `setup = true` under \
              [server] allows it, to everybody who reaches its port; or edit the configuration and start the server anew"
@@ -169,8 +178,8 @@ pub(super) fn allowed(api: &Api) -> Result<Arc<Roster>, ApiError> {
 }
 
 /// Does something on a thread that may wait for files and workers.
-pub(super) async fn on_thread<T: Send + 'static>(
-    act: impl FnOnce() -> Result<T, RosterError> + Send + 'static,
+pub(super) async fn run_blocking<T: Send + 'static>(
+    act: impl FnOnce() -> Result<T, CameraManagerError> + Send + 'static,
 ) -> Result<T, ApiError> {
     let done = tokio::task::spawn_blocking(act).await;
     let ended =
@@ -178,42 +187,42 @@ pub(super) async fn on_thread<T: Send + 'static>(
     Ok(done.map_err(ended)??)
 }
 
-fn change_of(api: &Api, name: &str, kept: String) -> Result<v1::CameraChange, ApiError> {
+fn change_of(api: &ApiState, name: &str, kept: String) -> Result<v1::CameraChange, ApiError> {
     let camera = queries::camera(api, queries::camera_id(api, name)?)?;
     Ok(v1::CameraChange { camera: Some(camera), kept })
 }
 
-impl From<RosterError> for ApiError {
-    fn from(error: RosterError) -> Self {
+impl From<CameraManagerError> for ApiError {
+    fn from(error: CameraManagerError) -> Self {
         let message = error.to_string();
         match error {
-            RosterError::Wrong { key, .. } => Self::Invalid { field: key, message },
-            RosterError::NoCamera(name) => {
+            CameraManagerError::Invalid { key, .. } => Self::Invalid { field: key, message },
+            CameraManagerError::NoCamera(name) => {
                 let known = "it was removed meanwhile, or has another name now".to_owned();
                 Self::NotFound { what: "camera", name, known }
             }
-            RosterError::NoObject(name) => {
+            CameraManagerError::NoObject(name) => {
                 let known = "GET /api/v1/configuration lists those that are configured".to_owned();
                 Self::NotFound { what: "object", name, known }
             }
-            RosterError::Unseen(id) => {
+            CameraManagerError::NotSeen(id) => {
                 let known = "/api/v1/objects lists those seen within the last minute".to_owned();
                 Self::NotFound { what: "object", name: id.to_string(), known }
             }
-            RosterError::Problems(_) => Self::Invalid { field: "toml", message },
-            RosterError::Stale => Self::Aborted(message),
-            RosterError::Alike { .. }
-            | RosterError::NeedsRestart(_)
-            | RosterError::Unread(_)
-            | RosterError::Last
-            | RosterError::Calibrating
-            | RosterError::NoFolder
-            | RosterError::Lens { .. }
-            | RosterError::File(_) => Self::FailedPrecondition(message),
-            RosterError::Mask(_) => Self::Invalid { field: "mask", message },
-            RosterError::Ending => Self::Unavailable(SHUTTING_DOWN.into()),
-            RosterError::Thread { .. } => Self::ResourceExhausted(message),
-            RosterError::Detector(_) => Self::Internal(message),
+            CameraManagerError::Problems(_) => Self::Invalid { field: "toml", message },
+            CameraManagerError::Stale => Self::Aborted(message),
+            CameraManagerError::Ambiguous { .. }
+            | CameraManagerError::NeedsRestart(_)
+            | CameraManagerError::CodeNotRead(_)
+            | CameraManagerError::LastCamera
+            | CameraManagerError::Calibrating
+            | CameraManagerError::NoFolder
+            | CameraManagerError::Lens { .. }
+            | CameraManagerError::File(_) => Self::FailedPrecondition(message),
+            CameraManagerError::Mask(_) => Self::Invalid { field: "mask", message },
+            CameraManagerError::ShuttingDown => Self::Unavailable(SHUTTING_DOWN.into()),
+            CameraManagerError::Thread { .. } => Self::ResourceExhausted(message),
+            CameraManagerError::Detector(_) => Self::Internal(message),
         }
     }
 }

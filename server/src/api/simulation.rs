@@ -11,11 +11,11 @@ use roundel_core::id::ObjectId;
 use roundel_proto::v1;
 
 use super::{
-    Api,
+    ApiState,
     error::{ApiError, ErrorBody},
 };
 use crate::capture::source::fleet::{
-    FleetError, LONGEST_PUSH_MS, Order, TOP_PUSH_M_S, TOP_SPEED_M_S,
+    DriveCommand, FleetError, MAX_PUSH_M_S, MAX_PUSH_MS, MAX_SPEED_M_S,
 };
 
 const DRIVE_EXAMPLE: &str =
@@ -37,7 +37,7 @@ const PUSH_EXAMPLE: &str =
     ),
 )]
 pub async fn drive(
-    State(api): State<Arc<Api>>,
+    State(api): State<Arc<ApiState>>,
     body: Result<Json<v1::DriveRobotsRequest>, JsonRejection>,
 ) -> Result<Json<v1::DriveRobotsResponse>, ApiError> {
     drive_robots(&api, &ApiError::body(body, DRIVE_EXAMPLE)?).map(Json)
@@ -55,14 +55,14 @@ pub async fn drive(
     ),
 )]
 pub async fn push(
-    State(api): State<Arc<Api>>,
+    State(api): State<Arc<ApiState>>,
     body: Result<Json<v1::PushRobotRequest>, JsonRejection>,
 ) -> Result<Json<v1::PushRobotResponse>, ApiError> {
     push_robot(&api, &ApiError::body(body, PUSH_EXAMPLE)?).map(Json)
 }
 
 pub(super) fn drive_robots(
-    api: &Api,
+    api: &ApiState,
     request: &v1::DriveRobotsRequest,
 ) -> Result<v1::DriveRobotsResponse, ApiError> {
     let mut orders = Vec::with_capacity(request.robots.len());
@@ -72,8 +72,8 @@ pub(super) fn drive_robots(
             let expected = "each object once";
             return Err(ApiError::invalid(format!("{field}.object_id"), expected, robot.object_id));
         }
-        let velocity_m_s = velocity(robot.velocity, &format!("{field}.velocity"), TOP_SPEED_M_S)?;
-        orders.push(Order { object: ObjectId(robot.object_id), velocity_m_s });
+        let velocity_m_s = velocity(robot.velocity, &format!("{field}.velocity"), MAX_SPEED_M_S)?;
+        orders.push(DriveCommand { object: ObjectId(robot.object_id), velocity_m_s });
     }
     let fused = api.hub.snapshots().borrow().clone();
     let begin = api.fleets.drive(&orders, &fused.snapshot, api.clock.now())?;
@@ -81,16 +81,16 @@ pub(super) fn drive_robots(
 }
 
 pub(super) fn push_robot(
-    api: &Api,
+    api: &ApiState,
     request: &v1::PushRobotRequest,
 ) -> Result<v1::PushRobotResponse, ApiError> {
-    let velocity_m_s = velocity(request.velocity, "velocity", TOP_PUSH_M_S)?;
+    let velocity_m_s = velocity(request.velocity, "velocity", MAX_PUSH_M_S)?;
     let duration_ms = request.duration_ms;
-    if !(duration_ms > 0.0 && duration_ms <= LONGEST_PUSH_MS) {
-        let expected = format!("milliseconds above 0 and up to {LONGEST_PUSH_MS}");
+    if !(duration_ms > 0.0 && duration_ms <= MAX_PUSH_MS) {
+        let expected = format!("milliseconds above 0 and up to {MAX_PUSH_MS}");
         return Err(ApiError::invalid("duration_ms", expected, duration_ms));
     }
-    let order = Order { object: ObjectId(request.object_id), velocity_m_s };
+    let order = DriveCommand { object: ObjectId(request.object_id), velocity_m_s };
     let fused = api.hub.snapshots().borrow().clone();
     let now = api.clock.now();
     let begin = api.fleets.push(order, duration_ms * 1e-3, &fused.snapshot, now)?;

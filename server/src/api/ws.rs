@@ -6,7 +6,7 @@
 //! point is answered with `{"error":…}`, and everything goes on as before.
 
 mod socket;
-mod wanted;
+mod stream_selection;
 
 use std::{convert::Infallible, io, pin::pin, sync::Arc, time::Duration};
 
@@ -34,17 +34,17 @@ use tokio_tungstenite::tungstenite::{
 
 use super::convert;
 use super::{
-    Api, MAX_REQUEST_BYTES,
-    encoded::Form,
+    ApiState, MAX_REQUEST_BYTES,
     error::{ApiError, ErrorBody, SHUTTING_DOWN},
-    feed::{EncodedSnapshot, Feed},
     listener::count_stalled,
-    observer::Observer,
+    observation_subscription::ObservationSubscription,
     queries,
+    snapshot_encoder::Encoding,
+    snapshot_subscription::{EncodedSnapshot, SnapshotSubscription},
 };
 use crate::model::hub;
 use socket::{Handshake, Socket, offered};
-use wanted::Wanted;
+use stream_selection::StreamSelection;
 
 /// Clients say little. What is sent to them needs no buffer, since each message is flushed: without this, a thousand
 /// pages would take 256 MB.
@@ -90,21 +90,21 @@ const PROTOCOLS: [&str; 2] = ["roundel.v1.json", "roundel.v1.protobuf"];
     ),
 )]
 pub async fn stream(
-    State(api): State<Arc<Api>>,
+    State(api): State<Arc<ApiState>>,
     request: Request<Body>,
 ) -> Result<Response<Body>, ApiError> {
     api.origins.check(request.headers())?;
-    let wanted = Wanted::of(&api, request.uri())?;
+    let selection = StreamSelection::from_query(&api, request.uri())?;
     let protocols = offered(&request);
     let mut handshake = Handshake::new(request).map_err(ApiError::UpgradeRequired)?;
     let chosen = handshake.choose(&protocols, &PROTOCOLS);
-    let form = if chosen == Some(PROTOCOLS[1]) { Form::Protobuf } else { Form::Json };
+    let form = if chosen == Some(PROTOCOLS[1]) { Encoding::Protobuf } else { Encoding::Json };
     let config = WebSocketConfig::default()
         .max_message_size(Some(MAX_REQUEST_BYTES))
         .max_frame_size(Some(MAX_REQUEST_BYTES))
         .read_buffer_size(READ_BUFFER_BYTES)
         .write_buffer_size(0);
-    Ok(handshake.answer(config, move |socket| Session::new(api, wanted, form).run(socket)))
+    Ok(handshake.answer(config, move |socket| Session::new(api, selection, form).run(socket)))
 }
 
 /// What is sent: one key each.
@@ -120,26 +120,26 @@ enum Outgoing {
 }
 
 impl Outgoing {
-    fn encode(self, form: Form) -> Result<Message, serde_json::Error> {
+    fn encode(self, form: Encoding) -> Result<Message, serde_json::Error> {
         use v1::stream_message::Message as Alternative;
         let alternative = match (form, self) {
-            (Form::Json, Self::Snapshot(EncodedSnapshot { own, shared })) => {
+            (Encoding::Json, Self::Snapshot(EncodedSnapshot { own, shared })) => {
                 let mut text = own.json(r#"{"snapshot":"#);
                 text.reserve(shared.len() + 1);
                 text.push_str(&String::from_utf8_lossy(&shared));
                 text.push('}');
                 return Ok(text.into());
             }
-            (Form::Json, other) => return Ok(serde_json::to_string(&other)?.into()),
-            (Form::Protobuf, Self::Snapshot(snapshot)) => {
+            (Encoding::Json, other) => return Ok(serde_json::to_string(&other)?.into()),
+            (Encoding::Protobuf, Self::Snapshot(snapshot)) => {
                 return Ok(Message::binary(stream_message(&snapshot)));
             }
-            (Form::Protobuf, Self::Cameras(cameras)) => {
+            (Encoding::Protobuf, Self::Cameras(cameras)) => {
                 Alternative::Cameras(v1::ListCamerasResponse { cameras })
             }
-            (Form::Protobuf, Self::Event(event)) => Alternative::Event(event),
-            (Form::Protobuf, Self::Observations(frame)) => Alternative::Observations(frame),
-            (Form::Protobuf, Self::Error(error)) => Alternative::Error(error),
+            (Encoding::Protobuf, Self::Event(event)) => Alternative::Event(event),
+            (Encoding::Protobuf, Self::Observations(frame)) => Alternative::Observations(frame),
+            (Encoding::Protobuf, Self::Error(error)) => Alternative::Error(error),
         };
         let message = v1::StreamMessage { message: Some(alternative) };
         Ok(Message::binary(message.encode_to_vec()))
@@ -160,7 +160,7 @@ fn stream_message(EncodedSnapshot { own, shared }: &EncodedSnapshot) -> Vec<u8> 
 }
 
 /// Why a session ends.
-enum End {
+enum SessionEnd {
     /// The server goes down: the client is told.
     Shutdown,
     /// The client said something that ends a WebSocket: it is told what.
@@ -169,7 +169,7 @@ enum End {
     Gone,
 }
 
-impl End {
+impl SessionEnd {
     /// By what reading a message ended in (RFC 6455, section 7.4.1).
     fn of(error: &tungstenite::Error) -> Self {
         use tungstenite::Error;
@@ -187,94 +187,97 @@ impl End {
 
 /// One open WebSocket.
 struct Session {
-    api: Arc<Api>,
-    form: Form,
-    feed: Option<Feed>,
+    api: Arc<ApiState>,
+    form: Encoding,
+    subscription: Option<SnapshotSubscription>,
     cameras: Option<Interval>,
-    remembered: Vec<Arc<hub::Event>>,
+    backlog: Vec<Arc<hub::Event>>,
     events: Option<broadcast::Receiver<Arc<hub::Event>>>,
-    observer: Option<Observer>,
+    observation_subscription: Option<ObservationSubscription>,
 }
 
 impl Session {
-    fn new(api: Arc<Api>, wanted: Wanted, form: Form) -> Self {
-        let remembered = Vec::new();
-        let (feed, cameras, events, observer) = (None, None, None, None);
-        let mut session = Self { api, form, feed, cameras, remembered, events, observer };
-        session.change(wanted);
+    fn new(api: Arc<ApiState>, selection: StreamSelection, form: Encoding) -> Self {
+        let backlog = Vec::new();
+        let (subscription, cameras, events, observation_subscription) = (None, None, None, None);
+        let mut session =
+            Self { api, form, subscription, cameras, backlog, events, observation_subscription };
+        session.change(selection);
         session
     }
 
     /// Wants something else from now on.
-    fn change(&mut self, wanted: Wanted) {
+    fn change(&mut self, selection: StreamSelection) {
         let api = &self.api;
-        let feed = wanted.snapshots.map(|selection| Feed::new(api.clone(), selection));
-        let cameras = wanted.cameras.then(|| {
+        let subscription =
+            selection.snapshots.map(|selection| SnapshotSubscription::new(api.clone(), selection));
+        let cameras = selection.cameras.then(|| {
             let mut ticks = interval(CAMERA_INTERVAL);
             ticks.set_missed_tick_behavior(MissedTickBehavior::Delay);
             ticks
         });
-        if !wanted.events {
+        if !selection.events {
             self.events = None;
         } else if self.events.is_none() {
             let (remembered, receiver) = api.hub.events(EVENT_BACKLOG);
-            (self.remembered, self.events) = (remembered, Some(receiver));
+            (self.backlog, self.events) = (remembered, Some(receiver));
         }
-        (self.feed, self.cameras, self.observer) = (feed, cameras, wanted.observations);
+        (self.subscription, self.cameras, self.observation_subscription) =
+            (subscription, cameras, selection.observations);
     }
 
     async fn run(mut self, mut socket: Socket) {
-        let Err(end) = self.converse(&mut socket).await;
+        let Err(end) = self.run_loop(&mut socket).await;
         let (code, reason) = match end {
-            End::Shutdown => (CloseCode::Away, SHUTTING_DOWN.to_owned()),
-            End::Wrong(code, reason) => (code, reason),
-            End::Gone => return,
+            SessionEnd::Shutdown => (CloseCode::Away, SHUTTING_DOWN.to_owned()),
+            SessionEnd::Wrong(code, reason) => (code, reason),
+            SessionEnd::Gone => return,
         };
         let frame = CloseFrame { code, reason: reason.into() };
         let _ = timeout(CLOSE_TIMEOUT, socket.close(frame)).await;
     }
 
-    async fn converse(&mut self, socket: &mut Socket) -> Result<Infallible, End> {
+    async fn run_loop(&mut self, socket: &mut Socket) -> Result<Infallible, SessionEnd> {
         let mut pings = interval_at(Instant::now() + PING_INTERVAL, PING_INTERVAL);
         pings.set_missed_tick_behavior(MissedTickBehavior::Delay);
         let mut last_heard = Instant::now();
         loop {
-            for event in std::mem::take(&mut self.remembered) {
+            for event in std::mem::take(&mut self.backlog) {
                 self.send(socket, Outgoing::Event(convert::event(&event))).await?;
             }
             let message = tokio::select! {
-                () = self.api.cancel.cancelled() => return Err(End::Shutdown),
+                () = self.api.cancel.cancelled() => return Err(SessionEnd::Shutdown),
                 incoming = socket.recv() => match incoming {
                     Some(Ok(message)) => {
                         last_heard = Instant::now();
-                        match self.heard(&message) {
+                        match self.handle_request(&message) {
                             Ok(()) => continue,
                             Err(error) => Outgoing::Error(error.into()),
                         }
                     }
-                    Some(Err(error)) => return Err(End::of(&error)),
-                    None => return Err(End::Gone),
+                    Some(Err(error)) => return Err(SessionEnd::of(&error)),
+                    None => return Err(SessionEnd::Gone),
                 },
                 _ = pings.tick() => {
                     if last_heard.elapsed() > SILENCE_TIMEOUT {
-                        return Err(End::Gone);
+                        return Err(SessionEnd::Gone);
                     }
                     self.transmit(socket, Message::Ping(Default::default())).await?;
                     continue;
                 }
-                snapshot = next_snapshot(&mut self.feed, self.form) => {
-                    Outgoing::Snapshot(snapshot.ok_or(End::Shutdown)?)
+                snapshot = next_snapshot(&mut self.subscription, self.form) => {
+                    Outgoing::Snapshot(snapshot.ok_or(SessionEnd::Shutdown)?)
                 }
                 () = next_tick(&mut self.cameras) => Outgoing::Cameras(queries::cameras(&self.api)),
-                frame = next_frame(&mut self.observer) => match frame.ok_or(End::Shutdown)? {
+                frame = next_frame(&mut self.observation_subscription) => match frame.ok_or(SessionEnd::Shutdown)? {
                     Ok(frame) => Outgoing::Observations(frame),
                     Err(error) => {
-                        self.observer = None;
+                        self.observation_subscription = None;
                         Outgoing::Error(error.into())
                     }
                 },
                 event = next_event(&mut self.events) => {
-                    let event = event.ok_or(End::Shutdown)?;
+                    let event = event.ok_or(SessionEnd::Shutdown)?;
                     Outgoing::Event(convert::event(&event))
                 }
             };
@@ -283,14 +286,14 @@ impl Session {
     }
 
     /// Does what a client says.
-    fn heard(&mut self, message: &Message) -> Result<(), ApiError> {
+    fn handle_request(&mut self, message: &Message) -> Result<(), ApiError> {
         if matches!(message, Message::Text(_) | Message::Binary(_)) {
-            self.change(Wanted::requested(&self.api, message, self.form)?);
+            self.change(StreamSelection::from_message(&self.api, message, self.form)?);
         }
         Ok(())
     }
 
-    async fn send(&self, socket: &mut Socket, message: Outgoing) -> Result<(), End> {
+    async fn send(&self, socket: &mut Socket, message: Outgoing) -> Result<(), SessionEnd> {
         match message.encode(self.form) {
             Ok(message) => self.transmit(socket, message).await,
             Err(error) => {
@@ -301,32 +304,35 @@ impl Session {
     }
 
     /// Sends a message. The connection's write timeout ends the session of a client that does not read.
-    async fn transmit(&self, socket: &mut Socket, message: Message) -> Result<(), End> {
+    async fn transmit(&self, socket: &mut Socket, message: Message) -> Result<(), SessionEnd> {
         let mut send = pin!(socket.send(message));
         tokio::select! {
             biased;
             sent = &mut send => sent.map_err(|error| self.send_failed(&error)),
             // The close frame must not end up within the message.
             () = self.api.cancel.cancelled() => match timeout(CLOSE_TIMEOUT, &mut send).await {
-                Ok(Ok(())) => Err(End::Shutdown),
-                _ => Err(End::Gone),
+                Ok(Ok(())) => Err(SessionEnd::Shutdown),
+                _ => Err(SessionEnd::Gone),
             },
         }
     }
 
-    fn send_failed(&self, error: &tungstenite::Error) -> End {
+    fn send_failed(&self, error: &tungstenite::Error) -> SessionEnd {
         if let tungstenite::Error::Io(error) = error
             && error.kind() == io::ErrorKind::TimedOut
         {
             count_stalled(&self.api);
         }
-        End::Gone
+        SessionEnd::Gone
     }
 }
 
-async fn next_snapshot(feed: &mut Option<Feed>, form: Form) -> Option<EncodedSnapshot> {
-    match feed {
-        Some(feed) => feed.next(form).await,
+async fn next_snapshot(
+    subscription: &mut Option<SnapshotSubscription>,
+    form: Encoding,
+) -> Option<EncodedSnapshot> {
+    match subscription {
+        Some(subscription) => subscription.next(form).await,
         None => std::future::pending().await,
     }
 }
@@ -350,10 +356,10 @@ async fn next_event(
 }
 
 async fn next_frame(
-    observer: &mut Option<Observer>,
+    observation_subscription: &mut Option<ObservationSubscription>,
 ) -> Option<Result<v1::FrameObservations, ApiError>> {
-    match observer {
-        Some(observer) => observer.next().await,
+    match observation_subscription {
+        Some(observation_subscription) => observation_subscription.next().await,
         None => std::future::pending().await,
     }
 }

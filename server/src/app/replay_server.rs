@@ -8,7 +8,7 @@ use tokio_util::sync::CancellationToken;
 use super::serve::ServeError;
 use crate::{
     api,
-    archive::replay::{Replay, Status, player::Player, scene::Scene},
+    archive::replay::{Replay, ReplayStatus, player::Player, session::ReplaySession},
     model::hub::Hub,
 };
 
@@ -25,27 +25,27 @@ pub struct ReplayServer {
 impl ReplayServer {
     /// Binds the port and begins to play. To be called within a tokio runtime.
     pub async fn start(
-        scene: Scene,
+        session: ReplaySession,
         listen: SocketAddr,
-        begin: Status,
+        begin: ReplayStatus,
     ) -> Result<Self, ServeError> {
         let listening = |source| ServeError::Listen { address: listen, source };
         let listener = TcpListener::bind(listen).await.map_err(listening)?;
         let address = listener.local_addr().map_err(listening)?;
-        let Scene { script, stage, told, hub, clock, late_window_ms } = scene;
+        let ReplaySession { reader, engine, updates, hub, clock, late_window_ms } = session;
         let replay = Replay::new(begin);
-        let player = Player::new((script, stage), told, replay.clone());
+        let player = Player::new((reader, engine), updates, replay.clone());
         let builder = std::thread::Builder::new().name("replay".to_owned());
         let thread = builder.spawn(move || player.run());
         let thread =
             thread.map_err(|source| ServeError::Thread { name: "replay".to_owned(), source })?;
-        let served = api::Served {
+        let served = api::ApiParts {
             late_window_ms,
             replay: Some(replay.clone()),
-            ..api::Served::of_hub(hub.clone(), clock)
+            ..api::ApiParts::of_hub(hub.clone(), clock)
         };
         let cancel = CancellationToken::new();
-        let api = api::serve(listener, served, api::Limits::default(), cancel.clone());
+        let api = api::serve(listener, served, api::ApiLimits::default(), cancel.clone());
         let api = Some(tokio::spawn(api));
         Ok(Self { address, hub, replay, cancel, player: Some(thread), api })
     }

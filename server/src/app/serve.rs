@@ -19,40 +19,44 @@ use thiserror::Error;
 use tokio::net::TcpListener;
 use tokio_util::sync::CancellationToken;
 
-pub use crate::fusion::roster::CameraSetting;
+pub use crate::fusion::camera_manager::SourceContext;
 use crate::fusion::setup::{ObjectError, fusion_machine, installation, landmarks};
 use crate::{
     api,
     archive::{
         history::{History, HistoryError},
-        record::{Recorder, Wanted},
+        record::{Recorder, RecordingOptions},
     },
     capture::{
-        source::{OpenSource, Playback, SourceOpener, TimesError, fleet::Fleets, push::Ports},
-        trial::Trier,
-        worker::{Sighted, Totals},
+        source::{
+            OpenSource, Playback, SourceOpener, TimesError, fleet::Fleets, push::PushEndpoints,
+        },
+        source_probe::SourceProbe,
+        worker::{WorkerCounts, WorkerOutput},
     },
     fusion::{
-        FusionTask, QUEUE_FRAMES, Rhythm, WatchingParts,
+        CameraMonitorParts, FusionTask, PublishSchedule, QUEUE_FRAMES,
         calibration::{
             Calibrator, CalibratorParts,
             file::{CalibrationFile, CalibrationFileError},
         },
-        roster::{self, Roster, RosterError, RosterParts, Sources},
+        camera_manager::{
+            self, CameraManager, CameraManagerError, CameraManagerParts, SourceFactory,
+        },
     },
     lab::lens::LensCalibrator,
     model::{
         clock::Clock,
         config::Config,
-        hub::{Happening, Hub},
-        stop::Stop,
+        hub::{EventKind, Hub},
+        stop::StopSignal,
     },
 };
 
 /// Time that shutdown may take in all.
-pub const GRACE: Duration = Duration::from_secs(5);
+pub const SHUTDOWN_TIMEOUT: Duration = Duration::from_secs(5);
 /// Of it, for clients; the rest is for cameras and fusion, which need far less.
-const CLIENT_GRACE: Duration = Duration::from_secs(2);
+const CLIENT_TIMEOUT: Duration = Duration::from_secs(2);
 
 /// Why a server does not start.
 #[derive(Debug, Error)]
@@ -82,7 +86,7 @@ pub enum ServeError {
     Mask(#[from] MaskError),
     /// A camera cannot be begun.
     #[error(transparent)]
-    Roster(#[from] RosterError),
+    CameraManager(#[from] CameraManagerError),
     /// An object cannot be followed.
     #[error(transparent)]
     Object(#[from] ObjectError),
@@ -129,10 +133,10 @@ pub struct Server {
     calibrator: Arc<Calibrator>,
     lenses: Arc<LensCalibrator>,
     fleets: Arc<Fleets>,
-    roster: Option<Arc<Roster>>,
+    camera_manager: Option<Arc<CameraManager>>,
     recorder: Option<Arc<Recorder>>,
     history: Option<Arc<History>>,
-    stop_fusion: Stop,
+    stop_fusion: StopSignal,
     cancel_clients: CancellationToken,
     fusion: Option<JoinHandle<()>>,
     api: Option<tokio::task::JoinHandle<()>>,
@@ -145,11 +149,13 @@ impl Server {
     pub async fn start(config: Config) -> Result<Self, ServeError> {
         let fleets = Arc::<Fleets>::default();
         let shared = fleets.clone();
-        let source = move |setting: CameraSetting<'_>| -> Box<dyn OpenSource> {
-            let CameraSetting { camera, clock, playback, stop, port, .. } = setting;
+        let source = move |setting: SourceContext<'_>| -> Box<dyn OpenSource> {
+            let SourceContext { camera, clock, playback, stop, port, .. } = setting;
             let size = (camera.calibration.width(), camera.calibration.height());
             let opener = SourceOpener::new(camera.address.clone(), size, clock, playback, stop);
-            Box::new(opener.with_port(port.unwrap_or_default()).with_fleets(shared.clone()))
+            Box::new(
+                opener.with_push_endpoint(port.unwrap_or_default()).with_fleets(shared.clone()),
+            )
         };
         Self::start_with_fleets(config, fleets, source).await
     }
@@ -159,7 +165,7 @@ impl Server {
     /// setting's clock, and end their waits on its stop signal.
     pub async fn start_with_sources(
         config: Config,
-        source: impl FnMut(CameraSetting<'_>) -> Box<dyn OpenSource> + Send + 'static,
+        source: impl FnMut(SourceContext<'_>) -> Box<dyn OpenSource> + Send + 'static,
     ) -> Result<Self, ServeError> {
         Self::start_with_fleets(config, Arc::default(), source).await
     }
@@ -167,7 +173,7 @@ impl Server {
     async fn start_with_fleets(
         config: Config,
         fleets: Arc<Fleets>,
-        source: impl FnMut(CameraSetting<'_>) -> Box<dyn OpenSource> + Send + 'static,
+        source: impl FnMut(SourceContext<'_>) -> Box<dyn OpenSource> + Send + 'static,
     ) -> Result<Self, ServeError> {
         let address = config.server.listen;
         let listening = |source| ServeError::Listen { address, source };
@@ -176,13 +182,13 @@ impl Server {
         let (clock, playback) = Playback::begin(config.cameras.iter().map(|c| &c.address))?;
         let hub = Arc::new(Hub::new(installation(&config, clock.now())));
         let mut calibrated = config.clone();
-        let file = kept_calibration(&mut calibrated, &hub, clock)?;
+        let file = load_calibration(&mut calibrated, &hub, clock)?;
         let calibrator = Arc::new(Calibrator::new(CalibratorParts {
             hub: hub.clone(),
             clock,
             cameras: (0..)
                 .map(CameraId)
-                .zip(config.cameras.iter().map(roster::setup::calibrated))
+                .zip(config.cameras.iter().map(camera_manager::setup::calibrator_camera))
                 .collect(),
             landmarks: landmarks(&config),
             path: config.server.calibration.clone(),
@@ -197,10 +203,10 @@ impl Server {
             calibrator,
             lenses,
             fleets,
-            roster: None,
+            camera_manager: None,
             recorder: None,
             history: None,
-            stop_fusion: Stop::default(),
+            stop_fusion: StopSignal::default(),
             cancel_clients: CancellationToken::new(),
             fusion: None,
             api: None,
@@ -208,11 +214,11 @@ impl Server {
         if let Some(settings) = config.history.clone() {
             server.history = Some(Arc::new(History::start(settings, server.hub.clone())?));
         }
-        let ports = Arc::new(Ports::default());
+        let ports = Arc::new(PushEndpoints::default());
         // Before anything happens, so that nothing is missing in what is recorded from the begin.
-        let roster = server.start_recorder(&config);
+        let camera_manager = server.start_recorder(&config);
         server.start_threads(&config, &calibrated, (ports.clone(), Box::new(source)))?;
-        server.roster.iter().for_each(|it| drop(roster.set(it.clone())));
+        server.camera_manager.iter().for_each(|it| drop(camera_manager.set(it.clone())));
         server.start_api(listener, &config, ports);
         Ok(server)
     }
@@ -253,34 +259,34 @@ impl Server {
     }
 
     /// The cameras that there are, and how they become others.
-    pub fn roster(&self) -> Option<&Arc<Roster>> {
-        self.roster.as_ref()
+    pub fn camera_manager(&self) -> Option<&Arc<CameraManager>> {
+        self.camera_manager.as_ref()
     }
 
     fn start_threads(
         &mut self,
         config: &Config,
         calibrated: &Config,
-        (ports, sources): (Arc<Ports>, Sources),
+        (ports, sources): (Arc<PushEndpoints>, SourceFactory),
     ) -> Result<(), ServeError> {
         // Full: observations are dropped and counted, see `worker`.
-        let (to_fusion, from_workers) = sync_channel::<Sighted>(QUEUE_FRAMES);
+        let (to_fusion, from_workers) = sync_channel::<WorkerOutput>(QUEUE_FRAMES);
         let machine = fusion_machine(config)?;
         let mut task = FusionTask::new(machine, self.hub.clone(), self.clock, from_workers);
-        if config.server.watches {
+        if config.server.monitors_cameras {
             let (landmarks, calibrator) = (landmarks(config), self.calibrator.clone());
-            task = task.watching(WatchingParts { landmarks, calibrator });
+            task = task.with_camera_monitor(CameraMonitorParts { landmarks, calibrator });
         } else {
             tracing::warn!(
                 "cameras are not watched (`watch = false` in [server]): one that is bumped goes on to be used"
             );
         }
-        let (task, orders) = task.taking_orders();
+        let (task, commands) = task.with_commands();
         let period = Duration::from_secs_f64(1.0 / config.server.snapshot_rate_hz);
-        let rhythm = Rhythm::new(period, config.server.is_prompt);
+        let schedule = PublishSchedule::new(period, config.server.publishes_per_frame);
         let stop = self.stop_fusion.clone();
-        self.fusion = Some(spawn("fusion".to_owned(), move || task.run(rhythm, &stop))?);
-        let parts = RosterParts {
+        self.fusion = Some(spawn("fusion".to_owned(), move || task.run(schedule, &stop))?);
+        let parts = CameraManagerParts {
             config: config.clone(),
             hub: self.hub.clone(),
             clock: self.clock,
@@ -288,42 +294,41 @@ impl Server {
             calibrator: self.calibrator.clone(),
             ports,
             to_fusion,
-            orders,
+            commands,
             sources,
         };
-        self.roster = Some(Arc::new(Roster::start(parts, calibrated)?));
+        self.camera_manager = Some(Arc::new(CameraManager::start(parts, calibrated)?));
         Ok(())
     }
 
-    /// One that cannot begin is told, and no reason not to serve. It wants to know the roster once there is one, which
+    /// One that cannot begin is told, and no reason not to serve. It reads the camera manager once there is one, which
     /// then says the configuration.
-    fn start_recorder(&mut self, config: &Config) -> Arc<OnceLock<Arc<Roster>>> {
-        let roster = Arc::<OnceLock<Arc<Roster>>>::default();
-        let (known, first) = (roster.clone(), roster::text_without_passwords(config));
-        let text =
-            move || known.get().map_or_else(|| first.clone(), |it| it.text_without_passwords());
+    fn start_recorder(&mut self, config: &Config) -> Arc<OnceLock<Arc<CameraManager>>> {
+        let camera_manager = Arc::<OnceLock<Arc<CameraManager>>>::default();
+        let (known, first) = (camera_manager.clone(), camera_manager::redacted_text(config));
+        let text = move || known.get().map_or_else(|| first.clone(), |it| it.redacted_text());
         let (hub, settings) = (self.hub.clone(), config.recording.clone());
         let recorder = Recorder::new(hub, self.clock, settings, Box::new(text));
         if config.recording.starts
-            && let Err(error) = recorder.start(&Wanted::default())
+            && let Err(error) = recorder.start(&RecordingOptions::default())
         {
             let message = format!("Nothing is recorded: {error}.");
             tracing::error!("{message}");
-            self.hub.publish_event(self.clock.now(), Happening::RecordingFailed, message);
+            self.hub.publish_event(self.clock.now(), EventKind::RecordingFailed, message);
         }
         self.recorder = Some(Arc::new(recorder));
-        roster
+        camera_manager
     }
 
-    fn start_api(&mut self, listener: TcpListener, config: &Config, ports: Arc<Ports>) {
-        let limits = api::Limits {
+    fn start_api(&mut self, listener: TcpListener, config: &Config, ports: Arc<PushEndpoints>) {
+        let limits = api::ApiLimits {
             max_clients: config.limits.max_clients,
-            grace: CLIENT_GRACE,
-            ..api::Limits::default()
+            grace: CLIENT_TIMEOUT,
+            ..api::ApiLimits::default()
         };
         let (kinds, folder) = (config.kinds.clone(), config.folder.clone());
-        let trier = || Arc::new(Trier::new(kinds, folder, self.clock, self.playback));
-        let served = api::Served {
+        let source_probe = || Arc::new(SourceProbe::new(kinds, folder, self.clock, self.playback));
+        let served = api::ApiParts {
             hub: self.hub.clone(),
             clock: self.clock,
             calibrator: self.calibrator.clone(),
@@ -332,8 +337,8 @@ impl Server {
             fleets: self.fleets.clone(),
             ports,
             late_window_ms: config.fusion.late_window_s * 1e3,
-            trier: config.server.setup.then(trier),
-            roster: self.roster.clone().filter(|_| config.server.setup),
+            source_probe: config.server.setup.then(source_probe),
+            camera_manager: self.camera_manager.clone().filter(|_| config.server.setup),
             allow_origins: config.server.allow_origins.clone(),
             recorder: self.recorder.clone(),
             replay: None,
@@ -343,15 +348,18 @@ impl Server {
         self.api = Some(tokio::spawn(api::serve(listener, served, limits, cancel)));
     }
 
-    fn end_cameras(&self) -> Vec<JoinHandle<Totals>> {
-        self.roster.as_ref().map(|roster| roster.end()).unwrap_or_default()
+    fn stop_cameras(&self) -> Vec<JoinHandle<WorkerCounts>> {
+        self.camera_manager
+            .as_ref()
+            .map(|camera_manager| camera_manager.stop_all())
+            .unwrap_or_default()
     }
 
-    /// Ends cameras, then fusion, then clients; at most [`GRACE`] long. What does not end in time is
+    /// Ends cameras, then fusion, then clients; at most [`SHUTDOWN_TIMEOUT`] long. What does not end in time is
     /// left behind with a warning.
     pub async fn shutdown(mut self) {
-        let deadline = Instant::now() + (GRACE - CLIENT_GRACE);
-        let cameras = self.end_cameras();
+        let deadline = Instant::now() + (SHUTDOWN_TIMEOUT - CLIENT_TIMEOUT);
+        let cameras = self.stop_cameras();
         for calibration in
             [self.calibrator.shut_down(), self.lenses.shut_down()].into_iter().flatten()
         {
@@ -382,7 +390,7 @@ impl Server {
 
 impl Drop for Server {
     fn drop(&mut self) {
-        self.end_cameras();
+        self.stop_cameras();
         self.calibrator.shut_down();
         self.lenses.shut_down();
         self.stop_fusion.stop();
@@ -391,7 +399,7 @@ impl Drop for Server {
 }
 
 /// Reads what is kept, and has the cameras stand where it says.
-fn kept_calibration(
+fn load_calibration(
     config: &mut Config,
     hub: &Hub,
     clock: Clock,
@@ -404,7 +412,7 @@ fn kept_calibration(
     };
     for why in file.merge_into(config) {
         tracing::warn!("{why}");
-        hub.publish_event(clock.now(), Happening::CalibrationApplied, why);
+        hub.publish_event(clock.now(), EventKind::CalibrationApplied, why);
     }
     let (version, cameras) = (file.version, file.cameras.len());
     tracing::info!(version, cameras, file = %path.display(), "calibration of the arena");
@@ -421,14 +429,14 @@ fn spawn<T: Send + 'static>(
 
 /// Waits for a thread without holding up the runtime.
 async fn join<T>(thread: JoinHandle<T>, deadline: Instant) {
-    const LOOK_EVERY: Duration = Duration::from_millis(5);
+    const POLL_INTERVAL: Duration = Duration::from_millis(5);
     while !thread.is_finished() {
         if Instant::now() >= deadline {
             let name = thread.thread().name().unwrap_or_default();
             tracing::warn!(thread = name, "did not end within the grace time");
             return;
         }
-        tokio::time::sleep(LOOK_EVERY).await;
+        tokio::time::sleep(POLL_INTERVAL).await;
     }
     if thread.join().is_err() {
         tracing::error!("a thread ended with a panic");

@@ -61,7 +61,7 @@ pub enum ImageError {
     },
     /// It is something else.
     #[error("{}: expected a PNG, JPEG, PGM or BMP image, found {found}", .path.display())]
-    Kind {
+    FileFormat {
         /// Which file.
         path: PathBuf,
         /// What its first bytes look like.
@@ -96,26 +96,26 @@ pub enum ImageError {
 }
 
 /// An error before the file's name is known.
-enum Fault {
+enum DecodeError {
     TooLarge(String),
     Broken(String),
 }
 
-impl<E: std::fmt::Display> From<E> for Fault {
+impl<E: std::fmt::Display> From<E> for DecodeError {
     fn from(error: E) -> Self {
         Self::Broken(error.to_string())
     }
 }
 
 #[derive(Clone, Copy)]
-enum Kind {
+enum FileFormat {
     Png,
     Jpeg,
     Pnm,
     Bmp,
 }
 
-impl Kind {
+impl FileFormat {
     fn name(self) -> &'static str {
         match self {
             Self::Png => "PNG",
@@ -134,7 +134,7 @@ pub fn load(path: &Path) -> Result<GreyImage, ImageError> {
     let mut bytes = Vec::new();
     file.by_ref().take(HEAD_BYTES).read_to_end(&mut bytes).map_err(read)?;
     // A video may have any size.
-    if let Some(found) = video(&bytes) {
+    if let Some(found) = video_container(&bytes) {
         return Err(ImageError::Video { path: path.to_owned(), found });
     }
     if size > MAX_BYTES {
@@ -151,31 +151,33 @@ pub fn decode(bytes: &[u8], path: &Path) -> Result<GreyImage, ImageError> {
     let path = || path.to_owned();
     let kind = match bytes {
         [] => return Err(ImageError::Empty { path: path() }),
-        [0x89, b'P', b'N', b'G', ..] => Kind::Png,
-        [0xFF, 0xD8, 0xFF, ..] => Kind::Jpeg,
-        [b'P', b'2' | b'5' | b'3' | b'6', b' ' | b'\t' | b'\r' | b'\n', ..] => Kind::Pnm,
-        [b'B', b'M', _, _, _, _, _, _, _, _, ..] => Kind::Bmp,
+        [0x89, b'P', b'N', b'G', ..] => FileFormat::Png,
+        [0xFF, 0xD8, 0xFF, ..] => FileFormat::Jpeg,
+        [b'P', b'2' | b'5' | b'3' | b'6', b' ' | b'\t' | b'\r' | b'\n', ..] => FileFormat::Pnm,
+        [b'B', b'M', _, _, _, _, _, _, _, _, ..] => FileFormat::Bmp,
         _ => {
-            return Err(match video(bytes) {
+            return Err(match video_container(bytes) {
                 Some(found) => ImageError::Video { path: path(), found },
-                None => ImageError::Kind { path: path(), found: looks_like(bytes) },
+                None => ImageError::FileFormat { path: path(), found: describe_content(bytes) },
             });
         }
     };
     let decoded = match kind {
-        Kind::Png => png(bytes),
-        Kind::Jpeg => jpeg(bytes),
-        Kind::Pnm => pnm::decode(bytes),
-        Kind::Bmp => bmp(bytes),
+        FileFormat::Png => png(bytes),
+        FileFormat::Jpeg => jpeg(bytes),
+        FileFormat::Pnm => pnm::decode(bytes),
+        FileFormat::Bmp => bmp(bytes),
     };
     decoded.map_err(|fault| match fault {
-        Fault::TooLarge(found) => ImageError::TooLarge { path: path(), found },
-        Fault::Broken(reason) => ImageError::Broken { path: path(), kind: kind.name(), reason },
+        DecodeError::TooLarge(found) => ImageError::TooLarge { path: path(), found },
+        DecodeError::Broken(reason) => {
+            ImageError::Broken { path: path(), kind: kind.name(), reason }
+        }
     })
 }
 
 /// What kind of video begins so.
-fn video(bytes: &[u8]) -> Option<&'static str> {
+fn video_container(bytes: &[u8]) -> Option<&'static str> {
     let at = |place: std::ops::Range<usize>| bytes.get(place).unwrap_or_default();
     match (at(4..8), at(8..12)) {
         // Pictures are kept in the same boxes.
@@ -190,7 +192,7 @@ fn video(bytes: &[u8]) -> Option<&'static str> {
     }
 }
 
-fn looks_like(bytes: &[u8]) -> String {
+fn describe_content(bytes: &[u8]) -> String {
     let known: [(&[u8], &str); 9] = [
         (b"GIF8", "a GIF image"),
         (b"II*\0", "a TIFF image"),
@@ -220,17 +222,17 @@ fn looks_like(bytes: &[u8]) -> String {
     }
 }
 
-fn check_size(width: usize, height: usize) -> Result<(), Fault> {
+fn check_size(width: usize, height: usize) -> Result<(), DecodeError> {
     if width == 0 || height == 0 {
-        return Err(Fault::Broken(format!("its size is {width} x {height}")));
+        return Err(DecodeError::Broken(format!("its size is {width} x {height}")));
     }
     if width > MAX_SIDE_PX || height > MAX_SIDE_PX || width * height > MAX_PIXELS {
-        return Err(Fault::TooLarge(format!("{width} x {height} pixels")));
+        return Err(DecodeError::TooLarge(format!("{width} x {height} pixels")));
     }
     Ok(())
 }
 
-fn png(bytes: &[u8]) -> Result<GreyImage, Fault> {
+fn png(bytes: &[u8]) -> Result<GreyImage, DecodeError> {
     let mut decoder = png::Decoder::new(Cursor::new(bytes));
     // Palettes and 1, 2, 4 bit greys become 8 bit samples; 16 bit ones stay, to be rounded here.
     decoder.set_transformations(png::Transformations::EXPAND);
@@ -239,21 +241,21 @@ fn png(bytes: &[u8]) -> Result<GreyImage, Fault> {
     check_size(width, height)?;
     let size = reader
         .output_buffer_size()
-        .ok_or_else(|| Fault::TooLarge(format!("{width} x {height} pixels")))?;
+        .ok_or_else(|| DecodeError::TooLarge(format!("{width} x {height} pixels")))?;
     let mut samples = vec![0; size];
     let info = reader.next_frame(&mut samples)?;
     samples.truncate(info.buffer_size());
     if info.bit_depth == png::BitDepth::Sixteen {
         samples = samples
             .chunks_exact(2)
-            .map(|pair| narrow(u16::from_be_bytes([pair[0], pair[1]]), u16::MAX))
+            .map(|pair| scale_to_u8(u16::from_be_bytes([pair[0], pair[1]]), u16::MAX))
             .collect();
     }
     let pixels = grey(samples, info.color_type.samples());
     Ok(GreyImage { width, height, pixels })
 }
 
-fn jpeg(bytes: &[u8]) -> Result<GreyImage, Fault> {
+fn jpeg(bytes: &[u8]) -> Result<GreyImage, DecodeError> {
     let options = DecoderOptions::default()
         .set_max_width(MAX_SIDE_PX)
         .set_max_height(MAX_SIDE_PX)
@@ -262,7 +264,7 @@ fn jpeg(bytes: &[u8]) -> Result<GreyImage, Fault> {
         .jpeg_set_out_colorspace(ColorSpace::Luma);
     let mut decoder = zune_jpeg::JpegDecoder::new_with_options(Cursor::new(bytes), options);
     decoder.decode_headers()?;
-    let info = decoder.info().ok_or_else(|| Fault::Broken("no image header".to_owned()))?;
+    let info = decoder.info().ok_or_else(|| DecodeError::Broken("no image header".to_owned()))?;
     let (width, height) = (usize::from(info.width), usize::from(info.height));
     check_size(width, height)?;
     let samples = decoder.decode()?;
@@ -270,17 +272,17 @@ fn jpeg(bytes: &[u8]) -> Result<GreyImage, Fault> {
     Ok(GreyImage { width, height, pixels: grey(samples, channels) })
 }
 
-fn bmp(bytes: &[u8]) -> Result<GreyImage, Fault> {
+fn bmp(bytes: &[u8]) -> Result<GreyImage, DecodeError> {
     let options = DecoderOptions::default().set_max_width(MAX_SIDE_PX).set_max_height(MAX_SIDE_PX);
     let mut decoder = zune_bmp::BmpDecoder::new_with_options(Cursor::new(bytes), options);
     decoder.decode_headers().map_err(bmp_reason)?;
     let (width, height) =
-        decoder.dimensions().ok_or_else(|| Fault::Broken("no image header".to_owned()))?;
+        decoder.dimensions().ok_or_else(|| DecodeError::Broken("no image header".to_owned()))?;
     check_size(width, height)?;
     let samples = decoder.decode().map_err(bmp_reason)?;
     let channels = decoder.colorspace().map_or(3, |space| space.num_components());
     if samples.len() != width * height * channels {
-        return Err(Fault::Broken(format!(
+        return Err(DecodeError::Broken(format!(
             "expected {} samples, found {}",
             width * height * channels,
             samples.len()
@@ -289,8 +291,8 @@ fn bmp(bytes: &[u8]) -> Result<GreyImage, Fault> {
     Ok(GreyImage { width, height, pixels: grey(samples, channels) })
 }
 
-fn bmp_reason(error: impl std::fmt::Debug) -> Fault {
-    Fault::Broken(format!("{error:?}").trim().to_owned())
+fn bmp_reason(error: impl std::fmt::Debug) -> DecodeError {
+    DecodeError::Broken(format!("{error:?}").trim().to_owned())
 }
 
 /// Samples of 1 (grey), 2 (grey, alpha), 3 (RGB) or 4 (RGB, alpha) channels → grey.
@@ -310,7 +312,7 @@ fn luma(rgb: &[u8]) -> u8 {
 }
 
 /// A sample of 0 to `most` as 0 to 255, to the nearest level; larger ones count as `most`.
-fn narrow(sample: u16, most: u16) -> u8 {
+fn scale_to_u8(sample: u16, most: u16) -> u8 {
     let (sample, most) = (u32::from(sample.min(most)), u32::from(most));
     ((sample * 255 + most / 2) / most) as u8
 }
@@ -380,9 +382,9 @@ mod tests {
 
     #[test]
     fn deep_samples_are_rounded_not_cut() {
-        assert_eq!(narrow(0x00FF, u16::MAX), 1);
-        assert_eq!(narrow(512, 1023), 128);
-        assert_eq!(narrow(9, 3), 255);
+        assert_eq!(scale_to_u8(0x00FF, u16::MAX), 1);
+        assert_eq!(scale_to_u8(512, 1023), 128);
+        assert_eq!(scale_to_u8(9, 3), 255);
     }
 
     #[test]

@@ -3,5 +3,5 @@
 pub mod image_file;
 pub mod push_messages;
 pub mod source;
-pub mod trial;
+pub mod source_probe;
 pub mod worker;

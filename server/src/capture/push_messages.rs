@@ -17,7 +17,7 @@ use thiserror::Error;
 
 use crate::model::convert::{self, capture_clock, intrinsics, pixels};
 use crate::{
-    capture::source::push::{Payload, RemoteFigures, Still, Times},
+    capture::source::push::{Payload, RemoteStats, SenderClock, StillImage},
     model::{
         capture_clock::{CaptureClock, TimeBase},
         hub::{CameraState, Installation},
@@ -30,7 +30,7 @@ const MAX_DEVIATION_MS: f64 = 3.6e6;
 /// A field that does not hold what it should.
 #[derive(Clone, Debug, PartialEq, Eq, Error)]
 #[error("{field}: expected {expected}, found {found}")]
-pub struct WireError {
+pub struct WireFieldError {
     /// Which, from the message on.
     pub field: String,
     /// What it may be.
@@ -39,23 +39,27 @@ pub struct WireError {
     pub found: String,
 }
 
-fn wrong(field: impl ToString, expected: impl Into<String>, found: impl ToString) -> WireError {
-    WireError { field: field.to_string(), expected: expected.into(), found: found.to_string() }
+fn wire_error(
+    field: impl ToString,
+    expected: impl Into<String>,
+    found: impl ToString,
+) -> WireFieldError {
+    WireFieldError { field: field.to_string(), expected: expected.into(), found: found.to_string() }
 }
 
 /// What a sender's times are.
-pub fn times(times: i32) -> Result<Times, WireError> {
+pub fn sender_clock(times: i32) -> Result<SenderClock, WireFieldError> {
     match v1::PushTimes::try_from(times) {
-        Ok(v1::PushTimes::Unspecified) => Ok(Times::Arrival),
-        Ok(v1::PushTimes::Server) => Ok(Times::Server),
-        Ok(v1::PushTimes::Counter) => Ok(Times::Counter),
-        Ok(v1::PushTimes::Unix) => Ok(Times::Unix),
-        Err(_) => Err(wrong("greeting.times", "a value of PushTimes", times)),
+        Ok(v1::PushTimes::Unspecified) => Ok(SenderClock::Arrival),
+        Ok(v1::PushTimes::Server) => Ok(SenderClock::Server),
+        Ok(v1::PushTimes::Counter) => Ok(SenderClock::Counter),
+        Ok(v1::PushTimes::Unix) => Ok(SenderClock::Unix),
+        Err(_) => Err(wire_error("greeting.times", "a value of PushTimes", times)),
     }
 }
 
 /// A frame's pixels and its clock.
-pub fn frame(frame: v1::PushedFrame) -> Result<(Payload, Option<CaptureClock>), WireError> {
+pub fn frame(frame: v1::PushedFrame) -> Result<(Payload, Option<CaptureClock>), WireFieldError> {
     let clock = frame.clock.map(|clock| sent_clock("frame.clock", clock)).transpose()?;
     let capture = Timestamp::from_ns(frame.capture_time_ns);
     let payload = match frame.picture {
@@ -63,24 +67,24 @@ pub fn frame(frame: v1::PushedFrame) -> Result<(Payload, Option<CaptureClock>), 
         Some(v1::pushed_frame::Picture::Grey(grey)) => {
             Payload::Grey(grey.pixels, (grey.width as usize, grey.height as usize), capture)
         }
-        None => return Err(wrong("frame.picture", "`jpeg` or `grey`", "neither")),
+        None => return Err(wire_error("frame.picture", "`jpeg` or `grey`", "neither")),
     };
     Ok((payload, clock))
 }
 
 /// A picture with what was seen in it, for people to look at; or why there is none.
-pub fn still(
+pub fn still_image(
     installation: &Installation,
     picture: v1::PushedPicture,
-) -> Result<Result<(Still, world::FrameObservations), String>, WireError> {
+) -> Result<Result<(StillImage, world::FrameObservations), String>, WireFieldError> {
     let v1::PushedPicture { error, picture, observations } = picture;
     let still = match picture {
         _ if !error.is_empty() => return Ok(Err(error)),
-        Some(v1::pushed_picture::Picture::Jpeg(file)) => Still::Jpeg(file),
+        Some(v1::pushed_picture::Picture::Jpeg(file)) => StillImage::Jpeg(file),
         Some(v1::pushed_picture::Picture::Grey(grey)) => {
-            Still::Grey(grey.pixels, (grey.width as usize, grey.height as usize))
+            StillImage::Grey(grey.pixels, (grey.width as usize, grey.height as usize))
         }
-        None => return Err(wrong("picture", "`jpeg`, `grey` or `error`", "neither")),
+        None => return Err(wire_error("picture", "`jpeg`, `grey` or `error`", "neither")),
     };
     let seen =
         read_observations(installation, observations.unwrap_or_default(), "picture.observations")?;
@@ -88,16 +92,16 @@ pub fn still(
 }
 
 /// What was seen in a frame, and its clock.
-pub fn seen(
+pub fn pushed_detections(
     installation: &Installation,
     message: v1::PushedObservations,
-) -> Result<(Payload, Option<CaptureClock>), WireError> {
+) -> Result<(Payload, Option<CaptureClock>), WireFieldError> {
     let clock = message.clock.map(|clock| sent_clock("observations.clock", clock)).transpose()?;
     let Some(frame) = message.observations else {
-        return Err(wrong("observations.observations", "what was seen in a frame", "nothing"));
+        return Err(wire_error("observations.observations", "what was seen in a frame", "nothing"));
     };
     let observations = read_observations(installation, frame, "observations")?;
-    let figures = message.figures.map(|figures| RemoteFigures {
+    let figures = message.figures.map(|figures| RemoteStats {
         width: figures.width as usize,
         height: figures.height as usize,
         dropped: figures.dropped,
@@ -107,16 +111,16 @@ pub fn seen(
         blur_px: figures.blur_px,
         noise: figures.noise,
     });
-    Ok((Payload::Seen(Box::new(observations), figures), clock))
+    Ok((Payload::Detections(Box::new(observations), figures), clock))
 }
 
 pub fn read_observations(
     installation: &Installation,
     frame: v1::FrameObservations,
     field: &str,
-) -> Result<world::FrameObservations, WireError> {
+) -> Result<world::FrameObservations, WireFieldError> {
     let detections = frame.detections.iter().enumerate().map(|(index, detection)| {
-        read_detection(installation, detection, Place { frame: field, index, name: "" })
+        read_detection(installation, detection, FieldPath { frame: field, index, name: "" })
     });
     Ok(world::FrameObservations {
         camera: CameraId(0),
@@ -129,25 +133,27 @@ pub fn read_observations(
 }
 
 /// The clock of what is sent; `None` within: it says no more than how far off it may be.
-fn sent_clock(field: &str, clock: v1::CaptureClock) -> Result<CaptureClock, WireError> {
+fn sent_clock(field: &str, clock: v1::CaptureClock) -> Result<CaptureClock, WireFieldError> {
     let base = match v1::TimeBase::try_from(clock.base) {
         Ok(v1::TimeBase::Server) => TimeBase::Server,
         Ok(v1::TimeBase::Arrival) => TimeBase::Arrival,
         Ok(v1::TimeBase::Camera) => TimeBase::Camera,
         Ok(v1::TimeBase::Unspecified | v1::TimeBase::Driver) => TimeBase::Driver,
         Ok(v1::TimeBase::Synchronized) => TimeBase::Synchronized,
-        Err(_) => return Err(wrong(format!("{field}.base"), "a value of TimeBase", clock.base)),
+        Err(_) => {
+            return Err(wire_error(format!("{field}.base"), "a value of TimeBase", clock.base));
+        }
     };
     if !(0.0..=MAX_DEVIATION_MS).contains(&clock.deviation_ms) {
         let expected = format!("0 to {MAX_DEVIATION_MS} milliseconds");
-        return Err(wrong(format!("{field}.deviation_ms"), expected, clock.deviation_ms));
+        return Err(wire_error(format!("{field}.deviation_ms"), expected, clock.deviation_ms));
     }
     Ok(CaptureClock { base, deviation_s: clock.deviation_ms * 1e-3 })
 }
 
 /// Where in a message something stands; spelt out only where that is wrong, since there are thousands a second.
 #[derive(Clone, Copy)]
-struct Place<'a> {
+struct FieldPath<'a> {
     /// Of the frame's observations.
     frame: &'a str,
     /// Of the detection.
@@ -156,13 +162,13 @@ struct Place<'a> {
     name: &'static str,
 }
 
-impl Place<'_> {
+impl FieldPath<'_> {
     fn at(self, name: &'static str) -> Self {
         Self { name, ..self }
     }
 }
 
-impl fmt::Display for Place<'_> {
+impl fmt::Display for FieldPath<'_> {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         let Self { frame, index, name } = self;
         write!(f, "{frame}.detections[{index}]{name}")
@@ -172,8 +178,8 @@ impl fmt::Display for Place<'_> {
 fn read_detection(
     installation: &Installation,
     detection: &v1::Detection,
-    place: Place<'_>,
-) -> Result<pose::Detection, WireError> {
+    place: FieldPath<'_>,
+) -> Result<pose::Detection, WireFieldError> {
     let kind = match detection.roundel.as_str() {
         "" => None,
         name => Some(kind_named(installation, name, place)?),
@@ -181,7 +187,7 @@ fn read_detection(
     let outer = read_ellipse(detection.outer.as_ref(), place.at(".outer"))?;
     let inner = read_ellipse(detection.inner.as_ref(), place.at(".inner"))?;
     let threshold = u8::try_from(detection.threshold)
-        .map_err(|_| wrong(place.at(".threshold"), "0 to 255", detection.threshold))?;
+        .map_err(|_| wire_error(place.at(".threshold"), "0 to 255", detection.threshold))?;
     let code =
         detection.code.as_ref().map(|code| read_code(code, place.at(".code"))).transpose()?;
     let ring = Ring {
@@ -204,12 +210,12 @@ fn read_detection(
 fn kind_named(
     installation: &Installation,
     name: &str,
-    place: Place<'_>,
-) -> Result<KindId, WireError> {
+    place: FieldPath<'_>,
+) -> Result<KindId, WireFieldError> {
     let kind = installation.kinds.iter().position(|kind| kind == name);
     kind.and_then(|kind| u16::try_from(kind).ok()).map(KindId).ok_or_else(|| {
         let known = installation.kinds.join("\", \"");
-        wrong(
+        wire_error(
             place.at(".roundel"),
             format!("a [[roundel]] of the server's configuration (\"{known}\")"),
             format!("\"{name}\""),
@@ -219,11 +225,11 @@ fn kind_named(
 
 fn read_ellipse(
     ellipse: Option<&v1::Ellipse>,
-    place: Place<'_>,
-) -> Result<ellipse::Ellipse, WireError> {
+    place: FieldPath<'_>,
+) -> Result<ellipse::Ellipse, WireFieldError> {
     let whole = ellipse.and_then(|ellipse| Some((ellipse, ellipse.center.as_ref()?)));
     let Some((ellipse, center)) = whole else {
-        return Err(wrong(place, "an ellipse with its centre", "none"));
+        return Err(wire_error(place, "an ellipse with its centre", "none"));
     };
     let numbers =
         [center.u, center.v, ellipse.semi_major_px, ellipse.semi_minor_px, ellipse.angle_rad];
@@ -236,12 +242,12 @@ fn read_ellipse(
     })
 }
 
-fn read_code(code: &v1::CodeReading, place: Place<'_>) -> Result<CodeReading, WireError> {
+fn read_code(code: &v1::CodeReading, place: FieldPath<'_>) -> Result<CodeReading, WireFieldError> {
     let bits = u8::try_from(code.bits).ok().filter(|bits| (5..=16).contains(bits));
-    let bits = bits.ok_or_else(|| wrong(format!("{place}.bits"), "5 to 16", code.bits))?;
+    let bits = bits.ok_or_else(|| wire_error(format!("{place}.bits"), "5 to 16", code.bits))?;
     let number = u16::try_from(code.number).ok().filter(|&number| number > 0);
     let number =
-        number.ok_or_else(|| wrong(format!("{place}.number"), "1 to 65535", code.number))?;
+        number.ok_or_else(|| wire_error(format!("{place}.number"), "1 to 65535", code.number))?;
     finite(&[code.confidence], place.at(".code.confidence"))?;
     let zero = code.zero.as_ref().map_or((f64::NAN, f64::NAN), |zero| (zero.u, zero.v));
     let zero = camera::PixelPoint { u: zero.0, v: zero.1 };
@@ -250,7 +256,10 @@ fn read_code(code: &v1::CodeReading, place: Place<'_>) -> Result<CodeReading, Wi
     Ok(CodeReading { confidence, corrected, ..CodeReading::certain(Code { bits, number }, zero) })
 }
 
-fn read_pose(pose: &v1::RoundelPose, place: Place<'_>) -> Result<pose::RoundelPose, WireError> {
+fn read_pose(
+    pose: &v1::RoundelPose,
+    place: FieldPath<'_>,
+) -> Result<pose::RoundelPose, WireFieldError> {
     let position_m = read_vector(pose.position.as_ref(), place.at(".pose.position"))?;
     let normal = read_direction(pose.normal.as_ref(), place.at(".pose.normal"))?;
     let other_normal = read_direction(pose.other_normal.as_ref(), place.at(".pose.other_normal"))?;
@@ -259,7 +268,7 @@ fn read_pose(pose: &v1::RoundelPose, place: Place<'_>) -> Result<pose::RoundelPo
     finite(&pose.covariance, place.at(".pose.covariance"))?;
     let covariance = from_upper_triangle(&pose.covariance).ok_or_else(|| {
         let expected = "the 21 numbers of a covariance's upper triangle";
-        wrong(place.at(".pose.covariance"), expected, pose.covariance.len())
+        wire_error(place.at(".pose.covariance"), expected, pose.covariance.len())
     })?;
     Ok(pose::RoundelPose {
         position_m,
@@ -272,28 +281,31 @@ fn read_pose(pose: &v1::RoundelPose, place: Place<'_>) -> Result<pose::RoundelPo
     })
 }
 
-fn read_vector(vector: Option<&v1::Vector3>, place: Place<'_>) -> Result<Vector3<f64>, WireError> {
-    let vector = vector.ok_or_else(|| wrong(place, "three numbers", "none"))?;
+fn read_vector(
+    vector: Option<&v1::Vector3>,
+    place: FieldPath<'_>,
+) -> Result<Vector3<f64>, WireFieldError> {
+    let vector = vector.ok_or_else(|| wire_error(place, "three numbers", "none"))?;
     finite(&[vector.x, vector.y, vector.z], place)?;
     Ok(Vector3::new(vector.x, vector.y, vector.z))
 }
 
 fn read_direction(
     vector: Option<&v1::Vector3>,
-    place: Place<'_>,
-) -> Result<Vector3<f64>, WireError> {
+    place: FieldPath<'_>,
+) -> Result<Vector3<f64>, WireFieldError> {
     let vector = read_vector(vector, place)?;
     let length = vector.norm();
     if (length - 1.0).abs() > 1e-3 {
-        return Err(wrong(place, "a vector of length 1", format!("one of {length}")));
+        return Err(wire_error(place, "a vector of length 1", format!("one of {length}")));
     }
     // One of length 1 but for rounding is taken bit for bit.
     Ok(if (length - 1.0).abs() < 1e-12 { vector } else { vector / length })
 }
 
-fn finite(numbers: &[f64], place: Place<'_>) -> Result<(), WireError> {
+fn finite(numbers: &[f64], place: FieldPath<'_>) -> Result<(), WireFieldError> {
     match numbers.iter().find(|number| !number.is_finite()) {
-        Some(number) => Err(wrong(place, "finite numbers", number)),
+        Some(number) => Err(wire_error(place, "finite numbers", number)),
         None => Ok(()),
     }
 }
@@ -334,7 +346,7 @@ pub fn pushed_calibration(state: &CameraState) -> Option<v1::PushedCalibration> 
 }
 
 /// The lens that a server says; `None` if it is none that this version knows.
-pub fn told_camera(calibration: &v1::PushedCalibration) -> Option<camera::Camera> {
+pub fn calibration_camera(calibration: &v1::PushedCalibration) -> Option<camera::Camera> {
     let told = calibration.intrinsics.as_ref()?;
     camera::Camera::new(camera::Intrinsics {
         width: calibration.width as usize,

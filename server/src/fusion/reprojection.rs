@@ -17,31 +17,31 @@ use roundel_core::{
 use crate::model::hub::Hub;
 
 /// From one look at a camera to the next.
-const EVERY_NS: i64 = 1_000_000_000;
+const PERIOD_NS: i64 = 1_000_000_000;
 /// Objects that are looked at each time, in turns: more would be felt by frames that wait meanwhile.
-const OBJECTS: usize = 2;
+const OBJECTS_PER_UPDATE: usize = 2;
 /// Looks that are told of together: eight seconds.
-const KEPT: usize = 8;
+const WINDOW_LEN: usize = 8;
 /// What was measured so long before a look belongs to it.
-const RECENT_NS: i64 = 250_000_000;
+const MAX_AGE_NS: i64 = 250_000_000;
 
 /// Sum of the squares, pixels², and of how many objects.
-type Squares = (f64, usize);
+type SquaredSum = (f64, usize);
 
 /// All cameras.
 #[derive(Debug, Default)]
-pub(super) struct Reprojection {
-    looks: BTreeMap<CameraId, Looks>,
+pub(super) struct ReprojectionMonitor {
+    windows: BTreeMap<CameraId, ErrorWindow>,
 }
 
 #[derive(Debug, Default)]
-struct Looks {
+struct ErrorWindow {
     newest: Option<Timestamp>,
     count: usize,
-    kept: VecDeque<Squares>,
+    kept: VecDeque<SquaredSum>,
 }
 
-impl Reprojection {
+impl ReprojectionMonitor {
     /// Looks at the camera that it looked at longest ago, if that is due: never at several in one turn.
     pub(super) fn advance(
         &mut self,
@@ -49,56 +49,61 @@ impl Reprojection {
         cameras: &BTreeSet<CameraId>,
         (fusion, hub): (&mut Fusion, &Hub),
     ) {
-        self.looks.retain(|camera, _| cameras.contains(camera));
-        let newest = |camera: &CameraId| self.looks.get(camera).and_then(|looks| looks.newest);
+        self.windows.retain(|camera, _| cameras.contains(camera));
+        let newest =
+            |camera: &CameraId| self.windows.get(camera).and_then(|windows| windows.newest);
         let Some(&camera) = cameras.iter().min_by_key(|camera| newest(camera)) else { return };
-        if newest(&camera).is_some_and(|time| now.ns_since(time) < EVERY_NS) {
+        if newest(&camera).is_some_and(|time| now.ns_since(time) < PERIOD_NS) {
             return;
         }
         let Some(state) = hub.camera(camera) else { return };
-        let looks = self.looks.entry(camera).or_default();
-        looks.newest = Some(now);
-        let turn = looks.count * OBJECTS;
-        looks.count += 1;
+        let windows = self.windows.entry(camera).or_default();
+        windows.newest = Some(now);
+        let turn = windows.count * OBJECTS_PER_UPDATE;
+        windows.count += 1;
         let squares =
-            state.camera.map_or((0.0, 0), |lens| look((camera, &lens), now, turn, fusion));
-        looks.kept.push_back(squares);
-        if looks.kept.len() > KEPT {
-            looks.kept.pop_front();
+            state.camera.map_or((0.0, 0), |lens| measure((camera, &lens), now, turn, fusion));
+        windows.kept.push_back(squares);
+        if windows.kept.len() > WINDOW_LEN {
+            windows.kept.pop_front();
         }
-        let reprojection_px = looks.rms_px();
+        let reprojection_px = windows.rms_px();
         hub.update_camera(camera, |state| state.reprojection_px = reprojection_px);
     }
 }
 
-impl Looks {
+impl ErrorWindow {
     /// 0 where nothing was seen.
     fn rms_px(&self) -> f64 {
-        let add = |(sum, count): Squares, (more, others): &Squares| (sum + more, count + others);
+        let add =
+            |(sum, count): SquaredSum, (more, others): &SquaredSum| (sum + more, count + others);
         let (sum_px2, count) = self.kept.iter().fold((0.0, 0), add);
         if count == 0 { 0.0 } else { (sum_px2 / count as f64).sqrt() }
     }
 }
 
 /// What a camera has seen of late.
-fn look(
+fn measure(
     (camera, lens): (CameraId, &Camera),
     now: Timestamp,
     turn: usize,
     fusion: &mut Fusion,
-) -> Squares {
-    let compared = fusion.compare(camera, (now, RECENT_NS), (turn, OBJECTS));
+) -> SquaredSum {
+    let compared = fusion.compare(camera, (now, MAX_AGE_NS), (turn, OBJECTS_PER_UPDATE));
     let mut squares = (0.0, 0);
     for seen in compared {
         let Ok(placement) = fusion.camera_place(camera, seen.time) else { continue };
-        let Some(off_px2) = off_px2(&seen, lens, &placement.world_from_camera) else { continue };
-        squares = (squares.0 + off_px2, squares.1 + 1);
+        let Some(squared_error_px2) = squared_error_px2(&seen, lens, &placement.world_from_camera)
+        else {
+            continue;
+        };
+        squares = (squares.0 + squared_error_px2, squares.1 + 1);
     }
     squares
 }
 
 /// The square of how far the two are from each other in the picture; `None` if either is not in it.
-fn off_px2(seen: &Compared, lens: &Camera, world_from_camera: &Rigid) -> Option<f64> {
+fn squared_error_px2(seen: &Compared, lens: &Camera, world_from_camera: &Rigid) -> Option<f64> {
     let pixel = |point_m: nalgebra::Vector3<f64>| {
         let own = world_from_camera.inverse_transform_point(&point_m.into());
         lens.project(&own.coords).ok().filter(|_| own.z > 0.0)
@@ -118,7 +123,7 @@ mod tests {
     };
 
     use super::{
-        super::sample::{DEPTH_M, MIDDLE, frame, hub},
+        super::fixtures::{DEPTH_M, MIDDLE, frame, hub},
         *,
     };
 
@@ -140,7 +145,7 @@ mod tests {
     }
 
     /// What the hub says of each camera after cameras that are off by so much along x have seen the same for two seconds.
-    fn told(offsets_m: &[f64]) -> Vec<f64> {
+    fn reported_px(offsets_m: &[f64]) -> Vec<f64> {
         let (hub, mut fusion) =
             (Arc::new(hub(&["0", "1", "2"], START)), Fusion::new(FusionParams::default()));
         let cameras: BTreeSet<CameraId> = CAMERAS[..offsets_m.len()].iter().copied().collect();
@@ -151,7 +156,7 @@ mod tests {
             fusion.set_camera(*camera, Some(placement));
             hub.update_camera(*camera, |state| state.camera = Some(lens()));
         }
-        let mut reprojection = Reprojection::default();
+        let mut reprojection = ReprojectionMonitor::default();
         for number in 1..=120_u32 {
             let time = START.plus_seconds(f64::from(number) / 60.0);
             cameras.iter().for_each(|camera| fusion.observe(&frame(*camera, number.into(), time)));
@@ -164,9 +169,9 @@ mod tests {
 
     #[test]
     fn cameras_that_agree_have_no_error_and_one_that_is_off_the_largest() {
-        assert!(told(&[0.0, 0.0, 0.0]).iter().all(|px| *px < 1e-6));
+        assert!(reported_px(&[0.0, 0.0, 0.0]).iter().all(|px| *px < 1e-6));
         let off_m = 0.006;
-        let off = told(&[0.0, 0.0, off_m]);
+        let off = reported_px(&[0.0, 0.0, off_m]);
         // Of the first two each has the other and the one that is off beside it, which has both of them.
         let expected = [off_m / 2.0, off_m / 2.0, off_m];
         for (px, expected_m) in off.iter().zip(expected) {
@@ -177,6 +182,6 @@ mod tests {
 
     #[test]
     fn of_a_camera_alone_nothing_is_said() {
-        assert_eq!(told(&[0.0]), [0.0]);
+        assert_eq!(reported_px(&[0.0]), [0.0]);
     }
 }

@@ -9,9 +9,9 @@ use roundel_core::{
 use thiserror::Error;
 
 use crate::{
-    fusion::roster::{bodies::Bodies, kind_names, setup::info},
+    fusion::camera_manager::{bodies::BodyTable, kind_names, setup::camera_info},
     model::{
-        config::{Carried, Config, ObjectConfig, ReferenceConfig},
+        config::{Config, ObjectConfig, ObjectRoundels, ReferenceConfig},
         hub::Installation,
     },
 };
@@ -32,14 +32,16 @@ pub fn installation(config: &Config, started: Timestamp) -> Installation {
         source_id: format!("{}-{unique:016x}", config.name),
         started,
         snapshot_rate_hz: config.server.snapshot_rate_hz,
-        cameras: Installation::numbered(config.cameras.iter().map(|camera| info(camera, config))),
+        cameras: Installation::number_cameras(
+            config.cameras.iter().map(|camera| camera_info(camera, config)),
+        ),
         kinds: config.kinds.iter().map(|kind| kind.name.clone()).collect(),
         object_names: kind_names(&config.objects),
-        body_names: Bodies::of(&config.objects).names,
+        body_names: BodyTable::of(&config.objects).names,
     }
 }
 
-/// A fusion machine as it is at a start: it knows objects, whose bodies it numbers as [`Bodies`] does, motions and
+/// A fusion machine as it is at a start: it knows objects, whose bodies it numbers as [`BodyTable`] does, motions and
 /// landmarks.
 pub fn fusion_machine(config: &Config) -> Result<Fusion, ObjectError> {
     let ns = |seconds: f64| (seconds * 1e9).round() as i64;
@@ -51,7 +53,7 @@ pub fn fusion_machine(config: &Config) -> Result<Fusion, ObjectError> {
         lost_after_ns: ns(config.fusion.lost_after_s),
         max_objects: config.limits.max_objects,
         // Nobody would judge who is held back.
-        held_back_ns: if config.server.watches { defaults.held_back_ns } else { 0 },
+        held_back_ns: if config.server.monitors_cameras { defaults.held_back_ns } else { 0 },
         ..defaults
     });
     for (index, class) in config.motions.iter().enumerate() {
@@ -59,11 +61,11 @@ pub fn fusion_machine(config: &Config) -> Result<Fusion, ObjectError> {
     }
     for ObjectConfig { name, carries } in &config.objects {
         match carries {
-            Carried::Kind { kind, offset_m, motion } => {
+            ObjectRoundels::Kind { kind, offset_m, motion } => {
                 fusion.set_offset(*kind, *offset_m);
                 motion.iter().for_each(|class| fusion.set_motion(*kind, *class));
             }
-            Carried::Body(body) => {
+            ObjectRoundels::Body(body) => {
                 let named = |source| ObjectError { name: name.clone(), source };
                 fusion.add_body(body.clone()).map_err(named)?;
             }

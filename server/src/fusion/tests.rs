@@ -8,15 +8,15 @@ use roundel_core::{
 };
 
 use super::*;
-use crate::model::hub::EVENTS_KEPT;
+use crate::model::hub::EVENT_LOG_LEN;
 
 fn hub(clock: &Clock) -> Arc<Hub> {
-    Arc::new(sample::hub(&["north"], clock.now()))
+    Arc::new(fixtures::hub(&["north"], clock.now()))
 }
 
-fn sighted(frame: u64, capture_time: Timestamp) -> Sighted {
-    let observations = sample::frame(CameraId(0), frame, capture_time);
-    Sighted { observations: Arc::new(observations), placement: None }
+fn output(frame: u64, capture_time: Timestamp) -> WorkerOutput {
+    let observations = fixtures::frame(CameraId(0), frame, capture_time);
+    WorkerOutput { observations: Arc::new(observations), placement: None }
 }
 
 #[test]
@@ -31,14 +31,14 @@ fn what_was_sent_before_the_end_is_fused_and_told() {
     for frame in 1..=10 {
         // The camera's place comes with its first frame, as from a worker that has found it.
         let placement = (frame == 1).then_some(placement);
-        let seen = sighted(frame, clock.now().plus_seconds((frame as f64 - 10.0) * 0.01));
-        sender.send(Sighted { placement, ..seen }).unwrap();
+        let seen = output(frame, clock.now().plus_seconds((frame as f64 - 10.0) * 0.01));
+        sender.send(WorkerOutput { placement, ..seen }).unwrap();
     }
     drop(sender);
     let task = FusionTask::new(Fusion::new(FusionParams::default()), hub.clone(), clock, receiver);
-    let stop = Stop::default();
+    let stop = StopSignal::default();
     stop.stop();
-    task.run(Rhythm::new(Duration::from_millis(10), false), &stop);
+    task.run(PublishSchedule::new(Duration::from_millis(10), false), &stop);
 
     let newest = hub.snapshots().borrow().clone();
     assert_eq!(newest.sequence, 1, "the last one");
@@ -58,18 +58,18 @@ fn a_clock_that_was_set_is_told() {
     for frame in 1..=30 {
         let received_time = clock.now().plus_seconds(frame as f64 * 0.03);
         let set_s = if frame > 10 { 3600.0 } else { 0.0 };
-        let mut seen = sighted(frame, received_time.plus_seconds(set_s));
+        let mut seen = output(frame, received_time.plus_seconds(set_s));
         Arc::get_mut(&mut seen.observations).unwrap().received_time = received_time;
         sender.send(seen).unwrap();
     }
     drop(sender);
     let task = FusionTask::new(Fusion::new(FusionParams::default()), hub.clone(), clock, receiver);
-    let stop = Stop::default();
+    let stop = StopSignal::default();
     stop.stop();
-    task.run(Rhythm::new(Duration::from_millis(10), false), &stop);
+    task.run(PublishSchedule::new(Duration::from_millis(10), false), &stop);
     let (events, _) = hub.events(10);
-    let told: Vec<_> = events.iter().map(|event| event.happening).collect();
-    assert_eq!(told, [Happening::ClockSet(CameraId(0))]);
+    let told: Vec<_> = events.iter().map(|event| event.kind).collect();
+    assert_eq!(told, [EventKind::CameraClockSet(CameraId(0))]);
     assert!(events[0].message.contains("camera north was set"), "{}", events[0].message);
     assert!(hub.cameras()[&CameraId(0)].clock.is_some());
 }
@@ -80,7 +80,7 @@ fn a_height_that_cameras_contradict_is_told() {
     let hub = hub(&clock);
     let (sender, receiver) = sync_channel(QUEUE_FRAMES);
     for frame in 1..=200 {
-        sender.send(sighted(frame, clock.now().plus_seconds(frame as f64 * 0.11))).unwrap();
+        sender.send(output(frame, clock.now().plus_seconds(frame as f64 * 0.11))).unwrap();
     }
     drop(sender);
     let mut fusion = Fusion::new(FusionParams::default());
@@ -89,13 +89,13 @@ fn a_height_that_cameras_contradict_is_told() {
     fusion.set_camera(CameraId(0), Some(placement));
     fusion.set_motion(KindId(0), MotionClass::Ground { height_m: Some(2.5) });
     let task = FusionTask::new(fusion, hub.clone(), clock, receiver);
-    let stop = Stop::default();
+    let stop = StopSignal::default();
     stop.stop();
-    task.run(Rhythm::new(Duration::from_millis(10), false), &stop);
-    let (events, _) = hub.events(EVENTS_KEPT);
+    task.run(PublishSchedule::new(Duration::from_millis(10), false), &stop);
+    let (events, _) = hub.events(EVENT_LOG_LEN);
     let told: Vec<&str> = events
         .iter()
-        .filter(|event| event.happening == Happening::WrongHeight)
+        .filter(|event| event.kind == EventKind::HeightContradicted)
         .map(|event| event.message.as_str())
         .collect();
     let expected =
@@ -110,8 +110,8 @@ fn a_height_that_cameras_contradict_is_told() {
         seen_m: 0.2,
         cameras: vec![CameraId(0)],
     };
-    let sentence = sentence::of_height(&hub.installation(), &wrong);
-    assert!(sentence.starts_with("\"carrier\": seen at a height of 0.20 m"), "{sentence}");
+    let messages = messages::height_mismatch(&hub.installation(), &wrong);
+    assert!(messages.starts_with("\"carrier\": seen at a height of 0.20 m"), "{messages}");
 }
 
 #[test]
@@ -120,14 +120,14 @@ fn a_prompt_one_tells_of_a_frame_long_before_the_tick() {
     let hub = hub(&clock);
     let (sender, receiver) = sync_channel(QUEUE_FRAMES);
     let task = FusionTask::new(Fusion::new(FusionParams::default()), hub.clone(), clock, receiver);
-    let stop = Stop::default();
+    let stop = StopSignal::default();
     let running = std::thread::spawn({
         let stop = stop.clone();
-        move || task.run(Rhythm::new(Duration::from_secs(3600), true), &stop)
+        move || task.run(PublishSchedule::new(Duration::from_secs(3600), true), &stop)
     });
     for frame in 1..=3 {
         let sequence = hub.snapshots().borrow().sequence;
-        sender.send(sighted(frame, clock.now())).unwrap();
+        sender.send(output(frame, clock.now())).unwrap();
         while hub.snapshots().borrow().sequence == sequence {
             std::thread::sleep(Duration::from_millis(1));
         }
@@ -144,10 +144,10 @@ fn ticks_go_on_when_no_camera_is_left() {
     let hub = hub(&clock);
     let (_, receiver) = sync_channel(1);
     let task = FusionTask::new(Fusion::new(FusionParams::default()), hub.clone(), clock, receiver);
-    let stop = Stop::default();
+    let stop = StopSignal::default();
     let ticking = std::thread::spawn({
         let stop = stop.clone();
-        move || task.run(Rhythm::new(Duration::from_millis(2), false), &stop)
+        move || task.run(PublishSchedule::new(Duration::from_millis(2), false), &stop)
     });
     while hub.snapshots().borrow().sequence < 3 {
         std::thread::sleep(Duration::from_millis(1));

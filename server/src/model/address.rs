@@ -107,7 +107,7 @@ impl SimPreset {
 #[derive(Clone, Debug, PartialEq, Eq, Error)]
 pub enum AddressError {
     /// No such scheme.
-    #[error("no source begins with `{found}`: expected {}{}", list(SCHEMES), meant(.found))]
+    #[error("no source begins with `{found}`: expected {}{}", list(SCHEMES), suggest_scheme(.found))]
     Scheme {
         /// What stands before the colon, or the whole text.
         found: String,
@@ -160,7 +160,7 @@ pub enum AddressError {
     },
 }
 
-fn meant(found: &str) -> String {
+fn suggest_scheme(found: &str) -> String {
     did_you_mean(&nearest(found, SCHEMES))
 }
 

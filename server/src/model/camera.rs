@@ -22,14 +22,14 @@ pub struct CameraInfo {
     /// Corners of the polygons in which nothing is looked for, raw pixels.
     pub mask: Vec<Vec<PixelPoint>>,
     /// What it rides on; `None`: it stands.
-    pub ride: Option<RideInfo>,
+    pub ride: Option<MountInfo>,
     /// How well its lens is known, as far as its camera file says.
-    pub lens_doubt: Option<LensDoubt>,
+    pub lens_uncertainty: Option<LensDoubt>,
 }
 
 /// What is fixed about a camera that rides on an object.
 #[derive(Clone, Debug, PartialEq)]
-pub struct RideInfo {
+pub struct MountInfo {
     /// The object's configured name.
     pub carrier: String,
     /// Where it is fixed.
@@ -74,7 +74,7 @@ pub enum PoseStatus {
 
 /// Where a camera is. By default that is not known, since nobody has looked.
 #[derive(Clone, Debug, PartialEq)]
-pub struct CameraPlace {
+pub struct CameraPoseState {
     /// How that is known, or why not.
     pub status: PoseStatus,
     /// With its uncertainty, while it is known.
@@ -85,9 +85,9 @@ pub struct CameraPlace {
     pub reason: String,
 }
 
-impl CameraPlace {
+impl CameraPoseState {
     /// Of a camera that stands.
-    pub fn standing(status: PoseStatus, placement: CameraPlacement) -> Self {
+    pub fn fixed(status: PoseStatus, placement: CameraPlacement) -> Self {
         Self { status, placement: Some(placement), time: None, reason: String::new() }
     }
 
@@ -98,7 +98,7 @@ impl CameraPlace {
     }
 }
 
-impl Default for CameraPlace {
+impl Default for CameraPoseState {
     fn default() -> Self {
         Self::searching("none of its frames has been looked at yet")
     }
@@ -116,7 +116,7 @@ pub struct CameraState {
     /// Image size, pixels; 0 before the first frame.
     pub height: usize,
     /// Where it is.
-    pub place: CameraPlace,
+    pub pose: CameraPoseState,
     /// Lens and intrinsics, once known.
     pub camera: Option<Camera>,
     /// Version of the calibration in use; 0: as configured.
@@ -163,7 +163,7 @@ pub struct CameraState {
     /// What it gives instead, and what to do; empty while it keeps to it.
     pub rate_reason: String,
     /// Who feeds it, if it is fed.
-    pub link: Option<Link>,
+    pub link: Option<SenderLink>,
 }
 
 /// What became of a camera's rings and candidates since the start.
@@ -181,7 +181,7 @@ pub struct DetectionCounts {
 
 /// Who feeds a camera, and how that goes.
 #[derive(Clone, Debug, Default, PartialEq)]
-pub struct Link {
+pub struct SenderLink {
     /// What the sender calls itself; empty before the first one.
     pub sender: String,
     /// Where it connects from.

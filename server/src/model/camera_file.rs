@@ -5,7 +5,7 @@
 //! as ROS itself tolerates it. Beside that stands how well the parameters are known, if `roundel calibrate lens` has
 //! written the file: `parameter_names` and `parameter_covariance`. Errors name file, line, field and remedy.
 
-mod doubt;
+mod uncertainty;
 
 use std::{
     fmt::Write as _,
@@ -52,7 +52,7 @@ pub enum CameraFileError {
 
 /// The keys that are read.
 #[derive(Deserialize)]
-struct Document {
+struct CameraFileYaml {
     image_width: Option<Spanned<f64>>,
     image_height: Option<Spanned<f64>>,
     camera_matrix: Option<Spanned<Matrix>>,
@@ -68,13 +68,13 @@ struct Matrix {
 }
 
 /// Something wrong at a line, before the file's name is known.
-struct Wrong {
+struct FieldError {
     line: u64,
     message: String,
     help: String,
 }
 
-impl Wrong {
+impl FieldError {
     fn at(line: u64, message: impl Into<String>, help: impl Into<String>) -> Self {
         Self { line, message: message.into(), help: help.into() }
     }
@@ -86,11 +86,11 @@ impl Wrong {
 
 /// Reads a camera file.
 pub fn load(path: &Path) -> Result<Camera, CameraFileError> {
-    Ok(load_with_doubt(path)?.0)
+    Ok(load_with_uncertainty(path)?.0)
 }
 
 /// The same with how well its parameters are known; `None` if the file does not say.
-pub fn load_with_doubt(path: &Path) -> Result<(Camera, Option<LensDoubt>), CameraFileError> {
+pub fn load_with_uncertainty(path: &Path) -> Result<(Camera, Option<LensDoubt>), CameraFileError> {
     let text =
         read(path).map_err(|source| CameraFileError::Read { path: path.to_owned(), source })?;
     parse(&text).map_err(|wrong| CameraFileError::Content {
@@ -110,10 +110,10 @@ fn read(path: &Path) -> io::Result<String> {
     fs::read_to_string(path)
 }
 
-fn parse(text: &str) -> Result<(Camera, Option<LensDoubt>), Wrong> {
-    let document: Document = serde_saphyr::from_str(text).map_err(|error| {
+fn parse(text: &str) -> Result<(Camera, Option<LensDoubt>), FieldError> {
+    let document: CameraFileYaml = serde_saphyr::from_str(text).map_err(|error| {
         let line = error.location().map_or(1, |location| location.line());
-        Wrong::at(
+        FieldError::at(
             line,
             format!("not a camera_info YAML: {}", first_line(&error.without_snippet().to_string())),
             "write the file as ROS' camera_calibration does: numbers without quotes, matrices with \
@@ -124,7 +124,8 @@ fn parse(text: &str) -> Result<(Camera, Option<LensDoubt>), Wrong> {
     let (height, height_line) = side("image_height", document.image_height)?;
     let (matrix, matrix_line) = camera_matrix(document.camera_matrix)?;
     let (lens, lens_line) = lens(document.distortion_model, document.distortion_coefficients)?;
-    let doubt = doubt::doubt(&lens, document.parameter_names, document.parameter_covariance)?;
+    let uncertainty =
+        uncertainty::uncertainty(&lens, document.parameter_names, document.parameter_covariance)?;
     let [fx_px, _, cx_px, _, fy_px, cy_px, ..] = matrix;
     let intrinsics = Intrinsics { width, height, fx_px, fy_px, cx_px, cy_px, lens };
     let camera = Camera::new(intrinsics).map_err(|error| {
@@ -134,22 +135,22 @@ fn parse(text: &str) -> Result<(Camera, Option<LensDoubt>), Wrong> {
             CameraError::Focal { .. } | CameraError::Center { .. } => matrix_line,
             CameraError::Coefficient { .. } => lens_line,
         };
-        Wrong::at(line, error.to_string(), "calibrate the camera again, or correct the number")
+        FieldError::at(line, error.to_string(), "calibrate the camera again, or correct the number")
     })?;
-    Ok((camera, doubt))
+    Ok((camera, uncertainty))
 }
 
 fn first_line(text: &str) -> &str {
     text.lines().next().unwrap_or_default()
 }
 
-fn side(field: &str, value: Option<Spanned<f64>>) -> Result<(usize, u64), Wrong> {
-    let value = value.ok_or_else(|| Wrong::missing(field, &format!("{field}: 1280")))?;
+fn side(field: &str, value: Option<Spanned<f64>>) -> Result<(usize, u64), FieldError> {
+    let value = value.ok_or_else(|| FieldError::missing(field, &format!("{field}: 1280")))?;
     let line = value.referenced.line();
     let whole =
         value.value >= 1.0 && value.value <= f64::from(u32::MAX) && value.value.fract() == 0.0;
     if !whole {
-        return Err(Wrong::at(
+        return Err(FieldError::at(
             line,
             format!("`{field}` must be a whole number of pixels above 0, found {}", value.value),
             "write the size of the camera's images",
@@ -163,22 +164,22 @@ fn data(
     field: &str,
     matrix: Option<Spanned<Matrix>>,
     example: &str,
-) -> Result<(Vec<f64>, u64), Wrong> {
-    let matrix = matrix.ok_or_else(|| Wrong::missing(field, example))?;
+) -> Result<(Vec<f64>, u64), FieldError> {
+    let matrix = matrix.ok_or_else(|| FieldError::missing(field, example))?;
     let line = matrix.referenced.line();
     let data = matrix.value.data.ok_or_else(|| {
-        Wrong::at(line, format!("`{field}` has no `data`"), format!("add `{example}`"))
+        FieldError::at(line, format!("`{field}` has no `data`"), format!("add `{example}`"))
     })?;
     Ok((data.value, data.referenced.line()))
 }
 
-fn camera_matrix(matrix: Option<Spanned<Matrix>>) -> Result<([f64; 9], u64), Wrong> {
+fn camera_matrix(matrix: Option<Spanned<Matrix>>) -> Result<([f64; 9], u64), FieldError> {
     const EXAMPLE: &str =
         "camera_matrix: {rows: 3, cols: 3, data: [fx, 0, cx, 0, fy, cy, 0, 0, 1]}";
     let (numbers, line) = data("camera_matrix", matrix, EXAMPLE)?;
     let matrix = <[f64; 9]>::try_from(numbers).map_err(|numbers| {
         let message = format!("`camera_matrix.data` must have 9 numbers, found {}", numbers.len());
-        Wrong::at(line, message, "write [fx, 0, cx, 0, fy, cy, 0, 0, 1], row by row")
+        FieldError::at(line, message, "write [fx, 0, cx, 0, fy, cy, 0, 0, 1], row by row")
     })?;
     let shape_holds = matrix[1] == 0.0
         && matrix[3] == 0.0
@@ -186,7 +187,7 @@ fn camera_matrix(matrix: Option<Spanned<Matrix>>) -> Result<([f64; 9], u64), Wro
         && matrix[7] == 0.0
         && matrix[8] == 1.0;
     if !shape_holds {
-        return Err(Wrong::at(
+        return Err(FieldError::at(
             line,
             format!(
                 "`camera_matrix.data` must be [fx, 0, cx, 0, fy, cy, 0, 0, 1] (no skew), found {matrix:?}"
@@ -200,16 +201,16 @@ fn camera_matrix(matrix: Option<Spanned<Matrix>>) -> Result<([f64; 9], u64), Wro
 fn lens(
     model: Option<Spanned<String>>,
     coefficients: Option<Spanned<Matrix>>,
-) -> Result<(Lens, u64), Wrong> {
-    let model =
-        model.ok_or_else(|| Wrong::missing("distortion_model", "distortion_model: plumb_bob"))?;
+) -> Result<(Lens, u64), FieldError> {
+    let model = model
+        .ok_or_else(|| FieldError::missing("distortion_model", "distortion_model: plumb_bob"))?;
     let model_line = model.referenced.line();
     let wanted: &[usize] = match model.value.as_str() {
         "plumb_bob" => &[4, 5],
         "rational_polynomial" => &[8],
         "equidistant" | "fisheye" => &[4],
         other => {
-            return Err(Wrong::at(
+            return Err(FieldError::at(
                 model_line,
                 format!("unknown `distortion_model` \"{other}\": expected {MODELS}"),
                 "calibrate with one of these models",
@@ -220,7 +221,7 @@ fn lens(
     let (k, line) = data("distortion_coefficients", coefficients, EXAMPLE)?;
     let lens = Lens::from_ros(&model.value, &k).ok_or_else(|| {
         let counts: Vec<String> = wanted.iter().map(ToString::to_string).collect();
-        Wrong::at(
+        FieldError::at(
             line,
             format!(
                 "`distortion_coefficients.data` of {} must have {} numbers, found {}",
@@ -237,11 +238,15 @@ fn lens(
 /// The text of a camera file that reads as this camera, every number exactly. What is rectified by it keeps its focal
 /// lengths and its centre.
 pub fn write(name: &str, camera: &Camera) -> String {
-    write_with_doubt(name, camera, None)
+    write_with_uncertainty(name, camera, None)
 }
 
 /// The same with how well its parameters are known.
-pub fn write_with_doubt(name: &str, camera: &Camera, doubt: Option<&LensDoubt>) -> String {
+pub fn write_with_uncertainty(
+    name: &str,
+    camera: &Camera,
+    uncertainty: Option<&LensDoubt>,
+) -> String {
     let Intrinsics { width, height, fx_px, fy_px, cx_px, cy_px, lens } = camera.intrinsics();
     let coefficients = lens.coefficients();
     let mut text = String::new();
@@ -259,8 +264,8 @@ pub fn write_with_doubt(name: &str, camera: &Camera, doubt: Option<&LensDoubt>) 
         lens.name(),
         coefficients.len(),
     );
-    if let Some(doubt) = doubt {
-        text.push_str(&doubt::written(lens, doubt));
+    if let Some(uncertainty) = uncertainty {
+        text.push_str(&uncertainty::written(lens, uncertainty));
     }
     text
 }
@@ -291,8 +296,8 @@ binning_x: 0
 
     #[test]
     fn a_ros_file_is_read() {
-        let (camera, doubt) = parse(GOOD).map_err(|wrong| wrong.message).unwrap();
-        assert_eq!(doubt, None);
+        let (camera, uncertainty) = parse(GOOD).map_err(|wrong| wrong.message).unwrap();
+        assert_eq!(uncertainty, None);
         let read = camera.intrinsics();
         assert_eq!((read.width, read.height), (1280, 720));
         assert_eq!((read.fx_px, read.fy_px, read.cx_px, read.cy_px), (733.0, 734.0, 640.0, 360.0));
@@ -335,12 +340,12 @@ binning_x: 0
             let root = nalgebra::DMatrix::from_fn(free.len() + 4, free.len() + 4, |row, column| {
                 1.0 / (1.0 + row as f64 * 3.0 + column as f64)
             });
-            let doubt = LensDoubt { free, covariance: &root * root.transpose() };
-            let text = write_with_doubt("known", &camera, Some(&doubt));
+            let uncertainty = LensDoubt { free, covariance: &root * root.transpose() };
+            let text = write_with_uncertainty("known", &camera, Some(&uncertainty));
             let (_, read) = parse(&text).map_err(|wrong| wrong.message).unwrap();
             let read = read.unwrap();
-            assert_eq!(read.free, doubt.free);
-            assert!((read.covariance - doubt.covariance).amax() < 1e-12);
+            assert_eq!(read.free, uncertainty.free);
+            assert!((read.covariance - uncertainty.covariance).amax() < 1e-12);
         }
     }
 

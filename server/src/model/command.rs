@@ -6,33 +6,33 @@ use roundel_core::{
     world::{Body, CameraMount, CameraPlacement, ClockPrior, MotionClass},
 };
 
-use super::camera::RideInfo;
+use super::camera::MountInfo;
 
 /// What is to become of a camera, or of objects.
 #[derive(Clone, Debug)]
-pub enum Order {
+pub enum FusionCommand {
     /// It is there, and this is what is known of it.
-    Set(CameraId, Box<Known>),
+    SetCamera(CameraId, Box<CameraModel>),
     /// It is there no more.
-    Remove(CameraId),
+    RemoveCamera(CameraId),
     /// Objects are known by something else than before, or may do something else.
-    Settings(Box<Settings>),
+    SetParams(Box<FusionSettings>),
 }
 
 /// What is another in the settings than before.
 #[derive(Clone, Debug)]
-pub struct Settings {
+pub struct FusionSettings {
     /// How long objects are predicted and remembered, and how many there may be; `None`: as before.
     pub limits: Option<FusionLimits>,
     /// What objects are known by.
-    pub order: ObjectOrder,
+    pub objects: ObjectUpdate,
     /// The configuration that says so.
-    pub written: WrittenSettings,
+    pub config: AppliedConfig,
 }
 
 /// A configuration that fusion goes by from some moment on.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
-pub struct WrittenSettings {
+pub struct AppliedConfig {
     /// Its text, without passwords.
     pub text: String,
     /// The object that has another name than in the one before, and that name.
@@ -54,7 +54,7 @@ pub struct FusionLimits {
 
 /// What is another in objects than before.
 #[derive(Clone, Debug, Default)]
-pub struct ObjectOrder {
+pub struct ObjectUpdate {
     /// What bodies carry; nothing of one that was removed.
     pub bodies: Vec<(BodyId, Body)>,
     /// Of what is known by a whole kind: the followed point in the roundel's frame, metres, and how it moves.
@@ -63,32 +63,32 @@ pub struct ObjectOrder {
 
 /// What is known of a camera.
 #[derive(Clone, Debug)]
-pub struct Known {
+pub struct CameraModel {
     /// Where it stands or what it rides on; `None`: as before.
-    pub place: Option<Stand>,
+    pub pose: Option<CameraPose>,
     /// How it keeps time; `None`: as before.
-    pub clock: Option<Timekeeping>,
+    pub clock: Option<ClockModel>,
 }
 
 /// Where a camera stands or what it rides on.
 #[derive(Clone, Debug)]
-pub enum Stand {
+pub enum CameraPose {
     /// There.
-    At {
+    Fixed {
         /// Where.
         placement: CameraPlacement,
         /// Whether a person has written it, who may not have measured well.
-        is_written: bool,
+        is_configured: bool,
     },
     /// Its worker will tell.
     Unknown,
     /// On an object; without a mount, on one that is not followed.
-    On(Option<CameraMount>, RideInfo),
+    Mounted(Option<CameraMount>, MountInfo),
 }
 
 /// How a camera keeps time, of which nothing was learned yet.
 #[derive(Clone, Copy, Debug)]
-pub enum Timekeeping {
+pub enum ClockModel {
     /// Its stamps are right.
     Exact,
     /// They may be off.
@@ -97,22 +97,22 @@ pub enum Timekeeping {
 
 /// What fusion is told of a camera.
 #[derive(Clone, Debug)]
-pub struct Told {
+pub struct CameraUpdate {
     /// Which camera.
     pub camera: CameraId,
     /// What.
-    pub change: Change,
+    pub change: CameraChange,
 }
 
 /// What fusion can be told of a camera.
 #[derive(Clone, Debug)]
-pub enum Change {
+pub enum CameraChange {
     /// It is there, and so much is known of it.
-    Set(Box<Known>),
+    Set(Box<CameraModel>),
     /// Its worker has found it there.
-    Placed(Box<CameraPlacement>),
+    Localized(Box<CameraPlacement>),
     /// Whether it is not held back when it disagrees with others.
-    Spared(bool),
+    HoldBackExempt(bool),
     /// It was bumped.
     Quarantined,
     /// It is there no more.

@@ -24,8 +24,8 @@ use roundel_proto::v1;
 
 use crate::model::capture_clock::{CaptureClock, TimeBase};
 use crate::model::hub::{
-    CameraPlace, CameraState, CameraStatus, Change, Event, FusedSnapshot, Happening, Installation,
-    Link, ObjectRecord, PoseStatus,
+    CameraPoseState, CameraState, CameraStatus, ConfigChange, Event, EventKind, FusedSnapshot,
+    Installation, ObjectRecord, PoseStatus, SenderLink,
 };
 
 /// A snapshot of `objects` (those that the subscriber chose out of `fused`).
@@ -151,7 +151,7 @@ fn roundel_pose(pose: &RoundelPose) -> v1::RoundelPose {
 pub fn camera(installation: &Installation, id: CameraId, state: &CameraState) -> v1::Camera {
     let info = installation.cameras.get(&id);
     let ride = info.and_then(|info| info.ride.as_ref());
-    let CameraPlace { status, placement, time, reason } = &state.place;
+    let CameraPoseState { status, placement, time, reason } = &state.pose;
     let covariance = placement.as_ref().map(|placement| upper_triangle(&placement.covariance));
     v1::Camera {
         name: installation.camera_name(id).to_owned(),
@@ -238,14 +238,14 @@ pub fn object(installation: &Installation, record: &ObjectRecord) -> v1::Object 
 
 /// An event.
 pub fn event(event: &Event) -> v1::Event {
-    let object_id = match event.happening {
-        Happening::Object(id, _) | Happening::Configured(_, Some(id)) => id.0,
+    let object_id = match event.kind {
+        EventKind::ObjectStageChanged(id, _) | EventKind::ObjectConfigured(_, Some(id)) => id.0,
         _ => 0,
     };
     v1::Event {
         sequence: event.sequence,
         time_ns: event.time.as_ns(),
-        kind: event_kind(event.happening) as i32,
+        kind: event_kind(event.kind) as i32,
         object_id,
         camera: event.camera.clone(),
         message: event.message.clone(),
@@ -298,36 +298,36 @@ fn pose_status(status: PoseStatus) -> v1::PoseStatus {
     }
 }
 
-fn event_kind(happening: Happening) -> v1::EventKind {
-    match happening {
-        Happening::Object(_, kind) => object_event_kind(kind),
-        Happening::Configured(Change::Added, _) => v1::EventKind::ObjectAdded,
-        Happening::Configured(Change::Changed, _) => v1::EventKind::ObjectChanged,
-        Happening::Configured(Change::Removed, _) => v1::EventKind::ObjectRemoved,
-        Happening::Added(_) => v1::EventKind::CameraAdded,
-        Happening::Changed(_) => v1::EventKind::CameraChanged,
-        Happening::Removed(_) => v1::EventKind::CameraRemoved,
-        Happening::Camera(_, status) => camera_event_kind(status),
-        Happening::RateOff(_) => v1::EventKind::CameraRateOff,
-        Happening::RateAgrees(_) => v1::EventKind::CameraRateAgrees,
-        Happening::ClockSet(_) => v1::EventKind::CameraClockSet,
-        Happening::Placed(_) => v1::EventKind::CameraPlaced,
-        Happening::Unplaced(_) => v1::EventKind::CameraUnplaced,
-        Happening::Bumped(_) => v1::EventKind::CameraBumped,
-        Happening::Returned(_) => v1::EventKind::CameraReturned,
-        Happening::Drifted(_) => v1::EventKind::CameraDrifted,
-        Happening::Contradicted => v1::EventKind::CamerasContradict,
-        Happening::Misplaced => v1::EventKind::CamerasMisplaced,
-        Happening::Agreed => v1::EventKind::CamerasAgree,
-        Happening::WrongHeight => v1::EventKind::HeightContradicted,
-        Happening::CalibrationBegun => v1::EventKind::CalibrationBegun,
-        Happening::CalibrationDone => v1::EventKind::CalibrationDone,
-        Happening::CalibrationFailed => v1::EventKind::CalibrationFailed,
-        Happening::CalibrationApplied => v1::EventKind::CalibrationApplied,
-        Happening::RecordingBegun => v1::EventKind::RecordingBegun,
-        Happening::RecordingEnded => v1::EventKind::RecordingEnded,
-        Happening::RecordingFailed => v1::EventKind::RecordingFailed,
-        Happening::RecordingLossy => v1::EventKind::RecordingLossy,
+fn event_kind(kind: EventKind) -> v1::EventKind {
+    match kind {
+        EventKind::ObjectStageChanged(_, kind) => object_event_kind(kind),
+        EventKind::ObjectConfigured(ConfigChange::Added, _) => v1::EventKind::ObjectAdded,
+        EventKind::ObjectConfigured(ConfigChange::Changed, _) => v1::EventKind::ObjectChanged,
+        EventKind::ObjectConfigured(ConfigChange::Removed, _) => v1::EventKind::ObjectRemoved,
+        EventKind::CameraAdded(_) => v1::EventKind::CameraAdded,
+        EventKind::CameraChanged(_) => v1::EventKind::CameraChanged,
+        EventKind::CameraRemoved(_) => v1::EventKind::CameraRemoved,
+        EventKind::CameraStatusChanged(_, status) => camera_event_kind(status),
+        EventKind::CameraRateOff(_) => v1::EventKind::CameraRateOff,
+        EventKind::CameraRateAgrees(_) => v1::EventKind::CameraRateAgrees,
+        EventKind::CameraClockSet(_) => v1::EventKind::CameraClockSet,
+        EventKind::CameraPlaced(_) => v1::EventKind::CameraPlaced,
+        EventKind::CameraUnplaced(_) => v1::EventKind::CameraUnplaced,
+        EventKind::CameraBumped(_) => v1::EventKind::CameraBumped,
+        EventKind::CameraReturned(_) => v1::EventKind::CameraReturned,
+        EventKind::CameraDrifted(_) => v1::EventKind::CameraDrifted,
+        EventKind::CamerasContradict => v1::EventKind::CamerasContradict,
+        EventKind::CamerasMisplaced => v1::EventKind::CamerasMisplaced,
+        EventKind::CamerasAgree => v1::EventKind::CamerasAgree,
+        EventKind::HeightContradicted => v1::EventKind::HeightContradicted,
+        EventKind::CalibrationBegun => v1::EventKind::CalibrationBegun,
+        EventKind::CalibrationDone => v1::EventKind::CalibrationDone,
+        EventKind::CalibrationFailed => v1::EventKind::CalibrationFailed,
+        EventKind::CalibrationApplied => v1::EventKind::CalibrationApplied,
+        EventKind::RecordingBegun => v1::EventKind::RecordingBegun,
+        EventKind::RecordingEnded => v1::EventKind::RecordingEnded,
+        EventKind::RecordingFailed => v1::EventKind::RecordingFailed,
+        EventKind::RecordingLossy => v1::EventKind::RecordingLossy,
     }
 }
 
@@ -381,21 +381,6 @@ pub fn pixels(count: usize) -> u32 {
     u32::try_from(count).unwrap_or(u32::MAX)
 }
 
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    #[test]
-    fn quaternions_are_stored_x_y_z_w() {
-        let quarter_about_z =
-            UnitQuaternion::from_axis_angle(&Vector3::z_axis(), std::f64::consts::FRAC_PI_2);
-        let wire = quaternion(&quarter_about_z);
-        let half = std::f64::consts::FRAC_1_SQRT_2;
-        assert!((wire.z - half).abs() < 1e-15 && (wire.w - half).abs() < 1e-15);
-        assert_eq!((wire.x, wire.y), (0.0, 0.0));
-    }
-}
-
 /// How a camera's place agrees with what others see.
 fn agreement(health: &CameraHealth) -> v1::CameraAgreement {
     let state = match health.state {
@@ -415,7 +400,7 @@ fn agreement(health: &CameraHealth) -> v1::CameraAgreement {
 }
 
 /// Who feeds a camera.
-fn camera_link(link: &Link) -> v1::CameraLink {
+fn camera_link(link: &SenderLink) -> v1::CameraLink {
     v1::CameraLink {
         sender: link.sender.clone(),
         address: link.address.clone(),
@@ -425,5 +410,20 @@ fn camera_link(link: &Link) -> v1::CameraLink {
         repeated: link.repeated,
         round_trip_ms: link.round_trip_ms,
         clock_deviation_ms: link.clock_deviation_ms,
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn quaternions_are_stored_x_y_z_w() {
+        let quarter_about_z =
+            UnitQuaternion::from_axis_angle(&Vector3::z_axis(), std::f64::consts::FRAC_PI_2);
+        let wire = quaternion(&quarter_about_z);
+        let half = std::f64::consts::FRAC_1_SQRT_2;
+        assert!((wire.z - half).abs() < 1e-15 && (wire.w - half).abs() < 1e-15);
+        assert_eq!((wire.x, wire.y), (0.0, 0.0));
     }
 }

@@ -10,7 +10,7 @@ use super::camera::CameraStatus;
 
 /// What became of an object of the configuration.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Change {
+pub enum ConfigChange {
     /// It is new there.
     Added,
     /// It is written otherwise.
@@ -21,43 +21,43 @@ pub enum Change {
 
 /// What an event is about.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Happening {
+pub enum EventKind {
     /// A change in an object's life.
-    Object(ObjectId, world::EventKind),
+    ObjectStageChanged(ObjectId, world::EventKind),
     /// An object is configured otherwise than before; as which it is followed, if it is.
-    Configured(Change, Option<ObjectId>),
+    ObjectConfigured(ConfigChange, Option<ObjectId>),
     /// A camera was added while the server runs.
-    Added(CameraId),
+    CameraAdded(CameraId),
     /// A camera is configured otherwise than before.
-    Changed(CameraId),
+    CameraChanged(CameraId),
     /// A camera was removed while the server runs.
-    Removed(CameraId),
+    CameraRemoved(CameraId),
     /// A camera's new status.
-    Camera(CameraId, CameraStatus),
+    CameraStatusChanged(CameraId, CameraStatus),
     /// A camera gives another number of frames a second than was promised.
-    RateOff(CameraId),
+    CameraRateOff(CameraId),
     /// It gives what was promised again.
-    RateAgrees(CameraId),
+    CameraRateAgrees(CameraId),
     /// A camera's clock was set, or is of another epoch.
-    ClockSet(CameraId),
+    CameraClockSet(CameraId),
     /// Where a camera is became known.
-    Placed(CameraId),
+    CameraPlaced(CameraId),
     /// Where a camera is has not been known for a while.
-    Unplaced(CameraId),
+    CameraUnplaced(CameraId),
     /// A camera moved, and is left out.
-    Bumped(CameraId),
+    CameraBumped(CameraId),
     /// Where it stands now is known.
-    Returned(CameraId),
+    CameraReturned(CameraId),
     /// A camera's place was corrected a little.
-    Drifted(CameraId),
+    CameraDrifted(CameraId),
     /// Cameras contradict one another, and which of them moved cannot be known.
-    Contradicted,
+    CamerasContradict,
     /// Cameras never agreed: their configured poses are not exact enough.
-    Misplaced,
+    CamerasMisplaced,
     /// They agree again.
-    Agreed,
+    CamerasAgree,
     /// What drives is not as high as was configured.
-    WrongHeight,
+    HeightContradicted,
     /// A calibration of the arena records.
     CalibrationBegun,
     /// There is a result.
@@ -76,28 +76,28 @@ pub enum Happening {
     RecordingLossy,
 }
 
-impl Happening {
+impl EventKind {
     /// The camera that it is about, if it is about one.
     pub fn camera(&self) -> Option<CameraId> {
         match *self {
-            Self::Added(id)
-            | Self::Changed(id)
-            | Self::Removed(id)
-            | Self::Camera(id, _)
-            | Self::RateOff(id)
-            | Self::RateAgrees(id)
-            | Self::ClockSet(id)
-            | Self::Placed(id)
-            | Self::Unplaced(id)
-            | Self::Bumped(id)
-            | Self::Returned(id)
-            | Self::Drifted(id) => Some(id),
-            Self::Object(..)
-            | Self::Configured(..)
-            | Self::Contradicted
-            | Self::Misplaced
-            | Self::Agreed
-            | Self::WrongHeight
+            Self::CameraAdded(id)
+            | Self::CameraChanged(id)
+            | Self::CameraRemoved(id)
+            | Self::CameraStatusChanged(id, _)
+            | Self::CameraRateOff(id)
+            | Self::CameraRateAgrees(id)
+            | Self::CameraClockSet(id)
+            | Self::CameraPlaced(id)
+            | Self::CameraUnplaced(id)
+            | Self::CameraBumped(id)
+            | Self::CameraReturned(id)
+            | Self::CameraDrifted(id) => Some(id),
+            Self::ObjectStageChanged(..)
+            | Self::ObjectConfigured(..)
+            | Self::CamerasContradict
+            | Self::CamerasMisplaced
+            | Self::CamerasAgree
+            | Self::HeightContradicted
             | Self::CalibrationBegun
             | Self::CalibrationDone
             | Self::CalibrationFailed
@@ -118,7 +118,7 @@ pub struct Event {
     /// When.
     pub time: Timestamp,
     /// What.
-    pub happening: Happening,
+    pub kind: EventKind,
     /// Name of the camera that it is about, as of then; the camera may have been renamed or removed since.
     pub camera: String,
     /// One sentence for a person.

@@ -26,21 +26,21 @@ use tokio::sync::{OnceCell, broadcast, watch};
 
 pub use super::{
     camera::{
-        CameraInfo, CameraPlace, CameraState, CameraStatus, DetectionCounts, Link, PoseStatus,
-        RideInfo,
+        CameraInfo, CameraPoseState, CameraState, CameraStatus, DetectionCounts, MountInfo,
+        PoseStatus, SenderLink,
     },
-    event::{Change, Event, Happening},
+    event::{ConfigChange, Event, EventKind},
     snapshot::FusedSnapshot,
 };
-use crate::model::tap::{Item, Tap};
-pub use installation::{Installation, Named};
+use crate::model::tap::{RecordedItem, Tap};
+pub use installation::{Installation, ObjectKey};
 pub use objects::ObjectRecord;
-use objects::Objects;
+use objects::RecentObjects;
 
 /// Observations that a slow reader may lag behind before it misses some.
-const OBSERVATIONS_KEPT: usize = 256;
+const OBSERVATION_QUEUE_LEN: usize = 256;
 /// Events remembered for those who ask later.
-pub const EVENTS_KEPT: usize = 1000;
+pub const EVENT_LOG_LEN: usize = 1000;
 
 /// A camera's frame with what was found in it.
 #[derive(Debug)]
@@ -88,7 +88,7 @@ pub struct Hub {
     observations: broadcast::Sender<Arc<FrameObservations>>,
     events: broadcast::Sender<Arc<Event>>,
     event_log: Mutex<EventLog>,
-    objects: Mutex<Objects>,
+    objects: Mutex<RecentObjects>,
     /// One for each camera of the installation.
     cameras: RwLock<BTreeMap<CameraId, Arc<CameraSlot>>>,
     fusion_counts: Mutex<FusionCounts>,
@@ -106,8 +106,8 @@ impl Hub {
             cameras: RwLock::new(installation.cameras.keys().map(slot).collect()),
             installation: watch::Sender::new(Arc::new(installation)),
             snapshot: watch::Sender::default(),
-            observations: broadcast::Sender::new(OBSERVATIONS_KEPT),
-            events: broadcast::Sender::new(EVENTS_KEPT),
+            observations: broadcast::Sender::new(OBSERVATION_QUEUE_LEN),
+            events: broadcast::Sender::new(EVENT_LOG_LEN),
             event_log: Mutex::new(EventLog { next_sequence: 1, newest: VecDeque::new() }),
             objects: Mutex::default(),
             fusion_counts: Mutex::default(),
@@ -155,17 +155,17 @@ impl Hub {
     }
 
     /// As which an object of the configuration is followed, or was last, within the last minute.
-    pub fn object_named(&self, name: &str) -> Option<ObjectId> {
-        let named = self.installation().named(name)?;
-        let is_it = |record: &ObjectRecord| match named {
-            Named::Kind(kind) => record.body.is_none() && record.kind == Some(kind),
-            Named::Body(body) => record.body == Some(body),
+    pub fn object_by_name(&self, name: &str) -> Option<ObjectId> {
+        let named = self.installation().object_key(name)?;
+        let matches = |record: &ObjectRecord| match named {
+            ObjectKey::Kind(kind) => record.body.is_none() && record.kind == Some(kind),
+            ObjectKey::Body(body) => record.body == Some(body),
         };
-        lock(&self.objects).newest(is_it)
+        lock(&self.objects).newest(matches)
     }
 
     /// The body of a name; one that is not known yet is from now on.
-    pub fn body_named(&self, name: &str) -> BodyId {
+    pub fn intern_body_name(&self, name: &str) -> BodyId {
         let place = |installation: &Installation| {
             installation.body_names.iter().position(|body| body == name)
         };
@@ -191,7 +191,7 @@ impl Hub {
         self.snapshot.send_modify(|newest| {
             let sequence = newest.sequence + 1;
             *newest = Arc::new(FusedSnapshot { sequence, fused_time, snapshot });
-            self.tap.offer(|| Item::Snapshot(newest.clone()));
+            self.tap.offer(|| RecordedItem::Snapshot(newest.clone()));
         });
     }
 
@@ -221,25 +221,24 @@ impl Hub {
     }
 
     /// Remembers and hands on an event.
-    pub fn publish_event(&self, time: Timestamp, happening: Happening, message: String) {
-        match happening {
-            Happening::Added(_) => self.changes[0].fetch_add(1, Ordering::Relaxed),
-            Happening::Changed(_) => self.changes[1].fetch_add(1, Ordering::Relaxed),
-            Happening::Removed(_) => self.changes[2].fetch_add(1, Ordering::Relaxed),
+    pub fn publish_event(&self, time: Timestamp, kind: EventKind, message: String) {
+        match kind {
+            EventKind::CameraAdded(_) => self.changes[0].fetch_add(1, Ordering::Relaxed),
+            EventKind::CameraChanged(_) => self.changes[1].fetch_add(1, Ordering::Relaxed),
+            EventKind::CameraRemoved(_) => self.changes[2].fetch_add(1, Ordering::Relaxed),
             _ => 0,
         };
         let installation = self.installation();
-        let camera = happening.camera().map(|id| installation.camera_name(id).to_owned());
+        let camera = kind.camera().map(|id| installation.camera_name(id).to_owned());
         let camera = camera.unwrap_or_default();
         let mut log = lock(&self.event_log);
-        let event =
-            Arc::new(Event { sequence: log.next_sequence, time, happening, camera, message });
+        let event = Arc::new(Event { sequence: log.next_sequence, time, kind, camera, message });
         log.next_sequence += 1;
-        if log.newest.len() == EVENTS_KEPT {
+        if log.newest.len() == EVENT_LOG_LEN {
             log.newest.pop_front();
         }
         log.newest.push_back(event.clone());
-        self.tap.offer(|| Item::Event(event.clone()));
+        self.tap.offer(|| RecordedItem::Event(event.clone()));
         let _ = self.events.send(event);
     }
 
@@ -249,7 +248,7 @@ impl Hub {
     }
 
     /// How many cameras were added, changed and removed since the start.
-    pub fn changes(&self) -> [u64; 3] {
+    pub fn camera_change_counts(&self) -> [u64; 3] {
         [0, 1, 2].map(|index| self.changes[index].load(Ordering::Relaxed))
     }
 
@@ -267,8 +266,8 @@ impl Hub {
     }
 
     /// Forgets all objects, as where time goes on elsewhere.
-    pub fn forget_objects(&self) {
-        *lock(&self.objects) = Objects::default();
+    pub fn clear_objects(&self) {
+        *lock(&self.objects) = RecentObjects::default();
     }
 
     /// Changes a camera's state; of one that was removed nothing is kept.

@@ -4,7 +4,7 @@
 use roundel_core::marker::Reject;
 
 /// The reason as lower-case words with `separator` between them: `frame_edge`.
-pub(crate) fn word(reject: Reject, separator: char) -> String {
+pub(crate) fn reject_name(reject: Reject, separator: char) -> String {
     let mut word = String::new();
     for letter in format!("{reject:?}").chars() {
         if letter.is_ascii_uppercase() && !word.is_empty() {
@@ -23,9 +23,9 @@ mod tests {
 
     #[test]
     fn every_reason_has_a_word_of_its_own() {
-        assert_eq!(word(Reject::FrameEdge, '_'), "frame_edge");
-        assert_eq!(word(Reject::Tilt, ' '), "tilt");
-        let words: BTreeSet<String> = Reject::ALL.iter().map(|&it| word(it, '_')).collect();
+        assert_eq!(reject_name(Reject::FrameEdge, '_'), "frame_edge");
+        assert_eq!(reject_name(Reject::Tilt, ' '), "tilt");
+        let words: BTreeSet<String> = Reject::ALL.iter().map(|&it| reject_name(it, '_')).collect();
         assert_eq!(words.len(), Reject::ALL.len());
         assert!(words.iter().all(|word| word.chars().all(|c| c.is_ascii_lowercase() || c == '_')));
     }

@@ -7,9 +7,9 @@ use std::{
 
 /// Shared by whoever stops and whoever is stopped; clones are the same signal.
 #[derive(Clone, Debug, Default)]
-pub struct Stop(Arc<(Mutex<bool>, Condvar)>);
+pub struct StopSignal(Arc<(Mutex<bool>, Condvar)>);
 
-impl Stop {
+impl StopSignal {
     /// Ends every wait now and for ever.
     pub fn stop(&self) {
         *self.0.0.lock().unwrap_or_else(PoisonError::into_inner) = true;
@@ -39,7 +39,7 @@ mod tests {
 
     #[test]
     fn a_wait_ends_with_the_signal() {
-        let stop = Stop::default();
+        let stop = StopSignal::default();
         assert!(!stop.wait(Duration::from_millis(1)));
         let waiting = std::thread::spawn({
             let stop = stop.clone();

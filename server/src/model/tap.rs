@@ -16,7 +16,7 @@ use std::{
 use roundel_core::{id::CameraId, time::Timestamp, world::FrameObservations};
 
 use crate::model::{
-    command::{Change, Known, Stand, Told, WrittenSettings},
+    command::{AppliedConfig, CameraChange, CameraModel, CameraPose, CameraUpdate},
     event::Event,
     snapshot::FusedSnapshot,
 };
@@ -28,19 +28,19 @@ const QUEUE_FRAMES: usize = 8;
 
 /// What is recorded.
 #[derive(Clone, Debug)]
-pub enum Item {
+pub enum RecordedItem {
     /// Fusion has made it.
     Snapshot(Arc<FusedSnapshot>),
     /// Fusion has taken it, then.
-    Observed(Arc<FrameObservations>, Timestamp),
+    Detections(Arc<FrameObservations>, Timestamp),
     /// It has happened.
     Event(Arc<Event>),
     /// Fusion was told it.
-    Told(Told),
+    CameraUpdate(CameraUpdate),
     /// Fusion goes by it from now on.
-    Settings(WrittenSettings),
+    Settings(AppliedConfig),
     /// A camera's picture, compressed.
-    Picture(Picture),
+    CompressedFrame(CompressedFrame),
 }
 
 /// A frame of a camera, as it was searched.
@@ -62,7 +62,7 @@ pub struct RawFrame {
 
 /// The same as the bytes of an image file.
 #[derive(Clone, Debug)]
-pub struct Picture {
+pub struct CompressedFrame {
     /// Which camera.
     pub camera: CameraId,
     /// Counts its frames.
@@ -78,58 +78,60 @@ pub struct Picture {
 }
 
 /// What a recording reads from.
-pub struct Outlet {
+pub struct TapReceiver {
     /// Everything but frames.
-    pub items: Receiver<Item>,
+    pub items: Receiver<RecordedItem>,
     /// Frames to be compressed.
     pub frames: Receiver<RawFrame>,
     /// Takes them back as pictures.
-    pub back: SyncSender<Item>,
+    pub compressed: SyncSender<RecordedItem>,
     /// What fusion knew of cameras as the recording began.
-    pub known: Vec<Told>,
+    pub camera_updates: Vec<CameraUpdate>,
 }
 
-struct Inlet {
-    items: SyncSender<Item>,
+struct TapSender {
+    items: SyncSender<RecordedItem>,
     frames: SyncSender<RawFrame>,
 }
 
 /// What fusion was told last of a camera.
 #[derive(Clone, Debug, Default)]
-pub(crate) struct Memory {
-    known: Option<Known>,
-    spared: Option<bool>,
+pub(crate) struct LatestCameraUpdate {
+    known: Option<CameraModel>,
+    exempt: Option<bool>,
 }
 
 /// Takes what is recorded, while something is.
 #[derive(Default)]
 pub struct Tap {
-    inlet: RwLock<Option<Inlet>>,
+    sender: RwLock<Option<TapSender>>,
     /// One in so many frames is wanted; 0: none.
     frames_every: AtomicU32,
     dropped: AtomicU64,
-    told: Mutex<BTreeMap<CameraId, Memory>>,
+    latest: Mutex<BTreeMap<CameraId, LatestCameraUpdate>>,
 }
 
 impl Tap {
     /// Begins to take what is offered, of frames one in so many.
-    pub fn open(&self, frames_every: u32) -> Outlet {
-        let (items, item_outlet) = sync_channel(QUEUE_ITEMS);
-        let (frames, frame_outlet) = sync_channel(QUEUE_FRAMES);
+    pub fn open(&self, frames_every: u32) -> TapReceiver {
+        let (items, item_receiver) = sync_channel(QUEUE_ITEMS);
+        let (frames, frame_receiver) = sync_channel(QUEUE_FRAMES);
         self.dropped.store(0, Ordering::Relaxed);
-        let back = items.clone();
+        let compressed = items.clone();
         // What is told while this is held waits, and so comes neither twice nor never.
-        let told = self.told.lock().unwrap_or_else(PoisonError::into_inner);
-        let known = told.iter().flat_map(|(camera, memory)| memory.told(*camera)).collect();
-        *self.inlet.write().unwrap_or_else(PoisonError::into_inner) = Some(Inlet { items, frames });
+        let told = self.latest.lock().unwrap_or_else(PoisonError::into_inner);
+        let camera_updates =
+            told.iter().flat_map(|(camera, memory)| memory.updates(*camera)).collect();
+        *self.sender.write().unwrap_or_else(PoisonError::into_inner) =
+            Some(TapSender { items, frames });
         self.frames_every.store(frames_every, Ordering::Relaxed);
-        Outlet { items: item_outlet, frames: frame_outlet, back, known }
+        TapReceiver { items: item_receiver, frames: frame_receiver, compressed, camera_updates }
     }
 
     /// Takes nothing any more; what was taken before can still be read.
     pub fn close(&self) {
         self.frames_every.store(0, Ordering::Relaxed);
-        *self.inlet.write().unwrap_or_else(PoisonError::into_inner) = None;
+        *self.sender.write().unwrap_or_else(PoisonError::into_inner) = None;
     }
 
     /// What was offered and found no room, since the recording began.
@@ -138,28 +140,28 @@ impl Tap {
     }
 
     /// Offers something that is recorded if there is room.
-    pub fn offer(&self, item: impl FnOnce() -> Item) {
-        let inlet = self.inlet.read().unwrap_or_else(PoisonError::into_inner);
-        if let Some(inlet) = &*inlet
-            && inlet.items.try_send(item()).is_err()
+    pub fn offer(&self, item: impl FnOnce() -> RecordedItem) {
+        let sender = self.sender.read().unwrap_or_else(PoisonError::into_inner);
+        if let Some(sender) = &*sender
+            && sender.items.try_send(item()).is_err()
         {
             self.dropped.fetch_add(1, Ordering::Relaxed);
         }
     }
 
     /// Offers what fusion was told, which is remembered for recordings that begin later.
-    pub fn tell(&self, told: Told) {
-        let mut memories = self.told.lock().unwrap_or_else(PoisonError::into_inner);
-        let memory = memories.entry(told.camera).or_default();
+    pub fn update_camera(&self, told: CameraUpdate) {
+        let mut latest = self.latest.lock().unwrap_or_else(PoisonError::into_inner);
+        let memory = latest.entry(told.camera).or_default();
         match &told.change {
             // Said with each snapshot, and seldom another thing than before.
-            Change::Spared(is_spared) if memory.spared == Some(*is_spared) => return,
-            Change::Removed => {
-                memories.remove(&told.camera);
+            CameraChange::HoldBackExempt(is_exempt) if memory.exempt == Some(*is_exempt) => return,
+            CameraChange::Removed => {
+                latest.remove(&told.camera);
             }
-            change => memory.take(change),
+            change => memory.apply(change),
         }
-        self.offer(|| Item::Told(told));
+        self.offer(|| RecordedItem::CameraUpdate(told));
     }
 
     /// Whether a frame of this number is recorded.
@@ -170,38 +172,39 @@ impl Tap {
 
     /// Offers a frame that is recorded if there is room.
     pub fn offer_frame(&self, frame: RawFrame) {
-        let inlet = self.inlet.read().unwrap_or_else(PoisonError::into_inner);
-        if let Some(inlet) = &*inlet
-            && inlet.frames.try_send(frame).is_err()
+        let sender = self.sender.read().unwrap_or_else(PoisonError::into_inner);
+        if let Some(sender) = &*sender
+            && sender.frames.try_send(frame).is_err()
         {
             self.dropped.fetch_add(1, Ordering::Relaxed);
         }
     }
 }
 
-impl Memory {
+impl LatestCameraUpdate {
     /// Takes news.
-    pub(crate) fn take(&mut self, change: &Change) {
-        let known = self.known.get_or_insert(Known { place: None, clock: None });
+    pub(crate) fn apply(&mut self, change: &CameraChange) {
+        let known = self.known.get_or_insert(CameraModel { pose: None, clock: None });
         match change {
-            Change::Set(news) => {
-                known.place = news.place.clone().or(known.place.take());
+            CameraChange::Set(news) => {
+                known.pose = news.pose.clone().or(known.pose.take());
                 known.clock = news.clock.or(known.clock);
             }
-            Change::Placed(placement) => {
-                known.place = Some(Stand::At { placement: **placement, is_written: false });
+            CameraChange::Localized(placement) => {
+                known.pose =
+                    Some(CameraPose::Fixed { placement: **placement, is_configured: false });
             }
-            Change::Quarantined => known.place = Some(Stand::Unknown),
-            Change::Spared(is_spared) => self.spared = Some(*is_spared),
-            Change::Removed => {}
+            CameraChange::Quarantined => known.pose = Some(CameraPose::Unknown),
+            CameraChange::HoldBackExempt(is_exempt) => self.exempt = Some(*is_exempt),
+            CameraChange::Removed => {}
         }
     }
 
     /// All of it, as it would be told now.
-    pub(crate) fn told(&self, camera: CameraId) -> impl Iterator<Item = Told> + use<> {
-        let set = self.known.clone().map(|known| Change::Set(Box::new(known)));
-        let spared = self.spared.map(Change::Spared);
-        set.into_iter().chain(spared).map(move |change| Told { camera, change })
+    pub(crate) fn updates(&self, camera: CameraId) -> impl Iterator<Item = CameraUpdate> + use<> {
+        let set = self.known.clone().map(|known| CameraChange::Set(Box::new(known)));
+        let spared = self.exempt.map(CameraChange::HoldBackExempt);
+        set.into_iter().chain(spared).map(move |change| CameraUpdate { camera, change })
     }
 }
 
@@ -213,37 +216,41 @@ mod tests {
 
     use super::*;
 
-    use crate::model::command::Timekeeping;
+    use crate::model::command::ClockModel;
 
     const NORTH: CameraId = CameraId(0);
 
-    fn tell(tap: &Tap, change: Change) {
-        tap.tell(Told { camera: NORTH, change });
+    fn update_camera(tap: &Tap, change: CameraChange) {
+        tap.update_camera(CameraUpdate { camera: NORTH, change });
     }
 
     #[test]
     fn a_recording_that_begins_late_knows_what_fusion_was_told_before() {
         let tap = Tap::default();
-        let (place, clock) = (Some(Stand::Unknown), Some(Timekeeping::Exact));
-        tell(&tap, Change::Set(Box::new(Known { place, clock })));
+        let (place, clock) = (Some(CameraPose::Unknown), Some(ClockModel::Exact));
+        update_camera(&tap, CameraChange::Set(Box::new(CameraModel { pose: place, clock })));
         let placement = CameraPlacement {
             world_from_camera: Rigid::translation(1.0, 2.0, 3.0),
             covariance: Covariance6::zeros(),
         };
-        tell(&tap, Change::Placed(Box::new(placement)));
-        tell(&tap, Change::Spared(true));
-        tap.tell(Told { camera: CameraId(1), change: Change::Spared(true) });
-        tap.tell(Told { camera: CameraId(1), change: Change::Removed });
-        let outlet = tap.open(0);
-        let known: Vec<String> = outlet.known.iter().map(|told| format!("{told:?}")).collect();
+        update_camera(&tap, CameraChange::Localized(Box::new(placement)));
+        update_camera(&tap, CameraChange::HoldBackExempt(true));
+        tap.update_camera(CameraUpdate {
+            camera: CameraId(1),
+            change: CameraChange::HoldBackExempt(true),
+        });
+        tap.update_camera(CameraUpdate { camera: CameraId(1), change: CameraChange::Removed });
+        let receiver = tap.open(0);
+        let known: Vec<String> =
+            receiver.camera_updates.iter().map(|told| format!("{told:?}")).collect();
         assert_eq!(known.len(), 2, "{known:?}");
         assert!(known[0].contains("[1.0, 2.0, 3.0]") && known[0].contains("Exact"), "{known:?}");
-        assert!(known[1].contains("Spared(true)"), "{known:?}");
+        assert!(known[1].contains("HoldBackExempt(true)"), "{known:?}");
         // The same once more is no news.
-        tell(&tap, Change::Spared(true));
-        assert!(outlet.items.try_recv().is_err());
-        tell(&tap, Change::Quarantined);
-        assert!(matches!(outlet.items.try_recv(), Ok(Item::Told(_))));
+        update_camera(&tap, CameraChange::HoldBackExempt(true));
+        assert!(receiver.items.try_recv().is_err());
+        update_camera(&tap, CameraChange::Quarantined);
+        assert!(matches!(receiver.items.try_recv(), Ok(RecordedItem::CameraUpdate(_))));
     }
 
     #[test]
@@ -251,14 +258,14 @@ mod tests {
         let tap = Tap::default();
         tap.offer(|| unreachable!("nothing is recorded"));
         assert!(!tap.wants_frame(4));
-        let outlet = tap.open(2);
+        let receiver = tap.open(2);
         assert!(tap.wants_frame(4) && !tap.wants_frame(5));
         for _ in 0..QUEUE_ITEMS + 3 {
-            tap.offer(|| Item::Snapshot(Arc::default()));
+            tap.offer(|| RecordedItem::Snapshot(Arc::default()));
         }
         assert_eq!(tap.dropped(), 3);
         tap.close();
         tap.offer(|| unreachable!("it was ended"));
-        assert_eq!(outlet.items.try_iter().count(), QUEUE_ITEMS);
+        assert_eq!(receiver.items.try_iter().count(), QUEUE_ITEMS);
     }
 }

@@ -11,7 +11,7 @@ use futures::StreamExt;
 use roundel_client::{
     Client, Code, Error, LinkState, Snapshots, Subscription, Update, coded, named, predicted, v1,
 };
-use roundel_server::api::Limits;
+use roundel_server::api::ApiLimits;
 use tokio::{
     io::{AsyncReadExt, AsyncWriteExt},
     net::TcpListener,
@@ -185,7 +185,7 @@ async fn prediction_and_clock_are_the_servers_own() {
 #[tokio::test]
 async fn a_lost_connection_comes_back_and_the_gap_is_told() {
     let hub = rig::hub("run");
-    let rig = Rig::start_with(hub.clone(), Limits::default(), "127.0.0.1:0").await;
+    let rig = Rig::start_with(hub.clone(), ApiLimits::default(), "127.0.0.1:0").await;
     let address = rig.address.clone();
     rig.publish(objects(1));
     let client = Client::connect(&address).await.unwrap();
@@ -206,7 +206,7 @@ async fn a_lost_connection_comes_back_and_the_gap_is_told() {
 
     // The same run of the server, as after a broken network: three snapshots were made meanwhile.
     tokio::time::sleep(Duration::from_millis(30)).await;
-    let rig = Rig::start_with(hub, Limits::default(), &address).await;
+    let rig = Rig::start_with(hub, ApiLimits::default(), &address).await;
     (0..4).for_each(|_| rig.publish(objects(1)));
     let back = next_but_tries(&mut snapshots).await;
     let Update::Reconnected { gap, restarted: false, missed: Some(3) } = back else {
@@ -218,7 +218,7 @@ async fn a_lost_connection_comes_back_and_the_gap_is_told() {
     rig.stop().await;
 
     // Another run: its sequence begins anew, so nobody knows.
-    let rig = Rig::start_with(rig::hub("next run"), Limits::default(), &address).await;
+    let rig = Rig::start_with(rig::hub("next run"), ApiLimits::default(), &address).await;
     rig.publish(objects(1));
     let back = next_but_tries(&mut snapshots).await;
     let Update::Reconnected { restarted: true, missed: None, .. } = back else {
@@ -243,7 +243,7 @@ async fn a_server_that_comes_up_late_is_no_reconnection() {
     let link = timeout(HANG, latest.link_changed()).await.unwrap();
     assert!(link.state == LinkState::Connecting && link.tries > 0, "{link:?}");
     assert_eq!(link.losses, 0);
-    let rig = Rig::start_with(rig::hub("run"), Limits::default(), &address).await;
+    let rig = Rig::start_with(rig::hub("run"), ApiLimits::default(), &address).await;
     rig.publish(objects(1));
     assert_eq!(sequence(&next_but_tries(&mut snapshots).await), 1);
     timeout(HANG, latest.next()).await.unwrap().unwrap();
@@ -282,7 +282,7 @@ async fn who_steers_by_the_newest_snapshot_is_told_when_it_is_no_news() {
     let error = latest.recent(Duration::ZERO).unwrap_err().to_string();
     assert!(error.contains("the connection is lost: "), "{error}");
     assert_eq!(latest.value().unwrap().unwrap().sequence, 1, "what there was is still at hand");
-    let rig = Rig::start_with(rig::hub("next run"), Limits::default(), &address).await;
+    let rig = Rig::start_with(rig::hub("next run"), ApiLimits::default(), &address).await;
     rig.publish(objects(3));
     let back = timeout(HANG, latest.next()).await.unwrap().unwrap();
     assert_eq!((back.source_id.as_str(), back.objects.len()), ("next run", 3));

@@ -7,7 +7,7 @@ use std::time::Duration;
 use futures::future::join_all;
 use prost::Message as _;
 use roundel_proto::v1;
-use roundel_server::api::Limits;
+use roundel_server::api::ApiLimits;
 use tokio::{
     io::{AsyncReadExt, AsyncWriteExt},
     net::TcpStream,
@@ -67,7 +67,7 @@ pub struct Bystander {
 }
 
 impl Bystander {
-    pub async fn new(limits: Limits) -> Self {
+    pub async fn new(limits: ApiLimits) -> Self {
         let rig = Rig::start_with(rig::hub("run"), limits, "127.0.0.1:0").await;
         let request = v1::SubscribeSnapshotsRequest::default();
         let mut client = grpc::connect(&rig).await;
@@ -167,7 +167,7 @@ fn calls() -> (Vec<String>, Vec<Vec<u8>>) {
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
 async fn bent_protobuf_harms_nobody() {
-    let mut bystander = Bystander::new(Limits::default()).await;
+    let mut bystander = Bystander::new(ApiLimits::default()).await;
     let (calls, requests) = calls();
     let mut random = Random(0x9e37_79b9_7f4a_7c15);
     for round in 0..12 {
@@ -198,7 +198,7 @@ async fn bent_protobuf_harms_nobody() {
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
 async fn bent_json_is_refused_by_name() {
-    let mut bystander = Bystander::new(Limits::default()).await;
+    let mut bystander = Bystander::new(ApiLimits::default()).await;
     let mut random = Random(77);
     let texts = [
         r#"{"object_id": 1, "velocity": {"x": 1, "y": 0, "z": 0}, "duration_ms": 500}"#,
@@ -237,7 +237,7 @@ async fn bent_json_is_refused_by_name() {
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
 async fn bent_websocket_frames_end_their_own_socket_only() {
-    let mut bystander = Bystander::new(Limits::default()).await;
+    let mut bystander = Bystander::new(ApiLimits::default()).await;
     let ask = format!(
         "GET /api/v1/stream HTTP/1.1\r\nhost: {}\r\nconnection: upgrade\r\nupgrade: websocket\r\n\
          sec-websocket-version: 13\r\nsec-websocket-key: AAAAAAAAAAAAAAAAAAAAAA==\r\n\r\n",
@@ -281,7 +281,7 @@ async fn bent_websocket_frames_end_their_own_socket_only() {
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
 async fn bent_http2_ends_its_own_connection_only() {
-    let mut bystander = Bystander::new(Limits::default()).await;
+    let mut bystander = Bystander::new(ApiLimits::default()).await;
     let mut random = Random(99);
     let preface = b"PRI * HTTP/2.0\r\n\r\nSM\r\n\r\n".to_vec();
     let frame = |kind: u8, flags: u8, stream: u32, payload: &[u8]| {
@@ -323,7 +323,8 @@ async fn bent_http2_ends_its_own_connection_only() {
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
 async fn thousands_who_say_nothing_take_nobodys_place() {
-    let mut bystander = Bystander::new(Limits { max_clients: 300, ..Limits::default() }).await;
+    let mut bystander =
+        Bystander::new(ApiLimits { max_clients: 300, ..ApiLimits::default() }).await;
     let mut held = Vec::new();
     for number in 0..3000 {
         let mut stream = bystander.connect().await;
@@ -355,8 +356,11 @@ async fn half_a_request_holds_its_place_for_a_while_only() {
         // HTTP/2 whose pings are not answered.
         b"PRI * HTTP/2.0\r\n\r\nSM\r\n\r\n\x00\x00\x00\x04\x00\x00\x00\x00\x00",
     ];
-    let limits =
-        Limits { max_clients: 6, request_timeout: Duration::from_millis(300), ..Limits::default() };
+    let limits = ApiLimits {
+        max_clients: 6,
+        request_timeout: Duration::from_millis(300),
+        ..ApiLimits::default()
+    };
     let bystander = Bystander::new(limits).await;
     let end = async |half: &[u8]| {
         let mut stream = bystander.connect().await;

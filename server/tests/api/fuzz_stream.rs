@@ -5,7 +5,7 @@ use std::time::Duration;
 use futures::{SinkExt, StreamExt};
 use prost::Message as _;
 use roundel_proto::v1::{self, stream_message::Message as Alternative};
-use roundel_server::api::Limits;
+use roundel_server::api::ApiLimits;
 use tokio::time::timeout;
 use tokio_tungstenite::{
     connect_async,
@@ -64,7 +64,7 @@ async fn until<T>(socket: &mut Socket, wanted: impl Fn(Message) -> Option<T>) ->
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
 async fn bent_wishes_in_protobuf_are_answered_and_the_socket_goes_on() {
-    let mut bystander = Bystander::new(Limits::default()).await;
+    let mut bystander = Bystander::new(ApiLimits::default()).await;
     let mut socket = open(&bystander, "roundel.v1.protobuf").await;
     let mut random = Random(0x5eed);
     let whole = request().encode_to_vec();
@@ -108,7 +108,7 @@ async fn bent_wishes_in_protobuf_are_answered_and_the_socket_goes_on() {
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
 async fn bent_wishes_in_json_are_answered_and_the_socket_goes_on() {
-    let mut bystander = Bystander::new(Limits::default()).await;
+    let mut bystander = Bystander::new(ApiLimits::default()).await;
     let mut socket = open(&bystander, "roundel.v1.json").await;
     let mut random = Random(0xfeed);
     let whole = serde_json::to_string(&request()).unwrap();

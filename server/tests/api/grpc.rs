@@ -8,10 +8,10 @@ use roundel_core::{
     id::{CameraId, ObjectId, TrackNumber},
     marker::{self, CodeReading, Ring},
     pose::Detection,
-    world::{EventKind, FrameObservations},
+    world::{self, FrameObservations},
 };
 use roundel_proto::v1::{self, roundel_client::RoundelClient};
-use roundel_server::model::hub::{CameraStatus, Happening};
+use roundel_server::model::hub::{CameraStatus, EventKind};
 use tokio::time::timeout;
 use tonic::{
     Code, Streaming,
@@ -383,15 +383,15 @@ async fn what_the_teeth_say_comes_with_each_detection() {
 async fn events_come_with_their_past_first() {
     let rig = Rig::start().await;
     let appear = |id| {
-        let happening = Happening::Object(ObjectId(id), EventKind::Appeared);
-        rig.hub.publish_event(rig.clock.now(), happening, format!("object {id} appeared"));
+        let kind = EventKind::ObjectStageChanged(ObjectId(id), world::EventKind::Appeared);
+        rig.hub.publish_event(rig.clock.now(), kind, format!("object {id} appeared"));
     };
     (1..=3).for_each(appear);
     let request = v1::SubscribeEventsRequest { backlog: 2 };
     let mut events = connect(&rig).await.subscribe_events(request).await.unwrap().into_inner();
     rig.hub.publish_event(
         rig.clock.now(),
-        Happening::Camera(CameraId(1), CameraStatus::Failed),
+        EventKind::CameraStatusChanged(CameraId(1), CameraStatus::Failed),
         "no such file".into(),
     );
     let mut seen = Vec::new();

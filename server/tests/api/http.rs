@@ -12,7 +12,7 @@ use roundel_core::{
     world::{ClockEstimate, FusionCounts},
 };
 use roundel_proto::v1;
-use roundel_server::model::hub::{CameraStatus, Happening};
+use roundel_server::model::hub::{CameraStatus, EventKind};
 use serde_json::Value;
 
 use crate::rig::{Rig, objects};
@@ -75,7 +75,7 @@ async fn lists_and_single_things_are_readable() {
     rig.publish(objects(1));
     rig.hub.publish_event(
         rig.clock.now(),
-        Happening::Camera(CameraId(1), CameraStatus::Running),
+        EventKind::CameraStatusChanged(CameraId(1), CameraStatus::Running),
         "camera runs".into(),
     );
     let objects = rig.get("/api/v1/objects").await.json();

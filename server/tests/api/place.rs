@@ -8,8 +8,8 @@ use roundel_core::{
     world::{CameraPlacement, Unplaced},
 };
 use roundel_server::{
-    api::Limits,
-    model::hub::{CameraInfo, CameraPlace, Happening, Hub, PoseStatus, RideInfo},
+    api::ApiLimits,
+    model::hub::{CameraInfo, CameraPoseState, EventKind, Hub, MountInfo, PoseStatus},
 };
 use serde_json::{Value, json};
 
@@ -20,7 +20,7 @@ fn hub_with_rider() -> std::sync::Arc<Hub> {
     let hub = hub("run");
     let down = UnitQuaternion::from_axis_angle(&Vector3::x_axis(), std::f64::consts::PI);
     let mut info = CameraInfo::clone(&hub.installation().cameras[&CameraId(1)]);
-    info.ride = Some(RideInfo {
+    info.ride = Some(MountInfo {
         carrier: "carrier".into(),
         object_from_camera: Rigid::from_parts(Vector3::new(0.0, 0.0, -0.1).into(), down),
         localizes: true,
@@ -43,14 +43,14 @@ async fn cameras(rig: &Rig) -> [Value; 2] {
 
 #[tokio::test]
 async fn each_camera_says_where_it_is_or_why_that_is_not_known() {
-    let rig = Rig::start_with(hub_with_rider(), Limits::default(), "127.0.0.1:0").await;
-    let place = |camera: u32, place: CameraPlace| {
-        rig.hub.update_camera(CameraId(camera), |state| state.place = place);
+    let rig = Rig::start_with(hub_with_rider(), ApiLimits::default(), "127.0.0.1:0").await;
+    let place = |camera: u32, place: CameraPoseState| {
+        rig.hub.update_camera(CameraId(camera), |state| state.pose = place);
     };
-    place(0, CameraPlace::searching("it sees two references"));
+    place(0, CameraPoseState::searching("it sees two references"));
     let reason = "\"carrier\" is not followed".to_owned();
     let status = PoseStatus::Without(Unplaced::CarrierUnseen);
-    place(1, CameraPlace { status, reason, ..CameraPlace::default() });
+    place(1, CameraPoseState { status, reason, ..CameraPoseState::default() });
     let [stands, rides] = cameras(&rig).await;
     assert_eq!((&stands["pose"], &stands["mount"]), (&Value::Null, &Value::Null));
     assert_eq!((&stands["pose_status"], &stands["carrier"]), (&json!("searching"), &json!("")));
@@ -66,11 +66,11 @@ async fn each_camera_says_where_it_is_or_why_that_is_not_known() {
     let metrics = rig.get("/metrics").await;
     assert!(metrics.text().contains("roundel_camera_placed{camera=\"south side\"} 0\n"));
 
-    place(0, CameraPlace::standing(PoseStatus::Found, placement(1.0, 0.0)));
+    place(0, CameraPoseState::fixed(PoseStatus::Found, placement(1.0, 0.0)));
     let time = Some(Timestamp::from_ns(1_700_000_000_123_456_789));
     let placement = Some(placement(4.0, 1e-6));
     let status = PoseStatus::Riding;
-    place(1, CameraPlace { status, placement, time, reason: String::new() });
+    place(1, CameraPoseState { status, placement, time, reason: String::new() });
     let [stands, rides] = cameras(&rig).await;
     assert_eq!((&stands["pose_status"], &stands["pose_time_ns"]), (&json!("found"), &json!("0")));
     assert_eq!(
@@ -88,9 +88,9 @@ async fn each_camera_says_where_it_is_or_why_that_is_not_known() {
 
 #[tokio::test]
 async fn places_that_come_and_go_are_events() {
-    let rig = Rig::start_with(hub_with_rider(), Limits::default(), "127.0.0.1:0").await;
-    for happening in [Happening::Placed(CameraId(1)), Happening::Unplaced(CameraId(1))] {
-        rig.hub.publish_event(rig.clock.now(), happening, "so it is".into());
+    let rig = Rig::start_with(hub_with_rider(), ApiLimits::default(), "127.0.0.1:0").await;
+    for kind in [EventKind::CameraPlaced(CameraId(1)), EventKind::CameraUnplaced(CameraId(1))] {
+        rig.hub.publish_event(rig.clock.now(), kind, "so it is".into());
     }
     let events = rig.get("/api/v1/events?backlog=5").await.json();
     let told = [0, 1].map(|index| {

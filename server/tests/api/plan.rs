@@ -9,7 +9,7 @@ use roundel_core::{
     rigid::{Covariance6, Rigid},
     world::CameraPlacement,
 };
-use roundel_server::model::hub::{CameraInfo, CameraPlace, PoseStatus};
+use roundel_server::model::hub::{CameraInfo, CameraPoseState, PoseStatus};
 
 use crate::rig::Rig;
 
@@ -33,7 +33,7 @@ fn hang(rig: &Rig, camera: CameraId, x_m: f64) {
     let placement = CameraPlacement { world_from_camera, covariance: Covariance6::zeros() };
     rig.hub.update_camera(camera, |state| {
         state.camera = Some(Camera::new(intrinsics).unwrap());
-        state.place = CameraPlace::standing(PoseStatus::Configured, placement);
+        state.pose = CameraPoseState::fixed(PoseStatus::Configured, placement);
     });
 }
 
@@ -79,8 +79,8 @@ async fn a_map_comes_as_numbers_and_as_pictures() {
     let installation = rig.hub.installation();
     for (id, info) in &installation.cameras {
         let covariance = DMatrix::from_diagonal_element(4, 4, 5.0 * 5.0);
-        let lens_doubt = Some(LensDoubt { free: Vec::new(), covariance });
-        rig.hub.set_camera(*id, CameraInfo { lens_doubt, ..info.as_ref().clone() });
+        let lens_uncertainty = Some(LensDoubt { free: Vec::new(), covariance });
+        rig.hub.set_camera(*id, CameraInfo { lens_uncertainty, ..info.as_ref().clone() });
     }
     let doubtful = rig.get(query).await.json();
     let exact_m = both["summary"]["median_m"].as_f64().unwrap();

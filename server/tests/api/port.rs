@@ -4,7 +4,7 @@ use std::time::Duration;
 
 use futures::StreamExt;
 use roundel_proto::v1;
-use roundel_server::api::Limits;
+use roundel_server::api::ApiLimits;
 use tokio::{
     io::{AsyncReadExt, AsyncWriteExt},
     net::TcpStream,
@@ -52,7 +52,7 @@ async fn shutdown_tells_every_client() {
 
 #[tokio::test]
 async fn shutdown_does_not_wait_for_stuck_clients() {
-    let limits = Limits { grace: Duration::from_millis(300), ..Limits::default() };
+    let limits = ApiLimits { grace: Duration::from_millis(300), ..ApiLimits::default() };
     let rig = Rig::start_with(rig::hub("run"), limits, "127.0.0.1:0").await;
     // One that says nothing, one in the middle of a request, one that never reads its stream.
     let silent = TcpStream::connect(&rig.address).await.unwrap();
@@ -72,7 +72,7 @@ async fn shutdown_does_not_wait_for_stuck_clients() {
 
 #[tokio::test]
 async fn subscriptions_beyond_the_limit_are_told_so() {
-    let limits = Limits { max_clients: 2, ..Limits::default() };
+    let limits = ApiLimits { max_clients: 2, ..ApiLimits::default() };
     let rig = Rig::start_with(rig::hub("run"), limits, "127.0.0.1:0").await;
     rig.publish(objects(1));
     let mut client = grpc::connect(&rig).await;
@@ -98,7 +98,7 @@ async fn subscriptions_beyond_the_limit_are_told_so() {
 
 #[tokio::test]
 async fn connections_beyond_the_limit_are_told_so() {
-    let limits = Limits { max_clients: 2, ..Limits::default() };
+    let limits = ApiLimits { max_clients: 2, ..ApiLimits::default() };
     let rig = Rig::start_with(rig::hub("run"), limits, "127.0.0.1:0").await;
     rig.publish(objects(1));
     let mut client = grpc::connect(&rig).await;

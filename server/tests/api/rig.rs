@@ -17,7 +17,7 @@ use roundel_core::{
     world::{LifeStage, ObjectState, ProcessNoise, Snapshot},
 };
 use roundel_server::{
-    api::{self, Limits, Served},
+    api::{self, ApiLimits, ApiParts},
     model::{
         clock::Clock,
         hub::{CameraInfo, CameraStatus, Hub, Installation},
@@ -49,14 +49,14 @@ pub fn hub(source_id: &str) -> Arc<Hub> {
         source: format!("sim:?of={name}"),
         mask: vec![corners.to_vec()],
         ride: None,
-        lens_doubt: None,
+        lens_uncertainty: None,
     };
     Arc::new(Hub::new(Installation {
         name: "lab".into(),
         source_id: source_id.into(),
         started: Clock::anchored_now().now(),
         snapshot_rate_hz: 60.0,
-        cameras: Installation::numbered([camera("north"), camera("south side")]),
+        cameras: Installation::number_cameras([camera("north"), camera("south side")]),
         kinds: vec!["robot".into(), "cart".into()],
         object_names: BTreeMap::from([(KindId(1), "cart \"one\"".into())]),
         body_names: vec!["carrier".into()],
@@ -65,17 +65,17 @@ pub fn hub(source_id: &str) -> Arc<Hub> {
 
 impl Rig {
     pub async fn start() -> Self {
-        Self::start_with(hub("run"), Limits::default(), "127.0.0.1:0").await
+        Self::start_with(hub("run"), ApiLimits::default(), "127.0.0.1:0").await
     }
 
-    pub async fn start_with(hub: Arc<Hub>, limits: Limits, listen: &str) -> Self {
+    pub async fn start_with(hub: Arc<Hub>, limits: ApiLimits, listen: &str) -> Self {
         let listener = TcpListener::bind(listen).await.unwrap();
         let address = listener.local_addr().unwrap().to_string();
         let (clock, cancel) = (Clock::anchored_now(), CancellationToken::new());
-        let served = Served {
+        let served = ApiParts {
             kinds: vec![Kind::plain("robot", 0.16, 0.064), Kind::plain("cart", 0.16, 0.08)],
             allow_origins: vec![ORIGIN.into()],
-            ..Served::of_hub(hub.clone(), clock)
+            ..ApiParts::of_hub(hub.clone(), clock)
         };
         let server = tokio::spawn(api::serve(listener, served, limits, cancel.clone()));
         Self { hub, clock, address, cancel, server }

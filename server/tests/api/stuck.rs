@@ -15,8 +15,8 @@ use roundel_core::{
 };
 use roundel_proto::v1;
 use roundel_server::{
-    api::Limits,
-    model::hub::{CameraStatus, Happening},
+    api::ApiLimits,
+    model::hub::{CameraStatus, EventKind},
 };
 use tokio::{
     io::{AsyncReadExt, AsyncWriteExt},
@@ -34,7 +34,7 @@ async fn rig() -> Rig {
 }
 
 async fn rig_that_waits(send_timeout: Duration) -> Rig {
-    let limits = Limits { send_timeout, ..Limits::default() };
+    let limits = ApiLimits { send_timeout, ..ApiLimits::default() };
     Rig::start_with(rig::hub("run"), limits, "127.0.0.1:0").await
 }
 
@@ -141,8 +141,8 @@ async fn who_takes_no_events_is_cut_off() {
     let mut client = grpc::connect(&rig).await;
     let mut stuck = client.subscribe_events(request).await.unwrap().into_inner();
     until_one_is_cut(&rig, || {
-        let happening = Happening::Camera(CameraId(0), CameraStatus::Failed);
-        rig.hub.publish_event(rig.clock.now(), happening, "no such file; ".repeat(500));
+        let kind = EventKind::CameraStatusChanged(CameraId(0), CameraStatus::Failed);
+        rig.hub.publish_event(rig.clock.now(), kind, "no such file; ".repeat(500));
     })
     .await;
     let end = async { while let Ok(Some(_)) = stuck.message().await {} };

@@ -6,11 +6,11 @@ use futures::{SinkExt, StreamExt};
 use prost::Message as _;
 use roundel_core::{
     id::{CameraId, ObjectId},
-    world::EventKind,
+    world,
 };
 use roundel_proto::v1::{self, stream_message::Message as Alternative};
-use roundel_server::api::Limits;
-use roundel_server::model::hub::{CameraStatus, Happening};
+use roundel_server::api::ApiLimits;
+use roundel_server::model::hub::{CameraStatus, EventKind};
 use serde_json::Value;
 use tokio::{net::TcpStream, time::timeout};
 use tokio_tungstenite::{
@@ -86,8 +86,8 @@ async fn snapshots_are_all_that_comes_by_default() {
 async fn one_socket_carries_cameras_and_events_too() {
     let rig = Rig::start().await;
     for id in 1..=60 {
-        let happening = Happening::Object(ObjectId(id), EventKind::Appeared);
-        rig.hub.publish_event(rig.clock.now(), happening, String::new());
+        let kind = EventKind::ObjectStageChanged(ObjectId(id), world::EventKind::Appeared);
+        rig.hub.publish_event(rig.clock.now(), kind, String::new());
     }
     rig.hub.update_camera(CameraId(1), |camera| camera.status = CameraStatus::Running);
     let mut socket = open(&rig, "?include=cameras,events").await;
@@ -97,7 +97,7 @@ async fn one_socket_carries_cameras_and_events_too() {
     }
     rig.hub.publish_event(
         rig.clock.now(),
-        Happening::Object(ObjectId(7), EventKind::Lost),
+        EventKind::ObjectStageChanged(ObjectId(7), world::EventKind::Lost),
         "object 7 was given up".into(),
     );
     let (mut cameras, mut event) = (0, None);
@@ -133,7 +133,7 @@ async fn a_wrong_query_is_refused_before_the_upgrade() {
 #[tokio::test]
 async fn a_slow_page_skips_to_the_newest() {
     // On a busy machine the test itself may be slower than the limit for stuck clients.
-    let limits = Limits { send_timeout: HANG * 10, ..Limits::default() };
+    let limits = ApiLimits { send_timeout: HANG * 10, ..ApiLimits::default() };
     let rig = Rig::start_with(rig::hub("run"), limits, "127.0.0.1:0").await;
     let mut slow = open(&rig, "").await;
     let mut quick = open(&rig, "").await;
@@ -157,8 +157,8 @@ async fn a_slow_page_skips_to_the_newest() {
 async fn what_is_wanted_changes_on_the_open_socket() {
     let rig = Rig::start().await;
     rig.publish(objects(3));
-    let happening = Happening::Object(ObjectId(1), EventKind::Appeared);
-    rig.hub.publish_event(rig.clock.now(), happening, "one".into());
+    let kind = EventKind::ObjectStageChanged(ObjectId(1), world::EventKind::Appeared);
+    rig.hub.publish_event(rig.clock.now(), kind, "one".into());
     let mut socket = open(&rig, "?ids=1").await;
     assert_eq!(next_snapshot(&mut socket).await.objects.len(), 1);
     let wish = r#"{"snapshots": {"object_ids": [2, 3], "omit_covariance": true}, "events": true}"#;
@@ -221,8 +221,8 @@ async fn a_subprotocol_gives_the_same_in_protobuf() {
 
     let wish = v1::StreamRequest { events: true, ..Default::default() };
     binary.send(Message::binary(wish.encode_to_vec())).await.unwrap();
-    let happening = Happening::Object(ObjectId(7), EventKind::Lost);
-    rig.hub.publish_event(rig.clock.now(), happening, "gone".into());
+    let kind = EventKind::ObjectStageChanged(ObjectId(7), world::EventKind::Lost);
+    rig.hub.publish_event(rig.clock.now(), kind, "gone".into());
     let event = async {
         loop {
             if let Alternative::Event(event) = next_binary(&mut binary).await {
@@ -291,7 +291,7 @@ async fn a_client_that_says_too_much_hears_so_and_is_cut_off() {
 
 #[tokio::test]
 async fn a_client_that_does_not_read_is_cut_off() {
-    let limits = Limits { send_timeout: Duration::from_millis(200), ..Limits::default() };
+    let limits = ApiLimits { send_timeout: Duration::from_millis(200), ..ApiLimits::default() };
     let rig = Rig::start_with(rig::hub("run"), limits, "127.0.0.1:0").await;
     let stuck = open(&rig, "").await;
     let gone = async {

@@ -7,7 +7,7 @@ use roundel_core::{
     marker::Mode,
     world::{Body, MotionClass},
 };
-use roundel_server::model::config::{Carried, Config, ObjectConfig};
+use roundel_server::model::config::{Config, ObjectConfig, ObjectRoundels};
 
 use super::{EXAMPLE, camera_yaml, expect, lab, problems};
 
@@ -57,8 +57,8 @@ fn objects_are_known_by_a_kind_a_code_or_several_roundels() {
     let bodies: Vec<&Body> = objects
         .iter()
         .filter_map(|object| match &object.carries {
-            Carried::Body(body) => Some(body),
-            Carried::Kind { .. } => None,
+            ObjectRoundels::Body(body) => Some(body),
+            ObjectRoundels::Kind { .. } => None,
         })
         .collect();
     let [two, carrier, ..] = bodies[..] else { panic!("{objects:?}") };
@@ -80,7 +80,7 @@ fn objects_are_known_by_a_kind_a_code_or_several_roundels() {
     let end = begin + EXAMPLE[begin..].find("\n]\n").unwrap() + 3;
     let tables = "[[object.roundel]]\nkind = \"shuttle\"\ncode = 3\nposition_m = [0.2, 0.0, 0.3]\n";
     let listed = read(&format!("{}{tables}{}", &EXAMPLE[..begin], &EXAMPLE[end..]));
-    let Carried::Body(listed) = &listed[2].carries else { panic!("{listed:?}") };
+    let ObjectRoundels::Body(listed) = &listed[2].carries else { panic!("{listed:?}") };
     assert_eq!(listed.mounts, carrier.mounts[..1]);
     // Without a motion of its own it moves as its first roundel's kind, whose height is the roundel's.
     let shuttle = EXAMPLE.replacen(
@@ -88,7 +88,7 @@ fn objects_are_known_by_a_kind_a_code_or_several_roundels() {
         "inner_mm = 73.2\nmotion = \"ground\"\nheight_m = 0.4",
         1,
     );
-    let Carried::Body(driving) = &read(&shuttle)[2].carries else { panic!("no body") };
+    let ObjectRoundels::Body(driving) = &read(&shuttle)[2].carries else { panic!("no body") };
     let MotionClass::Ground { height_m: Some(height_m) } = driving.motion else { panic!("flies") };
     assert!((height_m - 0.1).abs() < 1e-12);
 }

@@ -3,7 +3,7 @@
 
 use nalgebra::Vector3;
 use roundel_core::world::MotionClass;
-use roundel_server::model::config::{CameraPose, Carried, Config, RideConfig};
+use roundel_server::model::config::{Config, MountConfig, ObjectRoundels, PoseConfig};
 
 use super::{EXAMPLE, expect, lab, problems};
 
@@ -17,8 +17,8 @@ fn parse(text: &str) -> Config {
 }
 
 /// The place on its object of the camera with this index, and the object's name.
-fn ride(config: &Config, camera: usize) -> (RideConfig, &str) {
-    let CameraPose::Rides(ride) = config.cameras[camera].pose else { panic!("it stands") };
+fn ride(config: &Config, camera: usize) -> (MountConfig, &str) {
+    let PoseConfig::Mounted(ride) = config.cameras[camera].pose else { panic!("it stands") };
     (ride, &config.objects[ride.object].name)
 }
 
@@ -37,7 +37,9 @@ fn cameras_ride_where_the_example_says() {
     assert!((turn * Vector3::z() - Vector3::x()).norm() < 1e-9);
     assert!((turn * -Vector3::y() - Vector3::z()).norm() < 1e-9);
     // Nothing is printed on the forklift, which drives.
-    let Carried::Body(body) = &config.objects[forklift.object].carries else { panic!("no body") };
+    let ObjectRoundels::Body(body) = &config.objects[forklift.object].carries else {
+        panic!("no body")
+    };
     assert!(body.mounts.is_empty());
     assert_eq!(body.motion, MotionClass::Ground { height_m: Some(0.0) });
     // The print of the station looks along -x; of the others nobody has said how they are turned.

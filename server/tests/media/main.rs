@@ -17,7 +17,7 @@ use std::{
 
 use roundel_server::{
     capture::source::{FrameSource, OpenSource, Playback, SourceError, SourceOpener},
-    model::{address::SourceAddress, clock::Clock, stop::Stop},
+    model::{address::SourceAddress, clock::Clock, stop::StopSignal},
 };
 
 /// Of all that the tests make.
@@ -35,7 +35,7 @@ pub fn alone() -> MutexGuard<'static, ()> {
 pub fn opener(url: &str, size: (usize, usize)) -> (SourceOpener, Clock) {
     let address = SourceAddress::parse(url, Path::new("/")).unwrap();
     let (clock, playback) = Playback::begin(std::iter::once(&address)).unwrap();
-    (SourceOpener::new(address, size, clock, playback, Stop::default()), clock)
+    (SourceOpener::new(address, size, clock, playback, StopSignal::default()), clock)
 }
 
 /// Opens a source of frames of [`SIZE`].

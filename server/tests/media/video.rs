@@ -12,7 +12,7 @@ use roundel_server::{
         camera_file,
         capture_clock::TimeBase,
         config::Config,
-        hub::{CameraStatus, Happening},
+        hub::{CameraStatus, EventKind},
     },
 };
 use tokio::time::{sleep, timeout};
@@ -77,8 +77,8 @@ async fn play(url: &str) {
     assert_eq!(base, Some(TimeBase::Synchronized));
     let (events, _) = server.hub().events(1000);
     let count = |kind: EventKind| {
-        let of_kind = |it: &Happening| matches!(it, Happening::Object(_, found) if *found == kind);
-        events.iter().filter(|event| of_kind(&event.happening)).count()
+        let of_kind = |it: &EventKind| matches!(it, EventKind::ObjectStageChanged(_, found) if *found == kind);
+        events.iter().filter(|event| of_kind(&event.kind)).count()
     };
     assert_eq!((count(EventKind::Appeared), count(EventKind::Lost)), (1, 0), "{events:#?}");
     server.shutdown().await;

@@ -10,8 +10,8 @@ use roundel_core::{
 };
 use roundel_server::{
     app::serve::node::NodeReport,
-    capture::worker::{Place, adoption::Adoption},
-    model::hub::{CameraState, CameraStatus, Happening, PoseStatus},
+    capture::worker::{PoseSource, calibration_update::CalibrationUpdate},
+    model::hub::{CameraState, CameraStatus, EventKind, PoseStatus},
 };
 use tokio::time::sleep;
 
@@ -186,7 +186,7 @@ async fn a_camera_that_gives_fewer_frames_than_promised_is_told() {
     let cameras = client.cameras().await.unwrap();
     assert_eq!((cameras[0].promised_rate_hz, &cameras[0].rate_reason), (200.0, &state.rate_reason));
     let (events, _) = rig.server.hub().events(100);
-    let told = events.iter().filter(|event| event.happening == Happening::RateOff(CameraId(0)));
+    let told = events.iter().filter(|event| event.kind == EventKind::CameraRateOff(CameraId(0)));
     let messages: Vec<&str> = told.map(|event| event.message.as_str()).collect();
     assert_eq!(messages, [format!("Camera north {}.", state.rate_reason)]);
     fed.node.shutdown().await;
@@ -210,9 +210,9 @@ async fn a_calibration_reaches_the_node_between_two_frames() {
         covariance: Covariance6::zeros(),
     };
     let lens = roundel_core::camera::Camera::new(longer).unwrap();
-    rig.server.calibrator().inbox(CameraId(0)).put(Adoption {
+    rig.server.calibrator().mailbox(CameraId(0)).put(CalibrationUpdate {
         lens,
-        place: Place::Standing(PoseStatus::Calibrated, Box::new(placement)),
+        pose: PoseSource::Fixed(PoseStatus::Calibrated, Box::new(placement)),
         version: 7,
     });
     let depth_m = |version| {
@@ -230,6 +230,6 @@ async fn a_calibration_reaches_the_node_between_two_frames() {
     // 330 px focal length, 160 mm over 40 px.
     assert!((new_m - 330.0 * 0.16 / 40.0).abs() < 0.02, "{new_m} m");
     let state = rig.camera(0);
-    assert_eq!((state.place.status, state.calibration_version), (PoseStatus::Calibrated, 7));
+    assert_eq!((state.pose.status, state.calibration_version), (PoseStatus::Calibrated, 7));
     fed.node.shutdown().await;
 }

@@ -21,7 +21,7 @@ use roundel_server::{
         node::{Node, NodeReport},
     },
     capture::source::{FrameInfo, FrameSource, LentFrame, OpenSource, SourceError},
-    model::{camera_file, clock::Clock, config::Config, hub::CameraState, stop::Stop},
+    model::{camera_file, clock::Clock, config::Config, hub::CameraState, stop::StopSignal},
 };
 use tokio::time::{sleep, timeout};
 
@@ -151,7 +151,7 @@ struct Drawn {
     clock: Clock,
     interval: Duration,
     switch: Switch,
-    stop: Stop,
+    stop: StopSignal,
 }
 
 impl OpenSource for Drawn {
@@ -164,7 +164,7 @@ impl OpenSource for Drawn {
         Ok(Box::new(Drawn { pixels, clock: *clock, interval: *interval, switch, stop }))
     }
 
-    fn pause(&mut self, _: Duration, stop: &Stop) -> bool {
+    fn pause(&mut self, _: Duration, stop: &StopSignal) -> bool {
         stop.wait(Duration::from_millis(20))
     }
 }

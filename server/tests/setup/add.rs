@@ -19,7 +19,7 @@ async fn one_more_disturbs_no_other_and_is_written_down() {
     assert!(answer["kept"].as_str().unwrap().contains("lab.toml"), "{answer}");
     assert_eq!(rig.file(), CONFIG.replace("\n# ---- The end", &format!("{THIRD}\n# ---- The end")));
     let state = rig.running("c").await;
-    assert_eq!(state.place.status, PoseStatus::Configured);
+    assert_eq!(state.pose.status, PoseStatus::Configured);
     // Whoever listens hears of it on the stream that is open.
     let event = futures::StreamExt::next(&mut events).await.unwrap().unwrap();
     assert_eq!((event.kind(), event.camera.as_str()), (v1::EventKind::CameraAdded, "c"));

@@ -50,7 +50,7 @@ async fn another_pose_or_lens_is_taken_over_between_two_frames_and_no_track_is_l
     rig.done(Method::PATCH, "/cameras/a", Some(json!({ "calibration": "longer.yaml" }))).await;
     let state =
         rig.until("the lens", "a", |state| state.camera.as_ref() == Some(&lens(301.0))).await;
-    assert_eq!(state.place.status, PoseStatus::Configured);
+    assert_eq!(state.pose.status, PoseStatus::Configured);
     // The same file with another lens in it: it is read anew without any field.
     write_lens(rig.folder.path(), "longer.yaml", 302.0);
     rig.done(Method::PATCH, "/cameras/a", Some(json!({}))).await;
@@ -169,18 +169,18 @@ async fn what_a_calibration_found_holds_until_pose_or_lens_change() {
     let rig = Rig::start().await;
     let state = rig.running("a").await;
     let id = rig.server.hub().installation().camera_id("a").unwrap();
-    let mut placement = state.place.placement.unwrap();
+    let mut placement = state.pose.placement.unwrap();
     placement.world_from_camera.translation.vector.x = 0.002;
-    rig.server.calibrator().adopt(id, placement);
+    rig.server.calibrator().apply_pose(id, placement);
     let kept = rig.folder.path().join("lab.calibration.toml");
-    rig.until("the calibration", "a", |state| state.place.status == PoseStatus::Calibrated).await;
+    rig.until("the calibration", "a", |state| state.pose.status == PoseStatus::Calibrated).await;
     // A worker that begins anew stands where the calibration found its camera.
     rig.done(Method::PATCH, "/cameras/a", Some(json!({ "mode": "fast" }))).await;
     let state = rig.running("a").await;
-    assert_eq!((state.place.status, state.calibration_version), (PoseStatus::Calibrated, 1));
+    assert_eq!((state.pose.status, state.calibration_version), (PoseStatus::Calibrated, 1));
     // Another name is the same camera.
     rig.done(Method::PATCH, "/cameras/a", Some(json!({ "name": "door" }))).await;
-    assert_eq!(rig.running("door").await.place.status, PoseStatus::Calibrated);
+    assert_eq!(rig.running("door").await.pose.status, PoseStatus::Calibrated);
     assert!(fs::read_to_string(&kept).unwrap().contains("name = \"door\""));
     // Where a person says where it stands, that counts.
     let pose = json!({ "pose": {
@@ -189,7 +189,7 @@ async fn what_a_calibration_found_holds_until_pose_or_lens_change() {
     } });
     rig.done(Method::PATCH, "/cameras/door", Some(json!({ "pose": pose }))).await;
     let state = rig.running("door").await;
-    assert_eq!((state.place.status, state.calibration_version), (PoseStatus::Configured, 0));
+    assert_eq!((state.pose.status, state.calibration_version), (PoseStatus::Configured, 0));
     assert!(!fs::read_to_string(&kept).unwrap().contains("name = \"door\""));
     rig.server.shutdown().await;
 }

@@ -10,7 +10,7 @@ use roundel_core::{
 use roundel_proto::v1;
 use roundel_server::{
     app::serve::Server,
-    lab::print::{self, Item, PageSize, sheets},
+    lab::print::{self, PageSize, PrintItem, lay_out_pages},
     model::{camera_file, config::Config},
 };
 
@@ -37,9 +37,10 @@ const DPI: f64 = 40.64;
 pub fn draw(folder: &Path, numbers: [u16; 2]) {
     let pattern = Pattern::Coded(CodeLayout { bits: 8, min_distance: 2 });
     let kind = Kind { pattern, ..Kind::plain("shuttle", 0.122, 0.122 * CodeLayout::RATIO) };
-    let item = |number| Item { kind: kind.clone(), number: Some(number), label: String::new() };
+    let item =
+        |number| PrintItem { kind: kind.clone(), number: Some(number), label: String::new() };
     let page = PageSize { width_mm: 400.0, height_mm: 300.0 };
-    let pages = sheets(&numbers.map(item), page).unwrap();
+    let pages = lay_out_pages(&numbers.map(item), page).unwrap();
     assert_eq!(pages.len(), 1);
     let picture = fs::File::create(folder.join("pictures/0.png")).unwrap();
     print::png(&pages[0], DPI, picture).unwrap();

@@ -51,7 +51,7 @@ async fn what_is_the_same_goes_on_while_another_configuration_takes_its_place() 
     rig.running("c").await;
     let after = rig.running("a").await;
     assert!(after.frames > before.frames && after.restarts == 0, "{after:?}");
-    let named = || rig.server.hub().object_named("cart");
+    let named = || rig.server.hub().object_by_name("cart");
     come_about("an object of that name", named, || rig.server.hub().objects()).await;
     let told = rig.events_since(since);
     for words in ["Camera b was removed; ", "Object \"cart\" was added; ", "Camera c was added; "] {

@@ -11,7 +11,7 @@ use roundel_server::{
     model::{
         camera_file,
         config::Config,
-        hub::{CameraState, CameraStatus, Happening},
+        hub::{CameraState, CameraStatus, EventKind},
     },
 };
 use tokio::time::{sleep, timeout};
@@ -81,7 +81,7 @@ impl Rig {
     pub fn told(&self, status: CameraStatus) -> Vec<String> {
         let (events, _) = self.server.hub().events(100);
         let about = events.into_iter().filter(
-            |event| matches!(event.happening, Happening::Camera(_, found) if found == status),
+            |event| matches!(event.kind, EventKind::CameraStatusChanged(_, found) if found == status),
         );
         about.map(|event| event.message.clone()).collect()
     }

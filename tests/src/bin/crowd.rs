@@ -25,10 +25,10 @@ use roundel_core::{
     world::{CameraPlacement, FrameObservations, LifeStage, ObjectState, ProcessNoise, Snapshot},
 };
 use roundel_server::{
-    api::{self, Limits, Served},
+    api::{self, ApiLimits, ApiParts},
     model::{
         clock::Clock,
-        hub::{CameraInfo, CameraPlace, CameraStatus, Hub, Installation, Picture, PoseStatus},
+        hub::{CameraInfo, CameraPoseState, CameraStatus, Hub, Installation, Picture, PoseStatus},
     },
 };
 use tokio::net::TcpListener;
@@ -66,8 +66,8 @@ fn main() -> anyhow::Result<()> {
         let listener = TcpListener::bind("127.0.0.1:0").await?;
         println!("http://{}/", listener.local_addr()?);
         io::stdout().flush()?;
-        let served = Served::of_hub(hub, clock);
-        api::serve(listener, served, Limits::default(), CancellationToken::new()).await;
+        let served = ApiParts::of_hub(hub, clock);
+        api::serve(listener, served, ApiLimits::default(), CancellationToken::new()).await;
         Ok(())
     })
 }
@@ -83,7 +83,7 @@ fn installation(cameras: usize, clock: Clock) -> Installation {
         source_id: "crowd".into(),
         started: clock.now(),
         snapshot_rate_hz: RATE_HZ,
-        cameras: Installation::numbered((0..cameras).map(camera)),
+        cameras: Installation::number_cameras((0..cameras).map(camera)),
         kinds: vec!["robot".into()],
         object_names: BTreeMap::new(),
         body_names: Vec::new(),
@@ -153,7 +153,7 @@ impl Feeder {
                 state.status = CameraStatus::Running;
                 [state.width, state.height] = [SIZE.0, SIZE.1];
                 state.camera = Some(mount.camera.clone());
-                state.place = CameraPlace::standing(PoseStatus::Configured, placement);
+                state.pose = CameraPoseState::fixed(PoseStatus::Configured, placement);
                 state.rate_hz = RATE_HZ / TICKS_A_FRAME as f64;
                 (state.detect_ms, state.latency_ms) = (1.3, 24.0);
             });

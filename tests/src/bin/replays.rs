@@ -17,9 +17,9 @@ use std::{
 use anyhow::bail;
 use roundel_server::app::replay_server::ReplayServer;
 use roundel_server::archive::replay::{
-    From, Status,
+    ReplayFrom, ReplayStatus,
     copy::copy,
-    scene::{Scene, Wanted, beginning},
+    session::{ReplayOptions, ReplaySession, initial_status},
 };
 use roundel_tests::{
     arena::Arena,
@@ -51,14 +51,14 @@ fn measure(name: &str, arena: &Arena, seconds: f64) -> anyhow::Result<()> {
     if dropped > 0 {
         bail!("{dropped} messages found no room: this machine is too slow to record that");
     }
-    let wanted = Wanted { file: file.clone(), from: From::Observations, config: None };
+    let wanted = ReplayOptions { file: file.clone(), from: ReplayFrom::Observations, config: None };
     let (mut played, mut times, mut files) = (Vec::new(), Vec::new(), Vec::new());
     for run in 0..RUNS {
-        played.push(play(Scene::open(&wanted)?, &file)?);
-        let scene = Scene::open(&wanted)?;
+        played.push(play(ReplaySession::open(&wanted)?, &file)?);
+        let session = ReplaySession::open(&wanted)?;
         let to = folder.path().join(format!("anew{run}.mcap"));
         let begun = Instant::now();
-        let copied = copy(scene, &to, |_| {})?;
+        let copied = copy(session, &to, |_| {})?;
         times.push(copied.seconds / begun.elapsed().as_secs_f64());
         files.push((fs::read(&to)?, copied));
     }
@@ -79,13 +79,16 @@ fn measure(name: &str, arena: &Arena, seconds: f64) -> anyhow::Result<()> {
 }
 
 /// Plays it as fast as it goes, as a server does: how many times faster than it was recorded.
-fn play(scene: Scene, file: &Path) -> anyhow::Result<f64> {
+fn play(session: ReplaySession, file: &Path) -> anyhow::Result<f64> {
     let runtime = tokio::runtime::Builder::new_current_thread().enable_all().build()?;
     runtime.block_on(async {
-        let begin = Status { speed: FASTEST, ..beginning(&scene, file, From::Observations) };
+        let begin = ReplayStatus {
+            speed: FASTEST,
+            ..initial_status(&session, file, ReplayFrom::Observations)
+        };
         let seconds = begin.span.1.seconds_since(begin.span.0);
         let begun = Instant::now();
-        let server = ReplayServer::start(scene, "127.0.0.1:0".parse()?, begin).await?;
+        let server = ReplayServer::start(session, "127.0.0.1:0".parse()?, begin).await?;
         while !server.replay().status().ended {
             tokio::time::sleep(Duration::from_millis(1)).await;
         }

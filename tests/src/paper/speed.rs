@@ -18,7 +18,7 @@ use roundel_core::{
     plan::{paper::Speed, time::Load},
     pose::Locator,
 };
-use roundel_server::lab::plan::machine::{self, Machine};
+use roundel_server::lab::plan::machine_timings::{self, MachineTimings};
 
 use super::{
     Aim, Length, Row, Table,
@@ -48,20 +48,20 @@ fn mode_name(mode: Mode) -> &'static str {
 const SLOWER: &str = "this machine is slower, or was used by others";
 
 /// The constants of this machine, which are measured once; in short those that stand in for them.
-static MACHINE: Mutex<Option<Machine>> = Mutex::new(None);
+static MACHINE: Mutex<Option<MachineTimings>> = Mutex::new(None);
 
-fn constants(length: Length) -> anyhow::Result<Machine> {
+fn constants(length: Length) -> anyhow::Result<MachineTimings> {
     if length == Length::Short {
-        return Ok(Machine::default());
+        return Ok(MachineTimings::default());
     }
     let mut known = MACHINE.lock().unwrap_or_else(PoisonError::into_inner);
     match *known {
         Some(machine) => Ok(machine),
-        None => Ok(*known.insert(machine::measure(|_, _| {})?.0)),
+        None => Ok(*known.insert(machine_timings::measure(|_, _| {})?.0)),
     }
 }
 
-fn of_constants(machine: &Machine) -> &'static str {
+fn of_constants(machine: &MachineTimings) -> &'static str {
     if machine.is_measured {
         "the plan's, with the constants that `roundel plan --measure` finds on this machine"
     } else {
@@ -195,7 +195,7 @@ fn mean_s(
 }
 
 /// By the plan, seconds a frame of a dataset.
-fn foretold_s(machine: &Machine, mode: Mode, dataset: Dataset, image_px: f64) -> f64 {
+fn foretold_s(machine: &MachineTimings, mode: Mode, dataset: Dataset, image_px: f64) -> f64 {
     let (constants, lost) = (machine.of(mode), dataset.lost());
     let load = followed(1, dataset.diameter_px(), dataset.motion_px());
     let searched = Load { image_px, searched_share: 1.0, ..load };

@@ -14,7 +14,9 @@ use roundel_core::{
     plan::time::Load,
     pose::Locator,
 };
-use roundel_server::lab::plan::{machine, quiet::Probe, trial::Way};
+use roundel_server::lab::plan::{
+    contention::ContentionProbe, machine_timings, timing::TimedPipeline,
+};
 
 use super::Pair;
 use crate::{
@@ -100,7 +102,7 @@ pub type Timed = (Load, Mode, Pair);
 /// numbers and motions, before a lab's clutter, rendered by other code. Each followed and searched. Beside them what was
 /// measured, as the model has it.
 pub fn times() -> anyhow::Result<[Vec<Timed>; 2]> {
-    let (machine, measured) = machine::measure(|_, _| {})?;
+    let (machine, measured) = machine_timings::measure(|_, _| {})?;
     let plain = PLAIN.iter().map(|listed| (listed, None));
     let coded = CODED.iter().map(|listed| (listed, Some(BITS)));
     let own = measured.iter().map(|one| {
@@ -108,7 +110,7 @@ pub fn times() -> anyhow::Result<[Vec<Timed>; 2]> {
         (one.load, one.mode, Pair { planned, simulated: one.time_s })
     });
     let mut others = Vec::new();
-    let mut probe = Probe::new()?;
+    let mut probe = ContentionProbe::new()?;
     for (&(width, height, count, diameter_px, motion_px), bits) in plain.chain(coded) {
         let shown = Shown { width, height, count, diameter_px, motion_px, bits };
         for (mode, took) in MODES.into_iter().zip(shown.took(MODES, &mut probe)) {
@@ -157,13 +159,13 @@ pub struct Took {
 
 impl Shown {
     /// Times in these modes.
-    pub fn took<const N: usize>(&self, modes: [Mode; N], probe: &mut Probe) -> [Took; N] {
+    pub fn took<const N: usize>(&self, modes: [Mode; N], probe: &mut ContentionProbe) -> [Took; N] {
         let lens = Distortion::PlumbBob([-0.02, 0.0, 0.0, 0.0, 0.0]);
         let camera = Pinhole::centered(self.width, self.height, FOCAL * self.width as f64, lens);
         let images = self.pictures(&camera);
         let mut ways = modes.map(|mode| self.way(&camera, mode));
         let rounds = probe.rounds(|| {
-            let times = |way: &mut Way| {
+            let times = |way: &mut TimedPipeline| {
                 way.begin(&images[1].pixels);
                 let time = |image: &Image| {
                     let (time_s, found) = way.pass(&image.pixels);
@@ -174,7 +176,7 @@ impl Shown {
             };
             ways.iter_mut().flat_map(times).collect()
         });
-        if !rounds.were_quiet(probe) {
+        if !rounds.any_uncontended(probe) {
             eprintln!("{self:?}: others used the machine all the time");
         }
         let times_s = rounds.times_s(probe);
@@ -189,13 +191,13 @@ impl Shown {
         self.bits.map_or_else(Kind::robot, Kind::coded)
     }
 
-    fn way(&self, camera: &Pinhole, mode: Mode) -> Way {
+    fn way(&self, camera: &Pinhole, mode: Mode) -> TimedPipeline {
         let kinds = core_kinds(&[self.kind()]);
         let params = Params { mode, ..Params::default() };
         let detector = Detector::new(kinds.clone(), params).expect("a kind that can be printed");
         let camera = core_camera(camera).expect("a camera as above");
         let locator = Locator::new(camera, kinds, mode);
-        Way::new(Tracker::new(detector), locator, (self.width, self.height))
+        TimedPipeline::new(Tracker::new(detector), locator, (self.width, self.height))
     }
 
     /// Roundels in a grid, each tilted to its own side.

@@ -8,7 +8,7 @@ use roundel_core::{
 };
 use roundel_server::{
     capture::image_file::GreyImage,
-    lab::print::{self, board_page, of_kind, sheets, spec},
+    lab::print::{self, board_page, items_of_kind, lay_out_pages, spec},
 };
 
 use super::{A4, coded, found, kinds, numbers, picture};
@@ -21,8 +21,8 @@ fn a_camera_reads_each_kind() {
             Pattern::Coded(_) => Some(spec::numbers("1-6").unwrap()),
             _ => None,
         };
-        let items = of_kind(&kind, few.as_ref()).unwrap();
-        let pages = sheets(&items, A4).unwrap();
+        let items = items_of_kind(&kind, few.as_ref()).unwrap();
+        let pages = lay_out_pages(&items, A4).unwrap();
         let seen = photograph(&picture(&pages[0], 150.0, folder.path()));
         let rings = found(&kind, &seen);
         let count = pages[0].prints.len();
@@ -39,8 +39,8 @@ fn a_camera_reads_every_number() {
         for polarity in [Polarity::BlackRing, Polarity::WhiteRing] {
             let layout = CodeLayout { bits, min_distance };
             let kind = Kind { polarity, ..coded(outer_mm, layout) };
-            let items = of_kind(&kind, None).unwrap();
-            let pages = sheets(&items, A4).unwrap();
+            let items = items_of_kind(&kind, None).unwrap();
+            let pages = lay_out_pages(&items, A4).unwrap();
             let mut read: Vec<_> = pages
                 .par_iter()
                 .flat_map_iter(|page| {

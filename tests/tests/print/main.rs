@@ -12,7 +12,7 @@ use roundel_core::{
 };
 use roundel_server::{
     capture::image_file::{self, GreyImage},
-    lab::print::{self, Item, Page, PageSize, board_page, sheets},
+    lab::print::{self, Page, PageSize, PrintItem, board_page, lay_out_pages},
 };
 
 const A4: PageSize = PageSize { width_mm: 210.0, height_mm: 297.0 };
@@ -39,7 +39,7 @@ fn kinds() -> Vec<Kind> {
 }
 
 /// One of a plain kind, some of a coded one: all would be hundreds.
-fn items(kind: &Kind) -> Vec<Item> {
+fn items(kind: &Kind) -> Vec<PrintItem> {
     let numbers = match kind.pattern {
         Pattern::Coded(layout) => {
             let count = layout.codes().unwrap().len() as u16;
@@ -48,7 +48,7 @@ fn items(kind: &Kind) -> Vec<Item> {
         _ => vec![None],
     };
     let label = |number: Option<u16>| number.map_or(String::new(), |number| format!("#{number}"));
-    let item = |number| Item { kind: kind.clone(), number, label: label(number) };
+    let item = |number| PrintItem { kind: kind.clone(), number, label: label(number) };
     numbers.into_iter().map(item).collect()
 }
 
@@ -77,7 +77,7 @@ fn every_kind_and_number_is_detected_in_the_pictures() {
         let wanted: BTreeSet<_> = items.iter().map(|item| item.number).collect();
         let mut seen = BTreeSet::new();
         let mut count = 0;
-        for page in &sheets(&items, A4).unwrap() {
+        for page in &lay_out_pages(&items, A4).unwrap() {
             let rings = found(&kind, &picture(page, 150.0, folder.path()));
             count += rings.len();
             seen.extend(numbers(&rings));
@@ -92,7 +92,7 @@ fn the_board_is_read_as_a_whole_where_its_plan_says() {
     let layout = CodeLayout { bits: 9, min_distance: 1 };
     let board = Board::new((7, 5), 0.036, 0.03, layout).unwrap();
     let page = board_page(&board, A4).unwrap();
-    assert_eq!(page.size, A4.turned());
+    assert_eq!(page.size, A4.rotated());
     let image = picture(&page, 150.0, folder.path());
     let rings = found(&board.kind(), &image);
     assert_eq!(rings.len(), 35);

@@ -12,9 +12,9 @@ use roundel_core::{
 use roundel_server::{
     capture::image_file::{self, GreyImage},
     lab::print::{
-        self, Item, Page, PageSize, board_page, of_kind,
+        self, Page, PageSize, PrintItem, board_page, items_of_kind, lay_out_pages,
         path::{self, Place, Step},
-        sheets, spec,
+        spec,
     },
 };
 use roundel_tests::process::roundel;
@@ -112,7 +112,7 @@ impl Sheet<'_> {
 }
 
 /// Pages of a kind with the numbers on them.
-fn sheets_of<'a>(kind: &'a Kind, pages: &'a [Page], items: &[Item]) -> Vec<Sheet<'a>> {
+fn sheets_of<'a>(kind: &'a Kind, pages: &'a [Page], items: &[PrintItem]) -> Vec<Sheet<'a>> {
     let mut numbers = items.iter().map(|item| item.number);
     let sheet = |page: &'a Page| {
         let numbers = numbers.by_ref().take(page.prints.len()).collect();
@@ -126,8 +126,8 @@ fn sheets_of<'a>(kind: &'a Kind, pages: &'a [Page], items: &[Item]) -> Vec<Sheet
 
 /// All that there are of a kind: how many. `None` without the program that draws them.
 fn hold_all(kind: &Kind) -> Option<usize> {
-    let items = of_kind(kind, None).unwrap();
-    let pages = sheets(&items, A4).unwrap();
+    let items = items_of_kind(kind, None).unwrap();
+    let pages = lay_out_pages(&items, A4).unwrap();
     let pdf = Pdf::of(&pages)?;
     let sheets = sheets_of(kind, &pages, &items);
     sheets.into_par_iter().enumerate().for_each(|(index, sheet)| sheet.hold(&pdf.drawn(index)));
@@ -143,8 +143,8 @@ fn every_kind_is_true_to_scale_on_every_page() {
             Pattern::Coded(_) => Some(spec::numbers("1-12").unwrap()),
             _ => None,
         };
-        let items = of_kind(kind, few.as_ref()).unwrap();
-        let pages = sheets(&items, size).unwrap();
+        let items = items_of_kind(kind, few.as_ref()).unwrap();
+        let pages = lay_out_pages(&items, size).unwrap();
         let Some(pdf) = Pdf::of(&pages) else { return };
         for (index, sheet) in sheets_of(kind, &pages, &items).iter().enumerate() {
             sheet.hold(&pdf.drawn(index));
@@ -207,8 +207,8 @@ fn the_board_is_true_to_scale() {
 
 #[test]
 fn rulers_measure_what_they_say() {
-    let items = of_kind(&kinds()[0], None).unwrap();
-    let Some(pdf) = Pdf::of(&sheets(&items, A4).unwrap()) else { return };
+    let items = items_of_kind(&kinds()[0], None).unwrap();
+    let Some(pdf) = Pdf::of(&lay_out_pages(&items, A4).unwrap()) else { return };
     let image = &pdf.drawn(0);
     let dark = |u: usize, v: usize| image.pixels[v * image.width + u] < 128;
     let mm = |pixels: usize| pixels as f64 * MM;
@@ -269,8 +269,8 @@ fn a_roundel_over_several_pages_is_whole_when_they_are_laid_together() {
     // The larger one with its usual margin, the other with what two sheets have.
     for (outer_mm, count) in [(250.0, 4), (225.0, 2)] {
         let kind = coded(outer_mm, CodeLayout { bits: 8, min_distance: 2 });
-        let item = Item { kind: kind.clone(), number: Some(7), label: "#7".to_owned() };
-        let pages = sheets(&[item], A4).unwrap();
+        let item = PrintItem { kind: kind.clone(), number: Some(7), label: "#7".to_owned() };
+        let pages = lay_out_pages(&[item], A4).unwrap();
         assert_eq!(pages.len(), count, "{outer_mm} mm");
         let Some(pdf) = Pdf::of(&pages) else { return };
         let rings = found(&kind, &laid_together(&kind, &pages, &pdf));

@@ -12,14 +12,18 @@ use roundel_proto::v1;
 use crate::model::convert::{intrinsics, pose};
 use crate::{
     fusion::calibration::{
-        RecordedCamera, Report, Stage, Status,
-        report::{CameraReport, Told},
+        CalibrationReport, CalibrationStage, CalibrationStatus, RecordedCamera,
+        report::{CameraReport, Finding},
     },
     model::hub::Installation,
 };
 
 /// The newest calibration, and the version that is in use.
-pub fn calibration(installation: &Installation, status: &Status, version: u64) -> v1::Calibration {
+pub fn calibration(
+    installation: &Installation,
+    status: &CalibrationStatus,
+    version: u64,
+) -> v1::Calibration {
     v1::Calibration {
         stage: stage(status.stage) as i32,
         seconds: status.seconds,
@@ -37,13 +41,13 @@ pub fn calibration(installation: &Installation, status: &Status, version: u64) -
     }
 }
 
-fn stage(stage: Stage) -> v1::CalibrationStage {
+fn stage(stage: CalibrationStage) -> v1::CalibrationStage {
     match stage {
-        Stage::Idle => v1::CalibrationStage::Idle,
-        Stage::Recording => v1::CalibrationStage::Recording,
-        Stage::Solving => v1::CalibrationStage::Solving,
-        Stage::Done => v1::CalibrationStage::Done,
-        Stage::Failed => v1::CalibrationStage::Failed,
+        CalibrationStage::Idle => v1::CalibrationStage::Idle,
+        CalibrationStage::Recording => v1::CalibrationStage::Recording,
+        CalibrationStage::Solving => v1::CalibrationStage::Solving,
+        CalibrationStage::Done => v1::CalibrationStage::Done,
+        CalibrationStage::Failed => v1::CalibrationStage::Failed,
     }
 }
 
@@ -72,8 +76,8 @@ fn together(
     each.collect()
 }
 
-fn report(installation: &Installation, report: &Report) -> v1::CalibrationReport {
-    let finding = |Told { text, is_grave }: &Told| v1::CalibrationFinding {
+fn report(installation: &Installation, report: &CalibrationReport) -> v1::CalibrationReport {
+    let finding = |Finding { text, is_grave }: &Finding| v1::CalibrationFinding {
         message: text.clone(),
         grave: *is_grave,
     };

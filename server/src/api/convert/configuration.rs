@@ -9,7 +9,7 @@ use roundel_proto::v1;
 
 use crate::model::convert::{quaternion, vector};
 use crate::{
-    fusion::roster::{InForce, Plan},
+    fusion::camera_manager::{ActiveConfig, ApplyPlan},
     model::config::{
         Config, MODES, POLARITIES, Problem, ReferenceConfig,
         edit::{EditError, read_all},
@@ -18,8 +18,8 @@ use crate::{
 };
 
 /// The configuration in force.
-pub fn configuration(in_force: InForce) -> Result<v1::Configuration, EditError> {
-    let InForce { text, config } = in_force;
+pub fn configuration(in_force: ActiveConfig) -> Result<v1::Configuration, EditError> {
+    let ActiveConfig { text, config } = in_force;
     let (cameras, objects) = (read_all(&text)?, read_all(&text)?);
     let motion = |index: usize| config.motions.get(index).copied().unwrap_or_default();
     let kinds = config.kinds.iter().enumerate();
@@ -42,10 +42,10 @@ pub fn configuration(in_force: InForce) -> Result<v1::Configuration, EditError> 
                 .as_ref()
                 .map(|path| path.display().to_string())
                 .unwrap_or_default(),
-            watch: config.server.watches,
+            watch: config.server.monitors_cameras,
             setup: config.server.setup,
             allow_origins: config.server.allow_origins.clone(),
-            prompt: config.server.is_prompt,
+            prompt: config.server.publishes_per_frame,
         }),
         detection: Some(v1::DetectionSetup { mode: word(&MODES, config.mode).to_owned() }),
         fusion: Some(v1::FusionSetup {
@@ -63,9 +63,9 @@ pub fn configuration(in_force: InForce) -> Result<v1::Configuration, EditError> 
 }
 
 /// What a check has found.
-pub fn configuration_check(found: Result<Plan, Vec<Problem>>) -> v1::ConfigurationCheck {
+pub fn configuration_check(found: Result<ApplyPlan, Vec<Problem>>) -> v1::ConfigurationCheck {
     match found {
-        Ok(Plan { changes, needs_restart }) => {
+        Ok(ApplyPlan { changes, needs_restart }) => {
             v1::ConfigurationCheck { problems: Vec::new(), changes, needs_restart }
         }
         Err(problems) => v1::ConfigurationCheck {

@@ -3,12 +3,12 @@
 mod calibration;
 mod configuration;
 mod recording;
-mod trial;
+mod source_probe;
 
 pub use self::{
     calibration::calibration,
     configuration::{configuration, configuration_check},
     recording::{history, recording, recordings, replay},
-    trial::trial,
+    source_probe::trial,
 };
 pub use crate::model::convert::*;

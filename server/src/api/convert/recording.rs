@@ -3,18 +3,18 @@
 use roundel_proto::v1;
 
 use crate::archive::{
-    history::store::{Answer, Point},
-    record::{State, Status, folder::Listed},
+    history::store::{HistoryPoint, HistoryResult},
+    record::{RecordingState, RecordingStatus, folder::RecordingFile},
     replay,
 };
 
 /// How a recording is doing.
-pub fn recording(status: &Status) -> v1::Recording {
+pub fn recording(status: &RecordingStatus) -> v1::Recording {
     let state = match status.state {
-        State::Idle => v1::RecordingState::Idle,
-        State::Recording => v1::RecordingState::Recording,
-        State::Stopped => v1::RecordingState::Stopped,
-        State::Failed => v1::RecordingState::Failed,
+        RecordingState::Idle => v1::RecordingState::Idle,
+        RecordingState::Recording => v1::RecordingState::Recording,
+        RecordingState::Stopped => v1::RecordingState::Stopped,
+        RecordingState::Failed => v1::RecordingState::Failed,
     };
     v1::Recording {
         state: state.into(),
@@ -37,10 +37,10 @@ pub fn recording(status: &Status) -> v1::Recording {
 /// The files of a folder; `open` is being written.
 pub fn recordings(
     folder: &std::path::Path,
-    files: &[Listed],
+    files: &[RecordingFile],
     open: Option<&str>,
 ) -> v1::ListRecordingsResponse {
-    let file = |file: &Listed| v1::RecordingFile {
+    let file = |file: &RecordingFile| v1::RecordingFile {
         name: file.name.clone(),
         bytes: file.bytes,
         started_time_ns: file.started.as_ns(),
@@ -51,12 +51,12 @@ pub fn recordings(
 }
 
 /// A recording that is being played.
-pub fn replay(status: &replay::Status) -> v1::Replay {
+pub fn replay(status: &replay::ReplayStatus) -> v1::Replay {
     let (begin, end) = status.span;
     let from = match status.from {
-        replay::From::Snapshots => v1::ReplayFrom::Snapshots,
-        replay::From::Observations => v1::ReplayFrom::Observations,
-        replay::From::Frames => v1::ReplayFrom::Frames,
+        replay::ReplayFrom::Snapshots => v1::ReplayFrom::Snapshots,
+        replay::ReplayFrom::Observations => v1::ReplayFrom::Observations,
+        replay::ReplayFrom::Frames => v1::ReplayFrom::Frames,
     };
     v1::Replay {
         file: status.file.display().to_string(),
@@ -74,8 +74,8 @@ pub fn replay(status: &replay::Status) -> v1::Replay {
 }
 
 /// Where objects were.
-pub fn history(answer: &Answer) -> v1::QueryHistoryResponse {
-    let point = |point: &Point| {
+pub fn history(answer: &HistoryResult) -> v1::QueryHistoryResponse {
+    let point = |point: &HistoryPoint| {
         let [x, y, z] = point.position_m;
         v1::HistoryPoint {
             time_ns: point.time.as_ns(),

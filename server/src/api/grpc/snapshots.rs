@@ -23,11 +23,11 @@ use tonic_prost::ProstDecoder;
 
 use super::{Messages, until_shutdown};
 use crate::api::{
-    Api, MAX_REQUEST_BYTES,
-    encoded::Form,
+    ApiState, MAX_REQUEST_BYTES,
     error::ApiError,
-    feed::{EncodedSnapshot, Feed},
     selection::{MESSAGE_FIELDS, Selection},
+    snapshot_encoder::Encoding,
+    snapshot_subscription::{EncodedSnapshot, SnapshotSubscription},
 };
 
 /// The method's path, which its route takes from the generated service.
@@ -37,7 +37,7 @@ const SUBSCRIPTIONS_PER_CLIENT: usize = 4;
 
 /// Answers the call.
 pub(super) async fn subscribe(
-    api: Arc<Api>,
+    api: Arc<ApiState>,
     request: Request,
 ) -> Result<Response<tonic::body::Body>, Infallible> {
     let mut grpc =
@@ -45,7 +45,7 @@ pub(super) async fn subscribe(
     Ok(grpc.server_streaming(Subscribe(api), request.map(Body::new)).await)
 }
 
-struct Subscribe(Arc<Api>);
+struct Subscribe(Arc<ApiState>);
 
 impl ServerStreamingService<v1::SubscribeSnapshotsRequest> for Subscribe {
     type Response = EncodedSnapshot;
@@ -65,17 +65,17 @@ impl Subscribe {
         let api = &self.0;
         let selection = Selection::new(request, &api.hub.installation().kinds, &MESSAGE_FIELDS)?;
         check_subscription_limit(api)?;
-        let feed = Feed::new(api.clone(), selection);
-        let snapshots = stream::unfold(feed, |mut feed| async move {
-            let snapshot = feed.next(Form::Protobuf).await?;
-            Some((snapshot, feed))
+        let subscription = SnapshotSubscription::new(api.clone(), selection);
+        let snapshots = stream::unfold(subscription, |mut subscription| async move {
+            let snapshot = subscription.next(Encoding::Protobuf).await?;
+            Some((snapshot, subscription))
         });
         Ok(tonic::Response::new(until_shutdown(snapshots.map(Ok), api.cancel.clone())))
     }
 }
 
 /// Bounds the number of different snapshots that have to be encoded.
-fn check_subscription_limit(api: &Api) -> Result<(), ApiError> {
+fn check_subscription_limit(api: &ApiState) -> Result<(), ApiError> {
     let limit = SUBSCRIPTIONS_PER_CLIENT * api.limits.max_clients;
     if api.counters.snapshot_subscribers.load(Ordering::Relaxed) < limit as u64 {
         return Ok(());

@@ -31,10 +31,10 @@ use super::{
     stall::{ResponseWatch, WatchedBody},
 };
 use crate::api::{
-    Api, Limits,
+    ApiLimits, ApiState,
     dispatch::{Dispatch, is_grpc},
     error::ApiError,
-    push::Peer,
+    push::PeerAddress,
 };
 
 /// Send buffer of one HTTP/2 stream.
@@ -75,12 +75,12 @@ impl Slots {
 
 /// Held for as long as a connection is open, by its task and by a WebSocket that took it over.
 pub(in crate::api) struct ConnectionSlot {
-    api: Arc<Api>,
+    api: Arc<ApiState>,
     _permit: OwnedSemaphorePermit,
 }
 
 impl ConnectionSlot {
-    fn new(api: Arc<Api>, permit: OwnedSemaphorePermit) -> Self {
+    fn new(api: Arc<ApiState>, permit: OwnedSemaphorePermit) -> Self {
         api.counters.connections.fetch_add(1, Ordering::Relaxed);
         Self { api, _permit: permit }
     }
@@ -102,7 +102,7 @@ enum Admission {
 pub(super) struct Connection {
     pub(super) pending: Arc<Pending>,
     pub(super) slots: Arc<Slots>,
-    pub(super) api: Arc<Api>,
+    pub(super) api: Arc<ApiState>,
 }
 
 impl Connection {
@@ -114,7 +114,7 @@ impl Connection {
             admission: OnceLock::new(),
             refused: Notify::new(),
             watch: ResponseWatch::default(),
-            peer: stream.peer_addr().ok().map(Peer),
+            peer: stream.peer_addr().ok().map(PeerAddress),
             pending: pending.clone(),
             slots,
             api: api.clone(),
@@ -169,10 +169,10 @@ struct Requests {
     admission: OnceLock<Admission>,
     refused: Notify,
     watch: ResponseWatch,
-    peer: Option<Peer>,
+    peer: Option<PeerAddress>,
     pending: Arc<Pending>,
     slots: Arc<Slots>,
-    api: Arc<Api>,
+    api: Arc<ApiState>,
     dispatch: Dispatch,
 }
 
@@ -252,7 +252,7 @@ impl Drop for EndOnDrop<'_> {
     }
 }
 
-fn hyper_builder(limits: &Limits) -> auto::Builder<TokioExecutor> {
+fn hyper_builder(limits: &ApiLimits) -> auto::Builder<TokioExecutor> {
     let mut builder = auto::Builder::new(TokioExecutor::new());
     builder
         .http1()
@@ -280,7 +280,7 @@ fn with_write_timeout(
     TokioIo::new(Box::pin(stream))
 }
 
-fn log_error(error: &(dyn Error + 'static), api: &Api) {
+fn log_error(error: &(dyn Error + 'static), api: &ApiState) {
     if is_write_timeout(error) {
         count_stalled(api);
     } else {
@@ -295,13 +295,13 @@ fn is_write_timeout(error: &(dyn Error + 'static)) -> bool {
 }
 
 /// Counts a client that was disconnected since it took nothing for too long.
-pub(in crate::api) fn count_stalled(api: &Api) {
+pub(in crate::api) fn count_stalled(api: &ApiState) {
     let limit = api.limits.send_timeout;
     tracing::info!(?limit, "disconnected a client that does not read");
     api.counters.subscribers_cut.fetch_add(1, Ordering::Relaxed);
 }
 
-fn refusal(request: &Request<Incoming>, limits: &Limits) -> Response<Body> {
+fn refusal(request: &Request<Incoming>, limits: &ApiLimits) -> Response<Body> {
     let max_clients = limits.max_clients;
     let error = ApiError::ResourceExhausted(format!(
         "all {max_clients} connections that this server allows are in use; close one, or raise limits.max_clients"

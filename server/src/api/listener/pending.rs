@@ -1,7 +1,7 @@
 //! Connections whose first request has not arrived yet.
 //!
 //! Their number is bounded: when a new connection exceeds it, the oldest ones that have had time to send a request are
-//! closed. `Limits::request_timeout` closes the others.
+//! closed. `ApiLimits::request_timeout` closes the others.
 
 use std::{
     collections::VecDeque,

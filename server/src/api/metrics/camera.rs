@@ -4,7 +4,7 @@ use std::{collections::BTreeMap, sync::Arc};
 
 use roundel_core::{id::CameraId, marker::Reject};
 
-use super::Page;
+use super::MetricsText;
 use crate::model::{
     hub::{CameraInfo, CameraState, CameraStatus, Installation, PoseStatus},
     reason,
@@ -18,7 +18,7 @@ const CAMERA_FAMILIES: [CameraFamily; 26] = [
         f64::from(u8::from(camera.status == CameraStatus::Running))
     }),
     ("roundel_camera_placed", "gauge", "1 while its pose is known.", |camera| {
-        f64::from(u8::from(camera.place.placement.is_some()))
+        f64::from(u8::from(camera.pose.placement.is_some()))
     }),
     ("roundel_camera_frames_total", "counter", "Frames processed.", |camera| camera.frames as f64),
     (
@@ -133,7 +133,7 @@ const CAMERA_FAMILIES: [CameraFamily; 26] = [
         "roundel_camera_quarantined",
         "gauge",
         "1 since it was bumped, until it is used again.",
-        |camera| f64::from(u8::from(camera.place.status == PoseStatus::Quarantined)),
+        |camera| f64::from(u8::from(camera.pose.status == PoseStatus::Quarantined)),
     ),
     (
         "roundel_camera_place_error_metres",
@@ -150,7 +150,7 @@ const CAMERA_FAMILIES: [CameraFamily; 26] = [
 ];
 
 pub(super) fn write_cameras(
-    page: &mut Page,
+    page: &mut MetricsText,
     installation: &Installation,
     cameras: &BTreeMap<CameraId, CameraState>,
 ) {
@@ -170,7 +170,10 @@ pub(super) fn write_cameras(
     write_detections(page, each());
 }
 
-fn write_stages<'a>(page: &mut Page, each: impl Iterator<Item = (&'a str, &'a CameraState)>) {
+fn write_stages<'a>(
+    page: &mut MetricsText,
+    each: impl Iterator<Item = (&'a str, &'a CameraState)>,
+) {
     let name = "roundel_camera_stage_seconds";
     page.family(name, "gauge", "Time of a frame by stage, median of the newest ones.");
     for (camera, state) in each {
@@ -181,7 +184,7 @@ fn write_stages<'a>(page: &mut Page, each: impl Iterator<Item = (&'a str, &'a Ca
 }
 
 fn write_detections<'a>(
-    page: &mut Page,
+    page: &mut MetricsText,
     each: impl Iterator<Item = (&'a str, &'a CameraState)> + Clone,
 ) {
     let name = "roundel_camera_located_total";
@@ -202,7 +205,7 @@ fn write_detections<'a>(
     page.family(name, "counter", "Candidates that were no roundels, by what refused them.");
     for (camera, state) in each {
         for (&reject, &count) in Reject::ALL.iter().zip(&state.counts.rejects) {
-            let reason = reason::word(reject, '_');
+            let reason = reason::reject_name(reject, '_');
             page.sample(name, &[("camera", camera), ("reason", &reason)], count as f64);
         }
     }

@@ -1,9 +1,9 @@
 //! The numbers of the recording that is being made, or of the last one.
 
-use super::Page;
-use crate::archive::record::{State, Status};
+use super::MetricsText;
+use crate::archive::record::{RecordingState, RecordingStatus};
 
-pub(super) fn write_recording(page: &mut Page, status: &Status) {
+pub(super) fn write_recording(page: &mut MetricsText, status: &RecordingStatus) {
     let name = "roundel_recording_state";
     page.family(
         name,
@@ -11,10 +11,10 @@ pub(super) fn write_recording(page: &mut Page, status: &Status) {
         "1 for how the recording is: none since the start, being made, ended, ended by itself.",
     );
     for (state, word) in [
-        (State::Idle, "idle"),
-        (State::Recording, "recording"),
-        (State::Stopped, "stopped"),
-        (State::Failed, "failed"),
+        (RecordingState::Idle, "idle"),
+        (RecordingState::Recording, "recording"),
+        (RecordingState::Stopped, "stopped"),
+        (RecordingState::Failed, "failed"),
     ] {
         page.sample(name, &[("state", word)], f64::from(u8::from(status.state == state)));
     }
@@ -44,8 +44,12 @@ mod tests {
 
     #[test]
     fn one_that_ended_by_itself_is_told_from_one_that_runs() {
-        let mut page = Page::default();
-        let status = Status { state: State::Failed, dropped: 7, ..Status::default() };
+        let mut page = MetricsText::default();
+        let status = RecordingStatus {
+            state: RecordingState::Failed,
+            dropped: 7,
+            ..RecordingStatus::default()
+        };
         write_recording(&mut page, &status);
         for line in [
             "roundel_recording_state{state=\"failed\"} 1",

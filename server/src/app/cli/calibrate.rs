@@ -20,7 +20,7 @@ use roundel_proto::v1;
 use super::serve::Signals;
 use crate::{
     app::serve::Server,
-    fusion::calibration::{DEFAULT_SECONDS, SECONDS},
+    fusion::calibration::{DEFAULT_DURATION_S, DURATION_RANGE_S},
     model::config::Config,
 };
 
@@ -36,11 +36,11 @@ const BAR: u64 = 1000;
     roundel calibrate arena --config lab.toml")]
 pub struct CalibrateArgs {
     #[command(subcommand)]
-    what: What,
+    what: CalibrateCommand,
 }
 
 #[derive(Debug, Subcommand)]
-enum What {
+enum CalibrateCommand {
     Lens(lens::LensArgs),
     Arena(ArenaArgs),
 }
@@ -73,21 +73,21 @@ struct ArenaArgs {
     #[arg(long, value_name = "FILE")]
     config: Option<PathBuf>,
     /// How long to record
-    #[arg(long, value_name = "SECONDS", default_value_t = DEFAULT_SECONDS, value_parser = seconds)]
+    #[arg(long, value_name = "SECONDS", default_value_t = DEFAULT_DURATION_S, value_parser = seconds)]
     seconds: f64,
     /// Estimate focal lengths, principal points and the first radial coefficients, too
     #[arg(long)]
     refine_lenses: bool,
     /// Whether cameras take the result over
-    #[arg(long, value_enum, default_value_t = ApplyWord::IfSound)]
-    apply: ApplyWord,
+    #[arg(long, value_enum, default_value_t = ApplyArg::IfSound)]
+    apply: ApplyArg,
     /// How to print the report
     #[arg(long, value_enum, default_value_t = Format::Table)]
     format: Format,
 }
 
 #[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
-enum ApplyWord {
+enum ApplyArg {
     /// Unless a finding is grave
     IfSound,
     /// In any case
@@ -105,7 +105,7 @@ enum Format {
 }
 
 fn seconds(text: &str) -> Result<f64, String> {
-    let [least, most] = SECONDS;
+    let [least, most] = DURATION_RANGE_S;
     let seconds = text.parse().ok().filter(|seconds| (least..=most).contains(seconds));
     seconds.ok_or_else(|| format!("expected {least} to {most} seconds, found `{text}`"))
 }
@@ -113,9 +113,11 @@ fn seconds(text: &str) -> Result<f64, String> {
 /// Calibrates, and prints the report; 1 if cameras do not take over what they were to.
 pub(super) async fn run(arguments: CalibrateArgs) -> anyhow::Result<ExitCode> {
     let arguments = match arguments.what {
-        What::Arena(arguments) => arguments,
+        CalibrateCommand::Arena(arguments) => arguments,
         // It waits for pictures and computes.
-        What::Lens(arguments) => return tokio::task::block_in_place(|| run_lens(&arguments)),
+        CalibrateCommand::Lens(arguments) => {
+            return tokio::task::block_in_place(|| run_lens(&arguments));
+        }
     };
     let Some(path) = &arguments.config else {
         let client = Client::connect(&arguments.server).await?;
@@ -134,9 +136,9 @@ pub(super) async fn run(arguments: CalibrateArgs) -> anyhow::Result<ExitCode> {
 async fn calibrate(client: &Client, arguments: &ArenaArgs) -> anyhow::Result<ExitCode> {
     let mut signals = Signals::listen()?;
     let apply = match arguments.apply {
-        ApplyWord::IfSound => v1::CalibrationApply::IfSound,
-        ApplyWord::Always => v1::CalibrationApply::Always,
-        ApplyWord::Never => v1::CalibrationApply::Never,
+        ApplyArg::IfSound => v1::CalibrationApply::IfSound,
+        ApplyArg::Always => v1::CalibrationApply::Always,
+        ApplyArg::Never => v1::CalibrationApply::Never,
     };
     client
         .start_calibration(v1::StartCalibrationRequest {

@@ -13,7 +13,7 @@ use crate::{
             Playback,
             v4l2::{ControlListing, DeviceListing, FormatListing, devices},
         },
-        trial::{Trial, Trier},
+        source_probe::{ProbeReport, SourceProbe},
     },
 };
 
@@ -45,7 +45,7 @@ enum Format {
 /// Prints the list.
 pub(super) fn run(arguments: &CamerasArgs) -> anyhow::Result<ExitCode> {
     if let Some(source) = &arguments.test {
-        return try_source(source, arguments);
+        return probe(source, arguments);
     }
     let devices = devices().context("cannot list /dev")?;
     let text = match arguments.format {
@@ -57,11 +57,11 @@ pub(super) fn run(arguments: &CamerasArgs) -> anyhow::Result<ExitCode> {
 }
 
 /// Says what a source gives; a failure of the source is one of the command.
-fn try_source(source: &str, arguments: &CamerasArgs) -> anyhow::Result<ExitCode> {
+fn probe(source: &str, arguments: &CamerasArgs) -> anyhow::Result<ExitCode> {
     let (clock, playback) = Playback::begin(std::iter::empty())?;
     // Rings of any ratio are found.
-    let trier = Trier::new(Vec::new(), PathBuf::new(), clock, playback);
-    let trial = trier.try_source(source, arguments.size)?;
+    let source_probe = SourceProbe::new(Vec::new(), PathBuf::new(), clock, playback);
+    let trial = source_probe.probe(source, arguments.size)?;
     let text = match arguments.format {
         Format::Json => format!("{}\n", serde_json::to_string_pretty(&convert::trial(&trial))?),
         Format::Table => described(&trial),
@@ -70,9 +70,9 @@ fn try_source(source: &str, arguments: &CamerasArgs) -> anyhow::Result<ExitCode>
     Ok(if trial.error.is_empty() { ExitCode::SUCCESS } else { ExitCode::FAILURE })
 }
 
-fn described(trial: &Trial) -> String {
+fn described(trial: &ProbeReport) -> String {
     let mut text = String::new();
-    let Trial { width, height, frames, broken, rate_hz, promised_hz, .. } = trial;
+    let ProbeReport { width, height, frames, broken, rate_hz, promised_hz, .. } = trial;
     if *frames > 0 {
         let promised = match promised_hz {
             0.0 => String::new(),

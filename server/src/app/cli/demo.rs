@@ -19,8 +19,8 @@ use roundel_core::{
 };
 
 use super::{
+    ground_truth::Score,
     serve::{Signals, announce, elapsed, seconds, shut_down},
-    truth::Score,
 };
 use crate::{
     app::serve::Server,
@@ -50,7 +50,7 @@ pub struct DemoArgs {
     duration: Option<Duration>,
     /// How much is simulated
     #[arg(long, value_enum, default_value_t)]
-    preset: PresetWord,
+    preset: PresetArg,
     /// Another seed is another world
     #[arg(long, default_value_t = 1)]
     seed: u64,
@@ -64,7 +64,7 @@ pub struct DemoArgs {
 
 /// Words for simulated installations.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, ValueEnum)]
-enum PresetWord {
+enum PresetArg {
     /// Four cameras of 1280x720 at 30 Hz, plain roundels
     #[default]
     #[value(name = "r4_lite")]
@@ -80,9 +80,9 @@ enum PresetWord {
 pub(super) async fn run(arguments: DemoArgs) -> anyhow::Result<ExitCode> {
     let address = SimAddress {
         preset: match arguments.preset {
-            PresetWord::R4Lite => SimPreset::R4Lite,
-            PresetWord::R4 => SimPreset::R4,
-            PresetWord::R4Elliptical => SimPreset::R4Elliptical,
+            PresetArg::R4Lite => SimPreset::R4Lite,
+            PresetArg::R4 => SimPreset::R4,
+            PresetArg::R4Elliptical => SimPreset::R4Elliptical,
         },
         seed: arguments.seed,
         robots: arguments.robots,

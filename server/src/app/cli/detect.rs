@@ -15,12 +15,12 @@ use anyhow::Context;
 use clap::{Args, ValueEnum};
 use roundel_core::marker::{CodeLayout, Mode, Params};
 
-use self::search::{Found, Search, Wish};
-use super::told;
+use self::search::{ImageDetections, ImageSearch, SearchOptions};
+use super::error_chain;
 use crate::{
     lab::{
         drawing::Canvas,
-        print::spec::{self, Diameters, PolarityWord, Print},
+        print::spec::{self, Diameters, PolarityArg, PrintSpec},
     },
     model::camera_file,
 };
@@ -54,10 +54,10 @@ pub struct DetectArgs {
     code: Option<CodeLayout>,
     /// Which of ring and disc is black; a white ring stands on black
     #[arg(long, value_enum, default_value_t)]
-    polarity: PolarityWord,
+    polarity: PolarityArg,
     /// What is worth more, precision or time
     #[arg(long, value_enum, default_value_t)]
-    mode: ModeWord,
+    mode: ModeArg,
     /// The images are consecutive frames of one camera: tracks carry over
     #[arg(long)]
     sequence: bool,
@@ -83,7 +83,7 @@ enum Format {
 
 /// Words for modes.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, ValueEnum)]
-enum ModeWord {
+enum ModeArg {
     /// Fit rims and poses to the grey levels
     #[default]
     Precise,
@@ -93,7 +93,7 @@ enum ModeWord {
 
 /// Searches all images and prints what was found, in the order given.
 pub(super) fn run(arguments: &DetectArgs) -> anyhow::Result<ExitCode> {
-    let mut search = Search::new(wish(arguments)?)?;
+    let mut search = ImageSearch::new(options(arguments)?)?;
     if let Some(folder) = &arguments.draw {
         fs::create_dir_all(folder)
             .with_context(|| format!("cannot make the folder {}", folder.display()))?;
@@ -108,7 +108,7 @@ pub(super) fn run(arguments: &DetectArgs) -> anyhow::Result<ExitCode> {
         let outcome = search.image(path);
         if let Err(error) = &outcome {
             failed = true;
-            eprintln!("error: {}", told(error));
+            eprintln!("error: {}", error_chain(error));
         }
         let printed = match format {
             Format::Json => output::json(&mut out, path, &outcome, arguments.explain),
@@ -128,18 +128,18 @@ pub(super) fn run(arguments: &DetectArgs) -> anyhow::Result<ExitCode> {
     Ok(if failed { ExitCode::FAILURE } else { ExitCode::SUCCESS })
 }
 
-fn wish(arguments: &DetectArgs) -> anyhow::Result<Wish> {
+fn options(arguments: &DetectArgs) -> anyhow::Result<SearchOptions> {
     let mode = match arguments.mode {
-        ModeWord::Precise => Mode::Precise,
-        ModeWord::Fast => Mode::Fast,
+        ModeArg::Precise => Mode::Precise,
+        ModeArg::Fast => Mode::Fast,
     };
     let polarity = arguments.polarity.into();
     let elliptical = arguments.marker.is_some_and(|diameters| diameters.minor_m.is_some());
     if elliptical && arguments.code.is_some() {
         anyhow::bail!("--marker with an elliptical disc and --code exclude each other");
     }
-    Ok(Wish {
-        print: Print { diameters: arguments.marker, code: arguments.code, polarity },
+    Ok(SearchOptions {
+        print: PrintSpec { diameters: arguments.marker, code: arguments.code, polarity },
         camera: arguments.camera.as_deref().map(camera_file::load).transpose()?,
         params: Params { mode, ..Params::default() },
         sequence: arguments.sequence,
@@ -159,7 +159,7 @@ fn drawing_name(image: &Path, taken: &mut HashSet<String>) -> String {
     name
 }
 
-fn draw(target: &Path, found: &Found) -> anyhow::Result<()> {
+fn draw(target: &Path, found: &ImageDetections) -> anyhow::Result<()> {
     let (width, height) = (found.image.width, found.image.height);
     let mut canvas = Canvas::of(width, height, &found.image.pixels);
     canvas.draw_rejected(&found.rejected);

@@ -14,10 +14,10 @@ use clap::{Args, ValueEnum};
 use crate::archive::{
     eval::{
         Sample, estimate,
-        figures::{Figures, Settings, Spread, figures},
-        picture, truth,
+        metrics::{ErrorStatistics, EvalMetrics, EvalSettings, evaluate},
+        plots, truth,
     },
-    replay::script::Script,
+    replay::reader::Reader,
 };
 
 /// Compare a recording with another system's trajectories.
@@ -80,57 +80,57 @@ fn offset(text: &str) -> Result<f64, String> {
     offset.ok_or_else(|| format!("expected 0 to 3600 seconds, found `{text}`"))
 }
 
-/// Prints the figures.
+/// Prints the metrics.
 pub(super) fn run(arguments: &EvalArgs) -> anyhow::Result<ExitCode> {
     let text = fs::read_to_string(&arguments.truth)
         .with_context(|| format!("cannot read {}", arguments.truth.display()))?;
     let truths = truth::read(&arguments.truth.display().to_string(), &text)?;
-    let mut script = Script::open(&arguments.file, false)?;
-    let estimate = estimate::read(&mut script)?;
-    for sentence in &script.reader().damage().sentences {
+    let mut reader = Reader::open(&arguments.file, false)?;
+    let estimate = estimate::read(&mut reader)?;
+    for sentence in &reader.file().damage().sentences {
         eprintln!("not whole: {sentence}");
     }
-    let settings = Settings {
+    let settings = EvalSettings {
         aligns: arguments.align == Align::Rigid,
         offset_s: arguments.offset,
         most_offset_s: arguments.max_offset,
         delta: arguments.delta as usize,
         object: arguments.object.clone(),
     };
-    let figures = figures(&estimate, &truths, &settings)?;
+    let metrics = evaluate(&estimate, &truths, &settings)?;
     if let Some(folder) = &arguments.draw {
-        picture::draw(&figures, folder)
+        plots::draw(&metrics, folder)
             .with_context(|| format!("cannot draw into {}", folder.display()))?;
     }
     if let Some(folder) = &arguments.export {
-        export(&figures, folder)
+        export(&metrics, folder)
             .with_context(|| format!("cannot write into {}", folder.display()))?;
     }
     let text = match arguments.format {
-        Format::Json => format!("{}\n", serde_json::to_string_pretty(&figures)?),
-        Format::Table => table(&figures),
+        Format::Json => format!("{}\n", serde_json::to_string_pretty(&metrics)?),
+        Format::Table => table(&metrics),
     };
     std::io::stdout().write_all(text.as_bytes()).context("cannot write to the standard output")?;
     Ok(ExitCode::SUCCESS)
 }
 
-fn table(figures: &Figures) -> String {
+fn table(metrics: &EvalMetrics) -> String {
     let mut text = String::new();
-    let [x, y, z] = figures.translation_m;
-    let degrees = figures.truth_from_estimate.rotation.angle().to_degrees();
+    let [x, y, z] = metrics.translation_m;
+    let degrees = metrics.truth_from_estimate.rotation.angle().to_degrees();
     // Writing to a string cannot fail.
     let _ = writeln!(
         text,
         "truth's clock ahead by {:.1} ms; truth's frame moved by ({x:.3}, {y:.3}, {z:.3}) m and turned by {degrees:.2}°",
-        figures.offset_s * 1e3
+        metrics.offset_s * 1e3
     );
     let _ = writeln!(
         text,
         "\n{:<16} {:>8} {:>8} {:>8} {:>8} {:>8} {:>8} {:>8} {:>6} {:>6}",
         "mm", "rms", "median", "p95", "max", "RPE rms", "jitter", "deg rms", "seen", "gaps"
     );
-    for object in &figures.objects {
-        let Spread { rms, median, p95, max, .. } = object.ate_m;
+    for object in &metrics.objects {
+        let ErrorStatistics { rms, median, p95, max, .. } = object.ate_m;
         let turned = object.ate_deg.map_or("-".to_owned(), |it| format!("{:.3}", it.rms));
         let name =
             if object.name.is_empty() { object.object_id.to_string() } else { object.name.clone() };
@@ -147,7 +147,7 @@ fn table(figures: &Figures) -> String {
             object.gaps
         );
     }
-    let Spread { rms, median, p95, max, count, .. } = figures.ate_m;
+    let ErrorStatistics { rms, median, p95, max, count, .. } = metrics.ate_m;
     let _ = writeln!(
         text,
         "{:<16} {:>8.2} {:>8.2} {:>8.2} {:>8.2} {:>8.2}  ({count} samples; RPE over {} samples)",
@@ -156,26 +156,26 @@ fn table(figures: &Figures) -> String {
         median * 1e3,
         p95 * 1e3,
         max * 1e3,
-        figures.rpe_m.rms * 1e3,
-        figures.rpe_delta
+        metrics.rpe_m.rms * 1e3,
+        metrics.rpe_delta
     );
-    let late = figures.latency_ms;
+    let late = metrics.latency_ms;
     let _ = writeln!(
         text,
         "\nnewest capture to snapshot: median {:.1}, p95 {:.1}, at most {:.1} ms",
         late.median, late.p95, late.max
     );
-    if !figures.missing.is_empty() {
-        let _ = writeln!(text, "not in the recording: {}", figures.missing.join(", "));
+    if !metrics.missing.is_empty() {
+        let _ = writeln!(text, "not in the recording: {}", metrics.missing.join(", "));
     }
     text
 }
 
 /// Each object's trajectories as they were compared, but for the alignment: `NAME.estimate.tum` and `NAME.truth.tum`,
 /// with the same times.
-fn export(figures: &Figures, folder: &Path) -> std::io::Result<()> {
+fn export(metrics: &EvalMetrics, folder: &Path) -> std::io::Result<()> {
     fs::create_dir_all(folder)?;
-    for object in &figures.objects {
+    for object in &metrics.objects {
         let tame = |it: char| if it.is_alphanumeric() { it } else { '-' };
         let name: String =
             format!("{}-{}", object.object_id, object.name).chars().map(tame).collect();

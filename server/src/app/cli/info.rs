@@ -17,13 +17,13 @@ use roundel_proto::v1;
 use serde::Serialize;
 
 use crate::archive::record::{
+    file_reader::{Channel, FileReader, RecordedMessage},
     megabytes,
-    reader::{Raw, Reader, Source},
     schema::Topic,
 };
 
 /// A pause between two snapshots that is so many times as long as usual is a gap.
-const GAP: f64 = 5.0;
+const GAP_FACTOR: f64 = 5.0;
 
 /// Say what is in a recording, and what of it can be read.
 #[derive(Debug, Args)]
@@ -77,7 +77,7 @@ struct TopicReport {
 
 /// Prints the report.
 pub(super) fn run(arguments: &InfoArgs) -> anyhow::Result<ExitCode> {
-    let mut reader = Reader::open(&arguments.file)?;
+    let mut reader = FileReader::open(&arguments.file)?;
     let report = read(&mut reader)?;
     let text = match arguments.format {
         Format::Json => format!("{}\n", serde_json::to_string_pretty(&report)?),
@@ -88,31 +88,31 @@ pub(super) fn run(arguments: &InfoArgs) -> anyhow::Result<ExitCode> {
 }
 
 #[derive(Default)]
-struct Tally {
-    counts: BTreeMap<Source, (u64, u64)>,
+struct ContentCounts {
+    counts: BTreeMap<Channel, (u64, u64)>,
     cameras: BTreeMap<String, u64>,
     objects: BTreeSet<u64>,
     snapshots: Vec<Timestamp>,
-    is_told: bool,
+    has_calibration: bool,
 }
 
-impl Tally {
-    fn add(&mut self, raw: &Raw) {
-        let (messages, bytes) = self.counts.entry(raw.source.clone()).or_default();
+impl ContentCounts {
+    fn add(&mut self, raw: &RecordedMessage) {
+        let (messages, bytes) = self.counts.entry(raw.channel.clone()).or_default();
         (*messages, *bytes) = (*messages + 1, *bytes + raw.data.len() as u64);
-        match &raw.source {
-            Source::Topic(Topic::Snapshots) => {
+        match &raw.channel {
+            Channel::Topic(Topic::Snapshots) => {
                 self.snapshots.push(raw.publish_time);
                 if let Ok(snapshot) = v1::Snapshot::decode(raw.data.as_slice()) {
                     self.objects.extend(snapshot.objects.iter().map(|object| object.object_id));
                 }
             }
-            Source::Topic(Topic::Observations) => {
+            Channel::Topic(Topic::Observations) => {
                 if let Ok(frame) = v1::FrameObservations::decode(raw.data.as_slice()) {
                     *self.cameras.entry(frame.camera).or_default() += 1;
                 }
             }
-            Source::Topic(Topic::Calibration) => self.is_told = true,
+            Channel::Topic(Topic::Calibration) => self.has_calibration = true,
             _ => {}
         }
     }
@@ -125,27 +125,27 @@ impl Tally {
         let mut sorted = steps.clone();
         sorted.sort_by(f64::total_cmp);
         let usual_s = sorted.get(sorted.len() / 2).copied().unwrap_or(0.0);
-        let long = steps.iter().copied().filter(|step| *step > GAP * usual_s);
+        let long = steps.iter().copied().filter(|step| *step > GAP_FACTOR * usual_s);
         long.fold((0, 0.0), |(count, longest), step| (count + 1, f64::max(longest, step)))
     }
 }
 
-fn read(reader: &mut Reader) -> anyhow::Result<Report> {
+fn read(reader: &mut FileReader) -> anyhow::Result<Report> {
     let bar = ProgressBar::new(reader.chunks().len() as u64);
     let style = ProgressStyle::with_template("reading [{bar:30}] {percent} %");
     bar.set_style(style.context("the progress bar's template is wrong")?.progress_chars("=> "));
-    let mut tally = Tally::default();
+    let mut counts = ContentCounts::default();
     while let Some(messages) = reader.next_chunk()? {
-        messages.iter().for_each(|raw| tally.add(raw));
+        messages.iter().for_each(|raw| counts.add(raw));
         bar.inc(1);
     }
     bar.finish_and_clear();
     let span = reader.span();
     let duration_s = span.map_or(0.0, |(begin, end)| end.seconds_since(begin));
-    let (gaps, longest_gap_s) = tally.gaps();
+    let (gaps, longest_gap_s) = counts.gaps();
     let about = |key: &str| reader.metadata().get(key).cloned().unwrap_or_default();
     let ns = |time: Option<Timestamp>| time.map_or(0, |time| time.as_ns()).to_string();
-    let topics = tally.counts.iter().map(|(source, (messages, bytes))| TopicReport {
+    let topics = counts.counts.iter().map(|(source, (messages, bytes))| TopicReport {
         topic: source.name(),
         messages: *messages,
         rate_hz: if duration_s > 0.0 { *messages as f64 / duration_s } else { 0.0 },
@@ -162,11 +162,11 @@ fn read(reader: &mut Reader) -> anyhow::Result<Report> {
         version: about("version"),
         source_id: about("source_id"),
         topics: topics.collect(),
-        cameras: tally.cameras,
-        objects: tally.objects.len(),
+        cameras: counts.cameras,
+        objects: counts.objects.len(),
         gaps,
         longest_gap_s,
-        can_be_fused_anew: tally.is_told,
+        can_be_fused_anew: counts.has_calibration,
         complete: damage.sentences.is_empty(),
         lost_bytes: damage.bytes,
         damage: damage.sentences.clone(),

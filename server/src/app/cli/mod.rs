@@ -6,6 +6,7 @@ mod cameras;
 mod demo;
 mod detect;
 mod eval;
+mod ground_truth;
 mod info;
 mod node;
 mod plan;
@@ -13,7 +14,6 @@ mod print;
 mod record;
 mod replay;
 mod serve;
-mod truth;
 mod watch;
 
 use std::{
@@ -84,13 +84,13 @@ pub fn main() -> ExitCode {
         Command::Cameras(arguments) => cameras::run(&arguments),
     };
     outcome.unwrap_or_else(|error| {
-        eprintln!("error: {}", told(&error));
+        eprintln!("error: {}", error_chain(&error));
         ExitCode::FAILURE
     })
 }
 
 /// The error with its causes, each said once: many name their cause in their own words already.
-fn told(error: &anyhow::Error) -> String {
+fn error_chain(error: &anyhow::Error) -> String {
     error.chain().map(ToString::to_string).fold(String::new(), |told, cause| {
         if told.is_empty() {
             cause
@@ -103,7 +103,7 @@ fn told(error: &anyhow::Error) -> String {
 }
 
 /// Whether a file can be written there, before long work is done for it; leaves everything as it is.
-fn probed(path: &Path) -> io::Result<()> {
+fn check_writable(path: &Path) -> io::Result<()> {
     match File::options().write(true).create_new(true).open(path) {
         Ok(_) => fs::remove_file(path),
         Err(error) if error.kind() != io::ErrorKind::AlreadyExists => Err(error),
@@ -145,21 +145,21 @@ mod tests {
     #[test]
     fn a_cause_is_said_once() {
         let cause = anyhow::anyhow!("no such file").context("cannot read a.png: no such file");
-        assert_eq!(told(&cause), "cannot read a.png: no such file");
+        assert_eq!(error_chain(&cause), "cannot read a.png: no such file");
         let cause = anyhow::anyhow!("no such file").context("a.png");
-        assert_eq!(told(&cause), "a.png: no such file");
+        assert_eq!(error_chain(&cause), "a.png: no such file");
     }
 
     #[test]
     fn where_a_file_may_go_is_told_without_leaving_one() {
         let folder = tempfile::tempdir().unwrap();
         let file = folder.path().join("a.toml");
-        probed(&file).unwrap();
+        check_writable(&file).unwrap();
         assert!(!file.exists());
         fs::write(&file, "kept").unwrap();
-        probed(&file).unwrap();
+        check_writable(&file).unwrap();
         assert_eq!(fs::read(&file).unwrap(), b"kept");
-        assert!(probed(folder.path()).is_err() && probed(&file.join("b")).is_err());
+        assert!(check_writable(folder.path()).is_err() && check_writable(&file.join("b")).is_err());
     }
 
     #[test]

@@ -1,7 +1,7 @@
 //! `roundel plan`: what cameras and roundels would reach, and which ones it takes.
 
 mod arena;
-mod ignored;
+mod ignored_options;
 mod load;
 mod measure;
 mod optics;
@@ -22,17 +22,17 @@ use roundel_core::{
 
 use crate::lab::{
     plan::{
-        machine::{Machine, usual_path},
-        picture::{self, Show},
-        report::PlanMap,
+        machine_timings::{MachineTimings, default_path},
+        map_drawing::{self, MapLayer},
+        plan_map::PlanMap,
     },
-    print::spec::{self, Diameters, PolarityWord, Print},
+    print::spec::{self, Diameters, PolarityArg, PrintSpec},
 };
 
 /// Precision that may be wanted, millimetres.
-const PRECISIONS_MM: std::ops::RangeInclusive<f64> = 1e-4..=1e6;
+const PRECISION_RANGE_MM: std::ops::RangeInclusive<f64> = 1e-4..=1e6;
 /// Ratio of the diameters of a plain roundel, if nobody says another.
-const RATIO: f64 = 0.4;
+const DEFAULT_RATIO: f64 = 0.4;
 
 /// Foretell range, precision and time, and what it takes.
 #[derive(Debug, Args)]
@@ -72,10 +72,10 @@ pub struct PlanArgs {
     code: Option<CodeLayout>,
     /// Which of ring and disc is black
     #[arg(long, value_enum, default_value_t)]
-    polarity: PolarityWord,
+    polarity: PolarityArg,
     /// What is worth more [default: precise; with --config: as configured]
     #[arg(long, value_enum)]
-    mode: Option<ModeWord>,
+    mode: Option<ModeArg>,
     /// Distance along the optical axis, metres [default: midway from the nearest to the farthest]
     #[arg(long, value_name = "M")]
     distance: Option<f64>,
@@ -135,7 +135,7 @@ pub struct PlanArgs {
     map: Option<PathBuf>,
     /// What the map shows [default: precision]
     #[arg(long, value_enum)]
-    show: Option<Show>,
+    show: Option<MapLayer>,
     /// From spot to spot of the map, metres [default: about 2400 spots]
     #[arg(long, value_name = "M")]
     step: Option<f64>,
@@ -152,7 +152,7 @@ pub struct PlanArgs {
 
 /// Words for modes.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
-enum ModeWord {
+enum ModeArg {
     /// Fitted to grey levels
     Precise,
     /// By moments
@@ -171,16 +171,16 @@ enum Format {
 
 /// Answers, and writes the map if one is wanted.
 pub(super) fn run(arguments: &PlanArgs) -> anyhow::Result<ExitCode> {
-    for line in ignored::told(arguments) {
+    for line in ignored_options::ignored_options(arguments) {
         eprintln!("{line}");
     }
     arguments.check()?;
     if arguments.measure {
         measure::run(arguments)?;
     } else if let Some(config) = &arguments.config {
-        arena::configured(arguments, config)?;
+        arena::plan_installation(arguments, config)?;
     } else if let Some(arena_m) = arguments.arena {
-        arena::fewest(arguments, arena_m)?;
+        arena::plan_arena(arguments, arena_m)?;
     } else if arguments.map.is_some() {
         bail!(
             "a map needs cameras with places: expected --config FILE, or --arena WIDTHxDEPTH with --mount"
@@ -195,7 +195,7 @@ impl PlanArgs {
     /// What can be told before anything is searched for, in the words and units of the options.
     fn check(&self) -> anyhow::Result<()> {
         if let Some(path) = &self.map {
-            map_ending(path)?;
+            map_file_type(path)?;
         }
         let height = self.height();
         let [least, most] = Field::HEIGHTS_M;
@@ -211,8 +211,8 @@ impl PlanArgs {
             _ => {}
         }
         match self.precision {
-            Some(precision) if !PRECISIONS_MM.contains(&precision) => {
-                let (least, most) = (PRECISIONS_MM.start(), PRECISIONS_MM.end());
+            Some(precision) if !PRECISION_RANGE_MM.contains(&precision) => {
+                let (least, most) = (PRECISION_RANGE_MM.start(), PRECISION_RANGE_MM.end());
                 bail!("--precision: expected {least} to {most} mm, found {precision}")
             }
             _ => Ok(()),
@@ -255,8 +255,8 @@ impl PlanArgs {
 
     fn mode(&self) -> Mode {
         match self.mode {
-            Some(ModeWord::Fast) => Mode::Fast,
-            Some(ModeWord::Precise) | None => Mode::Precise,
+            Some(ModeArg::Fast) => Mode::Fast,
+            Some(ModeArg::Precise) | None => Mode::Precise,
         }
     }
 
@@ -265,21 +265,21 @@ impl PlanArgs {
         let mut diameters =
             self.marker.unwrap_or(Diameters { outer_m: 0.16, inner_m: None, minor_m: None });
         if diameters.inner_m.is_none() && self.code.is_none() {
-            diameters.inner_m = Some(RATIO * diameters.outer_m);
+            diameters.inner_m = Some(DEFAULT_RATIO * diameters.outer_m);
         }
         let polarity = self.polarity.into();
-        let print = Print { diameters: Some(diameters), code: self.code, polarity };
+        let print = PrintSpec { diameters: Some(diameters), code: self.code, polarity };
         print.kind().context("--marker: expected OUTER_MM:INNER_MM, such as 160:64")
     }
 
     /// Its times, and where they come from.
-    fn machine(&self) -> anyhow::Result<(Machine, String)> {
-        let usual = usual_path(self.config.as_deref());
+    fn machine(&self) -> anyhow::Result<(MachineTimings, String)> {
+        let usual = default_path(self.config.as_deref());
         match (&self.machine, usual) {
-            (Some(path), _) => Ok((Machine::load(path)?, measured_in(path))),
-            (None, Some(path)) if path.exists() => Ok((Machine::load(&path)?, measured_in(&path))),
+            (Some(path), _) => Ok((MachineTimings::load(path)?, measured_source(path))),
+            (None, Some(path)) if path.exists() => Ok((MachineTimings::load(&path)?, measured_source(&path))),
             (None, _) => Ok((
-                Machine::default(),
+                MachineTimings::default(),
                 "not measured: those of a virtual machine (AMD EPYC) stand in; `roundel plan --measure` measures this \
                  machine"
                     .to_owned(),
@@ -291,12 +291,12 @@ impl PlanArgs {
     fn write_map(&self, map: &PlanMap) -> anyhow::Result<()> {
         let Some(path) = &self.map else { return Ok(()) };
         let failed = || format!("cannot write {}", path.display());
-        let bytes = match map_ending(path)? {
-            MapEnding::Svg => picture::svg(map, self.show.unwrap_or_default()).into_bytes(),
-            MapEnding::Png => {
-                picture::png(map, self.show.unwrap_or_default()).with_context(failed)?
+        let bytes = match map_file_type(path)? {
+            MapFileType::Svg => map_drawing::svg(map, self.show.unwrap_or_default()).into_bytes(),
+            MapFileType::Png => {
+                map_drawing::png(map, self.show.unwrap_or_default()).with_context(failed)?
             }
-            MapEnding::Json => serde_json::to_vec_pretty(map).with_context(failed)?,
+            MapFileType::Json => serde_json::to_vec_pretty(map).with_context(failed)?,
         };
         std::fs::write(path, bytes).with_context(failed)?;
         eprintln!("wrote {}", path.display());
@@ -306,23 +306,23 @@ impl PlanArgs {
 
 /// What a map is written as.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-enum MapEnding {
+enum MapFileType {
     Svg,
     Png,
     Json,
 }
 
-fn map_ending(path: &Path) -> anyhow::Result<MapEnding> {
+fn map_file_type(path: &Path) -> anyhow::Result<MapFileType> {
     let ending = path.extension().unwrap_or_default().to_string_lossy().to_lowercase();
     match ending.as_str() {
-        "svg" => Ok(MapEnding::Svg),
-        "png" => Ok(MapEnding::Png),
-        "json" => Ok(MapEnding::Json),
+        "svg" => Ok(MapFileType::Svg),
+        "png" => Ok(MapFileType::Png),
+        "json" => Ok(MapFileType::Json),
         _ => bail!("--map {}: expected a name that ends in .svg, .png or .json", path.display()),
     }
 }
 
-fn measured_in(path: &Path) -> String {
+fn measured_source(path: &Path) -> String {
     format!("measured, {}", path.display())
 }
 

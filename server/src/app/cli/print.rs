@@ -1,6 +1,6 @@
 //! `roundel print`: roundels and the calibration board on paper.
 
-mod wish;
+mod job;
 
 use std::{
     fs,
@@ -14,8 +14,8 @@ use clap::{Args, ValueEnum};
 use roundel_core::marker::CodeLayout;
 
 use crate::lab::print::{
-    self, Order, Page, PageSize, SheetError,
-    spec::{self, Diameters, Numbers, PolarityWord},
+    self, Page, PageLayoutError, PageSize, PrintJob,
+    spec::{self, CodeNumbers, Diameters, PolarityArg},
 };
 
 /// Of pictures, if nobody says how many.
@@ -46,13 +46,13 @@ pub struct PrintArgs {
     code: Option<CodeLayout>,
     /// Numbers of codes, such as 1-24,30 [default: all]
     #[arg(long, value_name = "NUMBERS", value_parser = spec::numbers)]
-    ids: Option<Numbers>,
+    ids: Option<CodeNumbers>,
     /// How many of each [default: 1]
     #[arg(long, value_parser = clap::value_parser!(u16).range(1..=1000), conflicts_with_all = ["list", "board"])]
     copies: Option<u16>,
     /// Which of ring and disc is black; a white ring stands on black [default: black-ring]
     #[arg(long, value_enum)]
-    polarity: Option<PolarityWord>,
+    polarity: Option<PolarityArg>,
     /// Print what this installation uses
     #[arg(long, value_name = "FILE", conflicts_with_all = ["marker", "code", "polarity", "board"])]
     config: Option<PathBuf>,
@@ -104,8 +104,8 @@ pub(super) fn run(arguments: &PrintArgs) -> anyhow::Result<ExitCode> {
     if arguments.dpi.is_some() && ending != "png" {
         bail!("--dpi counts for .png alone, and {} has no dots: leave it out", file.display());
     }
-    let order = wish::order(arguments)?;
-    let pages = order.pages(arguments.page)?;
+    let job = job::print_job(arguments)?;
+    let pages = job.pages(arguments.page)?;
     let written = match ending.as_str() {
         "pdf" => {
             let title = file.file_stem().unwrap_or_default().to_string_lossy();
@@ -121,8 +121,8 @@ pub(super) fn run(arguments: &PrintArgs) -> anyhow::Result<ExitCode> {
             }
         })?,
     };
-    let told = report(&written, &pages, &order);
-    handed_out(io::stdout().write_all(told.as_bytes()))?;
+    let told = report(&written, &pages, &job);
+    ignore_broken_pipe(io::stdout().write_all(told.as_bytes()))?;
     Ok(ExitCode::SUCCESS)
 }
 
@@ -151,7 +151,7 @@ fn write(file: &Path, bytes: &[u8]) -> anyhow::Result<()> {
     fs::write(file, bytes).with_context(|| format!("cannot write {}", file.display()))
 }
 
-fn report(written: &[PathBuf], pages: &[Page], order: &Order) -> String {
+fn report(written: &[PathBuf], pages: &[Page], job: &PrintJob) -> String {
     let prints: usize = pages.iter().map(|page| page.prints.len()).sum();
     let sheets =
         if pages.len() == 1 { "one page".to_owned() } else { format!("{} pages", pages.len()) };
@@ -162,21 +162,21 @@ fn report(written: &[PathBuf], pages: &[Page], order: &Order) -> String {
     };
     let size = pages.first().map_or_else(String::new, |page| page.size.name());
     let mut lines = vec![
-        format!("{names}: {sheets} of {size}, {}", wish::told(order, prints)),
+        format!("{names}: {sheets} of {size}, {}", job::describe(job, prints)),
         "Print at 100 %, not fitted to the page, and measure the rulers.".to_owned(),
     ];
-    lines.extend(wish::next(order));
+    lines.extend(job::next_steps(job));
     lines.push(String::new());
     lines.join("\n")
 }
 
-fn list(layout: CodeLayout, wanted: Option<&Numbers>, format: Format) -> anyhow::Result<()> {
-    let mut listed = print::list(layout)?;
-    if let Some(Numbers(wanted)) = wanted {
+fn list(layout: CodeLayout, wanted: Option<&CodeNumbers>, format: Format) -> anyhow::Result<()> {
+    let mut listed = print::list_codes(layout)?;
+    if let Some(CodeNumbers(wanted)) = wanted {
         let count = listed.len();
         if let Some(unknown) = wanted.iter().find(|number| usize::from(**number) > count) {
             let (number, CodeLayout { bits, min_distance }) = (*unknown, layout);
-            return Err(SheetError::Number { number, bits, min_distance, count }.into());
+            return Err(PageLayoutError::Number { number, bits, min_distance, count }.into());
         }
         listed.retain(|code| wanted.contains(&code.number));
     }
@@ -187,24 +187,28 @@ fn list(layout: CodeLayout, wanted: Option<&Numbers>, format: Format) -> anyhow:
             .and_then(|()| writeln!(out)),
         Format::Table => table(&mut out, layout, &listed),
     };
-    handed_out(printed.and_then(|()| out.flush()))
+    ignore_broken_pipe(printed.and_then(|()| out.flush()))
 }
 
 /// Who reads what is printed may have seen enough.
-fn handed_out(printed: io::Result<()>) -> anyhow::Result<()> {
+fn ignore_broken_pipe(printed: io::Result<()>) -> anyhow::Result<()> {
     match printed {
         Err(error) if error.kind() == io::ErrorKind::BrokenPipe => Ok(()),
         printed => printed.context("cannot write to the standard output"),
     }
 }
 
-fn table(out: &mut impl Write, layout: CodeLayout, listed: &[print::Listed]) -> io::Result<()> {
+fn table(
+    out: &mut impl Write,
+    layout: CodeLayout,
+    listed: &[print::CodeListing],
+) -> io::Result<()> {
     let CodeLayout { bits, min_distance } = layout;
     writeln!(out, "{} codes of {bits} bits, {min_distance} bits or more apart", listed.len())?;
     let width = usize::from(bits).max(4);
     writeln!(out, "{:>6}  {:<width$}  {:>8}  {:>6}", "number", "bits", "distance", "turned")?;
     for code in listed {
-        let print::Listed { number, word, distance, own_distance } = code;
+        let print::CodeListing { number, word, distance, own_distance } = code;
         writeln!(out, "{number:>6}  {word:<width$}  {distance:>8}  {own_distance:>6}")?;
     }
     if io::stdout().is_terminal() {

@@ -67,7 +67,7 @@ pub(super) async fn run(arguments: RecordArgs) -> anyhow::Result<ExitCode> {
         return local::record(&client, path, arguments.seconds).await;
     }
     if arguments.stop {
-        return told(&client.stop_recording().await?, arguments.format);
+        return print_outcome(&client.stop_recording().await?, arguments.format);
     }
     let begun = client
         .start_recording(v1::StartRecordingRequest {
@@ -78,14 +78,14 @@ pub(super) async fn run(arguments: RecordArgs) -> anyhow::Result<ExitCode> {
         .await?;
     eprintln!("recording into {}/{}", begun.folder, begun.file);
     if arguments.detach {
-        return told(&begun, arguments.format);
+        return print_outcome(&begun, arguments.format);
     }
     let mut signals = Signals::listen()?;
     let ended = tokio::select! {
         ended = follow(&client) => ended?,
         () = signals.next() => client.stop_recording().await?,
     };
-    told(&ended, arguments.format)
+    print_outcome(&ended, arguments.format)
 }
 
 /// Shows how it is doing until it has ended by itself.
@@ -117,7 +117,7 @@ fn progress() -> anyhow::Result<ProgressBar> {
     Ok(bar)
 }
 
-fn told(recording: &v1::Recording, format: Format) -> anyhow::Result<ExitCode> {
+fn print_outcome(recording: &v1::Recording, format: Format) -> anyhow::Result<ExitCode> {
     let is_failed = recording.state() == v1::RecordingState::Failed;
     let text = match format {
         Format::Json => serde_json::to_string(recording)?,

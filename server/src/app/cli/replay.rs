@@ -12,9 +12,9 @@ use crate::{
     archive::{
         record::megabytes,
         replay::{
-            From, SPEEDS,
+            ReplayFrom, SPEEDS,
             copy::copy,
-            scene::{Scene, Wanted, beginning},
+            session::{ReplayOptions, ReplaySession, initial_status},
         },
     },
 };
@@ -33,8 +33,8 @@ pub struct ReplayArgs {
     /// The recording
     file: PathBuf,
     /// What is taken from it
-    #[arg(long, value_enum, default_value_t = FromWord::Snapshots)]
-    from: FromWord,
+    #[arg(long, value_enum, default_value_t = FromArg::Snapshots)]
+    from: FromArg,
     /// How many recorded seconds pass in one, 0.01 to 100
     #[arg(long, value_name = "FACTOR", default_value_t = 1.0, value_parser = speed)]
     speed: f64,
@@ -62,7 +62,7 @@ pub struct ReplayArgs {
 }
 
 #[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
-enum FromWord {
+enum FromArg {
     /// Snapshots and events as they were
     Snapshots,
     /// Observations, which are fused anew
@@ -87,19 +87,20 @@ fn position(text: &str) -> Result<f64, String> {
 /// Serves until a signal; with `--to`, until the file is whole.
 pub(super) async fn run(arguments: ReplayArgs) -> anyhow::Result<ExitCode> {
     let from = match arguments.from {
-        FromWord::Snapshots => From::Snapshots,
-        FromWord::Observations => From::Observations,
-        FromWord::Frames => From::Frames,
+        FromArg::Snapshots => ReplayFrom::Snapshots,
+        FromArg::Observations => ReplayFrom::Observations,
+        FromArg::Frames => ReplayFrom::Frames,
     };
-    if arguments.config.is_some() && from == From::Snapshots {
+    if arguments.config.is_some() && from == ReplayFrom::Snapshots {
         bail!("--config says how to fuse anew: add --from observations, or --from frames");
     }
-    let wanted = Wanted { file: arguments.file.clone(), from, config: arguments.config.clone() };
-    let scene = tokio::task::spawn_blocking(move || Scene::open(&wanted)).await??;
+    let wanted =
+        ReplayOptions { file: arguments.file.clone(), from, config: arguments.config.clone() };
+    let session = tokio::task::spawn_blocking(move || ReplaySession::open(&wanted)).await??;
     if let Some(to) = arguments.to {
-        return tokio::task::spawn_blocking(move || fuse_anew(scene, &to)).await?;
+        return tokio::task::spawn_blocking(move || fuse_anew(session, &to)).await?;
     }
-    let mut begin = beginning(&scene, &arguments.file, from);
+    let mut begin = initial_status(&session, &arguments.file, from);
     let length_s = begin.span.1.seconds_since(begin.span.0);
     if arguments.start > length_s {
         bail!("--start: the recording has {length_s:.3} s, found {}", arguments.start);
@@ -108,7 +109,7 @@ pub(super) async fn run(arguments: ReplayArgs) -> anyhow::Result<ExitCode> {
     (begin.speed, begin.paused, begin.looping) =
         (arguments.speed, arguments.paused, arguments.looping);
     let mut signals = Signals::listen()?;
-    let server = ReplayServer::start(scene, arguments.listen, begin).await?;
+    let server = ReplayServer::start(session, arguments.listen, begin).await?;
     let mut stdout = std::io::stdout();
     writeln!(stdout, "listening on http://{}", server.local_addr())
         .and_then(|()| writeln!(stdout, "{length_s:.1} s of {}", arguments.file.display()))
@@ -125,12 +126,12 @@ pub(super) async fn run(arguments: ReplayArgs) -> anyhow::Result<ExitCode> {
     Ok(ExitCode::SUCCESS)
 }
 
-fn fuse_anew(scene: Scene, to: &std::path::Path) -> anyhow::Result<ExitCode> {
+fn fuse_anew(session: ReplaySession, to: &std::path::Path) -> anyhow::Result<ExitCode> {
     let bar = ProgressBar::new_spinner();
     let style = ProgressStyle::with_template("replaying: {pos} s");
     bar.set_style(style.context("the progress bar's template is wrong")?);
     let begun = std::time::Instant::now();
-    let copied = copy(scene, to, |second| bar.set_position(second as u64))?;
+    let copied = copy(session, to, |second| bar.set_position(second as u64))?;
     bar.finish_and_clear();
     let elapsed_s = begun.elapsed().as_secs_f64();
     let mut text = format!(
@@ -142,9 +143,12 @@ fn fuse_anew(scene: Scene, to: &std::path::Path) -> anyhow::Result<ExitCode> {
         copied.messages,
         copied.seconds / elapsed_s
     );
-    if copied.faulty > 0 {
-        text += &format!("; {} messages said what cannot be, and were left out", copied.faulty);
+    if copied.invalid_messages > 0 {
+        text += &format!(
+            "; {} messages said what cannot be, and were left out",
+            copied.invalid_messages
+        );
     }
     writeln!(std::io::stdout(), "{text}").context("cannot write to the standard output")?;
-    Ok(if copied.faulty > 0 { ExitCode::FAILURE } else { ExitCode::SUCCESS })
+    Ok(if copied.invalid_messages > 0 { ExitCode::FAILURE } else { ExitCode::SUCCESS })
 }

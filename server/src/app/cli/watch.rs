@@ -132,11 +132,11 @@ impl Watch {
                     printed += 1;
                 }
                 Update::Disconnected { reason, retry_in, .. } => {
-                    self.view.tell_loss(&reason, retry_in);
+                    self.view.show_disconnected(&reason, retry_in);
                     self.screen.tell(&self.view)?;
                 }
                 Update::Reconnected { gap, missed, .. } => {
-                    self.view.tell_return(gap, missed);
+                    self.view.show_reconnected(gap, missed);
                     self.screen.tell(&self.view)?;
                     // A server that was started anew may be another version, or have another name.
                     if let Ok(info) = client.info().await {
@@ -189,12 +189,12 @@ impl View {
         self.missed = missed;
     }
 
-    fn tell_loss(&mut self, reason: &str, retry_in: Duration) {
+    fn show_disconnected(&mut self, reason: &str, retry_in: Duration) {
         self.notice =
             format!("connection lost ({reason}); next try in {:.1} s", retry_in.as_secs_f64());
     }
 
-    fn tell_return(&mut self, gap: Duration, missed: Option<u64>) {
+    fn show_reconnected(&mut self, gap: Duration, missed: Option<u64>) {
         let gap_s = gap.as_secs_f64();
         self.notice = match missed {
             Some(missed) => {

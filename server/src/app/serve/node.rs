@@ -23,35 +23,35 @@ use roundel_core::id::CameraId;
 use roundel_proto::v1;
 use tokio::task::JoinSet;
 
-use super::{GRACE, ServeError, join, spawn};
+use super::{SHUTDOWN_TIMEOUT, ServeError, join, spawn};
 use crate::{
     capture::{
-        push_messages::{pushed_observations, told_camera},
+        push_messages::{calibration_camera, pushed_observations},
         source::{OpenSource, Playback, SourceOpener},
         worker::{
-            self, Place, Sighted, Totals, Worker, WorkerParts,
-            adoption::{Adoption, Inbox},
+            self, PoseSource, Worker, WorkerCounts, WorkerOutput, WorkerParts,
+            calibration_update::{CalibrationMailbox, CalibrationUpdate},
             pipeline::Pipeline,
         },
     },
-    fusion::{QUEUE_FRAMES, roster::setup::pipeline, setup::installation},
+    fusion::{QUEUE_FRAMES, camera_manager::setup::pipeline_parts, setup::installation},
     model::{
         address::SourceAddress,
         clock::Clock,
         config::Config,
         hub::{CameraStatus, Hub},
-        stop::Stop,
+        stop::StopSignal,
     },
 };
 
 /// How often it is looked whether a camera has failed.
-const LOOK_EVERY: Duration = Duration::from_millis(100);
+const POLL_INTERVAL: Duration = Duration::from_millis(100);
 /// What was seen last may still be sent for so long at the end.
-const LAST_WORDS: Duration = Duration::from_secs(2);
+const FLUSH_TIMEOUT: Duration = Duration::from_secs(2);
 
 /// What a source of a node has to fit into.
-pub struct NodeSetting<'a> {
-    /// The camera's place in the configuration.
+pub struct NodeSourceContext<'a> {
+    /// The camera's pose in the configuration.
     pub index: usize,
     /// The configuration.
     pub config: &'a Config,
@@ -60,15 +60,15 @@ pub struct NodeSetting<'a> {
     /// The time line of recorded and simulated frames.
     pub playback: Playback,
     /// Ends every wait of the source.
-    pub stop: Stop,
+    pub stop: StopSignal,
 }
 
 /// A running node.
 pub struct Node {
     hub: Arc<Hub>,
     pushers: Arc<Vec<Pusher>>,
-    stop: Stop,
-    cameras: Vec<JoinHandle<Totals>>,
+    stop: StopSignal,
+    cameras: Vec<JoinHandle<WorkerCounts>>,
     forwarder: JoinHandle<()>,
     listeners: JoinSet<()>,
 }
@@ -90,7 +90,7 @@ impl Node {
         Self::start_with_sources(config, server, |setting| {
             let camera = &setting.config.cameras[setting.index];
             let size = (camera.calibration.width(), camera.calibration.height());
-            let NodeSetting { clock, playback, stop, .. } = setting;
+            let NodeSourceContext { clock, playback, stop, .. } = setting;
             Box::new(SourceOpener::new(camera.address.clone(), size, clock, playback, stop))
         })
     }
@@ -99,7 +99,7 @@ impl Node {
     pub fn start_with_sources(
         config: &Config,
         server: &Client,
-        mut source: impl FnMut(NodeSetting<'_>) -> Box<dyn OpenSource>,
+        mut source: impl FnMut(NodeSourceContext<'_>) -> Box<dyn OpenSource>,
     ) -> Result<Self, ServeError> {
         let fed = config.cameras.iter().find(|it| matches!(it.address, SourceAddress::Push(_)));
         if let Some(camera) = fed {
@@ -107,37 +107,37 @@ impl Node {
         }
         let (clock, playback) = Playback::begin(config.cameras.iter().map(|c| &c.address))?;
         let hub = Arc::new(Hub::new(installation(config, clock.now())));
-        let stop = Stop::default();
-        let (to_server, from_workers) = sync_channel::<Sighted>(QUEUE_FRAMES);
+        let stop = StopSignal::default();
+        let (to_server, from_workers) = sync_channel::<WorkerOutput>(QUEUE_FRAMES);
         let (mut pushers, mut cameras, mut listeners) = (Vec::new(), Vec::new(), JoinSet::new());
-        let troubles = Arc::new(Troubles(Mutex::new(vec![None; config.cameras.len()])));
+        let faults = Arc::new(CameraFaults(Mutex::new(vec![None; config.cameras.len()])));
         for (index, camera) in config.cameras.iter().enumerate() {
             let options = PushOptions::new(&camera.name)
                 .sender(format!("node {}", config.name))
                 .clock(move || clock.now().as_ns());
             let pusher = server.push(options).map_err(ServeError::Client)?;
-            let inbox = Inbox::default();
-            let listener = Listener {
+            let mailbox = CalibrationMailbox::default();
+            let listener = ServerListener {
                 name: camera.name.clone(),
                 index,
                 size: (camera.calibration.width(), camera.calibration.height()),
-                inbox: inbox.clone(),
-                troubles: troubles.clone(),
+                mailbox: mailbox.clone(),
+                faults: faults.clone(),
             };
             listeners.spawn(listener.clone().follow(pusher.calibration()));
             listeners.spawn(listener.tell(pusher.statuses()));
             pushers.push(pusher);
-            let setting = NodeSetting { index, config, clock, playback, stop: stop.clone() };
-            let (id, before) = (CameraId(index as u32), Totals::default());
+            let setting = NodeSourceContext { index, config, clock, playback, stop: stop.clone() };
+            let (id, before) = (CameraId(index as u32), WorkerCounts::default());
             let worker = Worker::new(WorkerParts {
                 id,
                 name: camera.name.clone(),
                 opener: source(setting),
-                pipeline: Pipeline::new(pipeline(camera, config, before.detection)?)?,
+                pipeline: Pipeline::new(pipeline_parts(camera, config, before.detection)?)?,
                 // The server finds it; nothing is placed here.
-                place: Place::Rides,
+                pose: PoseSource::Mounted,
                 calibration_version: 0,
-                inbox,
+                mailbox,
                 hub: hub.clone(),
                 fusion: to_server.clone(),
                 clock,
@@ -150,11 +150,16 @@ impl Node {
         }
         let pushers = Arc::new(pushers);
         for index in 0..pushers.len() {
-            listeners.spawn(picture::show(hub.clone(), pushers.clone(), index));
+            listeners.spawn(picture::answer_requests(hub.clone(), pushers.clone(), index));
         }
-        let told = vec![String::new(); pushers.len()];
-        let forwarder =
-            Forwarder { hub: hub.clone(), pushers: pushers.clone(), troubles, from_workers, told };
+        let reported = vec![String::new(); pushers.len()];
+        let forwarder = Forwarder {
+            hub: hub.clone(),
+            pushers: pushers.clone(),
+            faults,
+            from_workers,
+            reported,
+        };
         let forwarder = spawn("forwarder".to_owned(), move || forwarder.run())?;
         Ok(Self { hub, pushers, stop, cameras, forwarder, listeners })
     }
@@ -166,7 +171,7 @@ impl Node {
 
     /// What became of each camera's frames so far.
     pub fn reports(&self) -> Vec<NodeReport> {
-        let cameras = Self::searched(&self.hub).into_iter().zip(self.pushers.iter());
+        let cameras = Self::searched_frames(&self.hub).into_iter().zip(self.pushers.iter());
         let report = |((camera, frames), pusher): ((String, u64), &Pusher)| NodeReport {
             camera,
             frames,
@@ -176,7 +181,7 @@ impl Node {
     }
 
     /// Every camera's name, and how many of its frames were searched.
-    fn searched(hub: &Hub) -> Vec<(String, u64)> {
+    fn searched_frames(hub: &Hub) -> Vec<(String, u64)> {
         let (installation, states) = (hub.installation(), hub.cameras());
         let name = |id: CameraId| installation.camera_name(id).to_owned();
         states.iter().map(|(id, state)| (name(*id), state.frames)).collect()
@@ -185,7 +190,7 @@ impl Node {
     /// Ends cameras, sends what they saw last, and says what became of everything.
     pub async fn shutdown(mut self) -> Vec<NodeReport> {
         self.stop.stop();
-        let deadline = Instant::now() + GRACE;
+        let deadline = Instant::now() + SHUTDOWN_TIMEOUT;
         for camera in self.cameras.drain(..) {
             join(camera, deadline).await;
         }
@@ -194,8 +199,9 @@ impl Node {
         self.listeners.shutdown().await;
         let mut reports = Vec::new();
         let Some(pushers) = Arc::into_inner(self.pushers) else { return reports };
-        for (pusher, (camera, frames)) in pushers.into_iter().zip(Self::searched(&self.hub)) {
-            let pushed = pusher.finish(LAST_WORDS).await;
+        for (pusher, (camera, frames)) in pushers.into_iter().zip(Self::searched_frames(&self.hub))
+        {
+            let pushed = pusher.finish(FLUSH_TIMEOUT).await;
             reports.push(NodeReport { camera, frames, pushed });
         }
         reports
@@ -203,19 +209,19 @@ impl Node {
 }
 
 /// Why what a camera sees is not sent, by camera.
-struct Troubles(Mutex<Vec<Option<String>>>);
+struct CameraFaults(Mutex<Vec<Option<String>>>);
 
-impl Troubles {
-    fn set(&self, index: usize, trouble: Option<String>) {
-        let mut troubles = self.0.lock().unwrap_or_else(PoisonError::into_inner);
-        if let Some(slot) = troubles.get_mut(index) {
-            *slot = trouble;
+impl CameraFaults {
+    fn set(&self, index: usize, fault: Option<String>) {
+        let mut faults = self.0.lock().unwrap_or_else(PoisonError::into_inner);
+        if let Some(slot) = faults.get_mut(index) {
+            *slot = fault;
         }
     }
 
     fn of(&self, index: usize) -> Option<String> {
-        let troubles = self.0.lock().unwrap_or_else(PoisonError::into_inner);
-        troubles.get(index).cloned().flatten()
+        let faults = self.0.lock().unwrap_or_else(PoisonError::into_inner);
+        faults.get(index).cloned().flatten()
     }
 }
 
@@ -223,10 +229,10 @@ impl Troubles {
 struct Forwarder {
     hub: Arc<Hub>,
     pushers: Arc<Vec<Pusher>>,
-    troubles: Arc<Troubles>,
-    from_workers: Receiver<Sighted>,
+    faults: Arc<CameraFaults>,
+    from_workers: Receiver<WorkerOutput>,
     /// What the pushers were told last, by camera; what they are given to send takes it back.
-    told: Vec<String>,
+    reported: Vec<String>,
 }
 
 impl Forwarder {
@@ -234,47 +240,47 @@ impl Forwarder {
     fn run(mut self) {
         let mut look = Instant::now();
         loop {
-            match self.from_workers.recv_timeout(LOOK_EVERY) {
-                Ok(sighted) => self.forward(&sighted),
+            match self.from_workers.recv_timeout(POLL_INTERVAL) {
+                Ok(output) => self.forward(&output),
                 Err(RecvTimeoutError::Timeout) => {}
                 Err(RecvTimeoutError::Disconnected) => return,
             }
-            if look.elapsed() >= LOOK_EVERY {
+            if look.elapsed() >= POLL_INTERVAL {
                 look = Instant::now();
-                self.tell_troubles();
+                self.report_faults();
             }
         }
     }
 
-    fn forward(&mut self, sighted: &Sighted) {
-        let seen = &sighted.observations;
+    fn forward(&mut self, output: &WorkerOutput) {
+        let seen = &output.observations;
         let index = seen.camera.0 as usize;
         let (Some(pusher), Some(state)) = (self.pushers.get(index), self.hub.camera(seen.camera))
         else {
             return;
         };
-        if self.troubles.of(index).is_none() {
+        if self.faults.of(index).is_none() {
             pusher.observations(pushed_observations(&self.hub.installation(), seen, &state));
-            self.told[index].clear();
+            self.reported[index].clear();
         }
     }
 
-    fn tell_troubles(&mut self) {
+    fn report_faults(&mut self) {
         // What a camera saw before it failed is told before: it is in the queue by the time that this is known.
         let states = self.hub.cameras();
-        while let Ok(sighted) = self.from_workers.try_recv() {
-            self.forward(&sighted);
+        while let Ok(output) = self.from_workers.try_recv() {
+            self.forward(&output);
         }
         for (index, state) in states.into_values().enumerate() {
-            let trouble = match (self.troubles.of(index), state.status) {
-                (Some(trouble), _) => trouble,
+            let fault = match (self.faults.of(index), state.status) {
+                (Some(fault), _) => fault,
                 (None, CameraStatus::Failed) => state.error,
                 (None, CameraStatus::Finished) => "its source has no more frames".to_owned(),
                 (None, CameraStatus::Starting | CameraStatus::Running) => continue,
             };
-            if self.told[index] != trouble {
-                self.pushers[index].trouble(&trouble);
-                self.told[index] = trouble;
+            if self.reported[index] != fault {
+                self.pushers[index].trouble(&fault);
+                self.reported[index] = fault;
             }
         }
     }
@@ -282,32 +288,32 @@ impl Forwarder {
 
 /// Follows what the server says of one camera.
 #[derive(Clone)]
-struct Listener {
+struct ServerListener {
     name: String,
     index: usize,
     /// Of the source's pictures.
     size: (usize, usize),
-    inbox: Inbox,
-    troubles: Arc<Troubles>,
+    mailbox: CalibrationMailbox,
+    faults: Arc<CameraFaults>,
 }
 
 type Calibrations = tokio::sync::watch::Receiver<Option<v1::PushedCalibration>>;
 
-impl Listener {
+impl ServerListener {
     /// Takes lenses over.
     async fn follow(self, mut calibrations: Calibrations) {
         while calibrations.changed().await.is_ok() {
-            let Some(told) = calibrations.borrow_and_update().clone() else { continue };
-            let trouble = self.take_over(&told).err();
-            if let Some(trouble) = &trouble {
-                tracing::warn!(camera = self.name, "{trouble}");
+            let Some(calibration) = calibrations.borrow_and_update().clone() else { continue };
+            let fault = self.take_over(&calibration).err();
+            if let Some(fault) = &fault {
+                tracing::warn!(camera = self.name, "{fault}");
             }
-            self.troubles.set(self.index, trouble);
+            self.faults.set(self.index, fault);
         }
     }
 
-    fn take_over(&self, told: &v1::PushedCalibration) -> Result<(), String> {
-        let size = (told.width as usize, told.height as usize);
+    fn take_over(&self, calibration: &v1::PushedCalibration) -> Result<(), String> {
+        let size = (calibration.width as usize, calibration.height as usize);
         if size != self.size {
             return Err(format!(
                 "the server's calibration of this camera is for {} x {} pixels, the node's pictures have {} x {}: \
@@ -315,7 +321,7 @@ impl Listener {
                 size.0, size.1, self.size.0, self.size.1
             ));
         }
-        let Some(lens) = told_camera(told) else {
+        let Some(lens) = calibration_camera(calibration) else {
             return Err(
                 "the server's calibration of this camera is none that this node knows: both should be of one \
                  version"
@@ -323,10 +329,14 @@ impl Listener {
             );
         };
         // Where it stands, nobody asks here.
-        self.inbox.put(Adoption { lens, place: Place::Kept, version: told.version });
+        self.mailbox.put(CalibrationUpdate {
+            lens,
+            pose: PoseSource::Unchanged,
+            version: calibration.version,
+        });
         tracing::info!(
             camera = self.name,
-            version = told.version,
+            version = calibration.version,
             "lens taken over from the server"
         );
         Ok(())

@@ -15,7 +15,7 @@ const STEP_S: f64 = 0.02;
 /// Golden sections after that: each leaves 0.62 of the interval.
 const SECTIONS: usize = 40;
 /// Instants that are tried with, of each pair of trajectories, at most.
-const TRIED: usize = 400;
+const MAX_INSTANTS: usize = 400;
 
 /// Where an estimate and a truth are at one instant.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -76,7 +76,7 @@ pub fn rms_m<'a>(pairs: impl Iterator<Item = &'a Pair>, truth_from_estimate: &Ri
 /// may differ, too.
 pub fn offset_s(matched: &[(&Trajectory, &Trajectory)], most_s: f64, aligns: bool) -> f64 {
     let thin = |trajectory: &Trajectory| {
-        let every = trajectory.samples.len().div_ceil(TRIED).max(1);
+        let every = trajectory.samples.len().div_ceil(MAX_INSTANTS).max(1);
         let samples = trajectory.samples.iter().step_by(every).copied().collect();
         Trajectory { name: String::new(), samples }
     };
@@ -87,7 +87,7 @@ pub fn offset_s(matched: &[(&Trajectory, &Trajectory)], most_s: f64, aligns: boo
         let all = thinned.iter().flat_map(|(estimate, truth)| pairs(estimate, truth, offset_s));
         let all: Vec<Pair> = all.collect();
         // Little in common may agree by chance.
-        if all.len() * 2 < whole.min(2 * super::LEAST) || all.len() < super::LEAST {
+        if all.len() * 2 < whole.min(2 * super::MIN_PAIRS) || all.len() < super::MIN_PAIRS {
             return f64::INFINITY;
         }
         let frame = if aligns { rigid(all.iter()) } else { Some(Rigid::identity()) };

@@ -9,15 +9,15 @@ use roundel_proto::v1;
 
 use super::{Sample, Trajectory};
 use crate::archive::{
-    record::{reader::Source, schema::Topic},
-    replay::{ReplayError, script::Script},
+    record::{file_reader::Channel, schema::Topic},
+    replay::{ReplayError, reader::Reader},
 };
 
 /// What a recording says of objects.
 #[derive(Clone, Debug, Default)]
-pub struct Estimate {
+pub struct RecordedTrajectories {
     /// Each object while some camera saw it.
-    pub objects: BTreeMap<u64, Seen>,
+    pub objects: BTreeMap<u64, RecordedObject>,
     /// Seconds from the capture of the newest observation to the snapshot that it is in.
     pub latencies_s: Vec<f64>,
     /// Pose times of all snapshots.
@@ -26,7 +26,7 @@ pub struct Estimate {
 
 /// One object.
 #[derive(Clone, Debug, Default)]
-pub struct Seen {
+pub struct RecordedObject {
     /// Its number in its code, if it has one.
     pub code: Option<u32>,
     /// Where it was.
@@ -34,10 +34,10 @@ pub struct Seen {
 }
 
 /// Reads a recording's snapshots. Only what was observed counts: predictions beyond that do not.
-pub fn read(script: &mut Script) -> Result<Estimate, ReplayError> {
-    let mut estimate = Estimate::default();
-    while let Some(raw) = script.take()? {
-        if raw.source != Source::Topic(Topic::Snapshots) {
+pub fn read(reader: &mut Reader) -> Result<RecordedTrajectories, ReplayError> {
+    let mut estimate = RecordedTrajectories::default();
+    while let Some(raw) = reader.take()? {
+        if raw.channel != Channel::Topic(Topic::Snapshots) {
             continue;
         }
         if let Ok(snapshot) = v1::Snapshot::decode(raw.data.as_slice()) {
@@ -47,7 +47,7 @@ pub fn read(script: &mut Script) -> Result<Estimate, ReplayError> {
     Ok(estimate)
 }
 
-impl Estimate {
+impl RecordedTrajectories {
     fn add(&mut self, snapshot: &v1::Snapshot) {
         let time = Timestamp::from_ns(snapshot.pose_time_ns);
         if self.times.last().is_some_and(|last| *last >= time) {
@@ -67,7 +67,7 @@ impl Estimate {
     }
 }
 
-impl Seen {
+impl RecordedObject {
     fn add(&mut self, time: Timestamp, state: &v1::ObjectState) {
         let Some(position) = state.position else { return };
         self.code = state.code.map(|code| code.number).or(self.code);

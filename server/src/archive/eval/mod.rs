@@ -5,8 +5,8 @@
 //! | [`truth`] | reads what the other system says |
 //! | [`estimate`] | reads what the recording says |
 //! | [`align`] | by how much clocks and frames differ |
-//! | [`figures`] | absolute and relative errors, jitter, latency, gaps |
-//! | [`picture`] | the same as pictures |
+//! | [`metrics`] | absolute and relative errors, jitter, latency, gaps |
+//! | [`plots`] | the same as pictures |
 //!
 //! Figures are those of `evo` (M. Grupp, *evo: Python package for the evaluation of odometry and SLAM*): absolute
 //! trajectory error after one rigid alignment (S. Umeyama, 1991, without scale), relative error of consecutive pairs.
@@ -14,8 +14,8 @@
 
 pub mod align;
 pub mod estimate;
-pub mod figures;
-pub mod picture;
+pub mod metrics;
+pub mod plots;
 pub mod truth;
 
 use nalgebra::{UnitQuaternion, Vector3};
@@ -89,7 +89,7 @@ pub enum EvalError {
     Object(String),
     /// There are too few instants at which both say something.
     #[error(
-        "the recording and the truth have {found} instants in common, and at least {LEAST} are needed; {hint}"
+        "the recording and the truth have {found} instants in common, and at least {MIN_PAIRS} are needed; {hint}"
     )]
     Apart {
         /// How many they have.
@@ -100,4 +100,4 @@ pub enum EvalError {
 }
 
 /// Fewer instants say nothing.
-pub const LEAST: usize = 10;
+pub const MIN_PAIRS: usize = 10;

@@ -2,10 +2,10 @@
 
 use std::fmt::Write as _;
 
-use super::{HistoryError, store::Answer};
+use super::{HistoryError, store::HistoryResult};
 
 /// A row for each point, below a row of names. Angles in radians, lengths in metres; empty: not known.
-pub fn csv(answer: &Answer) -> String {
+pub fn csv(result: &HistoryResult) -> String {
     let quoted = |text: &str| {
         if text.contains([',', '"', '\n']) {
             format!("\"{}\"", text.replace('"', "\"\""))
@@ -14,7 +14,7 @@ pub fn csv(answer: &Answer) -> String {
         }
     };
     let mut text = "time_ns,object_id,name,roundel,code,x_m,y_m,z_m,yaw_rad,source_id\n".to_owned();
-    for (identity, points) in &answer.objects {
+    for (identity, points) in &result.objects {
         let [name, kind, run] =
             [&identity.name, &identity.kind, &identity.run].map(|it| quoted(it));
         let code = if identity.code > 0 { identity.code.to_string() } else { String::new() };
@@ -35,17 +35,17 @@ pub fn csv(answer: &Answer) -> String {
 
 /// The same columns as Parquet: `time_ns` as a timestamp in UTC, `code` and `yaw_rad` null where they are not known.
 #[cfg(feature = "parquet")]
-pub fn parquet(answer: &Answer) -> Result<Vec<u8>, HistoryError> {
-    columns::written(answer).map_err(|error| HistoryError::Form(format!("no Parquet: {error}")))
+pub fn parquet(result: &HistoryResult) -> Result<Vec<u8>, HistoryError> {
+    columns::written(result).map_err(|error| HistoryError::Format(format!("no Parquet: {error}")))
 }
 
 /// Says how to get it.
 ///
 /// # Errors
-/// [`HistoryError::Form`], always.
+/// [`HistoryError::Format`], always.
 #[cfg(not(feature = "parquet"))]
-pub fn parquet(_: &Answer) -> Result<Vec<u8>, HistoryError> {
-    Err(HistoryError::Form(
+pub fn parquet(_: &HistoryResult) -> Result<Vec<u8>, HistoryError> {
+    Err(HistoryError::Format(
         "this server was built without Parquet (`cargo build --release -p roundel-server --features parquet` builds it \
          with that); history.csv has the same columns"
             .to_owned(),
@@ -67,7 +67,7 @@ mod columns {
         schema::parser::parse_message_type,
     };
 
-    use crate::archive::history::store::{Answer, Identity, Point};
+    use crate::archive::history::store::{HistoryObject, HistoryPoint, HistoryResult};
 
     const SCHEMA: &str = "message history {
         required int64 time_ns (TIMESTAMP(NANOS, true));
@@ -82,10 +82,10 @@ mod columns {
         required binary source_id (STRING);
     }";
 
-    type Row<'a> = (&'a Identity, &'a Point);
+    type Row<'a> = (&'a HistoryObject, &'a HistoryPoint);
 
-    pub(super) fn written(answer: &Answer) -> Result<Vec<u8>> {
-        let rows: Vec<Row> = answer
+    pub(super) fn written(result: &HistoryResult) -> Result<Vec<u8>> {
+        let rows: Vec<Row> = result
             .objects
             .iter()
             .flat_map(|(identity, points)| points.iter().map(move |point| (identity, point)))
@@ -134,22 +134,22 @@ mod tests {
     use roundel_core::time::Timestamp;
 
     use super::*;
-    use crate::archive::history::store::{Identity, Point};
+    use crate::archive::history::store::{HistoryObject, HistoryPoint};
 
-    fn answer() -> Answer {
-        let identity = |id, name: &str, code| Identity {
+    fn result() -> HistoryResult {
+        let identity = |id, name: &str, code| HistoryObject {
             run: "r1".into(),
             id,
             name: name.into(),
             kind: "robot".into(),
             code,
         };
-        let point = |ns, x_m, yaw_rad| Point {
+        let point = |ns, x_m, yaw_rad| HistoryPoint {
             time: Timestamp::from_ns(ns),
             position_m: [x_m, -0.5, 0.25],
             yaw_rad,
         };
-        Answer {
+        HistoryResult {
             objects: vec![
                 (
                     identity(3, "cart, \"old\"", 12),
@@ -164,7 +164,7 @@ mod tests {
 
     #[test]
     fn rows_of_csv_quote_what_must_be_quoted() {
-        let text = csv(&answer());
+        let text = csv(&result());
         let rows: Vec<&str> = text.lines().collect();
         assert_eq!(rows[1], r#"1,3,"cart, ""old""",robot,12,1.5,-0.5,0.25,0.5,r1"#);
         assert_eq!(rows[2], r#"2,3,"cart, ""old""",robot,12,2.5,-0.5,0.25,,r1"#);
@@ -175,7 +175,7 @@ mod tests {
     #[cfg(not(feature = "parquet"))]
     #[test]
     fn without_the_feature_it_says_how_to_get_it() {
-        let error = parquet(&answer()).unwrap_err().to_string();
+        let error = parquet(&result()).unwrap_err().to_string();
         assert!(error.contains("--features parquet"), "{error}");
     }
 }

@@ -6,7 +6,7 @@
 //! | [`store`] | the file: what is kept, what is forgotten, what is asked |
 //! | `task` | the thread that fills it from the hub's snapshots |
 //!
-//! Points are kept in tiers ([`TIERS`]), each ten times as coarse as the one before and kept for longer; a question is
+//! Points are kept in tiers ([`TIERS`]), each ten times as coarse as the one before and kept for longer; a query is
 //! answered out of the finest tier that gives no more points than are wanted.
 
 pub mod export;
@@ -18,8 +18,8 @@ use std::{path::PathBuf, sync::Arc, thread::JoinHandle};
 use thiserror::Error;
 
 use crate::model::config::HistoryConfig;
-use crate::model::{hub::Hub, stop::Stop};
-use store::{Answer, Question, Store};
+use crate::model::{hub::Hub, stop::StopSignal};
+use store::{HistoryQuery, HistoryResult, Store};
 
 /// A grade of coarseness.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -61,18 +61,18 @@ pub enum HistoryError {
         /// Its format.
         found: i64,
     },
-    /// The question is for too much.
+    /// The query is for too much.
     #[error("{0}")]
-    TooMuch(String),
+    TooManyPoints(String),
     /// The form that is asked for cannot be written.
     #[error("{0}")]
-    Form(String),
+    Format(String),
 }
 
 /// Fills a history and answers questions about it.
 pub struct History {
     config: HistoryConfig,
-    stop: Stop,
+    stop: StopSignal,
     thread: std::sync::Mutex<Option<JoinHandle<()>>>,
 }
 
@@ -80,7 +80,7 @@ impl History {
     /// Opens the file, which is made if it is not there, and begins to fill it.
     pub fn start(config: HistoryConfig, hub: Arc<Hub>) -> Result<Self, HistoryError> {
         let store = Store::open(&config.file)?;
-        let stop = Stop::default();
+        let stop = StopSignal::default();
         let (until, keep) = (stop.clone(), config.keep);
         let builder = std::thread::Builder::new().name("history".to_owned());
         let thread = match builder.spawn(move || task::run(store, &hub, keep, &until)) {
@@ -93,10 +93,10 @@ impl History {
         Ok(Self { config, stop, thread: std::sync::Mutex::new(thread) })
     }
 
-    /// Answers a question; may wait for the disk.
-    pub fn ask(&self, question: &Question) -> Result<Answer, HistoryError> {
+    /// Answers a query; may wait for the disk.
+    pub fn query(&self, query: &HistoryQuery) -> Result<HistoryResult, HistoryError> {
         // Readers do not wait for the writer, nor it for them.
-        Store::open(&self.config.file)?.ask(question)
+        Store::open(&self.config.file)?.query(query)
     }
 
     /// Ends, and gives its thread to be waited for.

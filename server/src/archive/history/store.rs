@@ -15,12 +15,12 @@ use rusqlite::{Connection, OptionalExtension, params};
 use super::{HistoryError, TIERS};
 
 /// What is written today.
-const FORMAT: i64 = 1;
-/// Points that one question may be answered with.
+const FORMAT_VERSION: i64 = 1;
+/// Points that one query may be answered with.
 pub const MAX_POINTS: usize = 5000;
 /// Rows that one export may have.
-pub const MAX_EXPORTED: usize = 2_000_000;
-const BUSY: Duration = Duration::from_secs(5);
+pub const MAX_EXPORT_ROWS: usize = 2_000_000;
+const BUSY_TIMEOUT: Duration = Duration::from_secs(5);
 
 const TABLES: &str = "
     CREATE TABLE IF NOT EXISTS object (
@@ -33,7 +33,7 @@ const TABLES: &str = "
 
 /// Who an object is.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
-pub struct Identity {
+pub struct HistoryObject {
     /// The run of the server that gave the id.
     pub run: String,
     /// Given by it.
@@ -48,7 +48,7 @@ pub struct Identity {
 
 /// Where something was.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Point {
+pub struct HistoryPoint {
     /// When.
     pub time: Timestamp,
     /// World frame, metres.
@@ -59,7 +59,7 @@ pub struct Point {
 
 /// What is asked.
 #[derive(Clone, Debug, PartialEq)]
-pub struct Question {
+pub struct HistoryQuery {
     /// Ids, names or codes' numbers; empty: all.
     pub objects: Vec<String>,
     /// Smallest and largest corner.
@@ -77,9 +77,9 @@ pub struct Question {
 
 /// What is known.
 #[derive(Clone, Debug, Default, PartialEq)]
-pub struct Answer {
+pub struct HistoryResult {
     /// Each object with its points, in the order of time.
-    pub objects: Vec<(Identity, Vec<Point>)>,
+    pub objects: Vec<(HistoryObject, Vec<HistoryPoint>)>,
     /// From one point to the next, seconds.
     pub step_s: f64,
     /// Times of the first and the last point that are kept of anything.
@@ -97,18 +97,18 @@ impl Store {
     pub fn open(path: &Path) -> Result<Self, HistoryError> {
         let failed = |source| HistoryError::Store { path: path.to_owned(), source };
         let connection = Connection::open(path).map_err(failed)?;
-        connection.busy_timeout(BUSY).map_err(failed)?;
+        connection.busy_timeout(BUSY_TIMEOUT).map_err(failed)?;
         // A power failure may lose the last second, and nothing else.
         connection.pragma_update(None, "journal_mode", "WAL").map_err(failed)?;
         connection.pragma_update(None, "synchronous", "NORMAL").map_err(failed)?;
         let found: i64 =
             connection.query_row("PRAGMA user_version", [], |row| row.get(0)).map_err(failed)?;
-        if found > FORMAT {
+        if found > FORMAT_VERSION {
             return Err(HistoryError::Newer { path: path.to_owned(), found });
         }
-        if found < FORMAT {
+        if found < FORMAT_VERSION {
             connection.execute_batch(TABLES).map_err(failed)?;
-            connection.pragma_update(None, "user_version", FORMAT).map_err(failed)?;
+            connection.pragma_update(None, "user_version", FORMAT_VERSION).map_err(failed)?;
         }
         Ok(Self { path: path.to_owned(), connection })
     }
@@ -118,18 +118,18 @@ impl Store {
     }
 
     /// The key of an object, which is known from then on.
-    pub fn key(&self, object: &Identity, time: Timestamp) -> Result<i64, HistoryError> {
+    pub fn key(&self, object: &HistoryObject, time: Timestamp) -> Result<i64, HistoryError> {
         let put = "INSERT INTO object (run, id, name, kind, code, first_ns, last_ns) VALUES (?1, ?2, ?3, ?4, ?5, ?6, ?6)
                    ON CONFLICT (run, id) DO UPDATE SET name = ?3, kind = ?4, code = ?5
                    RETURNING key";
-        let Identity { run, id, name, kind, code } = object;
+        let HistoryObject { run, id, name, kind, code } = object;
         let id = i64::try_from(*id).unwrap_or(i64::MAX);
         let values = params![run, id, name, kind, code, time.as_ns()];
         self.connection.query_row(put, values, |row| row.get(0)).map_err(|it| self.failed(it))
     }
 
     /// Adds points to tiers, all or none of them.
-    pub fn add(&mut self, points: &[(usize, i64, Point)]) -> Result<(), HistoryError> {
+    pub fn add(&mut self, points: &[(usize, i64, HistoryPoint)]) -> Result<(), HistoryError> {
         let path = self.path.clone();
         let failed = |source| HistoryError::Store { path: path.clone(), source };
         let transaction = self.connection.transaction().map_err(failed)?;
@@ -197,41 +197,41 @@ impl Store {
         keys.collect::<Result<_, _>>().map_err(|it| self.failed(it))
     }
 
-    /// Answers a question.
-    pub fn ask(&self, question: &Question) -> Result<Answer, HistoryError> {
-        let objects = self.objects(question)?;
-        let length_ns = question.until.ns_since(question.from).max(1);
-        let wanted_ns = match question.step_s {
+    /// Answers a query.
+    pub fn query(&self, query: &HistoryQuery) -> Result<HistoryResult, HistoryError> {
+        let objects = self.objects(query)?;
+        let length_ns = query.until.ns_since(query.from).max(1);
+        let wanted_ns = match query.step_s {
             Some(step_s) => (step_s * 1e9) as i64,
             // So far apart all fit, if each object was there all the time.
-            None => length_ns / (question.max_points / objects.len().max(1)).max(1) as i64,
+            None => length_ns / (query.max_points / objects.len().max(1)).max(1) as i64,
         };
         let tier = TIERS.iter().rposition(|tier| tier.step_ns <= wanted_ns).unwrap_or(0);
         let mut all = Vec::new();
         let (mut count, mut coarsest) = (0, tier);
         for (key, first_ns, identity) in objects {
-            let since_ns = first_ns.max(question.from.as_ns());
-            let tier = match question.step_s {
+            let since_ns = first_ns.max(query.from.as_ns());
+            let tier = match query.step_s {
                 Some(_) => tier,
                 None => self.tier_since(tier, key, since_ns)?,
             };
             coarsest = coarsest.max(tier);
-            let points = self.points(tier, key, question)?;
+            let points = self.points(tier, key, query)?;
             count += points.len();
-            if question.step_s.is_some() && count > question.max_points {
-                return Err(HistoryError::TooMuch(format!(
+            if query.step_s.is_some() && count > query.max_points {
+                return Err(HistoryError::TooManyPoints(format!(
                     "expected at most {} points, found more: ask for fewer objects, a shorter time, a region, or a \
                      larger step_s",
-                    question.max_points
+                    query.max_points
                 )));
             }
             if !points.is_empty() {
                 all.push((identity, points));
             }
         }
-        let every = if question.step_s.is_some() { 1 } else { thin(&mut all, question.max_points) };
+        let every = if query.step_s.is_some() { 1 } else { thin(&mut all, query.max_points) };
         let step_s = TIERS[coarsest].step_ns as f64 * 1e-9 * every as f64;
-        Ok(Answer { objects: all, step_s, kept: self.kept()? })
+        Ok(HistoryResult { objects: all, step_s, kept: self.kept()? })
     }
 
     /// The finest tier from `tier` on in which an object's points of that time have not been forgotten.
@@ -251,7 +251,10 @@ impl Store {
         Ok(TIERS.len() - 1)
     }
 
-    fn objects(&self, question: &Question) -> Result<Vec<(i64, i64, Identity)>, HistoryError> {
+    fn objects(
+        &self,
+        query: &HistoryQuery,
+    ) -> Result<Vec<(i64, i64, HistoryObject)>, HistoryError> {
         let mut ask = self
             .connection
             .prepare_cached(
@@ -262,14 +265,14 @@ impl Store {
         let read = |row: &rusqlite::Row<'_>| {
             let id: i64 = row.get(2)?;
             let (run, name, kind, code) = (row.get(1)?, row.get(3)?, row.get(4)?, row.get(5)?);
-            Ok((row.get(0)?, row.get(6)?, Identity { run, id: id as u64, name, kind, code }))
+            Ok((row.get(0)?, row.get(6)?, HistoryObject { run, id: id as u64, name, kind, code }))
         };
-        let times = [question.from.as_ns(), question.until.as_ns()];
+        let times = [query.from.as_ns(), query.until.as_ns()];
         let found = ask.query_map(times, read).map_err(|it| self.failed(it))?;
-        let found: Result<Vec<(i64, i64, Identity)>, _> = found.collect();
-        let is_wanted = |identity: &Identity| {
-            question.objects.is_empty()
-                || question.objects.iter().any(|it| {
+        let found: Result<Vec<(i64, i64, HistoryObject)>, _> = found.collect();
+        let is_wanted = |identity: &HistoryObject| {
+            query.objects.is_empty()
+                || query.objects.iter().any(|it| {
                     *it == identity.name
                         || *it == identity.id.to_string()
                         || (identity.code > 0 && *it == identity.code.to_string())
@@ -283,8 +286,8 @@ impl Store {
         &self,
         tier: usize,
         key: i64,
-        question: &Question,
-    ) -> Result<Vec<Point>, HistoryError> {
+        query: &HistoryQuery,
+    ) -> Result<Vec<HistoryPoint>, HistoryError> {
         let mut ask = self
             .connection
             .prepare_cached(
@@ -293,16 +296,16 @@ impl Store {
             )
             .map_err(|it| self.failed(it))?;
         let read = |row: &rusqlite::Row<'_>| {
-            Ok(Point {
+            Ok(HistoryPoint {
                 time: Timestamp::from_ns(row.get(0)?),
                 position_m: [row.get(1)?, row.get(2)?, row.get(3)?],
                 yaw_rad: row.get(4)?,
             })
         };
-        let wanted = params![tier as i64, key, question.from.as_ns(), question.until.as_ns()];
+        let wanted = params![tier as i64, key, query.from.as_ns(), query.until.as_ns()];
         let points = ask.query_map(wanted, read).map_err(|it| self.failed(it))?;
-        let is_inside = |point: &Point| {
-            question.region_m.is_none_or(|[min, max]| {
+        let is_inside = |point: &HistoryPoint| {
+            query.region_m.is_none_or(|[min, max]| {
                 (0..3).all(|axis| (min[axis]..=max[axis]).contains(&point.position_m[axis]))
             })
         };
@@ -320,7 +323,7 @@ impl Store {
 }
 
 /// Leaves every so many-th point, so that no more than `most` are left.
-fn thin(all: &mut [(Identity, Vec<Point>)], most: usize) -> usize {
+fn thin(all: &mut [(HistoryObject, Vec<HistoryPoint>)], most: usize) -> usize {
     let count =
         |every: usize| all.iter().map(|(_, points)| points.len().div_ceil(every)).sum::<usize>();
     let mut every = 1;

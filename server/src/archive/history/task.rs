@@ -15,21 +15,21 @@ use roundel_core::{
 
 use super::{
     HistoryError, TIERS,
-    store::{Identity, Point, Store},
+    store::{HistoryObject, HistoryPoint, Store},
 };
-use crate::model::{hub::Hub, stop::Stop};
+use crate::model::{hub::Hub, stop::StopSignal};
 
-const LOOK_EVERY: Duration = Duration::from_millis(50);
+const POLL_INTERVAL: Duration = Duration::from_millis(50);
 /// Points are written together.
 const WRITE_EVERY: Duration = Duration::from_secs(1);
 const FORGET_EVERY: Duration = Duration::from_secs(60);
 /// A disk that fails is tried again after this; what was to be written meanwhile is lost.
-const PAUSE: Duration = Duration::from_secs(10);
+const RETRY_DELAY: Duration = Duration::from_secs(10);
 
-/// What is known of an object that is being followed.
-struct Followed {
+/// What is known of an object that is being tracked.
+struct TrackedObject {
     key: i64,
-    identity: Identity,
+    identity: HistoryObject,
     /// The slot of its newest point, of each tier.
     slots: [Option<i64>; TIERS.len()],
 }
@@ -37,14 +37,14 @@ struct Followed {
 struct Task<'a> {
     store: Store,
     hub: &'a Hub,
-    followed: BTreeMap<ObjectId, Followed>,
-    waiting: Vec<(usize, i64, Point)>,
+    tracked: BTreeMap<ObjectId, TrackedObject>,
+    pending: Vec<(usize, i64, HistoryPoint)>,
 }
 
 /// Fills the store until the signal comes.
-pub(super) fn run(store: Store, hub: &Arc<Hub>, keep: Duration, stop: &Stop) {
-    let (followed, waiting) = (BTreeMap::new(), Vec::new());
-    let mut task = Task { store, hub, followed, waiting };
+pub(super) fn run(store: Store, hub: &Arc<Hub>, keep: Duration, stop: &StopSignal) {
+    let (tracked, pending) = (BTreeMap::new(), Vec::new());
+    let mut task = Task { store, hub, tracked, pending };
     let begun = Instant::now();
     let (mut next_write, mut next_forget) = (begun + WRITE_EVERY, begun);
     let mut sequence = 0;
@@ -70,10 +70,10 @@ pub(super) fn run(store: Store, hub: &Arc<Hub>, keep: Duration, stop: &Stop) {
         }
         if let Err(error) = done {
             tracing::error!("{error}");
-            task.waiting.clear();
-            stop.wait(PAUSE);
+            task.pending.clear();
+            stop.wait(RETRY_DELAY);
         }
-        stop.wait(LOOK_EVERY);
+        stop.wait(POLL_INTERVAL);
     }
     if let Err(error) = task.write() {
         tracing::error!("{error}");
@@ -83,50 +83,50 @@ pub(super) fn run(store: Store, hub: &Arc<Hub>, keep: Duration, stop: &Stop) {
 impl Task<'_> {
     fn take(&mut self, time: Timestamp, objects: &[ObjectState]) -> Result<(), HistoryError> {
         for state in objects.iter().filter(|state| state.stage == LifeStage::Tracked) {
-            self.follow(time, state)?;
+            self.sample(time, state)?;
         }
-        self.followed.retain(|id, _| objects.binary_search_by_key(id, |it| it.id).is_ok());
+        self.tracked.retain(|id, _| objects.binary_search_by_key(id, |it| it.id).is_ok());
         Ok(())
     }
 
-    fn follow(&mut self, time: Timestamp, state: &ObjectState) -> Result<(), HistoryError> {
+    fn sample(&mut self, time: Timestamp, state: &ObjectState) -> Result<(), HistoryError> {
         let installation = self.hub.installation();
-        let identity = Identity {
+        let identity = HistoryObject {
             run: installation.source_id.clone(),
             id: state.id.0,
             name: installation.object_name(state.kind, state.body).to_owned(),
             kind: installation.kind_name(state.kind).to_owned(),
             code: state.code.map_or(0, |code| u32::from(code.number)),
         };
-        let known = self.followed.get(&state.id).filter(|it| it.identity == identity);
+        let known = self.tracked.get(&state.id).filter(|it| it.identity == identity);
         if known.is_none() {
             let key = self.store.key(&identity, time)?;
-            let before = self.followed.get(&state.id).map(|it| it.slots);
+            let before = self.tracked.get(&state.id).map(|it| it.slots);
             let slots = before.unwrap_or_default();
-            self.followed.insert(state.id, Followed { key, identity, slots });
+            self.tracked.insert(state.id, TrackedObject { key, identity, slots });
         }
-        let Some(followed) = self.followed.get_mut(&state.id) else { return Ok(()) };
+        let Some(tracked) = self.tracked.get_mut(&state.id) else { return Ok(()) };
         let ahead = state.orientation * Vector3::x();
-        let point = Point {
+        let point = HistoryPoint {
             time,
             position_m: state.position_m.into(),
             yaw_rad: state.yaw_observed.then(|| ahead.y.atan2(ahead.x)),
         };
-        for (tier, (grade, slot)) in TIERS.iter().zip(&mut followed.slots).enumerate() {
+        for (tier, (grade, slot)) in TIERS.iter().zip(&mut tracked.slots).enumerate() {
             let now = time.as_ns().div_euclid(grade.step_ns);
             if slot.replace(now) != Some(now) {
-                self.waiting.push((tier, followed.key, point));
+                self.pending.push((tier, tracked.key, point));
             }
         }
         Ok(())
     }
 
     fn write(&mut self) -> Result<(), HistoryError> {
-        if self.waiting.is_empty() {
+        if self.pending.is_empty() {
             return Ok(());
         }
-        self.store.add(&self.waiting)?;
-        self.waiting.clear();
+        self.store.add(&self.pending)?;
+        self.pending.clear();
         Ok(())
     }
 }

@@ -11,13 +11,13 @@ use std::{
 use roundel_core::time::Timestamp;
 
 /// A name may be so long: with what is put behind it, file systems take it.
-pub const MAX_NAME: usize = 100;
-const ENDING: &str = ".mcap";
+pub const MAX_NAME_LEN: usize = 100;
+const FILE_EXTENSION: &str = ".mcap";
 const SECONDS_A_DAY: i64 = 86_400;
 
 /// A file of a recording.
 #[derive(Clone, Debug, PartialEq, Eq)]
-pub struct Listed {
+pub struct RecordingFile {
     /// Without its folder.
     pub name: String,
     /// Its length.
@@ -30,19 +30,19 @@ pub struct Listed {
 
 /// The file of a recording that began then.
 pub fn file_name(name: &str, started: Timestamp, number: u32) -> String {
-    format!("{name}-{}-{number:03}{ENDING}", utc(started))
+    format!("{name}-{}-{number:03}{FILE_EXTENSION}", utc(started))
 }
 
 /// A text as the begin of a file's name: what does not belong there becomes `-`.
-pub fn tame(name: &str) -> String {
-    let tame = |character: char| if is_plain(character) { character } else { '-' };
-    let name: String = name.chars().take(MAX_NAME).map(tame).collect();
+pub fn sanitize_name(name: &str) -> String {
+    let sanitize_name = |character: char| if is_allowed_char(character) { character } else { '-' };
+    let name: String = name.chars().take(MAX_NAME_LEN).map(sanitize_name).collect();
     let name = name.trim_matches(['-', '.']);
     if name.is_empty() { "recording".to_owned() } else { name.to_owned() }
 }
 
 /// Whether a character may stand in a name.
-pub fn is_plain(character: char) -> bool {
+pub fn is_allowed_char(character: char) -> bool {
     character.is_ascii_alphanumeric() || matches!(character, '-' | '_' | '.')
 }
 
@@ -76,8 +76,8 @@ fn day_of(year: i64, month: i64, day: i64) -> i64 {
 }
 
 /// Begin and number, if it is a recording's name.
-fn read_name(name: &str) -> Option<(Timestamp, u32)> {
-    let (rest, number) = name.strip_suffix(ENDING)?.rsplit_once('-')?;
+fn parse_name(name: &str) -> Option<(Timestamp, u32)> {
+    let (rest, number) = name.strip_suffix(FILE_EXTENSION)?.rsplit_once('-')?;
     let (_, time) = rest.rsplit_once('-')?;
     let time = time.strip_suffix('Z').filter(|time| time.len() == 15 && time.is_ascii())?;
     let (day, clock) = time.split_once('T').filter(|(day, _)| day.len() == 8)?;
@@ -89,7 +89,7 @@ fn read_name(name: &str) -> Option<(Timestamp, u32)> {
 }
 
 /// The recordings' files, the oldest first.
-pub fn list(folder: &Path) -> io::Result<Vec<Listed>> {
+pub fn list(folder: &Path) -> io::Result<Vec<RecordingFile>> {
     let entries = match fs::read_dir(folder) {
         // It is made with the first recording.
         Err(error) if error.kind() == io::ErrorKind::NotFound => return Ok(Vec::new()),
@@ -97,17 +97,17 @@ pub fn list(folder: &Path) -> io::Result<Vec<Listed>> {
     };
     let listed = |entry: fs::DirEntry| {
         let name = entry.file_name().into_string().ok()?;
-        let (started, number) = read_name(&name)?;
+        let (started, number) = parse_name(&name)?;
         let data = entry.metadata().ok().filter(fs::Metadata::is_file)?;
-        Some(Listed { name, bytes: data.len(), started, number })
+        Some(RecordingFile { name, bytes: data.len(), started, number })
     };
-    let mut files: Vec<Listed> = entries.flatten().filter_map(listed).collect();
+    let mut files: Vec<RecordingFile> = entries.flatten().filter_map(listed).collect();
     files.sort_by(|a, b| (a.started, a.number, &a.name).cmp(&(b.started, b.number, &b.name)));
     Ok(files)
 }
 
 /// Deletes the oldest files until all together take no more than `budget_bytes`; never `open`. Gives the deleted.
-pub fn make_room(
+pub fn enforce_budget(
     folder: &Path,
     budget_bytes: u64,
     open: Option<&Path>,
@@ -158,20 +158,20 @@ mod tests {
     fn names_tell_when_and_sort_by_it() {
         let name = file_name("lab", at(THEN), 7);
         assert_eq!(name, "lab-20261122T221055Z-007.mcap");
-        assert_eq!(read_name(&name), Some((at(THEN), 7)));
+        assert_eq!(parse_name(&name), Some((at(THEN), 7)));
         // A leap day, the last second of a century, the epoch.
         for seconds in [1_709_164_800, 4_102_444_799, 0, 951_782_400] {
             let name = file_name("a-b", at(seconds), 1);
-            assert_eq!(read_name(&name), Some((at(seconds), 1)), "{name}");
+            assert_eq!(parse_name(&name), Some((at(seconds), 1)), "{name}");
         }
         for name in
             ["lab.mcap", "lab-1.mcap", "lab-20261122T2210Z-1.mcap", "a-b-c.mcap", "ü-ü-ü.mcap"]
         {
-            assert_eq!(read_name(name), None, "{name}");
+            assert_eq!(parse_name(name), None, "{name}");
         }
-        assert_eq!(tame("Halle 3/übung"), "Halle-3--bung");
-        assert_eq!(tame("../../etc"), "etc");
-        assert_eq!(tame("  "), "recording");
+        assert_eq!(sanitize_name("Halle 3/übung"), "Halle-3--bung");
+        assert_eq!(sanitize_name("../../etc"), "etc");
+        assert_eq!(sanitize_name("  "), "recording");
     }
 
     #[test]
@@ -185,10 +185,13 @@ mod tests {
         put(&file_name("a", at(THEN + 1), 1), 100);
         put(&file_name("a", at(THEN + 1), 2), 100);
         let newest = folder.path().join(file_name("a", at(THEN + 1), 2));
-        assert_eq!(make_room(folder.path(), 300, Some(&newest)).unwrap(), Vec::<PathBuf>::new());
-        let deleted = make_room(folder.path(), 299, Some(&newest)).unwrap();
+        assert_eq!(
+            enforce_budget(folder.path(), 300, Some(&newest)).unwrap(),
+            Vec::<PathBuf>::new()
+        );
+        let deleted = enforce_budget(folder.path(), 299, Some(&newest)).unwrap();
         assert_eq!(deleted, [folder.path().join(file_name("b", at(THEN), 1))]);
-        assert_eq!(make_room(folder.path(), 0, Some(&newest)).unwrap().len(), 1);
+        assert_eq!(enforce_budget(folder.path(), 0, Some(&newest)).unwrap().len(), 1);
         assert!(newest.exists() && folder.path().join("mine.mcap").exists());
         assert!(free_bytes(folder.path()).unwrap() > 0);
         assert_eq!(list(&folder.path().join("none")).unwrap(), []);

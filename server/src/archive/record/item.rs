@@ -5,61 +5,64 @@ use std::io;
 use roundel_core::time::Timestamp;
 
 use super::{
+    file_writer::{FileWriter, MessageStamp},
     schema::{CompressedImage, Topic},
-    writer::{FileWriter, Stamp},
 };
 use crate::model::{
     convert,
     hub::Installation,
-    tap::{Item, Picture},
+    tap::{CompressedFrame, RecordedItem},
 };
 
 /// Adds what was recorded to a file; `now` is when, where it does not say that itself.
 pub fn write_item(
     file: &mut FileWriter,
     installation: &Installation,
-    item: &Item,
+    item: &RecordedItem,
     now: Timestamp,
 ) -> io::Result<()> {
     match item {
-        Item::Snapshot(fused) => {
+        RecordedItem::Snapshot(fused) => {
             let message = convert::snapshot(installation, fused, &fused.snapshot, true);
-            let stamp = Stamp {
+            let stamp = MessageStamp {
                 log_time: fused.fused_time,
                 publish_time: fused.snapshot.pose_time,
                 sequence: fused.sequence,
             };
             file.write(Topic::Snapshots, stamp, &message)
         }
-        Item::Observed(observations, time) => {
+        RecordedItem::Detections(observations, time) => {
             let message = convert::observations(installation, observations);
-            let stamp = Stamp {
+            let stamp = MessageStamp {
                 log_time: *time,
                 publish_time: observations.capture_time,
                 sequence: observations.frame,
             };
             file.write(Topic::Observations, stamp, &message)
         }
-        Item::Event(event) => {
-            let stamp = Stamp { log_time: now, publish_time: event.time, sequence: event.sequence };
+        RecordedItem::Event(event) => {
+            let stamp =
+                MessageStamp { log_time: now, publish_time: event.time, sequence: event.sequence };
             file.write(Topic::Events, stamp, &convert::event(event))
         }
-        Item::Told(told) => {
+        RecordedItem::CameraUpdate(told) => {
             let message = convert::fused_camera(installation, told);
-            file.write(Topic::Calibration, Stamp::at(now, 0), &message)
+            file.write(Topic::Calibration, MessageStamp::at(now, 0), &message)
         }
-        Item::Settings(written) => {
+        RecordedItem::Settings(written) => {
             let message = convert::fused_configuration(installation, written);
-            file.write(Topic::Configuration, Stamp::at(now, 0), &message)
+            file.write(Topic::Configuration, MessageStamp::at(now, 0), &message)
         }
-        Item::Picture(picture) => write_picture(file, installation, picture),
+        RecordedItem::CompressedFrame(picture) => {
+            write_compressed_frame(file, installation, picture)
+        }
     }
 }
 
-fn write_picture(
+fn write_compressed_frame(
     file: &mut FileWriter,
     installation: &Installation,
-    picture: &Picture,
+    picture: &CompressedFrame,
 ) -> io::Result<()> {
     let ns = picture.capture_time.as_ns();
     let image = CompressedImage {
@@ -71,7 +74,7 @@ fn write_picture(
         format: picture.format.to_owned(),
         frame_id: installation.camera_name(picture.camera).to_owned(),
     };
-    let stamp = Stamp {
+    let stamp = MessageStamp {
         log_time: picture.received_time,
         publish_time: picture.capture_time,
         sequence: picture.number,

@@ -5,21 +5,21 @@
 //! | [`tap`] | takes what is recorded, without holding anybody up |
 //! | `task` | the thread that writes it, rotates files and keeps to the budget |
 //! | [`item`] | what was taken, as messages |
-//! | [`writer`] | one MCAP file, readable to its last complete chunk whatever happens |
+//! | [`file_writer`] | one MCAP file, readable to its last complete chunk whatever happens |
 //! | [`schema`] | its topics and their schemas |
-//! | [`picture`] | frames as image files |
+//! | [`frame_compression`] | frames as image files |
 //! | [`folder`] | names, the budget, what room there is |
-//! | [`reader`] | a file again, however broken |
+//! | [`file_reader`] | a file again, however broken |
 //!
 //! One recording at a time. Whatever goes wrong with it ends it, is told, and touches nothing else.
 
+pub mod file_reader;
+pub mod file_writer;
 pub mod folder;
+pub mod frame_compression;
 pub mod item;
-pub mod picture;
-pub mod reader;
 pub mod schema;
 mod task;
-pub mod writer;
 
 use std::{
     io,
@@ -34,11 +34,11 @@ use thiserror::Error;
 
 use crate::model::config::RecordingConfig;
 use crate::model::{clock::Clock, hub::Hub};
-use folder::Listed;
+use folder::RecordingFile;
 
 /// What a recording is to be.
 #[derive(Clone, Debug, Default)]
-pub struct Wanted {
+pub struct RecordingOptions {
     /// Begin of its files' names; empty: the installation's.
     pub name: String,
     /// One in so many frames; `None`: as configured.
@@ -55,7 +55,7 @@ pub enum RecordError {
     Busy(String),
     /// There is none.
     #[error("nothing is being recorded")]
-    NothingRuns,
+    NotRecording,
     /// Names become names of files.
     #[error("{0}")]
     Name(String),
@@ -96,7 +96,7 @@ pub fn megabytes(bytes: u64) -> String {
 
 /// How far a recording is.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
-pub enum State {
+pub enum RecordingState {
     /// There was none.
     #[default]
     Idle,
@@ -110,9 +110,9 @@ pub enum State {
 
 /// How the recording that is being made is doing, or the last one did.
 #[derive(Clone, Debug, Default)]
-pub struct Status {
+pub struct RecordingStatus {
     /// How far it is.
-    pub state: State,
+    pub state: RecordingState,
     /// Its newest file, without folder.
     pub file: String,
     /// Where its files are.
@@ -146,17 +146,17 @@ pub type ConfigurationText = Box<dyn Fn() -> String + Send + Sync>;
 
 /// Starts, follows and ends recordings.
 pub struct Recorder {
-    shared: Arc<Shared>,
+    shared: Arc<RecorderShared>,
     running: Mutex<Option<JoinHandle<()>>>,
 }
 
 /// What the task's thread needs, too.
-struct Shared {
+struct RecorderShared {
     hub: Arc<Hub>,
     clock: Clock,
     config: RecordingConfig,
     text: ConfigurationText,
-    status: Mutex<Status>,
+    status: Mutex<RecordingStatus>,
 }
 
 impl Recorder {
@@ -167,37 +167,37 @@ impl Recorder {
         config: RecordingConfig,
         text: ConfigurationText,
     ) -> Self {
-        let status = Status {
+        let status = RecordingStatus {
             folder: config.folder.clone(),
             budget_bytes: config.budget_bytes,
             frames_every: config.frames_every,
-            ..Status::default()
+            ..RecordingStatus::default()
         };
         let status = Mutex::new(status);
-        let shared = Arc::new(Shared { hub, clock, config, text, status });
+        let shared = Arc::new(RecorderShared { hub, clock, config, text, status });
         Self { shared, running: Mutex::default() }
     }
 
     /// Begins a recording.
-    pub fn start(&self, wanted: &Wanted) -> Result<(), RecordError> {
+    pub fn start(&self, options: &RecordingOptions) -> Result<(), RecordError> {
         let mut running = lock(&self.running);
         if running.as_ref().is_some_and(|thread| !thread.is_finished()) {
             return Err(RecordError::Busy(self.status().file));
         }
-        if let Some(strange) = wanted.name.chars().find(|it| !folder::is_plain(*it)) {
+        if let Some(strange) = options.name.chars().find(|it| !folder::is_allowed_char(*it)) {
             return Err(RecordError::Name(format!(
                 "expected a name of letters, digits, `-`, `_` and `.`, found {strange:?} in {:?}",
-                wanted.name
+                options.name
             )));
         }
-        if wanted.name.len() > folder::MAX_NAME {
+        if options.name.len() > folder::MAX_NAME_LEN {
             return Err(RecordError::Name(format!(
                 "expected a name of at most {} characters, found {}",
-                folder::MAX_NAME,
-                wanted.name.len()
+                folder::MAX_NAME_LEN,
+                options.name.len()
             )));
         }
-        let task = task::Task::begin(self.shared.clone(), wanted)?;
+        let task = task::RecordingTask::start(self.shared.clone(), options)?;
         let builder = std::thread::Builder::new().name("recording".to_owned());
         *running = Some(builder.spawn(move || task.run()).map_err(RecordError::Thread)?);
         Ok(())
@@ -206,7 +206,7 @@ impl Recorder {
     /// Ends the recording; when this returns its file is whole.
     pub fn stop(&self) -> Result<(), RecordError> {
         let thread = lock(&self.running).take().filter(|thread| !thread.is_finished());
-        let thread = thread.ok_or(RecordError::NothingRuns)?;
+        let thread = thread.ok_or(RecordError::NotRecording)?;
         self.shared.hub.tap().close();
         if thread.join().is_err() {
             tracing::error!("the recording ended with a panic");
@@ -215,9 +215,9 @@ impl Recorder {
     }
 
     /// How it is doing.
-    pub fn status(&self) -> Status {
+    pub fn status(&self) -> RecordingStatus {
         let mut status = self.shared.status().clone();
-        if status.state == State::Recording {
+        if status.state == RecordingState::Recording {
             status.seconds = self.shared.clock.now().seconds_since(status.started);
             status.dropped = self.shared.hub.tap().dropped();
         }
@@ -225,7 +225,7 @@ impl Recorder {
     }
 
     /// The files in the folder, the oldest first.
-    pub fn list(&self) -> Result<Vec<Listed>, RecordError> {
+    pub fn list(&self) -> Result<Vec<RecordingFile>, RecordError> {
         let folder = &self.shared.config.folder;
         folder::list(folder)
             .map_err(|source| RecordError::Folder { folder: folder.clone(), source })
@@ -239,8 +239,8 @@ impl Drop for Recorder {
     }
 }
 
-impl Shared {
-    fn status(&self) -> MutexGuard<'_, Status> {
+impl RecorderShared {
+    fn status(&self) -> MutexGuard<'_, RecordingStatus> {
         lock(&self.status)
     }
 }

@@ -14,11 +14,11 @@ pub const ENCODING: &str = "protobuf";
 /// Name of the record that marks a file as one of ours.
 pub const METADATA: &str = "roundel";
 /// What of it is read today. A file of a higher number is not.
-pub const FORMAT: u32 = 1;
+pub const FORMAT_VERSION: u32 = 1;
 /// Begin of the topics of frames; the camera's name follows.
-pub const FRAMES: &str = "/frames/";
+pub const FRAME_TOPIC_PREFIX: &str = "/frames/";
 /// The schema of a frame, by which viewers know pictures.
-pub const IMAGE: &str = "foxglove.CompressedImage";
+pub const IMAGE_SCHEMA: &str = "foxglove.CompressedImage";
 
 /// What a recording tells, apart from frames.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]

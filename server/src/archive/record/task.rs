@@ -16,30 +16,31 @@ use roundel_core::{id::CameraId, time::Timestamp};
 use roundel_proto::v1;
 
 use super::{
-    RecordError, Shared, State, Wanted, folder,
+    RecordError, RecorderShared, RecordingOptions, RecordingState,
+    file_writer::{FileWriter, MessageStamp},
+    folder, frame_compression,
     item::write_item,
-    megabytes, picture,
+    megabytes,
     schema::Topic,
-    writer::{FileWriter, Stamp},
 };
 use crate::model::{
-    command::Told,
+    command::CameraUpdate,
     convert,
-    hub::Happening,
-    tap::{Item, Memory},
+    hub::EventKind,
+    tap::{LatestCameraUpdate, RecordedItem},
 };
 
 /// A chunk is closed and handed to the system so often: what a killed process loses is younger.
-const FLUSH_EVERY: Duration = Duration::from_millis(500);
+const FLUSH_INTERVAL: Duration = Duration::from_millis(500);
 /// Health, the disk, the budget, and what makes a file long enough.
-const LOOK_EVERY: Duration = Duration::from_secs(1);
+const MAINTENANCE_INTERVAL: Duration = Duration::from_secs(1);
 /// Losses are told again after so long.
-const TELL_LOSSES_EVERY: Duration = Duration::from_secs(60);
+const LOSS_REPORT_INTERVAL: Duration = Duration::from_secs(60);
 
 /// A recording that is being made.
-pub(super) struct Task {
-    shared: Arc<Shared>,
-    items: Receiver<Item>,
+pub(super) struct RecordingTask {
+    shared: Arc<RecorderShared>,
+    items: Receiver<RecordedItem>,
     pictures: Option<JoinHandle<()>>,
     name: String,
     started: Timestamp,
@@ -52,13 +53,16 @@ pub(super) struct Task {
     files: u32,
     deleted: u32,
     configuration: Option<String>,
-    known: BTreeMap<CameraId, Memory>,
-    told_losses: Option<(Instant, u64)>,
+    camera_updates: BTreeMap<CameraId, LatestCameraUpdate>,
+    reported_losses: Option<(Instant, u64)>,
 }
 
-impl Task {
+impl RecordingTask {
     /// Makes the first file, so that what is wrong is known at once, and opens the tap.
-    pub(super) fn begin(shared: Arc<Shared>, wanted: &Wanted) -> Result<Self, RecordError> {
+    pub(super) fn start(
+        shared: Arc<RecorderShared>,
+        options: &RecordingOptions,
+    ) -> Result<Self, RecordError> {
         let config = &shared.config;
         let folder = config.folder.clone();
         let failed = |source| RecordError::Folder { folder: folder.clone(), source };
@@ -69,21 +73,21 @@ impl Task {
             return Err(RecordError::Full { folder, free_bytes, min_free_bytes });
         }
         let installation = shared.hub.installation();
-        let name = if wanted.name.is_empty() { &installation.name } else { &wanted.name };
-        let frames_every = wanted.frames_every.unwrap_or(config.frames_every);
-        let outlet = shared.hub.tap().open(frames_every);
+        let name = if options.name.is_empty() { &installation.name } else { &options.name };
+        let frames_every = options.frames_every.unwrap_or(config.frames_every);
+        let receiver = shared.hub.tap().open(frames_every);
         let format = config.frames_format;
         let builder = std::thread::Builder::new().name("recorded frames".to_owned());
         let pictures = builder
-            .spawn(move || picture::run(&outlet.frames, &outlet.back, format))
+            .spawn(move || frame_compression::run(&receiver.frames, &receiver.compressed, format))
             .map_err(RecordError::Thread);
-        let (name, started) = (folder::tame(name), shared.clock.now());
+        let (name, started) = (folder::sanitize_name(name), shared.clock.now());
         let mut task = Self {
-            items: outlet.items,
+            items: receiver.items,
             pictures: None,
             name,
             started,
-            length: wanted.length,
+            length: options.length,
             file: None,
             file_begun: Instant::now(),
             bytes: 0,
@@ -91,11 +95,11 @@ impl Task {
             files: 0,
             deleted: 0,
             configuration: None,
-            known: BTreeMap::new(),
-            told_losses: None,
+            camera_updates: BTreeMap::new(),
+            reported_losses: None,
             shared: shared.clone(),
         };
-        outlet.known.into_iter().for_each(|told| task.remember(&told));
+        receiver.camera_updates.into_iter().for_each(|told| task.apply_camera_update(&told));
         let begun = pictures.and_then(|pictures| {
             task.pictures = Some(pictures);
             task.open_file().map_err(failed)
@@ -104,18 +108,18 @@ impl Task {
             shared.hub.tap().close();
             return Err(error);
         }
-        *shared.status() = super::Status {
-            state: State::Recording,
+        *shared.status() = super::RecordingStatus {
+            state: RecordingState::Recording,
             folder,
             started,
             budget_bytes: config.budget_bytes,
             frames_every,
             disk_free_bytes: free_bytes,
-            ..super::Status::default()
+            ..super::RecordingStatus::default()
         };
         task.report();
         let message = format!("What happens is recorded into {}.", task.path().display());
-        task.tell(Happening::RecordingBegun, message);
+        task.publish_event(EventKind::RecordingBegun, message);
         Ok(task)
     }
 
@@ -141,7 +145,7 @@ impl Task {
         });
         if let Some(file) = self.file.take() {
             self.messages += file.messages();
-            self.bytes += file.abandon();
+            self.bytes += file.truncate_to_complete();
         }
         // Whoever compresses waits for room in this queue.
         drop(self.items);
@@ -151,7 +155,7 @@ impl Task {
         let shared = self.shared;
         let dropped = shared.hub.tap().dropped();
         let folder = shared.config.folder.clone();
-        let (happening, message) = match &ended {
+        let (kind, message) = match &ended {
             Ok(()) => {
                 let files = if self.files == 1 { "a file" } else { "files" };
                 let message = format!(
@@ -159,7 +163,7 @@ impl Task {
                     megabytes(self.bytes),
                     folder.display()
                 );
-                (Happening::RecordingEnded, message)
+                (EventKind::RecordingEnded, message)
             }
             Err(error) => {
                 let message = format!(
@@ -167,12 +171,12 @@ impl Task {
                      is affected."
                 );
                 tracing::error!("{message}");
-                (Happening::RecordingFailed, message)
+                (EventKind::RecordingFailed, message)
             }
         };
         let status_is_fine = ended.is_ok();
         let mut status = shared.status();
-        status.state = if ended.is_ok() { State::Stopped } else { State::Failed };
+        status.state = if ended.is_ok() { RecordingState::Stopped } else { RecordingState::Failed };
         status.error = ended.err().unwrap_or_default();
         (status.bytes, status.messages) = (self.bytes, self.messages);
         (status.files, status.deleted) = (self.files, self.deleted);
@@ -183,21 +187,22 @@ impl Task {
         if status_is_fine {
             tracing::info!("{message}");
         }
-        shared.hub.publish_event(shared.clock.now(), happening, message);
+        shared.hub.publish_event(shared.clock.now(), kind, message);
     }
 
     fn write_all(&mut self) -> io::Result<()> {
         let begun = Instant::now();
-        let (mut next_flush, mut next_look) = (begun + FLUSH_EVERY, begun + LOOK_EVERY);
+        let (mut next_flush, mut next_maintenance) =
+            (begun + FLUSH_INTERVAL, begun + MAINTENANCE_INTERVAL);
         loop {
             let now = Instant::now();
             if now >= next_flush {
                 self.flush()?;
-                next_flush = now + FLUSH_EVERY;
+                next_flush = now + FLUSH_INTERVAL;
             }
-            if now >= next_look {
-                self.look()?;
-                next_look = now + LOOK_EVERY;
+            if now >= next_maintenance {
+                self.maintain()?;
+                next_maintenance = now + MAINTENANCE_INTERVAL;
             }
             if self.length.is_some_and(|length| now - begun >= length) {
                 // What was taken until now is still written.
@@ -206,25 +211,25 @@ impl Task {
             match self.items.recv_timeout(next_flush.saturating_duration_since(now)) {
                 Ok(item) => self.write(&item)?,
                 Err(RecvTimeoutError::Timeout) => {}
-                Err(RecvTimeoutError::Disconnected) => return self.look(),
+                Err(RecvTimeoutError::Disconnected) => return self.maintain(),
             }
         }
     }
 
-    fn write(&mut self, item: &Item) -> io::Result<()> {
+    fn write(&mut self, item: &RecordedItem) -> io::Result<()> {
         match item {
-            Item::Told(told) => self.remember(told),
-            Item::Settings(written) => self.configuration = Some(written.text.clone()),
+            RecordedItem::CameraUpdate(told) => self.apply_camera_update(told),
+            RecordedItem::Settings(written) => self.configuration = Some(written.text.clone()),
             _ => {}
         }
         let (hub, now) = (&self.shared.hub, self.shared.clock.now());
         self.file.iter_mut().try_for_each(|file| write_item(file, &hub.installation(), item, now))
     }
 
-    fn remember(&mut self, told: &Told) {
-        self.known.entry(told.camera).or_default().take(&told.change);
-        if matches!(told.change, crate::model::command::Change::Removed) {
-            self.known.remove(&told.camera);
+    fn apply_camera_update(&mut self, told: &CameraUpdate) {
+        self.camera_updates.entry(told.camera).or_default().apply(&told.change);
+        if matches!(told.change, crate::model::command::CameraChange::Removed) {
+            self.camera_updates.remove(&told.camera);
         }
     }
 
@@ -237,7 +242,7 @@ impl Task {
     }
 
     /// What is looked after once a second.
-    fn look(&mut self) -> io::Result<()> {
+    fn maintain(&mut self) -> io::Result<()> {
         self.write_health()?;
         self.write_configuration()?;
         self.flush()?;
@@ -263,12 +268,12 @@ impl Task {
             self.rotate()?;
         }
         let open = self.path();
-        let deleted = folder::make_room(&config.folder, config.budget_bytes, Some(&open))?;
+        let deleted = folder::enforce_budget(&config.folder, config.budget_bytes, Some(&open))?;
         for path in &deleted {
             tracing::info!(file = %path.display(), "an old recording made room for a new one");
         }
         self.deleted += deleted.len() as u32;
-        self.tell_losses();
+        self.report_losses();
         Ok(())
     }
 
@@ -295,9 +300,10 @@ impl Task {
         self.configuration = None;
         let now = self.shared.clock.now();
         let file = self.file.insert(file);
-        for told in self.known.iter().flat_map(|(camera, memory)| memory.told(*camera)) {
+        for told in self.camera_updates.iter().flat_map(|(camera, memory)| memory.updates(*camera))
+        {
             let message = convert::fused_camera(&installation, &told);
-            file.write(Topic::Calibration, Stamp::at(now, 0), &message)?;
+            file.write(Topic::Calibration, MessageStamp::at(now, 0), &message)?;
         }
         self.write_configuration()?;
         self.write_health()
@@ -309,7 +315,7 @@ impl Task {
         let each = states.iter().filter(|(id, _)| installation.cameras.contains_key(id));
         let cameras = each.map(|(id, state)| convert::camera(&installation, *id, state)).collect();
         let message = v1::ListCamerasResponse { cameras };
-        let stamp = Stamp::at(self.shared.clock.now(), 0);
+        let stamp = MessageStamp::at(self.shared.clock.now(), 0);
         self.file.iter_mut().try_for_each(|file| file.write(Topic::Health, stamp, &message))
     }
 
@@ -322,7 +328,7 @@ impl Task {
         let installation = self.shared.hub.installation();
         let message = convert::recorded_configuration(&installation, &text);
         self.configuration = Some(text);
-        let stamp = Stamp::at(self.shared.clock.now(), 0);
+        let stamp = MessageStamp::at(self.shared.clock.now(), 0);
         self.file.iter_mut().try_for_each(|file| file.write(Topic::Configuration, stamp, &message))
     }
 
@@ -340,24 +346,25 @@ impl Task {
         status.file = path.file_name().unwrap_or_default().to_string_lossy().into_owned();
     }
 
-    fn tell_losses(&mut self) {
+    fn report_losses(&mut self) {
         let dropped = self.shared.hub.tap().dropped();
-        let (told_at, told) = self.told_losses.unwrap_or((self.file_begun, 0));
-        let is_due = self.told_losses.is_none() || told_at.elapsed() >= TELL_LOSSES_EVERY;
-        if dropped > told && is_due {
-            self.told_losses = Some((Instant::now(), dropped));
+        let (reported_at, reported) = self.reported_losses.unwrap_or((self.file_begun, 0));
+        let is_due =
+            self.reported_losses.is_none() || reported_at.elapsed() >= LOSS_REPORT_INTERVAL;
+        if dropped > reported && is_due {
+            self.reported_losses = Some((Instant::now(), dropped));
             let message = format!(
                 "{} messages are missing in the recording: the disk of {} or this machine is too slow for it. Record \
                  fewer frames, or elsewhere.",
-                dropped - told,
+                dropped - reported,
                 self.shared.config.folder.display()
             );
-            self.tell(Happening::RecordingLossy, message);
+            self.publish_event(EventKind::RecordingLossy, message);
         }
     }
 
-    fn tell(&self, happening: Happening, message: String) {
+    fn publish_event(&self, kind: EventKind, message: String) {
         tracing::info!("{message}");
-        self.shared.hub.publish_event(self.shared.clock.now(), happening, message);
+        self.shared.hub.publish_event(self.shared.clock.now(), kind, message);
     }
 }

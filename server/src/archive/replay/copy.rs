@@ -4,21 +4,21 @@ use std::{collections::BTreeMap, io, path::Path, time::Duration};
 
 use prost::Message;
 
-use super::{ReplayError, scene::Scene};
+use super::{ReplayError, session::ReplaySession};
 use crate::archive::record::{
+    file_reader::{Channel, RecordedMessage},
+    file_writer::{FileWriter, MessageStamp},
     item::write_item,
-    reader::{Raw, Source},
     schema::{CompressedImage, Topic},
-    writer::{FileWriter, Stamp},
 };
-use crate::model::tap::{Item, Outlet};
+use crate::model::tap::{RecordedItem, TapReceiver};
 
 /// A chunk is closed after so many recorded seconds, as in recordings that are made live.
-const FLUSH_EVERY: Duration = Duration::from_millis(500);
+const FLUSH_INTERVAL: Duration = Duration::from_millis(500);
 
 /// What came of it.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
-pub struct Copied {
+pub struct CopySummary {
     /// Messages that were written.
     pub messages: u64,
     /// Of them, snapshots.
@@ -26,77 +26,81 @@ pub struct Copied {
     /// Length of the new file.
     pub bytes: u64,
     /// Messages that said what cannot be, and were left out.
-    pub faulty: u64,
+    pub invalid_messages: u64,
     /// Of the recording.
     pub seconds: f64,
 }
 
 /// Plays a recording into a file that is not there yet; `advance` hears of each second that is done.
 pub fn copy(
-    mut scene: Scene,
+    mut session: ReplaySession,
     to: &Path,
     mut advance: impl FnMut(f64),
-) -> Result<Copied, ReplayError> {
+) -> Result<CopySummary, ReplayError> {
     let failed = |source| ReplayError::Io { path: to.to_owned(), source };
-    let (begin, end) = scene.script.span();
-    let installation = scene.hub.installation();
+    let (begin, end) = session.reader.span();
+    let installation = session.hub.installation();
     let about = BTreeMap::from([
         ("installation".to_owned(), installation.name.clone()),
         ("source_id".to_owned(), installation.source_id.clone()),
     ]);
     let mut file = FileWriter::create(to, &about).map_err(failed)?;
-    let Outlet { items, frames: _frames, back: _back, known: _ } = scene.hub.tap().open(0);
-    scene.stage.restart(&scene.told, begin)?;
+    let TapReceiver { items, frames: _frames, compressed: _compressed, camera_updates: _ } =
+        session.hub.tap().open(0);
+    session.engine.restart(&session.updates, begin)?;
     // Nothing is fused: it becomes a whole file of what can be read.
-    let wants_all = !scene.stage.fuses();
-    let (mut copied, mut flushed, mut newest) = (Copied::default(), begin, begin);
-    while let Some(raw) = scene.script.take()? {
+    let wants_all = !session.engine.fuses();
+    let (mut copied, mut flushed, mut newest) = (CopySummary::default(), begin, begin);
+    while let Some(raw) = session.reader.take()? {
         newest = newest.max(raw.log_time);
-        scene.stage.show(&raw, &mut scene.script);
-        copy_as_it_is(&mut file, &raw, wants_all).map_err(failed)?;
+        session.engine.process(&raw, &mut session.reader);
+        copy_unchanged(&mut file, &raw, wants_all).map_err(failed)?;
         if wants_all {
             items.try_iter().for_each(drop);
         }
-        let installation = scene.hub.installation();
+        let installation = session.hub.installation();
         for item in items.try_iter() {
             let item = match item {
                 // It is copied as it is.
-                Item::Settings(_) => continue,
+                RecordedItem::Settings(_) => continue,
                 // When it is taken now is nothing that repeats.
-                Item::Observed(observations, _) => Item::Observed(observations, newest),
+                RecordedItem::Detections(observations, _) => {
+                    RecordedItem::Detections(observations, newest)
+                }
                 item => item,
             };
             write_item(&mut file, &installation, &item, newest).map_err(failed)?;
         }
-        if raw.source == Source::Topic(Topic::Snapshots) {
+        if raw.channel == Channel::Topic(Topic::Snapshots) {
             copied.snapshots += 1;
             advance(newest.seconds_since(begin));
         }
-        if newest.seconds_since(flushed) >= FLUSH_EVERY.as_secs_f64() {
+        if newest.seconds_since(flushed) >= FLUSH_INTERVAL.as_secs_f64() {
             file.flush().map_err(failed)?;
             flushed = newest;
         }
     }
-    scene.hub.tap().close();
-    (copied.messages, copied.faulty) = (file.messages(), scene.stage.faulty());
+    session.hub.tap().close();
+    (copied.messages, copied.invalid_messages) =
+        (file.messages(), session.engine.invalid_messages());
     copied.seconds = end.seconds_since(begin);
     copied.bytes = file.finish().map_err(failed)?;
     Ok(copied)
 }
 
 /// What nobody makes anew.
-fn copy_as_it_is(file: &mut FileWriter, raw: &Raw, wants_all: bool) -> io::Result<()> {
+fn copy_unchanged(file: &mut FileWriter, raw: &RecordedMessage, wants_all: bool) -> io::Result<()> {
     let sequence = u64::from(raw.sequence);
-    let stamp = Stamp { log_time: raw.log_time, publish_time: raw.publish_time, sequence };
-    match &raw.source {
-        Source::Topic(topic) => {
+    let stamp = MessageStamp { log_time: raw.log_time, publish_time: raw.publish_time, sequence };
+    match &raw.channel {
+        Channel::Topic(topic) => {
             let is_copied = wants_all || matches!(topic, Topic::Health | Topic::Configuration);
             if is_copied { file.write_encoded(*topic, stamp, &raw.data) } else { Ok(()) }
         }
-        Source::Frame(camera) if wants_all => match CompressedImage::decode(raw.data.as_slice()) {
+        Channel::Frame(camera) if wants_all => match CompressedImage::decode(raw.data.as_slice()) {
             Ok(image) => file.write_frame(camera, stamp, &image),
             Err(_) => Ok(()),
         },
-        Source::Frame(_) | Source::Foreign(_) => Ok(()),
+        Channel::Frame(_) | Channel::Foreign(_) => Ok(()),
     }
 }

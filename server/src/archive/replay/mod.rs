@@ -2,23 +2,23 @@
 //!
 //! | module | what it does |
 //! | --- | --- |
-//! | [`script`] | what the file says, in its order, from any place |
-//! | [`stage`] | has it happen: as recorded, fused anew, or searched and fused anew |
+//! | [`reader`] | what the file says, in its order, from any place |
+//! | [`engine`] | has it happen: as recorded, fused anew, or searched and fused anew |
 //! | `player` | the thread that keeps time, and obeys: pause, speed, seek |
-//! | [`scene`] | a recording that is ready to be played |
+//! | [`session`] | a recording that is ready to be played |
 //! | [`copy`] | as fast as it goes, into a file |
-//! | [`witness`] | fused anew without one camera: where the others had what that one saw |
+//! | [`correspondences`] | fused anew without one camera: where the others had what that one saw |
 //!
 //! Times are those of the recording. The server's clock begins at the recording's begin and runs on by itself; after a
 //! pause, a seek or at another speed than 1 it is not where the recording is, which the status says.
 
 pub mod copy;
+pub mod correspondences;
+pub mod engine;
+pub mod from_recording;
 pub mod player;
-pub mod replayed;
-pub mod scene;
-pub mod script;
-pub mod stage;
-pub mod witness;
+pub mod reader;
+pub mod session;
 
 use std::{
     path::PathBuf,
@@ -29,14 +29,14 @@ use roundel_core::time::Timestamp;
 use thiserror::Error;
 
 use crate::fusion::setup::ObjectError;
-use crate::{archive::record::reader::ReadError, model::config::Problem};
+use crate::{archive::record::file_reader::ReadError, model::config::Problem};
 
 /// How many recorded seconds may pass in one.
 pub const SPEEDS: [f64; 2] = [0.01, 100.0];
 
 /// What is taken from a recording.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
-pub enum From {
+pub enum ReplayFrom {
     /// Snapshots and events, as they are.
     #[default]
     Snapshots,
@@ -94,11 +94,11 @@ fn sentences(problems: &[Problem]) -> String {
 
 /// What is to be done, and how far it is.
 #[derive(Clone, Debug, Default)]
-pub struct Status {
+pub struct ReplayStatus {
     /// The file.
     pub file: PathBuf,
     /// What is taken from it.
-    pub from: From,
+    pub from: ReplayFrom,
     /// Nothing goes on.
     pub paused: bool,
     /// Recorded seconds in one.
@@ -117,7 +117,7 @@ pub struct Status {
 
 /// What is to become of a replay; `None`: as before.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
-pub struct Wish {
+pub struct Control {
     /// Whether nothing is to go on.
     pub paused: Option<bool>,
     /// Recorded seconds in one, within [`SPEEDS`].
@@ -130,7 +130,7 @@ pub struct Wish {
 
 #[derive(Default)]
 struct State {
-    status: Status,
+    status: ReplayStatus,
     seek: Option<Timestamp>,
     stopped: bool,
 }
@@ -143,27 +143,27 @@ pub struct Replay {
 
 impl Replay {
     /// Of a recording that has not begun.
-    pub fn new(status: Status) -> Self {
+    pub fn new(status: ReplayStatus) -> Self {
         let state = State { status, ..State::default() };
         Self { shared: Arc::new((Mutex::new(state), Condvar::new())) }
     }
 
     /// How far it is.
-    pub fn status(&self) -> Status {
+    pub fn status(&self) -> ReplayStatus {
         self.lock().status.clone()
     }
 
     /// Has it obey, at once.
-    pub fn control(&self, wish: &Wish) {
+    pub fn control(&self, control: &Control) {
         let mut state = self.lock();
         let status = &mut state.status;
-        wish.paused.into_iter().for_each(|paused| status.paused = paused);
-        wish.speed.into_iter().for_each(|speed| status.speed = speed);
-        wish.looping.into_iter().for_each(|looping| status.looping = looping);
+        control.paused.into_iter().for_each(|paused| status.paused = paused);
+        control.speed.into_iter().for_each(|speed| status.speed = speed);
+        control.looping.into_iter().for_each(|looping| status.looping = looping);
         let (begin, end) = status.span;
         // Playing on from the end is beginning again.
-        let again = (status.ended && wish.paused == Some(false)).then_some(0.0);
-        if let Some(position_s) = wish.position_s.or(again) {
+        let again = (status.ended && control.paused == Some(false)).then_some(0.0);
+        if let Some(position_s) = control.position_s.or(again) {
             let position = begin.plus_seconds(position_s.max(0.0)).min(end);
             (status.position, status.ended) = (position, false);
             state.seek = Some(position);

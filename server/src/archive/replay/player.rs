@@ -9,46 +9,46 @@ use roundel_core::time::Timestamp;
 
 use super::{
     Replay, ReplayError,
-    script::{Script, Told},
-    stage::Stage,
+    engine::Engine,
+    reader::{FusionUpdate, Reader},
 };
 use crate::archive::record::{
-    reader::{Raw, Source},
+    file_reader::{Channel, RecordedMessage},
     schema::Topic,
 };
 
 /// What is to be done before a message happens.
-enum Turn {
+enum PlayerStep {
     /// It is due.
     Play,
     /// Go on elsewhere.
     Seek(Timestamp),
     /// End.
-    Stop,
+    StopSignal,
 }
 
 /// Plays a recording.
 pub struct Player {
-    pub script: Script,
-    pub stage: Stage,
-    pub told: Vec<(Timestamp, Told)>,
+    pub reader: Reader,
+    pub engine: Engine,
+    pub updates: Vec<(Timestamp, FusionUpdate)>,
     pub replay: Replay,
     /// When what was due.
     base: (Instant, Timestamp),
     speed: f64,
     /// The first snapshot of a new place is shown even while nothing goes on.
-    shows_one: bool,
+    needs_first_snapshot: bool,
 }
 
 impl Player {
     pub fn new(
-        (script, stage): (Script, Stage),
-        told: Vec<(Timestamp, Told)>,
+        (reader, engine): (Reader, Engine),
+        updates: Vec<(Timestamp, FusionUpdate)>,
         replay: Replay,
     ) -> Self {
-        let (begin, _) = script.span();
+        let (begin, _) = reader.span();
         let base = (Instant::now(), begin);
-        Self { script, stage, told, replay, base, speed: 1.0, shows_one: true }
+        Self { reader, engine, updates, replay, base, speed: 1.0, needs_first_snapshot: true }
     }
 
     /// Plays until it is told to end.
@@ -65,58 +65,58 @@ impl Player {
         let begin = self.replay.status().position;
         self.seek(begin)?;
         loop {
-            let Some(raw) = self.script.take()? else {
+            let Some(message) = self.reader.take()? else {
                 match self.wait_at_the_end() {
-                    Turn::Seek(time) => self.seek(time)?,
-                    Turn::Play | Turn::Stop => return Ok(()),
+                    PlayerStep::Seek(time) => self.seek(time)?,
+                    PlayerStep::Play | PlayerStep::StopSignal => return Ok(()),
                 }
                 continue;
             };
-            match self.wait_for(raw.log_time) {
-                Turn::Stop => return Ok(()),
-                Turn::Seek(time) => self.seek(time)?,
-                Turn::Play => self.show(&raw),
+            match self.wait_for(message.log_time) {
+                PlayerStep::StopSignal => return Ok(()),
+                PlayerStep::Seek(time) => self.seek(time)?,
+                PlayerStep::Play => self.play_message(&message),
             }
         }
     }
 
-    fn show(&mut self, raw: &Raw) {
-        self.stage.show(raw, &mut self.script);
-        if raw.source == Source::Topic(Topic::Snapshots) {
-            self.shows_one = false;
+    fn play_message(&mut self, message: &RecordedMessage) {
+        self.engine.process(message, &mut self.reader);
+        if message.channel == Channel::Topic(Topic::Snapshots) {
+            self.needs_first_snapshot = false;
         }
         let mut state = self.replay.lock();
-        let position = state.status.position.max(raw.log_time);
+        let position = state.status.position.max(message.log_time);
         state.status.position = position;
     }
 
     fn seek(&mut self, time: Timestamp) -> Result<(), ReplayError> {
-        self.script.seek(time);
-        self.stage.restart(&self.told, time)?;
-        self.shows_one = true;
+        self.reader.seek(time);
+        self.engine.restart(&self.updates, time)?;
+        self.needs_first_snapshot = true;
         self.base = (Instant::now(), time);
-        let damage = self.script.reader().damage().sentences.clone();
+        let damage = self.reader.file().damage().sentences.clone();
         let mut state = self.replay.lock();
         (state.status.damage, state.status.ended) = (damage, false);
         Ok(())
     }
 
     /// Waits until what was recorded then is due.
-    fn wait_for(&mut self, time: Timestamp) -> Turn {
+    fn wait_for(&mut self, time: Timestamp) -> PlayerStep {
         let (mutex, changed) = &*self.replay.shared;
         let mut state = mutex.lock().unwrap_or_else(PoisonError::into_inner);
         let mut was_paused = false;
         loop {
             if state.stopped {
-                return Turn::Stop;
+                return PlayerStep::StopSignal;
             }
             if let Some(time) = state.seek.take() {
-                return Turn::Seek(time);
+                return PlayerStep::Seek(time);
             }
             let now = Instant::now();
-            if self.shows_one {
+            if self.needs_first_snapshot {
                 self.base = (now, time);
-                return Turn::Play;
+                return PlayerStep::Play;
             }
             if state.status.paused {
                 was_paused = true;
@@ -131,29 +131,29 @@ impl Player {
             let wait_s = time.seconds_since(from) / self.speed;
             let due = since + Duration::from_secs_f64(wait_s.max(0.0));
             if due <= now {
-                return Turn::Play;
+                return PlayerStep::Play;
             }
             let waited = changed.wait_timeout(state, due - now);
             state = waited.unwrap_or_else(PoisonError::into_inner).0;
         }
     }
 
-    fn wait_at_the_end(&mut self) -> Turn {
+    fn wait_at_the_end(&mut self) -> PlayerStep {
         let (mutex, changed) = &*self.replay.shared;
         let mut state = mutex.lock().unwrap_or_else(PoisonError::into_inner);
         let (begin, end) = state.status.span;
         (state.status.ended, state.status.position) = (true, end);
-        state.status.damage = self.script.reader().damage().sentences.clone();
+        state.status.damage = self.reader.file().damage().sentences.clone();
         loop {
             if state.stopped {
-                return Turn::Stop;
+                return PlayerStep::StopSignal;
             }
             if let Some(time) = state.seek.take() {
-                return Turn::Seek(time);
+                return PlayerStep::Seek(time);
             }
             if state.status.looping && !state.status.paused {
                 state.status.position = begin;
-                return Turn::Seek(begin);
+                return PlayerStep::Seek(begin);
             }
             state = changed.wait(state).unwrap_or_else(PoisonError::into_inner);
         }

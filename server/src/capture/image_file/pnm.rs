@@ -1,10 +1,10 @@
 //! PGM and PPM (netpbm's P2, P3, P5, P6), of which cameras' tools write many dialects: comments
 //! anywhere in the header, any maximum up to 65535.
 
-use super::{Fault, GreyImage, check_size, grey, narrow};
+use super::{DecodeError, GreyImage, check_size, grey, scale_to_u8};
 
 /// Decodes a file whose first two bytes are known to be `P2`, `P3`, `P5` or `P6`.
-pub(super) fn decode(bytes: &[u8]) -> Result<GreyImage, Fault> {
+pub(super) fn decode(bytes: &[u8]) -> Result<GreyImage, DecodeError> {
     let plain = matches!(bytes[1], b'2' | b'3');
     let channels = if matches!(bytes[1], b'3' | b'6') { 3 } else { 1 };
     let mut rest = &bytes[2..];
@@ -26,37 +26,37 @@ pub(super) fn decode(bytes: &[u8]) -> Result<GreyImage, Fault> {
     Ok(GreyImage { width, height, pixels: grey(samples, channels) })
 }
 
-fn broken(reason: String) -> Fault {
-    Fault::Broken(reason)
+fn broken(reason: String) -> DecodeError {
+    DecodeError::Broken(reason)
 }
 
-fn plain_samples(rest: &mut &[u8], count: usize, most: u16) -> Result<Vec<u8>, Fault> {
+fn plain_samples(rest: &mut &[u8], count: usize, most: u16) -> Result<Vec<u8>, DecodeError> {
     // Memory grows with what is there, not with what the header promises.
     let mut samples = Vec::with_capacity(count.min(rest.len()));
     for _ in 0..count {
         let sample = number(rest, "sample")?;
-        samples.push(narrow(u16::try_from(sample).unwrap_or(u16::MAX), most));
+        samples.push(scale_to_u8(u16::try_from(sample).unwrap_or(u16::MAX), most));
     }
     Ok(samples)
 }
 
-fn raw_samples(data: &[u8], count: usize, most: u16) -> Result<Vec<u8>, Fault> {
+fn raw_samples(data: &[u8], count: usize, most: u16) -> Result<Vec<u8>, DecodeError> {
     let width = if most > 255 { 2 } else { 1 };
     let data = data.get(..count * width).ok_or_else(|| {
         broken(format!("expected {} bytes of samples, found {}", count * width, data.len()))
     })?;
     Ok(match (width, most) {
         (1, 255) => data.to_vec(),
-        (1, _) => data.iter().map(|&sample| narrow(u16::from(sample), most)).collect(),
+        (1, _) => data.iter().map(|&sample| scale_to_u8(u16::from(sample), most)).collect(),
         _ => data
             .chunks_exact(2)
-            .map(|pair| narrow(u16::from_be_bytes([pair[0], pair[1]]), most))
+            .map(|pair| scale_to_u8(u16::from_be_bytes([pair[0], pair[1]]), most))
             .collect(),
     })
 }
 
 /// The next number, after white space and comments.
-fn number(rest: &mut &[u8], what: &str) -> Result<usize, Fault> {
+fn number(rest: &mut &[u8], what: &str) -> Result<usize, DecodeError> {
     while let Some(&byte) = rest.first() {
         if byte == b'#' {
             let end = rest.iter().position(|&byte| byte == b'\n').unwrap_or(rest.len());
@@ -83,7 +83,7 @@ mod tests {
     fn pixels(bytes: &[u8]) -> Result<Vec<u8>, String> {
         match decode(bytes) {
             Ok(image) => Ok(image.pixels),
-            Err(Fault::Broken(reason) | Fault::TooLarge(reason)) => Err(reason),
+            Err(DecodeError::Broken(reason) | DecodeError::TooLarge(reason)) => Err(reason),
         }
     }
 

@@ -15,7 +15,7 @@ use super::{
 use crate::model::address::ImagesAddress;
 use crate::{
     capture::image_file::{self, GreyImage},
-    model::{clock::Clock, stop::Stop},
+    model::{clock::Clock, stop::StopSignal},
 };
 
 /// Endings of the files that are played of a folder.
@@ -32,7 +32,7 @@ pub(super) struct Schedule {
 #[derive(Debug)]
 enum Timing {
     Rate { start: Timestamp, fps: f64 },
-    Times { times: Vec<Timestamp>, round_ns: i64 },
+    Times { times: Vec<Timestamp>, cycle_ns: i64 },
 }
 
 impl Schedule {
@@ -63,7 +63,7 @@ impl Schedule {
                 for time in &mut times {
                     *time = time.plus_ns(shift_ns);
                 }
-                Timing::Times { times, round_ns: playback.round_ns.max(own_round_ns) }
+                Timing::Times { times, cycle_ns: playback.cycle_ns.max(own_round_ns) }
             }
         };
         Ok(Self { files, timing, repeat: address.repeat })
@@ -77,9 +77,9 @@ impl Schedule {
         }
         Some(match &self.timing {
             Timing::Rate { start, fps } => start.plus_seconds(frame as f64 / fps),
-            Timing::Times { times, round_ns } => {
+            Timing::Times { times, cycle_ns } => {
                 let round = i64::try_from(frame / count).unwrap_or(i64::MAX);
-                times[(frame % count) as usize].plus_ns(round_ns.saturating_mul(round))
+                times[(frame % count) as usize].plus_ns(cycle_ns.saturating_mul(round))
             }
         })
     }
@@ -112,7 +112,7 @@ pub(super) struct ImageSource {
     schedule: Schedule,
     size: (usize, usize),
     clock: Clock,
-    stop: Stop,
+    stop: StopSignal,
     image: GreyImage,
     next: u64,
     /// The first frame after opening is never late.
@@ -120,7 +120,12 @@ pub(super) struct ImageSource {
 }
 
 impl ImageSource {
-    pub(super) fn new(schedule: Schedule, size: (usize, usize), clock: Clock, stop: Stop) -> Self {
+    pub(super) fn new(
+        schedule: Schedule,
+        size: (usize, usize),
+        clock: Clock,
+        stop: StopSignal,
+    ) -> Self {
         let image = GreyImage::default();
         Self { schedule, size, clock, stop, image, next: 0, first: true }
     }
@@ -212,7 +217,7 @@ mod tests {
     #[test]
     fn rounds_follow_without_a_gap() {
         let times = vec![ns(10), ns(20), ns(35)];
-        let rounds = schedule(Timing::Times { times, round_ns: 40 }, 3, true);
+        let rounds = schedule(Timing::Times { times, cycle_ns: 40 }, 3, true);
         let due: Vec<i64> = (0..7).map(|frame| rounds.due(frame).unwrap().as_ns()).collect();
         assert_eq!(due, [10, 20, 35, 50, 60, 75, 90]);
         assert_eq!(rounds.file(4), Path::new("1.png"));

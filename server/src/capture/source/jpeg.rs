@@ -15,7 +15,7 @@ const MAX_BROKEN: u64 = 50;
 
 /// Why a picture cannot be used.
 #[derive(Debug, PartialEq, Eq)]
-pub(super) enum JpegFault {
+pub(super) enum JpegError {
     /// The next one may be whole.
     Broken(String),
     /// It has another size (columns, rows), as the next one will have.
@@ -40,15 +40,15 @@ impl LumaDecoder {
     /// row; `what` names the picture or its source.
     pub(super) fn accept(
         &mut self,
-        picture: Result<(), JpegFault>,
+        picture: Result<(), JpegError>,
         what: impl FnOnce() -> String,
     ) -> Result<bool, SourceError> {
         match picture {
             Ok(()) => self.broken_in_a_row = 0,
-            Err(JpegFault::Size(width, height)) => {
+            Err(JpegError::Size(width, height)) => {
                 return Err(wrong_size(&what(), self.size, (width, height)));
             }
-            Err(JpegFault::Broken(reason)) => {
+            Err(JpegError::Broken(reason)) => {
                 self.broken_in_a_row += 1;
                 if self.broken_in_a_row > MAX_BROKEN {
                     return Err(SourceError::Failed(format!(
@@ -62,8 +62,8 @@ impl LumaDecoder {
     }
 
     /// Decodes a picture and replaces the one before.
-    pub(super) fn decode(&mut self, bytes: &[u8]) -> Result<(), JpegFault> {
-        let broken = |error: &dyn std::fmt::Display| JpegFault::Broken(error.to_string());
+    pub(super) fn decode(&mut self, bytes: &[u8]) -> Result<(), JpegError> {
+        let broken = |error: &dyn std::fmt::Display| JpegError::Broken(error.to_string());
         let options = DecoderOptions::default()
             .set_max_width(MAX_SIDE_PX)
             .set_max_height(MAX_SIDE_PX)
@@ -74,7 +74,7 @@ impl LumaDecoder {
         let info = decoder.info().ok_or_else(|| broken(&"no image header"))?;
         let found = (usize::from(info.width), usize::from(info.height));
         if found != self.size {
-            return Err(JpegFault::Size(found.0, found.1));
+            return Err(JpegError::Size(found.0, found.1));
         }
         let length = found.0 * found.1;
         if decoder.output_buffer_size() != Some(length) {
@@ -140,9 +140,9 @@ mod tests {
         assert_eq!(decoder.decode(&jpeg), Ok(()));
         for cut in [3, jpeg.len() / 4, jpeg.len() - 40] {
             let found = decoder.decode(&jpeg[..cut]);
-            assert!(matches!(found, Err(JpegFault::Broken(_))), "{cut}: {found:?}");
+            assert!(matches!(found, Err(JpegError::Broken(_))), "{cut}: {found:?}");
         }
-        assert_eq!(LumaDecoder::new((64, 47)).decode(&jpeg), Err(JpegFault::Size(64, 48)));
+        assert_eq!(LumaDecoder::new((64, 47)).decode(&jpeg), Err(JpegError::Size(64, 48)));
         assert!(LumaDecoder::new((64, 48)).frame().is_err());
     }
 }

@@ -17,18 +17,18 @@
 //! | `timing` | clocks of capture times, and the mapping of a camera's counter to the server's clock |
 //! | [`pixels`] | pixel formats of cameras → 8-bit grey |
 //! | `jpeg` | JPEG → luma |
-//! | `feed` | a receiving thread with a mailbox for the newest frame; a stall is an error |
+//! | `mailbox` | a receiving thread with a mailbox for the newest frame; a stall is an error |
 //!
 //! Frames never queue: a source returns the newest frame that is due or has arrived, and counts those that it skipped.
 //! Broken frames are counted and dropped. An error ends a source, and the worker's supervisor opens it again with
 //! backoff.
 
-mod feed;
 #[cfg(feature = "gst")]
 mod gst;
 mod http;
 mod images;
 mod jpeg;
+mod mailbox;
 pub mod pixels;
 mod playback;
 pub mod push;
@@ -46,7 +46,7 @@ pub use playback::{Playback, TimesError};
 pub use sim::{SIM_LATENCY_S, fleet};
 
 use crate::model::{address::SourceAddress, capture_clock::CaptureClock};
-use crate::model::{clock::Clock, stop::Stop};
+use crate::model::{clock::Clock, stop::StopSignal};
 
 /// Capture time and counts of a frame.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -109,7 +109,7 @@ pub enum SourceError {
 
 /// What was seen in a frame that was searched elsewhere.
 #[derive(Clone, Debug)]
-pub struct Sighting {
+pub struct RemoteDetections {
     /// What was seen; the worker gives it its camera and number.
     pub observations: FrameObservations,
     /// Where its times come from, and how far off they may be.
@@ -117,16 +117,16 @@ pub struct Sighting {
     /// Frames that never came since the one before.
     pub skipped: u64,
     /// How the camera does there, if that is known.
-    pub figures: Option<push::RemoteFigures>,
+    pub figures: Option<push::RemoteStats>,
 }
 
 /// What a source gives.
 #[derive(Debug)]
-pub enum Arrival<'a> {
+pub enum SourceOutput<'a> {
     /// A frame, to be searched.
     Frame(LentFrame<'a>),
     /// What was seen in one.
-    Seen(Box<Sighting>),
+    Detections(Box<RemoteDetections>),
 }
 
 /// A stream of 8-bit grey frames.
@@ -136,8 +136,8 @@ pub trait FrameSource: Send {
     fn next_frame(&mut self) -> Result<LentFrame<'_>, SourceError>;
 
     /// The same of a source that may have searched its frames already.
-    fn next(&mut self) -> Result<Arrival<'_>, SourceError> {
-        self.next_frame().map(Arrival::Frame)
+    fn next(&mut self) -> Result<SourceOutput<'_>, SourceError> {
+        self.next_frame().map(SourceOutput::Frame)
     }
 
     /// Frames a second that the camera says it gives, as far as is known once a frame has come; `None`: it does not
@@ -161,12 +161,12 @@ pub trait OpenSource: Send {
     fn open(&mut self) -> Result<Box<dyn FrameSource>, SourceError>;
 
     /// Waits before it is opened again: so long, unless the source knows better. Whether the server goes down.
-    fn pause(&mut self, pause: Duration, stop: &Stop) -> bool {
+    fn pause(&mut self, pause: Duration, stop: &StopSignal) -> bool {
         stop.wait(pause)
     }
 
     /// Whether there is nothing to be opened: somebody comes, or does not.
-    fn is_fed(&self) -> bool {
+    fn is_pushed(&self) -> bool {
         false
     }
 
@@ -183,11 +183,11 @@ pub struct SourceOpener {
     size: (usize, usize),
     clock: Clock,
     playback: Playback,
-    stop: Stop,
+    stop: StopSignal,
     /// When the first frame was or will be due; kept from one opening to the next.
     began: Option<Timestamp>,
     /// Where a remote program's frames arrive.
-    port: Arc<push::Port>,
+    push_endpoint: Arc<push::PushEndpoint>,
     /// The simulated worlds of this server.
     fleets: Arc<fleet::Fleets>,
 }
@@ -199,15 +199,15 @@ impl SourceOpener {
         size: (usize, usize),
         clock: Clock,
         playback: Playback,
-        stop: Stop,
+        stop: StopSignal,
     ) -> Self {
-        let (port, fleets) = Default::default();
-        Self { address, size, clock, playback, stop, began: None, port, fleets }
+        let (push_endpoint, fleets) = Default::default();
+        Self { address, size, clock, playback, stop, began: None, push_endpoint, fleets }
     }
 
-    /// The same, with the port at which a `push:` source's frames arrive.
-    pub fn with_port(self, port: Arc<push::Port>) -> Self {
-        Self { port, ..self }
+    /// The same, with the endpoint at which a `push:` source's frames arrive.
+    pub fn with_push_endpoint(self, push_endpoint: Arc<push::PushEndpoint>) -> Self {
+        Self { push_endpoint, ..self }
     }
 
     /// The same, with the worlds that `sim:` sources share.
@@ -242,8 +242,12 @@ impl OpenSource for SourceOpener {
                 Ok(Box::new(http::HttpSource::open(address, parts, self.stop.clone())?))
             }
             SourceAddress::Push(address) => {
-                let parts = push::PushParts { size: self.size, patience: address.stall };
-                Ok(Box::new(push::PushSource::open(self.port.clone(), parts, self.stop.clone())?))
+                let parts = push::PushSourceParams { size: self.size, patience: address.stall };
+                Ok(Box::new(push::PushSource::open(
+                    self.push_endpoint.clone(),
+                    parts,
+                    self.stop.clone(),
+                )?))
             }
             #[cfg(all(target_os = "linux", target_pointer_width = "64"))]
             SourceAddress::Device(address) => v4l2::open(address, parts, self.stop.clone()),
@@ -265,19 +269,19 @@ impl OpenSource for SourceOpener {
         }
     }
 
-    fn pause(&mut self, pause: Duration, stop: &Stop) -> bool {
+    fn pause(&mut self, pause: Duration, stop: &StopSignal) -> bool {
         match &self.address {
-            SourceAddress::Push(_) => self.port.pause(pause, stop),
+            SourceAddress::Push(_) => self.push_endpoint.pause(pause, stop),
             _ => stop.wait(pause),
         }
     }
 
-    fn is_fed(&self) -> bool {
+    fn is_pushed(&self) -> bool {
         matches!(self.address, SourceAddress::Push(_))
     }
 
     fn take_skipped(&mut self) -> u64 {
-        self.port.take_skipped()
+        self.push_endpoint.take_skipped()
     }
 }
 

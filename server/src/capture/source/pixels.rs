@@ -20,7 +20,7 @@ use thiserror::Error;
 
 /// How samples are laid out.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Samples {
+pub enum SampleFormat {
     /// A byte each.
     Eight,
     /// Two bytes each, the lower one first, of which so many bits count: 10 to 16.
@@ -41,19 +41,19 @@ pub enum Samples {
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum PixelFormat {
     /// Grey, or the luma plane that YUV begins with.
-    Grey(Samples),
+    Grey(SampleFormat),
     /// Luma in every second byte, from the first or the second one on.
     Packed {
         /// Whether chroma comes first.
         chroma_first: bool,
     },
     /// A Bayer mosaic of whatever order.
-    Bayer(Samples),
+    Bayer(SampleFormat),
 }
 
 /// A picture as it came.
 #[derive(Clone, Copy, Debug)]
-pub struct Raw<'a> {
+pub struct RawImage<'a> {
     /// What the bytes mean.
     pub format: PixelFormat,
     /// From the top left on.
@@ -102,7 +102,7 @@ pub enum PixelError {
     },
 }
 
-impl Samples {
+impl SampleFormat {
     /// Bytes of a row.
     fn row_bytes(self, width: usize) -> usize {
         match self {
@@ -118,10 +118,10 @@ impl Samples {
 
 impl PixelFormat {
     /// 8-bit grey.
-    pub const GREY8: Self = Self::Grey(Samples::Eight);
+    pub const GREY8: Self = Self::Grey(SampleFormat::Eight);
 
     /// The format of a four-character code, as Video4Linux has them; `None`: it is compressed, or not known.
-    pub fn of_fourcc(code: [u8; 4]) -> Option<Self> {
+    pub fn from_fourcc(code: [u8; 4]) -> Option<Self> {
         let bayer = |samples| Some(Self::Bayer(samples));
         match &code {
             b"GREY" | b"Y800" | b"Y8  " => Some(Self::GREY8),
@@ -129,19 +129,19 @@ impl PixelFormat {
             | b"422P" | b"411P" | b"YUV9" | b"YVU9" => Some(Self::GREY8),
             b"YUYV" | b"YVYU" => Some(Self::Packed { chroma_first: false }),
             b"UYVY" | b"VYUY" => Some(Self::Packed { chroma_first: true }),
-            b"Y10 " => Some(Self::Grey(Samples::Words(10))),
-            b"Y12 " => Some(Self::Grey(Samples::Words(12))),
-            b"Y14 " => Some(Self::Grey(Samples::Words(14))),
-            b"Y16 " => Some(Self::Grey(Samples::Words(16))),
-            b"Y10P" => Some(Self::Grey(Samples::Mipi10)),
-            b"Y12P" => Some(Self::Grey(Samples::Mipi12)),
-            b"BA81" | b"GBRG" | b"GRBG" | b"RGGB" => bayer(Samples::Eight),
-            b"BG10" | b"GB10" | b"BA10" | b"RG10" => bayer(Samples::Words(10)),
-            b"BG12" | b"GB12" | b"BA12" | b"RG12" => bayer(Samples::Words(12)),
-            b"BG14" | b"GB14" | b"GR14" | b"RG14" => bayer(Samples::Words(14)),
-            b"BYR2" | b"GB16" | b"GR16" | b"RG16" => bayer(Samples::Words(16)),
-            b"pBAA" | b"pGAA" | b"pgAA" | b"pRAA" => bayer(Samples::Mipi10),
-            b"pBCC" | b"pGCC" | b"pgCC" | b"pRCC" => bayer(Samples::Mipi12),
+            b"Y10 " => Some(Self::Grey(SampleFormat::Words(10))),
+            b"Y12 " => Some(Self::Grey(SampleFormat::Words(12))),
+            b"Y14 " => Some(Self::Grey(SampleFormat::Words(14))),
+            b"Y16 " => Some(Self::Grey(SampleFormat::Words(16))),
+            b"Y10P" => Some(Self::Grey(SampleFormat::Mipi10)),
+            b"Y12P" => Some(Self::Grey(SampleFormat::Mipi12)),
+            b"BA81" | b"GBRG" | b"GRBG" | b"RGGB" => bayer(SampleFormat::Eight),
+            b"BG10" | b"GB10" | b"BA10" | b"RG10" => bayer(SampleFormat::Words(10)),
+            b"BG12" | b"GB12" | b"BA12" | b"RG12" => bayer(SampleFormat::Words(12)),
+            b"BG14" | b"GB14" | b"GR14" | b"RG14" => bayer(SampleFormat::Words(14)),
+            b"BYR2" | b"GB16" | b"GR16" | b"RG16" => bayer(SampleFormat::Words(16)),
+            b"pBAA" | b"pGAA" | b"pgAA" | b"pRAA" => bayer(SampleFormat::Mipi10),
+            b"pBCC" | b"pGCC" | b"pgCC" | b"pRCC" => bayer(SampleFormat::Mipi12),
             _ => None,
         }
     }
@@ -157,26 +157,26 @@ impl PixelFormat {
 
 /// Makes grey of pictures; its buffers are used again.
 #[derive(Clone, Debug, Default)]
-pub struct Converter {
+pub struct GreyConverter {
     grey: Vec<u8>,
     /// A mosaic's samples, brought to eight bits.
     mosaic: Vec<u8>,
     sums: Vec<u16>,
 }
 
-impl Converter {
+impl GreyConverter {
     /// The grey picture: a view of its own bytes where they are grey already, else of the converter's.
-    pub fn grey<'a>(&'a mut self, raw: &Raw<'a>) -> Result<Frame<'a>, PixelError> {
-        let Raw { format, bytes, width, height, stride } = *raw;
+    pub fn grey<'a>(&'a mut self, raw: &RawImage<'a>) -> Result<Frame<'a>, PixelError> {
+        let RawImage { format, bytes, width, height, stride } = *raw;
         check(raw)?;
         let samples = match format {
-            PixelFormat::Grey(Samples::Eight) => {
+            PixelFormat::Grey(SampleFormat::Eight) => {
                 return Ok(Frame::new(bytes, width, height, stride)?);
             }
             PixelFormat::Packed { chroma_first } => {
                 self.grey.resize(width * height, 0);
                 for (from, to) in rows(raw).zip(self.grey.chunks_exact_mut(width)) {
-                    every_second(from, chroma_first, to);
+                    extract_luma(from, chroma_first, to);
                 }
                 return Ok(Frame::new(&self.grey, width, height, width)?);
             }
@@ -186,15 +186,15 @@ impl Converter {
             PixelFormat::Bayer(_) => &mut self.mosaic,
             _ => &mut self.grey,
         };
-        if samples != Samples::Eight {
+        if samples != SampleFormat::Eight {
             narrowed.resize(width * height, 0);
             for (from, to) in rows(raw).zip(narrowed.chunks_exact_mut(width)) {
-                narrow_row(samples, from, to);
+                row_to_8_bits(samples, from, to);
             }
         }
         if matches!(format, PixelFormat::Bayer(_)) {
             let mosaic = match samples {
-                Samples::Eight => Frame::new(bytes, width, height, stride)?,
+                SampleFormat::Eight => Frame::new(bytes, width, height, stride)?,
                 _ => Frame::new(&self.mosaic, width, height, width)?,
             };
             demosaic(&mosaic, &mut self.sums, &mut self.grey);
@@ -203,8 +203,8 @@ impl Converter {
     }
 }
 
-fn check(raw: &Raw<'_>) -> Result<(), PixelError> {
-    let Raw { format, bytes, width, height, stride } = *raw;
+fn check(raw: &RawImage<'_>) -> Result<(), PixelError> {
+    let RawImage { format, bytes, width, height, stride } = *raw;
     // A picture of no bytes is checked for its sides alone.
     if let Err(error @ FrameError::Size { .. }) = Frame::new(&[], width, height, width) {
         return Err(error.into());
@@ -224,12 +224,12 @@ fn check(raw: &Raw<'_>) -> Result<(), PixelError> {
 }
 
 /// The rows' bytes, without what lies between them.
-fn rows<'a>(raw: &Raw<'a>) -> impl Iterator<Item = &'a [u8]> {
+fn rows<'a>(raw: &RawImage<'a>) -> impl Iterator<Item = &'a [u8]> {
     let row_bytes = raw.format.row_bytes(raw.width);
     raw.bytes.chunks(raw.stride).take(raw.height).map(move |row| &row[..row_bytes])
 }
 
-fn every_second(from: &[u8], chroma_first: bool, to: &mut [u8]) {
+fn extract_luma(from: &[u8], chroma_first: bool, to: &mut [u8]) {
     let at = usize::from(chroma_first);
     for (pair, grey) in from.chunks_exact(2).zip(to) {
         *grey = pair[at];
@@ -237,38 +237,48 @@ fn every_second(from: &[u8], chroma_first: bool, to: &mut [u8]) {
 }
 
 /// The upper eight of so many bits, to the nearest level.
-fn narrow(sample: u16, bits: u8) -> u8 {
+fn to_upper_8_bits(sample: u16, bits: u8) -> u8 {
     let shift = u32::from(bits.clamp(9, 16)) - 8;
     let rounded = (u32::from(sample) + (1 << (shift - 1))) >> shift;
     rounded.min(255) as u8
 }
 
-fn narrow_row(samples: Samples, from: &[u8], to: &mut [u8]) {
+fn row_to_8_bits(samples: SampleFormat, from: &[u8], to: &mut [u8]) {
     match samples {
-        Samples::Eight => to.copy_from_slice(&from[..to.len()]),
-        Samples::Words(bits) => {
+        SampleFormat::Eight => to.copy_from_slice(&from[..to.len()]),
+        SampleFormat::Words(bits) => {
             for (pair, grey) in from.chunks_exact(2).zip(to) {
-                *grey = narrow(u16::from_le_bytes([pair[0], pair[1]]), bits);
+                *grey = to_upper_8_bits(u16::from_le_bytes([pair[0], pair[1]]), bits);
             }
         }
-        Samples::Mipi10 => groups::<5, 4>(from, to, |b| {
-            [0, 1, 2, 3].map(|i| narrow(u16::from(b[i]) << 2 | u16::from(b[4] >> (2 * i) & 3), 10))
+        SampleFormat::Mipi10 => groups::<5, 4>(from, to, |b| {
+            [0, 1, 2, 3]
+                .map(|i| to_upper_8_bits(u16::from(b[i]) << 2 | u16::from(b[4] >> (2 * i) & 3), 10))
         }),
-        Samples::Bits10 => groups::<5, 4>(from, to, |b| {
+        SampleFormat::Bits10 => groups::<5, 4>(from, to, |b| {
             let word = |i: usize| u16::from_le_bytes([b[i], b[i + 1]]);
-            [0, 1, 2, 3].map(|i| narrow(word(i) >> (2 * i) & 0x3FF, 10))
+            [0, 1, 2, 3].map(|i| to_upper_8_bits(word(i) >> (2 * i) & 0x3FF, 10))
         }),
-        Samples::Mipi12 => groups::<3, 2>(from, to, |b| {
+        SampleFormat::Mipi12 => groups::<3, 2>(from, to, |b| {
             let [first, second, low] = b.map(u16::from);
-            [narrow(first << 4 | low & 15, 12), narrow(second << 4 | low >> 4, 12)]
+            [
+                to_upper_8_bits(first << 4 | low & 15, 12),
+                to_upper_8_bits(second << 4 | low >> 4, 12),
+            ]
         }),
-        Samples::Bits12 => groups::<3, 2>(from, to, |b| {
+        SampleFormat::Bits12 => groups::<3, 2>(from, to, |b| {
             let [low, middle, high] = b.map(u16::from);
-            [narrow(low | (middle & 15) << 8, 12), narrow(middle >> 4 | high << 4, 12)]
+            [
+                to_upper_8_bits(low | (middle & 15) << 8, 12),
+                to_upper_8_bits(middle >> 4 | high << 4, 12),
+            ]
         }),
-        Samples::Gige12 => groups::<3, 2>(from, to, |b| {
+        SampleFormat::Gige12 => groups::<3, 2>(from, to, |b| {
             let [first, low, second] = b.map(u16::from);
-            [narrow(first << 4 | low & 15, 12), narrow(second << 4 | low >> 4, 12)]
+            [
+                to_upper_8_bits(first << 4 | low & 15, 12),
+                to_upper_8_bits(second << 4 | low >> 4, 12),
+            ]
         }),
     }
 }

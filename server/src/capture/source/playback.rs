@@ -20,7 +20,7 @@ use crate::model::address::SourceAddress;
 use crate::model::clock::Clock;
 
 /// From the server's start to the origin.
-const LEAD_NS: i64 = 500_000_000;
+const START_DELAY_NS: i64 = 500_000_000;
 
 /// The time line of recorded and simulated frames.
 #[derive(Clone, Copy, Debug)]
@@ -30,7 +30,7 @@ pub struct Playback {
     /// The file time that falls on the origin; `None` without readable times.
     pub zero: Option<Timestamp>,
     /// Length of one round of all `times=` files, for `loop=true`, ns.
-    pub round_ns: i64,
+    pub cycle_ns: i64,
 }
 
 /// Why a file of capture times cannot be used.
@@ -96,11 +96,11 @@ impl Playback {
             }
         }
         let clock = match zero.filter(|_| file_clock) {
-            Some(zero) => Clock::anchored(Instant::now(), zero.plus_ns(-LEAD_NS)),
+            Some(zero) => Clock::anchored(Instant::now(), zero.plus_ns(-START_DELAY_NS)),
             None => Clock::anchored_now(),
         };
-        let round_ns = zero.zip(end).map_or(0, |(zero, end)| end.ns_since(zero));
-        Ok((clock, Self { origin: clock.start().plus_ns(LEAD_NS), zero, round_ns }))
+        let cycle_ns = zero.zip(end).map_or(0, |(zero, end)| end.ns_since(zero));
+        Ok((clock, Self { origin: clock.start().plus_ns(START_DELAY_NS), zero, cycle_ns }))
     }
 }
 
@@ -157,13 +157,13 @@ mod tests {
         let server = [address(path, "times=a"), address(path, "times=b"), address(path, "fps=1")];
         let (clock, playback) = Playback::begin(server.iter()).unwrap();
         assert_eq!(playback.zero, Some(Timestamp::from_ns(400)));
-        assert_eq!(playback.round_ns, 7000 - 400);
-        assert_eq!(playback.origin, clock.start().plus_ns(LEAD_NS));
+        assert_eq!(playback.cycle_ns, 7000 - 400);
+        assert_eq!(playback.origin, clock.start().plus_ns(START_DELAY_NS));
 
         let file = [address(path, "times=a"), address(path, "times=b&clock=file")];
         let (clock, playback) = Playback::begin(file.iter()).unwrap();
         assert_eq!(playback.origin, Timestamp::from_ns(400));
-        assert!(clock.now() >= Timestamp::from_ns(400 - LEAD_NS));
+        assert!(clock.now() >= Timestamp::from_ns(400 - START_DELAY_NS));
         assert!(clock.now().seconds_since(playback.origin) < 3600.0);
     }
 

@@ -5,11 +5,11 @@ use std::collections::VecDeque;
 use roundel_core::time::Timestamp;
 
 /// Buckets of the window in which the least delay counts.
-const BUCKETS: usize = 10;
+const DELAY_BUCKETS: usize = 10;
 /// Length of a bucket: within the window, 100 ppm of skew amount to a millisecond.
 const BUCKET_NS: i64 = 1_000_000_000;
 /// A change of the delay by more than this means that the camera restarted or its clock was set.
-const JUMP_NS: i64 = 1_000_000_000;
+const MAX_DELAY_CHANGE_NS: i64 = 1_000_000_000;
 
 /// Maps a camera's counter to the server's clock: stamp + min(arrival - stamp) over the last ten seconds.
 #[derive(Clone, Debug, Default)]
@@ -22,7 +22,10 @@ impl CameraTimeline {
     /// Capture time of a frame with the camera's time stamp (ns since an arbitrary epoch); never later than its arrival.
     pub fn capture_time(&mut self, stamp_ns: i64, arrival: Timestamp) -> Timestamp {
         let delay_ns = arrival.as_ns().saturating_sub(stamp_ns);
-        if self.least_ns().is_some_and(|least| delay_ns.abs_diff(least) > JUMP_NS as u64) {
+        if self
+            .min_delay_ns()
+            .is_some_and(|least| delay_ns.abs_diff(least) > MAX_DELAY_CHANGE_NS as u64)
+        {
             self.buckets.clear();
         }
         match self.buckets.back_mut() {
@@ -31,13 +34,13 @@ impl CameraTimeline {
             }
             _ => self.buckets.push_back((arrival, delay_ns)),
         }
-        if self.buckets.len() > BUCKETS {
+        if self.buckets.len() > DELAY_BUCKETS {
             self.buckets.pop_front();
         }
-        Timestamp::from_ns(stamp_ns.saturating_add(self.least_ns().unwrap_or(delay_ns)))
+        Timestamp::from_ns(stamp_ns.saturating_add(self.min_delay_ns().unwrap_or(delay_ns)))
     }
 
-    fn least_ns(&self) -> Option<i64> {
+    fn min_delay_ns(&self) -> Option<i64> {
         self.buckets.iter().map(|(_, least)| *least).min()
     }
 }

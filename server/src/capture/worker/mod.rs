@@ -3,26 +3,26 @@
 //! | module | what it does |
 //! | --- | --- |
 //! | `supervisor` | runs the worker again after a failure, with backoff |
-//! | `helpers` | threads that fit a part of a frame's rings |
+//! | `thread_pool` | threads that fit a part of a frame's rings |
 //! | [`pipeline`] | pixels → detections with poses and times |
 //! | `remote` | what was seen elsewhere, and only passes through |
-//! | `place`, `placing` | where the camera stands, and what finds that where it is unknown |
-//! | [`adoption`] | a new lens and place, taken over between two frames |
-//! | `pace` | whether the camera gives as many frames as was promised |
-//! | [`meter`] | rates and medians over the newest frames |
+//! | `pose_source`, `pose_search` | where the camera stands, and what finds that where it is unknown |
+//! | [`calibration_update`] | a new lens and pose, taken over between two frames |
+//! | `rate_monitor` | whether the camera gives as many frames as was promised |
+//! | [`statistics`] | rates and medians over the newest frames |
 //!
 //! Nothing here waits for anybody but the source: the hub's publishing never blocks, and what
 //! fusion has no room for is dropped and counted.
 
-pub mod adoption;
-mod helpers;
-pub mod meter;
-mod pace;
+pub mod calibration_update;
 pub mod pipeline;
-mod place;
-mod placing;
+mod pose_search;
+mod pose_source;
+mod rate_monitor;
 mod remote;
+pub mod statistics;
 mod supervisor;
+mod thread_pool;
 
 use std::{
     sync::{
@@ -38,35 +38,37 @@ use roundel_core::{
     world::{CameraPlacement, FrameObservations},
 };
 
-pub use place::Place;
+pub use pose_source::PoseSource;
 pub use supervisor::run;
 
 use crate::{
-    capture::source::{Arrival, LentFrame, OpenSource, SourceError},
+    capture::source::{LentFrame, OpenSource, SourceError, SourceOutput},
     model::{
         clock::Clock,
-        hub::{CameraPlace, CameraStatus, DetectionCounts, Happening, Hub, Picture, PoseStatus},
+        hub::{
+            CameraPoseState, CameraStatus, DetectionCounts, EventKind, Hub, Picture, PoseStatus,
+        },
         tap::RawFrame,
     },
 };
-use adoption::{Adoption, Inbox};
-use meter::{Median, Rate};
-use pace::{Pace, Told};
-use pipeline::{Pipeline, Seen};
-use placing::{Placing, Progress};
+use calibration_update::{CalibrationMailbox, CalibrationUpdate};
+use pipeline::{FrameHeader, Pipeline};
+use pose_search::{PoseSearch, SearchProgress};
+use rate_monitor::{RateEvent, RateMonitor};
+use statistics::{RateMeter, RunningMedian};
 
 /// What workers hand to fusion.
 #[derive(Clone, Debug)]
-pub struct Sighted {
+pub struct WorkerOutput {
     /// What was seen in one frame.
     pub observations: Arc<FrameObservations>,
-    /// The camera's place from this frame on, where it is new.
+    /// The camera's pose from this frame on, where it is new.
     pub placement: Option<CameraPlacement>,
 }
 
 /// What a worker has counted.
 #[derive(Clone, Copy, Debug, Default)]
-pub struct Totals {
+pub struct WorkerCounts {
     /// Frames processed, which their numbers go on from.
     pub frames: u64,
     /// Frames that gave way to newer ones.
@@ -88,39 +90,39 @@ pub struct WorkerParts {
     /// What is done with them.
     pub pipeline: Pipeline,
     /// Where it stands.
-    pub place: Place,
-    /// Of the calibration that `place` and the pipeline's lens are of; 0: of the configuration.
+    pub pose: PoseSource,
+    /// Of the calibration that `pose_source` and the pipeline's lens are of; 0: of the configuration.
     pub calibration_version: u64,
     /// Where news of both arrive.
-    pub inbox: Inbox,
+    pub mailbox: CalibrationMailbox,
     /// Where the results go.
     pub hub: Arc<Hub>,
     /// To fusion; when it is full, the observations are dropped and counted.
-    pub fusion: SyncSender<Sighted>,
+    pub fusion: SyncSender<WorkerOutput>,
     /// The server's clock.
     pub clock: Clock,
     /// Frames a second that the camera is to give, as a person has said; `None`: as its driver says.
     pub promised_hz: Option<f64>,
     /// What the camera's worker before this one has counted.
-    pub before: Totals,
+    pub before: WorkerCounts,
 }
 
 /// One camera's worker.
 pub struct Worker {
     parts: WorkerParts,
-    placing: Option<Placing>,
+    pose_search: Option<PoseSearch>,
     /// Found and not yet taken by fusion.
     placement: Option<CameraPlacement>,
     frames: u64,
     dropped: u64,
-    rate: Rate,
-    pace: Pace,
-    detect_ms: Median,
-    find_ms: Median,
-    locate_ms: Median,
-    blur_px: Median,
-    noise: Median,
-    decode_ms: Median,
+    rate: RateMeter,
+    rate_monitor: RateMonitor,
+    detect_ms: RunningMedian,
+    find_ms: RunningMedian,
+    locate_ms: RunningMedian,
+    blur_px: RunningMedian,
+    noise: RunningMedian,
+    decode_ms: RunningMedian,
     broken: u64,
     /// Since when frames arrive.
     running_since: Option<Instant>,
@@ -130,7 +132,7 @@ pub struct Worker {
 
 /// Why a worker stopped taking frames.
 #[derive(Clone, Debug, PartialEq, Eq)]
-enum End {
+enum RunOutcome {
     Stopped,
     Finished,
     Failed(String),
@@ -139,10 +141,10 @@ enum End {
 impl Worker {
     /// A worker that has not begun.
     pub fn new(parts: WorkerParts) -> Self {
-        let placing = parts.place.search();
-        let (place, camera) = (parts.place.shown(), parts.pipeline.camera().clone());
+        let pose_search = parts.pose.start_search();
+        let (pose, camera) = (parts.pose.initial_state(), parts.pipeline.camera().clone());
         parts.hub.update_camera(parts.id, |state| {
-            place.into_iter().for_each(|place| state.place = place);
+            pose.into_iter().for_each(|pose| state.pose = pose);
             state.camera = Some(camera);
             state.calibration_version = parts.calibration_version;
             // Of one before it that is nobody's news any more.
@@ -151,59 +153,59 @@ impl Worker {
             state.rate_reason.clear();
             (state.rate_hz, state.promised_hz, state.detections) = (0.0, 0.0, 0);
         });
-        let Totals { frames, dropped, broken, .. } = parts.before;
+        let WorkerCounts { frames, dropped, broken, .. } = parts.before;
         Self {
             parts,
-            placing,
+            pose_search,
             placement: None,
             frames,
             dropped,
-            rate: Rate::default(),
-            pace: Pace::default(),
-            detect_ms: Median::default(),
-            find_ms: Median::default(),
-            locate_ms: Median::default(),
-            blur_px: Median::default(),
-            noise: Median::default(),
-            decode_ms: Median::default(),
+            rate: RateMeter::default(),
+            rate_monitor: RateMonitor::default(),
+            detect_ms: RunningMedian::default(),
+            find_ms: RunningMedian::default(),
+            locate_ms: RunningMedian::default(),
+            blur_px: RunningMedian::default(),
+            noise: RunningMedian::default(),
+            decode_ms: RunningMedian::default(),
             broken,
             running_since: None,
             has_run: false,
         }
     }
 
-    fn totals(&self) -> Totals {
+    fn counts(&self) -> WorkerCounts {
         let Self { frames, dropped, broken, .. } = *self;
-        Totals { frames, dropped, broken, detection: *self.parts.pipeline.counts() }
+        WorkerCounts { frames, dropped, broken, detection: *self.parts.pipeline.counts() }
     }
 
     /// Opens the source and works until it ends.
-    fn play(&mut self) -> End {
+    fn run_once(&mut self) -> RunOutcome {
         self.running_since = None;
-        self.rate = Rate::default();
+        self.rate = RateMeter::default();
         self.parts.pipeline.reset();
         let mut source = match self.parts.opener.open() {
             Ok(source) => source,
-            Err(error) => return end(error),
+            Err(error) => return outcome_of(error),
         };
-        self.pace.restart(None);
+        self.rate_monitor.restart(None);
         let mut is_first = true;
         loop {
             match source.next() {
-                Ok(Arrival::Frame(lent)) => self.take(&lent),
-                Ok(Arrival::Seen(sighting)) => self.take_seen(*sighting),
-                Err(error) => return end(error),
+                Ok(SourceOutput::Frame(lent)) => self.process_frame(&lent),
+                Ok(SourceOutput::Detections(remote)) => self.process_remote(*remote),
+                Err(error) => return outcome_of(error),
             }
             if std::mem::take(&mut is_first) {
-                self.hold_to_promise(source.promised_hz());
+                self.set_promised_rate(source.promised_hz());
             }
         }
     }
 
     /// Who set the camera up knows best.
-    fn hold_to_promise(&mut self, of_source_hz: Option<f64>) {
+    fn set_promised_rate(&mut self, of_source_hz: Option<f64>) {
         let promised_hz = self.parts.promised_hz.or(of_source_hz);
-        self.pace.restart(promised_hz);
+        self.rate_monitor.restart(promised_hz);
         self.parts.hub.update_camera(self.parts.id, |state| {
             state.promised_hz = promised_hz.unwrap_or(0.0);
         });
@@ -218,18 +220,18 @@ impl Worker {
         }
     }
 
-    fn take(&mut self, lent: &LentFrame<'_>) {
+    fn process_frame(&mut self, lent: &LentFrame<'_>) {
         let info = &lent.info;
         let received = self.parts.clock.now();
-        if let Some(adoption) = self.parts.inbox.take() {
-            self.adopt(adoption);
+        if let Some(calibration_update) = self.parts.mailbox.take() {
+            self.apply_calibration(calibration_update);
         }
         self.frames += 1;
         self.dropped += info.skipped;
         self.broken += info.broken;
         self.decode_ms.add(info.decoding.as_secs_f64() * 1e3);
         let begun = Instant::now();
-        let by = Seen {
+        let by = FrameHeader {
             camera: self.parts.id,
             calibration_version: self.parts.calibration_version,
             frame: self.frames,
@@ -241,8 +243,8 @@ impl Worker {
             self.running_since = Some(begun);
             self.report_running((lent.frame.width(), lent.frame.height()), received);
         }
-        self.find_place(&observations, received);
-        self.hand_to_fusion(observations.clone());
+        self.search_pose(&observations, received);
+        self.send_to_fusion(observations.clone());
         // Nobody waits for what follows.
         self.parts.pipeline.seek(&lent.frame);
         self.detect_ms.add(begun.elapsed().as_secs_f64() * 1e3);
@@ -254,25 +256,25 @@ impl Worker {
             self.noise.add(quality.noise);
         }
         self.rate.add(received);
-        self.judge_pace(received, 1 + info.skipped + info.broken);
+        self.check_rate(received, 1 + info.skipped + info.broken);
         self.publish(lent, observations);
     }
 
-    /// From this frame on. Fusion hears of the place with what is seen in it.
-    fn adopt(&mut self, Adoption { lens, place, version }: Adoption) {
-        match &place {
-            Place::Kept => {}
-            Place::Standing(_, placement) => {
-                (self.placing, self.placement) = (None, Some(**placement));
+    /// From this frame on. Fusion hears of the pose with what is seen in it.
+    fn apply_calibration(&mut self, CalibrationUpdate { lens, pose, version }: CalibrationUpdate) {
+        match &pose {
+            PoseSource::Unchanged => {}
+            PoseSource::Fixed(_, placement) => {
+                (self.pose_search, self.placement) = (None, Some(**placement));
             }
-            Place::Unknown { .. } | Place::Rides => {
-                (self.placing, self.placement) = (place.search(), None);
+            PoseSource::Unknown { .. } | PoseSource::Mounted => {
+                (self.pose_search, self.placement) = (pose.start_search(), None);
             }
         }
         self.parts.calibration_version = version;
         self.parts.pipeline.set_camera(&lens);
         self.parts.hub.update_camera(self.parts.id, |state| {
-            place.shown().into_iter().for_each(|place| state.place = place);
+            pose.initial_state().into_iter().for_each(|pose| state.pose = pose);
             state.camera = Some(lens);
             state.calibration_version = version;
         });
@@ -282,7 +284,7 @@ impl Worker {
         let (id, name) = (self.parts.id, &self.parts.name);
         tracing::info!(camera = name, width, height, "frames arrive");
         // Nobody opens one that is fed: what counts is that it has come back.
-        let came_back = self.has_run && self.parts.opener.is_fed();
+        let came_back = self.has_run && self.parts.opener.is_pushed();
         self.has_run = true;
         self.parts.hub.update_camera(id, |state| {
             state.status = CameraStatus::Running;
@@ -290,58 +292,58 @@ impl Worker {
             (state.width, state.height) = (width, height);
             state.restarts += u64::from(came_back);
         });
-        let happening = Happening::Camera(id, CameraStatus::Running);
-        self.parts.hub.publish_event(now, happening, format!("Camera {name} is running."));
+        let kind = EventKind::CameraStatusChanged(id, CameraStatus::Running);
+        self.parts.hub.publish_event(now, kind, format!("Camera {name} is running."));
     }
 
     /// So many frames have come; tells where that is another number than was promised.
-    fn judge_pace(&mut self, now: Timestamp, frames: u64) {
-        let Some(told) = self.pace.add(now, frames) else { return };
+    fn check_rate(&mut self, now: Timestamp, frames: u64) {
+        let Some(told) = self.rate_monitor.add(now, frames) else { return };
         let (id, name) = (self.parts.id, &self.parts.name);
-        let (happening, reason, message) = match told {
-            Told::Off { found_hz, promised_hz } => {
-                let reason = pace::sentence(found_hz, promised_hz);
+        let (kind, reason, message) = match told {
+            RateEvent::Off { found_hz, promised_hz } => {
+                let reason = rate_monitor::rate_message(found_hz, promised_hz);
                 let message = format!("Camera {name} {reason}.");
                 tracing::warn!("{message}");
-                (Happening::RateOff(id), reason, message)
+                (EventKind::CameraRateOff(id), reason, message)
             }
-            Told::Agrees => {
+            RateEvent::Restored => {
                 let message = format!("Camera {name} gives as many frames as was promised again.");
                 tracing::info!("{message}");
-                (Happening::RateAgrees(id), String::new(), message)
+                (EventKind::CameraRateAgrees(id), String::new(), message)
             }
         };
         self.parts.hub.update_camera(id, |state| state.rate_reason = reason);
-        self.parts.hub.publish_event(now, happening, message);
+        self.parts.hub.publish_event(now, kind, message);
     }
 
-    fn find_place(&mut self, observations: &FrameObservations, now: Timestamp) {
-        let Some(placing) = &mut self.placing else { return };
+    fn search_pose(&mut self, observations: &FrameObservations, now: Timestamp) {
+        let Some(pose_search) = &mut self.pose_search else { return };
         let (id, name, hub) = (self.parts.id, &self.parts.name, &self.parts.hub);
-        match placing.observe(observations) {
-            Progress::Waiting => {}
-            Progress::Failed(reason) => {
-                hub.update_camera(id, |state| state.place = CameraPlace::searching(reason));
+        match pose_search.observe(observations) {
+            SearchProgress::Waiting => {}
+            SearchProgress::Failed(reason) => {
+                hub.update_camera(id, |state| state.pose = CameraPoseState::searching(reason));
             }
-            Progress::Found { placement, references, rms_m } => {
-                self.placing = None;
+            SearchProgress::Found { placement, references, rms_m } => {
+                self.pose_search = None;
                 self.placement = Some(*placement);
-                let place = CameraPlace::standing(PoseStatus::Found, *placement);
-                hub.update_camera(id, |state| state.place = place);
+                let pose = CameraPoseState::fixed(PoseStatus::Found, *placement);
+                hub.update_camera(id, |state| state.pose = pose);
                 let millimetres = rms_m * 1e3;
                 let message = format!(
                     "Camera {name} found its place from {references} references, which fit to \
                      {millimetres:.1} mm."
                 );
                 tracing::info!(camera = name, "{message}");
-                hub.publish_event(now, Happening::Placed(id), message);
+                hub.publish_event(now, EventKind::CameraPlaced(id), message);
             }
         }
     }
 
-    fn hand_to_fusion(&mut self, observations: Arc<FrameObservations>) {
-        let sighted = Sighted { observations, placement: self.placement };
-        match self.parts.fusion.try_send(sighted) {
+    fn send_to_fusion(&mut self, observations: Arc<FrameObservations>) {
+        let output = WorkerOutput { observations, placement: self.placement };
+        match self.parts.fusion.try_send(output) {
             Ok(()) => self.placement = None,
             // Fusion gone means shutdown, which the source's next wait notices.
             Err(TrySendError::Full(_) | TrySendError::Disconnected(_)) => self.dropped += 1,
@@ -389,11 +391,11 @@ impl Worker {
     }
 }
 
-fn end(error: SourceError) -> End {
+fn outcome_of(error: SourceError) -> RunOutcome {
     match error {
-        SourceError::Stopped => End::Stopped,
-        SourceError::Finished => End::Finished,
-        SourceError::Failed(message) => End::Failed(message),
-        error @ SourceError::Size { .. } => End::Failed(error.to_string()),
+        SourceError::Stopped => RunOutcome::Stopped,
+        SourceError::Finished => RunOutcome::Finished,
+        SourceError::Failed(message) => RunOutcome::Failed(message),
+        error @ SourceError::Size { .. } => RunOutcome::Failed(error.to_string()),
     }
 }

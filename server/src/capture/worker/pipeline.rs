@@ -33,7 +33,7 @@ pub struct PipelineParts {
 
 /// Of what camera a frame is, and which of its frames.
 #[derive(Clone, Copy, Debug)]
-pub struct Seen {
+pub struct FrameHeader {
     /// Which camera.
     pub camera: CameraId,
     /// Of the calibration in use.
@@ -128,7 +128,7 @@ impl Pipeline {
     /// What is seen in one frame, each detection with the capture time of its own row. A ring whose
     /// pose cannot be computed is a detection without a pose. [`Pipeline::seek`] is to have the same frame once this
     /// has been handed on.
-    pub fn process(&mut self, view: &Frame<'_>, by: &Seen) -> FrameObservations {
+    pub fn process(&mut self, view: &Frame<'_>, by: &FrameHeader) -> FrameObservations {
         let begun = Instant::now();
         let rings = self.tracker.follow(view);
         let found = Instant::now();
@@ -235,12 +235,16 @@ mod tests {
             .unwrap()
     }
 
-    fn seen(pipeline: &mut Pipeline, pixels: &[u8]) -> Vec<Detection> {
-        seen_at(pipeline, pixels, Timestamp::default())
+    fn detections_of(pipeline: &mut Pipeline, pixels: &[u8]) -> Vec<Detection> {
+        detections_at(pipeline, pixels, Timestamp::default())
     }
 
-    fn seen_at(pipeline: &mut Pipeline, pixels: &[u8], capture_time: Timestamp) -> Vec<Detection> {
-        let by = Seen {
+    fn detections_at(
+        pipeline: &mut Pipeline,
+        pixels: &[u8],
+        capture_time: Timestamp,
+    ) -> Vec<Detection> {
+        let by = FrameHeader {
             camera: CameraId(0),
             calibration_version: 0,
             frame: 1,
@@ -258,13 +262,13 @@ mod tests {
         let pixels = frame(&[(80.0, 120.0), (240.0, 120.0)]);
         let left = [(0.0, 0.0), (160.0, 0.0), (160.0, 240.0), (0.0, 240.0)];
         let left = left.map(|(u, v)| PixelPoint { u, v }).to_vec();
-        assert_eq!(seen(&mut pipeline(Mode::Fast, &[]), &pixels).len(), 2);
+        assert_eq!(detections_of(&mut pipeline(Mode::Fast, &[]), &pixels).len(), 2);
         let mut masked = pipeline(Mode::Fast, &[left]);
-        let found = seen(&mut masked, &pixels);
+        let found = detections_of(&mut masked, &pixels);
         assert_eq!(found.len(), 1);
         assert!((found[0].ring.outer.center.u - 240.0).abs() < 0.5, "{found:?}");
         // Nor where one moves behind it.
-        assert_eq!(seen(&mut masked, &frame(&[(80.0, 120.0)])).len(), 0);
+        assert_eq!(detections_of(&mut masked, &frame(&[(80.0, 120.0)])).len(), 0);
         assert!(masked.counts().rejects[Reject::Masked as usize] > 0);
     }
 
@@ -280,7 +284,7 @@ mod tests {
             for frame_number in 0..8 {
                 let time = Timestamp::default().plus_seconds(f64::from(frame_number) / 30.0);
                 let pixels = frame(&[(80.0 + 12.0 * f64::from(frame_number), 60.0)]);
-                last = seen_at(&mut pipeline, &pixels, time);
+                last = detections_at(&mut pipeline, &pixels, time);
             }
             last
         };
@@ -298,7 +302,7 @@ mod tests {
         for mode in [Mode::Fast, Mode::Precise] {
             let mut pipeline = pipeline(mode, &[]);
             for _ in 0..3 {
-                let found = seen(&mut pipeline, &pixels);
+                let found = detections_of(&mut pipeline, &pixels);
                 let pose = found[0].pose.as_ref().unwrap();
                 // 300 px focal length, 160 mm over 40 px.
                 assert!((pose.position_m.z - 300.0 * 0.16 / 40.0).abs() < 0.02, "{pose:?}");

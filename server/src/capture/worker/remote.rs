@@ -3,14 +3,14 @@
 use std::{sync::Arc, time::Instant};
 
 use super::Worker;
-use crate::capture::source::{Sighting, push::RemoteFigures};
+use crate::capture::source::{RemoteDetections, push::RemoteStats};
 
 impl Worker {
     /// Takes what was seen in a frame: counted, numbered, and handed to fusion.
-    pub(super) fn take_seen(&mut self, sighting: Sighting) {
-        let Sighting { mut observations, clock, skipped, figures } = sighting;
-        if let Some(adoption) = self.parts.inbox.take() {
-            self.adopt(adoption);
+    pub(super) fn process_remote(&mut self, remote: RemoteDetections) {
+        let RemoteDetections { mut observations, clock, skipped, figures } = remote;
+        if let Some(calibration_update) = self.parts.mailbox.take() {
+            self.apply_calibration(calibration_update);
         }
         let now = self.parts.clock.now();
         self.frames += 1;
@@ -18,22 +18,18 @@ impl Worker {
         observations.camera = self.parts.id;
         observations.frame = self.frames;
         self.rate.add(now);
-        self.judge_pace(now, 1);
+        self.check_rate(now, 1);
         let figures = figures.unwrap_or_else(|| {
             let camera = self.parts.pipeline.camera();
-            RemoteFigures {
-                width: camera.width(),
-                height: camera.height(),
-                ..RemoteFigures::default()
-            }
+            RemoteStats { width: camera.width(), height: camera.height(), ..RemoteStats::default() }
         });
         if self.running_since.is_none() {
             self.running_since = Some(Instant::now());
             self.report_running((figures.width, figures.height), now);
         }
-        self.find_place(&observations, now);
+        self.search_pose(&observations, now);
         let observations = Arc::new(observations);
-        self.hand_to_fusion(observations.clone());
+        self.send_to_fusion(observations.clone());
         self.parts.hub.update_camera(self.parts.id, |state| {
             state.frames = self.frames;
             // What its sender left out, and what never came from there.

@@ -8,10 +8,10 @@ use std::{
 
 use backon::{BackoffBuilder, ExponentialBackoff, ExponentialBuilder};
 
-use super::{End, Totals, Worker, helpers::with_helpers};
+use super::{RunOutcome, Worker, WorkerCounts, thread_pool::in_thread_pool};
 use crate::model::{
-    hub::{CameraStatus, Happening},
-    stop::Stop,
+    hub::{CameraStatus, EventKind},
+    stop::StopSignal,
 };
 
 /// Frames for this long reset the backoff.
@@ -31,26 +31,26 @@ fn delays() -> ExponentialBackoff {
 
 /// Runs a worker until its source is finished or the signal comes; every failure, panics included,
 /// is shown as the camera's state and tried again. Gives what it has counted.
-pub fn run(worker: Worker, stop: &Stop) -> Totals {
+pub fn run(worker: Worker, stop: &StopSignal) -> WorkerCounts {
     let name = worker.parts.name.clone();
-    with_helpers(&name, || keep_running(worker, stop))
+    in_thread_pool(&name, || supervise(worker, stop))
 }
 
-fn keep_running(mut worker: Worker, stop: &Stop) -> Totals {
+fn supervise(mut worker: Worker, stop: &StopSignal) -> WorkerCounts {
     let mut backoff = delays();
     while !stop.is_stopped() {
         // A worker begins each play by putting its state in order, so a panic leaves nothing behind
         // that could do harm.
-        let outcome = catch_unwind(AssertUnwindSafe(|| worker.play()));
+        let outcome = catch_unwind(AssertUnwindSafe(|| worker.run_once()));
         worker.count_skipped();
         let failure = match outcome {
-            Ok(End::Stopped) => return worker.totals(),
-            Ok(End::Finished) => {
+            Ok(RunOutcome::Stopped) => return worker.counts(),
+            Ok(RunOutcome::Finished) => {
                 let message = format!("Camera {} has no more frames.", worker.parts.name);
                 report(&worker, CameraStatus::Finished, "", message);
-                return worker.totals();
+                return worker.counts();
             }
-            Ok(End::Failed(message)) => message,
+            Ok(RunOutcome::Failed(message)) => message,
             Err(panic) => format!("internal error, please report it: {}", panic_message(&*panic)),
         };
         if worker.running_since.is_some_and(|since| since.elapsed() >= HEALTHY_AFTER) {
@@ -61,13 +61,13 @@ fn keep_running(mut worker: Worker, stop: &Stop) -> Totals {
         report(&worker, CameraStatus::Failed, &failure, message);
         tracing::info!(camera = worker.parts.name, pause_s = pause.as_secs_f64(), "trying again");
         if worker.parts.opener.pause(pause, stop) {
-            return worker.totals();
+            return worker.counts();
         }
-        if !worker.parts.opener.is_fed() {
+        if !worker.parts.opener.is_pushed() {
             worker.parts.hub.update_camera(worker.parts.id, |state| state.restarts += 1);
         }
     }
-    worker.totals()
+    worker.counts()
 }
 
 /// Shows the new status; what was shown already is no event again.
@@ -85,8 +85,8 @@ fn report(worker: &Worker, status: CameraStatus, error: &str, message: String) {
             CameraStatus::Failed => tracing::warn!("{message}"),
             _ => tracing::info!("{message}"),
         }
-        let happening = Happening::Camera(worker.parts.id, status);
-        worker.parts.hub.publish_event(worker.parts.clock.now(), happening, message);
+        let kind = EventKind::CameraStatusChanged(worker.parts.id, status);
+        worker.parts.hub.publish_event(worker.parts.clock.now(), kind, message);
     }
 }
 
@@ -122,14 +122,14 @@ mod tests {
         capture::{
             source::{FrameInfo, FrameSource, LentFrame, OpenSource, SourceError},
             worker::{
-                Place, Sighted, WorkerParts,
-                adoption::{Adoption, Inbox},
+                PoseSource, WorkerOutput, WorkerParts,
+                calibration_update::{CalibrationMailbox, CalibrationUpdate},
                 pipeline::{Pipeline, PipelineParts},
             },
         },
         model::{
             clock::Clock,
-            hub::{CameraInfo, CameraPlace, Hub, Installation, PoseStatus},
+            hub::{CameraInfo, CameraPoseState, Hub, Installation, PoseStatus},
         },
     };
 
@@ -141,37 +141,37 @@ mod tests {
     }
 
     /// What a source of the test does, call by call.
-    enum Act {
+    enum Step {
         Frame,
         Panic,
         Fail,
         Finish,
     }
 
-    struct Actor {
-        acts: VecDeque<Act>,
+    struct ScriptedSource {
+        steps: VecDeque<Step>,
         clock: Clock,
     }
 
-    impl FrameSource for Actor {
+    impl FrameSource for ScriptedSource {
         fn next_frame(&mut self) -> Result<LentFrame<'_>, SourceError> {
-            match self.acts.pop_front() {
-                Some(Act::Frame) => {
+            match self.steps.pop_front() {
+                Some(Step::Frame) => {
                     let frame = Frame::new(&[200; 64 * 48], 64, 48, 64).unwrap();
                     let info = FrameInfo { skipped: 2, ..FrameInfo::at(self.clock.now()) };
                     Ok(LentFrame { frame, info })
                 }
-                Some(Act::Panic) => panic!("the cable bit me"),
-                Some(Act::Fail) => Err(SourceError::Failed("unplugged".into())),
-                Some(Act::Finish) | None => Err(SourceError::Finished),
+                Some(Step::Panic) => panic!("the cable bit me"),
+                Some(Step::Fail) => Err(SourceError::Failed("unplugged".into())),
+                Some(Step::Finish) | None => Err(SourceError::Finished),
             }
         }
     }
 
     /// One source after the other.
-    struct Stage(VecDeque<Actor>);
+    struct ScriptedOpener(VecDeque<ScriptedSource>);
 
-    impl OpenSource for Stage {
+    impl OpenSource for ScriptedOpener {
         fn open(&mut self) -> Result<Box<dyn FrameSource>, SourceError> {
             let actor = self.0.pop_front();
             actor.map(|actor| Box::new(actor) as Box<dyn FrameSource>).ok_or(SourceError::Finished)
@@ -201,7 +201,7 @@ mod tests {
             source_id: "s".into(),
             started: clock.now(),
             snapshot_rate_hz: 60.0,
-            cameras: Installation::numbered([CameraInfo {
+            cameras: Installation::number_cameras([CameraInfo {
                 name: "north".into(),
                 ..CameraInfo::default()
             }]),
@@ -211,15 +211,15 @@ mod tests {
         }))
     }
 
-    fn actor<const N: usize>(clock: Clock, acts: [Act; N]) -> Actor {
-        Actor { acts: VecDeque::from(acts), clock }
+    fn actor<const N: usize>(clock: Clock, steps: [Step; N]) -> ScriptedSource {
+        ScriptedSource { steps: VecDeque::from(steps), clock }
     }
 
     fn worker(
-        stage: Stage,
-        place: Place,
+        stage: ScriptedOpener,
+        pose: PoseSource,
         hub: &Arc<Hub>,
-        (fusion, clock, inbox): (SyncSender<Sighted>, Clock, &Inbox),
+        (fusion, clock, mailbox): (SyncSender<WorkerOutput>, Clock, &CalibrationMailbox),
     ) -> Worker {
         let pipeline = Pipeline::new(PipelineParts {
             kinds: Vec::new(),
@@ -234,14 +234,14 @@ mod tests {
             name: "north".into(),
             opener: Box::new(stage),
             pipeline: pipeline.unwrap(),
-            place,
+            pose,
             calibration_version: 0,
-            inbox: inbox.clone(),
+            mailbox: mailbox.clone(),
             hub: hub.clone(),
             fusion,
             clock,
             promised_hz: None,
-            before: Totals::default(),
+            before: WorkerCounts::default(),
         })
     }
 
@@ -249,20 +249,25 @@ mod tests {
     fn a_panic_and_a_failure_are_shown_and_the_camera_comes_back() {
         let clock = Clock::anchored_now();
         let hub = hub(&clock);
-        let stage = Stage(VecDeque::from([
-            actor(clock, [Act::Frame, Act::Panic]),
-            actor(clock, [Act::Fail]),
-            actor(clock, [Act::Frame, Act::Frame, Act::Finish]),
+        let stage = ScriptedOpener(VecDeque::from([
+            actor(clock, [Step::Frame, Step::Panic]),
+            actor(clock, [Step::Fail]),
+            actor(clock, [Step::Frame, Step::Frame, Step::Finish]),
         ]));
         let (fusion, from_worker) = sync_channel(1);
-        let worker = worker(stage, Place::Rides, &hub, (fusion, clock, &Inbox::default()));
-        run(worker, &Stop::default());
+        let worker = worker(
+            stage,
+            PoseSource::Mounted,
+            &hub,
+            (fusion, clock, &CalibrationMailbox::default()),
+        );
+        run(worker, &StopSignal::default());
 
         let (events, _) = hub.events(10);
-        let happened: Vec<Happening> = events.iter().map(|event| event.happening).collect();
+        let happened: Vec<EventKind> = events.iter().map(|event| event.kind).collect();
         let [running, failed, finished] =
             [CameraStatus::Running, CameraStatus::Failed, CameraStatus::Finished]
-                .map(|status| Happening::Camera(CameraId(0), status));
+                .map(|status| EventKind::CameraStatusChanged(CameraId(0), status));
         assert_eq!(happened, [running, failed, failed, running, finished]);
         assert!(events[1].message.contains("internal error"), "{}", events[1].message);
         assert!(events[1].message.contains("the cable bit me"), "{}", events[1].message);
@@ -272,38 +277,38 @@ mod tests {
         // Two left out by the source before each frame, two that fusion had no room for, and one after the last
         // frame of each of three attempts.
         assert_eq!(state.dropped, 3 * 2 + 2 + 3);
-        assert_eq!(from_worker.try_iter().map(|sighted| sighted.observations.frame).max(), Some(1));
+        assert_eq!(from_worker.try_iter().map(|output| output.observations.frame).max(), Some(1));
     }
 
-    /// A lens and a place that come between two frames hold from the next frame on, for fusion too.
+    /// A lens and a pose that come between two frames hold from the next frame on, for fusion too.
     #[test]
     fn a_calibration_is_taken_over_between_two_frames() {
         let clock = Clock::anchored_now();
         let hub = hub(&clock);
         let (fusion, from_worker) = sync_channel(8);
-        let inbox = Inbox::default();
-        let stage = Stage(VecDeque::from([actor(
+        let mailbox = CalibrationMailbox::default();
+        let stage = ScriptedOpener(VecDeque::from([actor(
             clock,
-            [Act::Frame, Act::Frame, Act::Frame, Act::Finish],
+            [Step::Frame, Step::Frame, Step::Frame, Step::Finish],
         )]));
-        let place = Place::Unknown { references: Vec::new(), kinds: Vec::new() };
-        let worker = worker(stage, place, &hub, (fusion, clock, &inbox));
+        let pose = PoseSource::Unknown { references: Vec::new(), kinds: Vec::new() };
+        let worker = worker(stage, pose, &hub, (fusion, clock, &mailbox));
         let longer = Intrinsics { fx_px: 61.0, ..camera().intrinsics().clone() };
         let placement = CameraPlacement {
             world_from_camera: Rigid::translation(1.0, 2.0, 3.0),
             covariance: Covariance6::identity(),
         };
-        let place = Place::Standing(PoseStatus::Calibrated, Box::new(placement));
-        inbox.put(Adoption { lens: camera(), place: place.clone(), version: 6 });
+        let pose = PoseSource::Fixed(PoseStatus::Calibrated, Box::new(placement));
+        mailbox.put(CalibrationUpdate { lens: camera(), pose: pose.clone(), version: 6 });
         let lens = Camera::new(longer.clone()).unwrap();
-        inbox.put(Adoption { lens, place, version: 7 });
-        run(worker, &Stop::default());
+        mailbox.put(CalibrationUpdate { lens, pose, version: 7 });
+        run(worker, &StopSignal::default());
 
-        let sighted: Vec<Sighted> = from_worker.try_iter().collect();
+        let output: Vec<WorkerOutput> = from_worker.try_iter().collect();
         let versions: Vec<u64> =
-            sighted.iter().map(|it| it.observations.calibration_version).collect();
+            output.iter().map(|it| it.observations.calibration_version).collect();
         assert_eq!(versions, [7, 7, 7]);
-        let places: Vec<bool> = sighted.iter().map(|it| it.placement.is_some()).collect();
+        let places: Vec<bool> = output.iter().map(|it| it.placement.is_some()).collect();
         assert_eq!(
             places,
             [true, false, false],
@@ -311,7 +316,7 @@ mod tests {
         );
         let state = &hub.cameras()[&CameraId(0)];
         assert_eq!(state.calibration_version, 7);
-        assert_eq!(state.place, CameraPlace::standing(PoseStatus::Calibrated, placement));
+        assert_eq!(state.pose, CameraPoseState::fixed(PoseStatus::Calibrated, placement));
         assert_eq!(state.camera.as_ref().unwrap().intrinsics(), &longer);
     }
 }

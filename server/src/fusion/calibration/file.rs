@@ -18,7 +18,7 @@ use serde::{Deserialize, Serialize};
 use thiserror::Error;
 
 use crate::model::config::Config;
-pub use stored::{CalibratedCamera, Configured};
+pub use stored::{StoredCamera, StoredConfig};
 
 /// A calibration file longer than this is certainly another file.
 const MAX_BYTES: u64 = 4 << 20;
@@ -64,7 +64,7 @@ pub struct CalibrationFile {
     pub made_unix_s: i64,
     /// Those that have one.
     #[serde(default, rename = "camera")]
-    pub cameras: Vec<CalibratedCamera>,
+    pub cameras: Vec<StoredCamera>,
 }
 
 impl CalibrationFile {
@@ -106,7 +106,7 @@ impl CalibrationFile {
     }
 
     /// A camera's newest result.
-    pub fn set(&mut self, camera: CalibratedCamera) {
+    pub fn set(&mut self, camera: StoredCamera) {
         match self.cameras.iter_mut().find(|it| it.name == camera.name) {
             Some(before) => *before = camera,
             None => self.cameras.push(camera),
@@ -156,7 +156,7 @@ mod tests {
     };
 
     use super::*;
-    use crate::model::config::CameraPose;
+    use crate::model::config::PoseConfig;
 
     const CONFIG: &str = r#"
         [[roundel]]
@@ -183,11 +183,11 @@ mod tests {
         }
     }
 
-    fn stored(config: &Config, index: usize, x: f64) -> CalibratedCamera {
+    fn stored(config: &Config, index: usize, x: f64) -> StoredCamera {
         let camera = &config.cameras[index];
         let it = camera.calibration.intrinsics().clone();
         let lens = Camera::new(Intrinsics { fx_px: it.fx_px + 0.5, ..it }).unwrap();
-        CalibratedCamera::new(camera.name.clone(), &placement(x), &lens, Configured::of(camera))
+        StoredCamera::new(camera.name.clone(), &placement(x), &lens, StoredConfig::of(camera))
     }
 
     #[test]
@@ -208,7 +208,7 @@ mod tests {
         let mut config = before.clone();
         assert_eq!(read.merge_into(&mut config), Vec::<String>::new());
         assert_eq!(config.cameras[0].pose, before.cameras[0].pose);
-        let CameraPose::Calibrated(found) = &config.cameras[1].pose else { panic!("not merged") };
+        let PoseConfig::Calibrated(found) = &config.cameras[1].pose else { panic!("not merged") };
         let difference = found.world_from_camera.inverse() * placement(1.25).world_from_camera;
         assert!(difference.translation.vector.norm() < 1e-12 && difference.rotation.angle() < 1e-7);
         assert_eq!(found.covariance, placement(1.25).covariance);
@@ -228,12 +228,12 @@ mod tests {
             cameras: vec![stored(&before, 0, 1.0), stored(&before, 1, 2.0)],
         };
         let mut moved = before.clone();
-        moved.cameras[0].pose = CameraPose::Known(placement(3.0).world_from_camera);
+        moved.cameras[0].pose = PoseConfig::Known(placement(3.0).world_from_camera);
         let mut changed = file.clone();
         let told = changed.merge_into(&mut moved);
         assert_eq!(told.len(), 1);
         assert!(told[0].contains("camera north") && told[0].contains("another pose"), "{told:?}");
-        assert_eq!(moved.cameras[0].pose, CameraPose::Known(placement(3.0).world_from_camera));
+        assert_eq!(moved.cameras[0].pose, PoseConfig::Known(placement(3.0).world_from_camera));
         assert_eq!(changed.cameras.len(), 1, "what is dropped is not kept any longer");
 
         let mut renamed = before.clone();

@@ -5,8 +5,8 @@
 //! | --- | --- |
 //! | `recorder` | what cameras see for a minute, and what is missing meanwhile |
 //! | `task` | recording → solving → taking over, on a thread of its own |
-//! | `member` | cameras that come, change and go |
-//! | `takeover` | cameras stand where they were found to, now and at the next start |
+//! | `cameras` | cameras that come, change and go |
+//! | `apply` | cameras stand where they were found to, now and at the next start |
 //! | [`report`] | what came out, and what a person should know, by name |
 //! | [`file`] | the versioned file that keeps it |
 //!
@@ -14,11 +14,11 @@
 //! it finds is taken over by each camera's worker between two frames, lens and place at once, so no track is
 //! lost; and written to the calibration file, from which the next start takes it.
 
+mod apply;
+mod cameras;
 pub mod file;
-mod member;
 mod recorder;
 pub mod report;
-mod takeover;
 mod task;
 
 use std::{
@@ -36,40 +36,40 @@ use thiserror::Error;
 use tokio::sync::watch;
 
 use crate::{
-    capture::worker::adoption::Inbox,
-    model::{clock::Clock, hub::Hub, stop::Stop},
+    capture::worker::calibration_update::CalibrationMailbox,
+    model::{clock::Clock, hub::Hub, stop::StopSignal},
 };
-use file::{CalibrationFile, Configured};
+use file::{CalibrationFile, StoredConfig};
 pub use recorder::RecordedCamera;
-pub use report::Report;
+pub use report::CalibrationReport;
 
 /// A recording takes at least and at most so long, seconds.
-pub const SECONDS: [f64; 2] = [2.0, 600.0];
+pub const DURATION_RANGE_S: [f64; 2] = [2.0, 600.0];
 /// And so long if nobody says otherwise.
-pub const DEFAULT_SECONDS: f64 = 60.0;
+pub const DEFAULT_DURATION_S: f64 = 60.0;
 /// Fewer references place no camera.
-const LEAST_REFERENCES: usize = 3;
+const MIN_REFERENCES: usize = 3;
 
 /// What is to be done.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Wanted {
-    /// How long to record, within [`SECONDS`].
+pub struct CalibrationRequest {
+    /// How long to record, within [`DURATION_RANGE_S`].
     pub seconds: f64,
     /// Whether lenses are estimated, too.
     pub refine_lenses: bool,
     /// Whether cameras take the result over.
-    pub apply: Apply,
+    pub apply: ApplyPolicy,
 }
 
-impl Default for Wanted {
+impl Default for CalibrationRequest {
     fn default() -> Self {
-        Self { seconds: DEFAULT_SECONDS, refine_lenses: false, apply: Apply::IfSound }
+        Self { seconds: DEFAULT_DURATION_S, refine_lenses: false, apply: ApplyPolicy::IfSound }
     }
 }
 
 /// When cameras take a result over.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Apply {
+pub enum ApplyPolicy {
     /// Unless something grave was found.
     IfSound,
     /// In any case.
@@ -80,7 +80,7 @@ pub enum Apply {
 
 /// How far a calibration is.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
-pub enum Stage {
+pub enum CalibrationStage {
     /// None was asked for since the start.
     #[default]
     Idle,
@@ -96,9 +96,9 @@ pub enum Stage {
 
 /// The newest calibration.
 #[derive(Clone, Debug, Default)]
-pub struct Status {
+pub struct CalibrationStatus {
     /// How far it is.
-    pub stage: Stage,
+    pub stage: CalibrationStage,
     /// How long it records, seconds.
     pub seconds: f64,
     /// Of it so far.
@@ -110,14 +110,14 @@ pub struct Status {
     /// Why there is no result, or why it could not be kept.
     pub error: String,
     /// What came out.
-    pub report: Option<Arc<Report>>,
+    pub report: Option<Arc<CalibrationReport>>,
     /// Version that cameras use since they took it over; 0: they have not.
     pub applied_version: u64,
 }
 
 /// Why something is not done.
 #[derive(Clone, Debug, PartialEq, Error)]
-pub enum CalibrateError {
+pub enum CalibrationError {
     /// One at a time.
     #[error("a calibration is running already: wait for it, or cancel it")]
     Busy,
@@ -126,7 +126,7 @@ pub enum CalibrateError {
     Seconds(f64),
     /// The gauge is missing.
     #[error(
-        "the configuration has {found} reference roundels: expected [[reference]] tables for at least {LEAST_REFERENCES} with known places that one camera sees"
+        "the configuration has {found} reference roundels: expected [[reference]] tables for at least {MIN_REFERENCES} with known places that one camera sees"
     )]
     References {
         /// How many there are.
@@ -142,7 +142,7 @@ pub enum CalibrateError {
     NothingToApply,
     /// Nothing to cancel.
     #[error("no calibration is running")]
-    NothingRuns,
+    NotRecording,
     /// The system gives no thread.
     #[error("cannot start the thread of the calibration: {0}")]
     Thread(String),
@@ -150,13 +150,13 @@ pub enum CalibrateError {
 
 /// One camera, as the calibrator knows it.
 #[derive(Clone)]
-pub struct Calibrated {
+pub struct CalibratorCamera {
     /// As configured.
     pub name: String,
     /// What the configuration says; `None` of one that rides.
-    pub configured: Option<Configured>,
+    pub configured: Option<StoredConfig>,
     /// Where its worker looks.
-    pub inbox: Inbox,
+    pub mailbox: CalibrationMailbox,
 }
 
 /// What a calibrator is made of.
@@ -166,7 +166,7 @@ pub struct CalibratorParts {
     /// The server's clock.
     pub clock: Clock,
     /// All cameras.
-    pub cameras: BTreeMap<CameraId, Calibrated>,
+    pub cameras: BTreeMap<CameraId, CalibratorCamera>,
     /// The reference roundels, in the order of the configuration.
     pub landmarks: Vec<Landmark>,
     /// Where results are kept, if anywhere.
@@ -178,18 +178,18 @@ pub struct CalibratorParts {
 /// Starts, follows and ends calibrations.
 pub struct Calibrator {
     shared: Arc<Shared>,
-    running: Mutex<Option<(Stop, JoinHandle<()>)>>,
+    running: Mutex<Option<(StopSignal, JoinHandle<()>)>>,
 }
 
 /// What the task's thread needs, too.
 struct Shared {
     hub: Arc<Hub>,
     clock: Clock,
-    cameras: Mutex<BTreeMap<CameraId, Calibrated>>,
+    cameras: Mutex<BTreeMap<CameraId, CalibratorCamera>>,
     landmarks: Vec<Landmark>,
     path: Option<PathBuf>,
     file: Mutex<CalibrationFile>,
-    status: watch::Sender<Status>,
+    status: watch::Sender<CalibrationStatus>,
 }
 
 impl Calibrator {
@@ -203,60 +203,60 @@ impl Calibrator {
     }
 
     /// Begins one.
-    pub fn start(&self, wanted: Wanted) -> Result<(), CalibrateError> {
+    pub fn start(&self, request: CalibrationRequest) -> Result<(), CalibrationError> {
         let mut running = lock(&self.running);
         if running.as_ref().is_some_and(|(_, thread)| !thread.is_finished()) {
-            return Err(CalibrateError::Busy);
+            return Err(CalibrationError::Busy);
         }
-        self.shared.check(&wanted)?;
-        let (shared, stop) = (self.shared.clone(), Stop::default());
-        shared.begin(&wanted);
+        self.shared.check(&request)?;
+        let (shared, stop) = (self.shared.clone(), StopSignal::default());
+        shared.begin(&request);
         let until = stop.clone();
         let builder = std::thread::Builder::new().name("calibration".to_owned());
         let thread = builder
-            .spawn(move || task::run(&shared, wanted, &until))
-            .map_err(|error| CalibrateError::Thread(error.to_string()))?;
+            .spawn(move || task::run(&shared, request, &until))
+            .map_err(|error| CalibrationError::Thread(error.to_string()))?;
         *running = Some((stop, thread));
         Ok(())
     }
 
     /// Ends the one that runs, without a result.
-    pub fn cancel(&self) -> Result<(), CalibrateError> {
+    pub fn cancel(&self) -> Result<(), CalibrationError> {
         match &*lock(&self.running) {
             Some((stop, thread)) if !thread.is_finished() => {
                 stop.stop();
                 Ok(())
             }
-            _ => Err(CalibrateError::NothingRuns),
+            _ => Err(CalibrationError::NotRecording),
         }
     }
 
     /// Has cameras take over what the newest one found.
-    pub fn apply(&self) -> Result<(), CalibrateError> {
+    pub fn apply(&self) -> Result<(), CalibrationError> {
         let report = self.shared.status.borrow().report.clone();
-        let report = report.ok_or(CalibrateError::NothingToApply)?;
+        let report = report.ok_or(CalibrationError::NothingToApply)?;
         self.shared.apply(&report);
         Ok(())
     }
 
     /// Has a camera take over a place that was found while it was being served. Does not wait for the disk.
-    pub fn adopt(&self, camera: CameraId, placement: CameraPlacement) {
+    pub fn apply_pose(&self, camera: CameraId, placement: CameraPlacement) {
         let shared = self.shared.clone();
         let builder = std::thread::Builder::new().name("keep calibration".to_owned());
-        if let Err(error) = builder.spawn(move || shared.adopt(camera, placement)) {
+        if let Err(error) = builder.spawn(move || shared.apply_pose(camera, placement)) {
             tracing::error!(%error, "a camera's new place is lost: the system gives no thread");
         }
     }
 
     /// The newest status, and a wait for the next ones.
-    pub fn status(&self) -> watch::Receiver<Status> {
+    pub fn status(&self) -> watch::Receiver<CalibrationStatus> {
         self.shared.status.subscribe()
     }
 
     /// Where a camera's worker is to look.
-    pub fn inbox(&self, id: CameraId) -> Inbox {
+    pub fn mailbox(&self, id: CameraId) -> CalibrationMailbox {
         let cameras = lock(&self.shared.cameras);
-        cameras.get(&id).map(|camera| camera.inbox.clone()).unwrap_or_default()
+        cameras.get(&id).map(|camera| camera.mailbox.clone()).unwrap_or_default()
     }
 
     /// The version that is in use; 0: none.
@@ -273,16 +273,16 @@ impl Calibrator {
 }
 
 impl Shared {
-    fn check(&self, wanted: &Wanted) -> Result<(), CalibrateError> {
-        if !(SECONDS[0]..=SECONDS[1]).contains(&wanted.seconds) {
-            return Err(CalibrateError::Seconds(wanted.seconds));
+    fn check(&self, request: &CalibrationRequest) -> Result<(), CalibrationError> {
+        if !(DURATION_RANGE_S[0]..=DURATION_RANGE_S[1]).contains(&request.seconds) {
+            return Err(CalibrationError::Seconds(request.seconds));
         }
         if lock(&self.cameras).values().all(|camera| camera.configured.is_none()) {
-            return Err(CalibrateError::Cameras);
+            return Err(CalibrationError::Cameras);
         }
         let found = self.landmarks.len();
-        if found < LEAST_REFERENCES {
-            return Err(CalibrateError::References { found });
+        if found < MIN_REFERENCES {
+            return Err(CalibrationError::References { found });
         }
         Ok(())
     }

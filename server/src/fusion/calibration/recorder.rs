@@ -12,9 +12,9 @@ use roundel_core::{
 };
 
 /// Of one roundel in one camera so many detections a second are kept: more say little that is new.
-const MOST_HZ: f64 = 20.0;
+const MAX_DETECTIONS_HZ: f64 = 20.0;
 /// Two cameras that see one roundel within this time of each other see it together, seconds.
-const TOGETHER_S: f64 = 0.1;
+const MAX_TIME_DIFFERENCE_S: f64 = 0.1;
 
 /// What has been recorded of one camera.
 #[derive(Clone, Debug, Default, PartialEq)]
@@ -30,14 +30,14 @@ pub struct RecordedCamera {
 }
 
 /// Takes in frames of all cameras.
-pub(super) struct Recorder {
+pub(super) struct DetectionRecorder {
     recording: Recording,
-    cameras: BTreeMap<CameraId, Heard>,
+    cameras: BTreeMap<CameraId, CameraSamples>,
     /// When and by whom each code was seen last.
     newest: BTreeMap<(KindId, Code), BTreeMap<CameraId, Timestamp>>,
 }
 
-struct Heard {
+struct CameraSamples {
     lens: Camera,
     frames: u64,
     codes: BTreeSet<(KindId, Code)>,
@@ -45,10 +45,10 @@ struct Heard {
     together: BTreeMap<CameraId, u64>,
 }
 
-impl Recorder {
+impl DetectionRecorder {
     /// For these cameras; frames of others are left out.
     pub(super) fn new(cameras: impl Iterator<Item = (CameraId, Camera)>) -> Self {
-        let heard = |lens| Heard {
+        let samples = |lens| CameraSamples {
             lens,
             frames: 0,
             codes: BTreeSet::new(),
@@ -56,26 +56,26 @@ impl Recorder {
             together: BTreeMap::new(),
         };
         Self {
-            recording: Recording::new(MOST_HZ),
-            cameras: cameras.map(|(id, lens)| (id, heard(lens))).collect(),
+            recording: Recording::new(MAX_DETECTIONS_HZ),
+            cameras: cameras.map(|(id, lens)| (id, samples(lens))).collect(),
             newest: BTreeMap::new(),
         }
     }
 
     pub(super) fn add(&mut self, frame: &FrameObservations) {
-        let Some(heard) = self.cameras.get_mut(&frame.camera) else { return };
+        let Some(samples) = self.cameras.get_mut(&frame.camera) else { return };
         self.recording.add(frame);
-        heard.frames += 1;
+        samples.frames += 1;
         let now = frame.received_time;
         for detection in frame.detections.iter().filter(|detection| detection.pose.is_some()) {
-            heard.coverage.add(&heard.lens, detection.ring.outer.center);
+            samples.coverage.add(&samples.lens, detection.ring.outer.center);
             let code = detection.ring.code.as_ref().map(|reading| reading.code);
             let Some(name) = detection.ring.kind.zip(code) else { continue };
-            heard.codes.insert(name);
+            samples.codes.insert(name);
             let seen = self.newest.entry(name).or_default();
             for (other, time) in seen.iter().filter(|(other, _)| **other != frame.camera) {
-                if now.seconds_since(*time).abs() < TOGETHER_S {
-                    *heard.together.entry(*other).or_default() += 1;
+                if now.seconds_since(*time).abs() < MAX_TIME_DIFFERENCE_S {
+                    *samples.together.entry(*other).or_default() += 1;
                 }
             }
             seen.insert(frame.camera, now);
@@ -83,7 +83,7 @@ impl Recorder {
     }
 
     pub(super) fn cameras(&self) -> BTreeMap<CameraId, RecordedCamera> {
-        self.cameras.iter().map(|(id, heard)| (*id, heard.told())).collect()
+        self.cameras.iter().map(|(id, samples)| (*id, samples.summary())).collect()
     }
 
     pub(super) fn into_recording(self) -> Recording {
@@ -91,8 +91,8 @@ impl Recorder {
     }
 }
 
-impl Heard {
-    fn told(&self) -> RecordedCamera {
+impl CameraSamples {
+    fn summary(&self) -> RecordedCamera {
         RecordedCamera {
             frames: self.frames,
             codes: self.codes.len(),

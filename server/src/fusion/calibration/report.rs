@@ -18,11 +18,11 @@ const CLOCK_DEVIATIONS: f64 = 5.0;
 
 /// What came out.
 #[derive(Clone, Debug)]
-pub struct Report {
+pub struct CalibrationReport {
     /// In the order of the configuration, without those that nothing ties to the references.
     pub cameras: Vec<CameraReport>,
     /// What a person should know, the gravest first.
-    pub findings: Vec<Told>,
+    pub findings: Vec<Finding>,
     /// Sightings that were used.
     pub sightings: usize,
     /// Robots' roundels that two cameras saw or more.
@@ -56,14 +56,14 @@ impl CameraReport {
 
 /// A finding in words.
 #[derive(Clone, Debug, PartialEq)]
-pub struct Told {
+pub struct Finding {
     /// A sentence.
     pub text: String,
     /// The result should not be used before somebody has looked at it.
     pub is_grave: bool,
 }
 
-impl Report {
+impl CalibrationReport {
     /// Whether cameras may take it over unasked.
     pub fn is_sound(&self) -> bool {
         !self.findings.iter().any(|finding| finding.is_grave)
@@ -71,9 +71,9 @@ impl Report {
 }
 
 /// Things by their configured names; references by their place in the configuration, from 1.
-pub struct Configured<'a>(pub &'a Installation);
+pub struct InstallationNames<'a>(pub &'a Installation);
 
-impl Names for Configured<'_> {
+impl Names for InstallationNames<'_> {
     fn camera(&self, id: CameraId) -> String {
         format!("camera {}", self.0.camera_name(id))
     }
@@ -93,31 +93,31 @@ pub(super) fn report(
     installation: &Installation,
     states: &BTreeMap<CameraId, CameraState>,
     solve_s: f64,
-) -> Report {
-    let names = Configured(installation);
+) -> CalibrationReport {
+    let names = InstallationNames(installation);
     let state = |id: CameraId| states.get(&id);
     let told = found
         .findings
         .iter()
-        .map(|finding| Told { text: finding.told(&names), is_grave: finding.is_grave() });
+        .map(|finding| Finding { text: finding.told(&names), is_grave: finding.is_grave() });
     let clocks = found.cameras.iter().filter_map(|camera| {
         let is_trusted = state(camera.camera)?.clock.is_none_or(|clock| clock.deviation_s == 0.0);
-        let text = clock_sentence(camera, &names).filter(|_| is_trusted)?;
-        Some(Told { text, is_grave: false })
+        let text = clock_warning(camera, &names).filter(|_| is_trusted)?;
+        Some(Finding { text, is_grave: false })
     });
-    let mut findings: Vec<Told> = told.chain(clocks).collect();
+    let mut findings: Vec<Finding> = told.chain(clocks).collect();
     findings.sort_by_key(|finding| !finding.is_grave);
     let cameras = found.cameras.iter().filter_map(|result| {
         let state = state(result.camera)?;
         let refined = result.lens.as_ref().map(|lens| lens.camera.clone());
-        let before = state.place.placement.as_ref().map(|it| &it.world_from_camera);
+        let before = state.pose.placement.as_ref().map(|it| &it.world_from_camera);
         Some(CameraReport {
             lens: refined.or_else(|| state.camera.clone())?,
             moved: before.map(|before| moved(before, &result.world_from_camera)),
             result: result.clone(),
         })
     });
-    Report {
+    CalibrationReport {
         cameras: cameras.collect(),
         findings,
         sightings: found.sightings,
@@ -133,7 +133,7 @@ fn moved(before: &Rigid, after: &Rigid) -> [f64; 2] {
     [distance_m, before.rotation.angle_to(&after.rotation)]
 }
 
-fn clock_sentence(camera: &CalibratedCamera, names: &Configured<'_>) -> Option<String> {
+fn clock_warning(camera: &CalibratedCamera, names: &InstallationNames<'_>) -> Option<String> {
     let (offset_s, deviation_s) = (camera.clock_offset_s, camera.clock_offset_deviation_s);
     let is_off = offset_s.abs() > CLOCK_OFF_S && offset_s.abs() > CLOCK_DEVIATIONS * deviation_s;
     is_off.then(|| {

@@ -14,40 +14,45 @@ use roundel_core::{
 use tokio::sync::broadcast::error::TryRecvError;
 
 use super::{
-    Apply, Shared, Stage, Status, Wanted, lock,
-    recorder::Recorder,
-    report::{Configured, Report, report},
+    ApplyPolicy, CalibrationRequest, CalibrationStage, CalibrationStatus, Shared, lock,
+    recorder::DetectionRecorder,
+    report::{CalibrationReport, InstallationNames, report},
 };
-use crate::model::{hub::Happening, stop::Stop};
+use crate::model::{hub::EventKind, stop::StopSignal};
 
 /// Between two looks for new frames; the hub keeps those of a quarter of a second.
-const LOOK_EVERY: Duration = Duration::from_millis(5);
+const POLL_INTERVAL: Duration = Duration::from_millis(5);
 /// Between two reports of progress.
-const TELL_EVERY: Duration = Duration::from_millis(200);
+const PROGRESS_INTERVAL: Duration = Duration::from_millis(200);
 
 /// Cameras that stand, with the lenses that they use.
 type Lenses = BTreeMap<CameraId, Camera>;
 
-/// Does what is wanted, until the signal comes.
-pub(super) fn run(shared: &Shared, wanted: Wanted, stop: &Stop) {
+/// Answers requests until the signal comes.
+pub(super) fn run(shared: &Shared, request: CalibrationRequest, stop: &StopSignal) {
     let lenses = shared.lenses();
-    let recording = record(shared, &wanted, &lenses, stop);
+    let recording = record(shared, &request, &lenses, stop);
     let outcome = recording
         .ok_or_else(|| "cancelled".to_owned())
-        .and_then(|recording| solve(shared, &wanted, &recording, &lenses, stop));
+        .and_then(|recording| solve(shared, &request, &recording, &lenses, stop));
     match outcome {
-        Ok(report) => shared.done(&wanted, report),
+        Ok(report) => shared.done(&request, report),
         Err(why) => shared.failed(why),
     }
 }
 
 /// `None`: it was cancelled.
-fn record(shared: &Shared, wanted: &Wanted, lenses: &Lenses, stop: &Stop) -> Option<Recording> {
+fn record(
+    shared: &Shared,
+    request: &CalibrationRequest,
+    lenses: &Lenses,
+    stop: &StopSignal,
+) -> Option<Recording> {
     let mut frames = shared.hub.observations();
-    let mut recorder = Recorder::new(lenses.iter().map(|(id, lens)| (*id, lens.clone())));
-    let length = Duration::from_secs_f64(wanted.seconds);
+    let mut recorder = DetectionRecorder::new(lenses.iter().map(|(id, lens)| (*id, lens.clone())));
+    let length = Duration::from_secs_f64(request.seconds);
     let begun = Instant::now();
-    let mut told = begun;
+    let mut reported = begun;
     loop {
         match frames.try_recv() {
             Ok(frame) => {
@@ -61,11 +66,11 @@ fn record(shared: &Shared, wanted: &Wanted, lenses: &Lenses, stop: &Stop) -> Opt
         if begun.elapsed() >= length {
             break;
         }
-        if stop.wait(LOOK_EVERY) {
+        if stop.wait(POLL_INTERVAL) {
             return None;
         }
-        if told.elapsed() >= TELL_EVERY {
-            told = Instant::now();
+        if reported.elapsed() >= PROGRESS_INTERVAL {
+            reported = Instant::now();
             shared.recorded(begun.elapsed().min(length), &recorder);
         }
     }
@@ -75,13 +80,13 @@ fn record(shared: &Shared, wanted: &Wanted, lenses: &Lenses, stop: &Stop) -> Opt
 
 fn solve(
     shared: &Shared,
-    wanted: &Wanted,
+    request: &CalibrationRequest,
     recording: &Recording,
     lenses: &Lenses,
-    stop: &Stop,
-) -> Result<Report, String> {
-    shared.status.send_modify(|status| status.stage = Stage::Solving);
-    let lens_deviation = wanted.refine_lenses.then(LensDeviation::default);
+    stop: &StopSignal,
+) -> Result<CalibrationReport, String> {
+    shared.status.send_modify(|status| status.stage = CalibrationStage::Solving);
+    let lens_deviation = request.refine_lenses.then(LensDeviation::default);
     let camera = |(id, lens): (&CameraId, &Camera)| ArenaCamera {
         id: *id,
         lens: lens.clone(),
@@ -106,7 +111,7 @@ fn solve(
             Ok(report(found, &installation, &states, begun.elapsed().as_secs_f64()))
         }
         Err(ArenaError::Cancelled) => Err("cancelled".to_owned()),
-        Err(error) => Err(error.told(&Configured(&installation))),
+        Err(error) => Err(error.told(&InstallationNames(&installation))),
     }
 }
 
@@ -119,15 +124,19 @@ impl Shared {
         standing.filter_map(|(id, _)| Some((*id, states.get(id)?.camera.clone()?))).collect()
     }
 
-    pub(super) fn begin(&self, wanted: &Wanted) {
-        let (stage, seconds) = (Stage::Recording, wanted.seconds);
-        self.status.send_replace(Status { stage, seconds, ..Status::default() });
+    pub(super) fn begin(&self, request: &CalibrationRequest) {
+        let (stage, seconds) = (CalibrationStage::Recording, request.seconds);
+        self.status.send_replace(CalibrationStatus {
+            stage,
+            seconds,
+            ..CalibrationStatus::default()
+        });
         let message =
             format!("The arena's calibration records for {seconds:.0} s: let robots drive.");
-        self.tell(Happening::CalibrationBegun, message);
+        self.report_event(EventKind::CalibrationBegun, message);
     }
 
-    fn recorded(&self, so_far: Duration, recorder: &Recorder) {
+    fn recorded(&self, so_far: Duration, recorder: &DetectionRecorder) {
         self.status.send_modify(|status| {
             status.recorded_s = so_far.as_secs_f64();
             status.cameras = recorder.cameras();
@@ -137,18 +146,18 @@ impl Shared {
     fn failed(&self, why: String) {
         let message = format!("The arena's calibration gave no result: {why}.");
         self.status.send_modify(|status| {
-            status.stage = Stage::Failed;
+            status.stage = CalibrationStage::Failed;
             status.error = why;
         });
-        self.tell(Happening::CalibrationFailed, message);
+        self.report_event(EventKind::CalibrationFailed, message);
     }
 
-    fn done(&self, wanted: &Wanted, report: Report) {
+    fn done(&self, request: &CalibrationRequest, report: CalibrationReport) {
         let report = Arc::new(report);
-        let is_wanted = match wanted.apply {
-            Apply::Always => true,
-            Apply::IfSound => report.is_sound(),
-            Apply::Never => false,
+        let is_wanted = match request.apply {
+            ApplyPolicy::Always => true,
+            ApplyPolicy::IfSound => report.is_sound(),
+            ApplyPolicy::Never => false,
         };
         let count = report.cameras.len();
         let message = match is_wanted {
@@ -158,15 +167,15 @@ impl Shared {
             ),
         };
         self.status.send_modify(|status| status.report = Some(report.clone()));
-        self.tell(Happening::CalibrationDone, message);
+        self.report_event(EventKind::CalibrationDone, message);
         if is_wanted {
             self.apply(&report);
         }
-        self.status.send_modify(|status| status.stage = Stage::Done);
+        self.status.send_modify(|status| status.stage = CalibrationStage::Done);
     }
 
-    pub(super) fn tell(&self, happening: Happening, message: String) {
+    pub(super) fn report_event(&self, kind: EventKind, message: String) {
         tracing::info!("{message}");
-        self.hub.publish_event(self.clock.now(), happening, message);
+        self.hub.publish_event(self.clock.now(), kind, message);
     }
 }

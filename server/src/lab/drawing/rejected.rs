@@ -19,7 +19,7 @@ impl Canvas {
         }
         let mut taken: Vec<Area> = Vec::new();
         for rejected in order.iter().rev().filter(|it| was_measured(it.reject)) {
-            let text = reason::word(rejected.reject, ' ');
+            let text = reason::reject_name(rejected.reject, ' ');
             let Some((left, top, _, _)) = corners(rejected) else { continue };
             let top = top.saturating_sub((glyph::ROWS + 2) * DOT_PX);
             let area = Area::of_text(&text, left, top);

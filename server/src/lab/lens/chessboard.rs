@@ -10,7 +10,7 @@ use thiserror::Error;
 use crate::lab::print::spec;
 
 /// So many pictures of another board are no accident.
-const LEAST_OTHERS: usize = 3;
+const MIN_MISMATCHES: usize = 3;
 
 /// A chessboard, plain or ChArUco.
 #[derive(Clone, Debug, PartialEq)]
@@ -88,7 +88,7 @@ fn metres(millimetres: &str) -> Option<f64> {
      squares each way (`--board chessboard:{}x{}:…`)",
     .found.0, .found.1, .described.0, .described.1, .found.0, .found.1
 )]
-pub struct OtherChessboard {
+pub struct ChessboardMismatch {
     /// Inner corners as described.
     pub described: (usize, usize),
     /// As they look.
@@ -97,12 +97,12 @@ pub struct OtherChessboard {
 
 /// How often a plain chessboard looked as if it had other counts than is said.
 #[derive(Clone, Debug, Default)]
-pub(super) struct Others {
+pub(super) struct GridCounts {
     /// By the longer and the shorter side, since a board may be turned.
     seen: BTreeMap<(usize, usize), usize>,
 }
 
-impl Others {
+impl GridCounts {
     #[cfg(any(feature = "chessboard", test))]
     pub(super) fn add(&mut self, (columns, rows): (usize, usize)) {
         *self.seen.entry((columns.max(rows), columns.min(rows))).or_default() += 1;
@@ -110,24 +110,24 @@ impl Others {
 
     /// Why there will be no lens, once that is clear, of so many views that were taken. What is larger than described is
     /// another board. What is smaller may be a part of it, unless pictures are over and most show just the same.
-    pub(super) fn told(
+    pub(super) fn mismatch(
         &self,
         board: &Checkerboard,
         taken: usize,
         is_over: bool,
-    ) -> Option<OtherChessboard> {
+    ) -> Option<ChessboardMismatch> {
         let described = (board.columns(), board.rows());
         let (long, short) = (described.0.max(described.1), described.0.min(described.1));
         let all: usize = self.seen.values().sum();
         let is_clear = |&((columns, rows), count): &((usize, usize), usize)| {
             let is_larger = columns > long || rows > short;
-            count > taken && count >= LEAST_OTHERS && (is_larger || (is_over && 2 * count > all))
+            count > taken && count >= MIN_MISMATCHES && (is_larger || (is_over && 2 * count > all))
         };
         let seen = self.seen.iter().map(|(sides, count)| (*sides, *count)).filter(is_clear);
         let ((columns, rows), _) = seen.max_by_key(|(_, count)| *count)?;
         let is_upright = described.0 < described.1;
         let found = if is_upright { (rows, columns) } else { (columns, rows) };
-        Some(OtherChessboard { described, found })
+        Some(ChessboardMismatch { described, found })
     }
 }
 
@@ -165,18 +165,18 @@ mod tests {
     #[test]
     fn another_board_is_told_from_a_part_of_it() {
         let board = Checkerboard::new((9, 6), 0.025).unwrap();
-        let mut others = Others::default();
-        let told = |others: &Others, taken, is_over| {
-            others.told(&board, taken, is_over).map(|other| other.found)
+        let mut others = GridCounts::default();
+        let mismatch = |others: &GridCounts, taken, is_over| {
+            others.mismatch(&board, taken, is_over).map(|other| other.found)
         };
         for sides in [(5, 6), (8, 6), (8, 6), (6, 8)] {
             others.add(sides);
         }
-        assert_eq!(told(&others, 0, false), None, "it may be cut off");
-        assert_eq!(told(&others, 0, true), Some((8, 6)), "it is never whole");
-        assert_eq!(told(&others, 3, true), None, "whole ones are no fewer");
+        assert_eq!(mismatch(&others, 0, false), None, "it may be cut off");
+        assert_eq!(mismatch(&others, 0, true), Some((8, 6)), "it is never whole");
+        assert_eq!(mismatch(&others, 3, true), None, "whole ones are no fewer");
         (0..3).for_each(|_| others.add((10, 6)));
-        assert_eq!(told(&others, 0, false), Some((10, 6)), "no part of it");
-        assert!(others.told(&board, 0, false).unwrap().to_string().contains("chessboard:10x6"));
+        assert_eq!(mismatch(&others, 0, false), Some((10, 6)), "no part of it");
+        assert!(others.mismatch(&board, 0, false).unwrap().to_string().contains("chessboard:10x6"));
     }
 }

@@ -40,7 +40,7 @@ enum By {
 }
 
 /// What a picture shows.
-pub(super) enum Found {
+pub(super) enum CornerSearch {
     Board(View),
     /// A grid of so many corners across and down.
     Other((usize, usize)),
@@ -78,7 +78,7 @@ impl Finder {
         Ok(Self { board: board.corners, by, pixels: Vec::new() })
     }
 
-    pub(super) fn find(&mut self, frame: &Frame<'_>) -> Found {
+    pub(super) fn find(&mut self, frame: &Frame<'_>) -> CornerSearch {
         let (width, height) = (frame.width(), frame.height());
         self.pixels.clear();
         (0..height).for_each(|row| self.pixels.extend_from_slice(frame.row(row)));
@@ -87,7 +87,7 @@ impl Finder {
             By::Grid(detector, config) => {
                 let corners = detect_corners(&picture, config);
                 let Some(grid) = detector.detect(&corners) else {
-                    return Found::Board(View::default());
+                    return CornerSearch::Board(View::default());
                 };
                 let corners: Vec<Corner> = grid
                     .corners
@@ -105,7 +105,7 @@ impl Finder {
                     .map(|it| (corner(it.id as usize), pixel(&it.position)))
                     .map(|((column, row), place)| (column, row, place))
                     .collect();
-                Found::Board(view(&self.board, &corners))
+                CornerSearch::Board(view(&self.board, &corners))
             }
         }
     }
@@ -117,19 +117,19 @@ fn pixel(place: &nalgebra::Point2<f32>) -> PixelPoint {
 }
 
 /// A plain chessboard's corners, counted from the top left in the picture, on a board that may be turned by 90°.
-fn placed(board: &Checkerboard, mut corners: Vec<Corner>) -> Found {
+fn placed(board: &Checkerboard, mut corners: Vec<Corner>) -> CornerSearch {
     let most = |of: fn(&Corner) -> usize| corners.iter().map(of).max().map_or(0, |it| it + 1);
     let sides = (most(|it| it.0), most(|it| it.1));
     let described = (board.columns(), board.rows());
     if sides == described {
-        Found::Board(view(board, &corners))
+        CornerSearch::Board(view(board, &corners))
     } else if (sides.1, sides.0) == described {
         for (column, row, _) in &mut corners {
             (*column, *row) = (*row, sides.0 - 1 - *column);
         }
-        Found::Board(view(board, &corners))
+        CornerSearch::Board(view(board, &corners))
     } else {
-        Found::Other(sides)
+        CornerSearch::Other(sides)
     }
 }
 
@@ -168,7 +168,7 @@ mod tests {
     fn a_board_that_is_turned_keeps_its_handedness() {
         let board = Checkerboard::new((9, 6), 0.025).unwrap();
         for (columns, rows) in [(9, 6), (6, 9)] {
-            let Found::Board(view) = placed(&board, corners(columns, rows)) else {
+            let CornerSearch::Board(view) = placed(&board, corners(columns, rows)) else {
                 panic!("{columns} x {rows} is the board");
             };
             assert_eq!(view.sightings.len(), 54);
@@ -179,6 +179,6 @@ mod tests {
             let (du, dv) = (below.u - first.u, below.v - first.v);
             assert!(ru * dv - rv * du > 0.0, "{columns} x {rows}");
         }
-        assert!(matches!(placed(&board, corners(8, 6)), Found::Other((8, 6))));
+        assert!(matches!(placed(&board, corners(8, 6)), CornerSearch::Other((8, 6))));
     }
 }

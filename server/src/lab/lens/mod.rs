@@ -3,22 +3,22 @@
 //!
 //! | module | what it does |
 //! | --- | --- |
-//! | [`search`] | the board in one picture after the other; the command line's too |
+//! | [`board_search`] | the board in one picture after the other; the command line's too |
 //! | `pictures` | from a camera of this server, or a source that is opened for it |
 //! | `task` | gathering → solving, on a thread of its own |
 //! | [`report`] | how far it is, and what came out |
-//! | `drawing` | the newest picture, with what was found in it |
+//! | `annotated_picture` | the newest picture, with what was found in it |
 //!
 //! One runs at a time. A camera goes on meanwhile: what is looked at are copies of some of its frames, ten a second at most,
 //! and the thread looks for half of the time at most. One that nobody asks about for a minute ends.
 
+mod annotated_picture;
+pub mod board_search;
 pub mod chessboard;
 #[cfg(feature = "chessboard")]
 mod corners;
-mod drawing;
-mod pictures;
+mod picture_source;
 pub mod report;
-pub mod search;
 mod task;
 
 use std::{
@@ -41,10 +41,10 @@ use crate::model::{
     address::{AddressError, SourceAddress, without_credentials},
     camera_file,
     hub::Hub,
-    stop::Stop,
+    stop::StopSignal,
 };
-pub use drawing::Shown;
-pub use pictures::Subject;
+pub use annotated_picture::AnnotatedPicture;
+pub use picture_source::PictureSource;
 use report::{LensStatus, Stage};
 
 /// Fewest and most views that are kept.
@@ -52,16 +52,16 @@ pub const VIEWS: (usize, usize) = (LEAST_VIEWS, 100);
 /// And so many, if nobody says otherwise.
 pub const DEFAULT_VIEWS: usize = 40;
 /// One that nobody asks about for so long ends.
-const UNATTENDED: Duration = Duration::from_secs(60);
+const IDLE_TIMEOUT: Duration = Duration::from_secs(60);
 
 /// What is to be done.
 #[derive(Clone, Debug)]
-pub struct Wanted {
+pub struct LensRun {
     /// What is looked at.
-    pub subject: Subject,
+    pub picture_source: PictureSource,
     /// What goes into the file as the camera's name.
     pub name: String,
-    /// What stands for the subject in what clients are told.
+    /// What stands for the picture_source in what clients are told.
     pub shown: String,
     /// The printed board.
     pub board: Board,
@@ -91,7 +91,7 @@ pub enum LensError {
     Fed,
     /// No pictures are looked at.
     #[error("no lens is being calibrated: start one first")]
-    NothingRuns,
+    NotRecording,
     /// The calibration has no result.
     #[error("there is no lens to take: start a calibration, and finish it")]
     NoResult,
@@ -102,7 +102,7 @@ pub enum LensError {
 
 /// A lens that was found, and whose it is.
 #[derive(Clone, Debug)]
-pub struct Found {
+pub struct LensResult {
     /// The camera of this server; `None`: a source of its own.
     pub camera: Option<String>,
     /// As the file calls it.
@@ -111,13 +111,13 @@ pub struct Found {
     pub lens: Arc<LensCalibration>,
 }
 
-impl Found {
+impl LensResult {
     /// The `camera_info` YAML.
     pub fn file(&self) -> String {
         let Self { name, lens, .. } = self;
-        let doubt =
+        let uncertainty =
             LensDoubt { free: lens.model.free().to_vec(), covariance: lens.covariance.clone() };
-        camera_file::write_with_doubt(name, &lens.camera, Some(&doubt))
+        camera_file::write_with_uncertainty(name, &lens.camera, Some(&uncertainty))
     }
 }
 
@@ -131,7 +131,7 @@ pub struct LensCalibrator {
 
 struct Running {
     /// Ends the pictures.
-    stop: Stop,
+    stop: StopSignal,
     thread: JoinHandle<()>,
 }
 
@@ -140,17 +140,17 @@ struct Shared {
     hub: Arc<Hub>,
     state: Mutex<State>,
     /// One that nobody asks about for so long ends.
-    patience: Duration,
+    idle_timeout: Duration,
 }
 
 /// What is known of the newest calibration.
 struct State {
     status: LensStatus,
     /// The newest picture that was looked at.
-    shown: Option<Arc<Shown>>,
-    found: Option<Found>,
+    shown: Option<Arc<AnnotatedPicture>>,
+    found: Option<LensResult>,
     /// When somebody asked last.
-    asked: Instant,
+    last_request: Instant,
     /// That it is to end without a result.
     cancelled: bool,
 }
@@ -162,40 +162,42 @@ impl LensCalibrator {
             status: LensStatus::default(),
             shown: None,
             found: None,
-            asked: Instant::now(),
+            last_request: Instant::now(),
             cancelled: false,
         };
-        let shared = Arc::new(Shared { hub, state: Mutex::new(state), patience: UNATTENDED });
+        let shared = Arc::new(Shared { hub, state: Mutex::new(state), idle_timeout: IDLE_TIMEOUT });
         Self { shared, folder: folder.to_owned(), running: Mutex::default() }
     }
 
-    /// A source's address as a subject, and as it may be shown.
+    /// A source's address as a picture_source, and as it may be shown.
     pub fn source(
         &self,
         source: &str,
         size: Option<(usize, usize)>,
-    ) -> Result<(Subject, String), LensError> {
+    ) -> Result<(PictureSource, String), LensError> {
         match SourceAddress::parse(source, &self.folder)? {
             SourceAddress::Push(_) => Err(LensError::Fed),
-            address => Ok((Subject::Source(Box::new(address), size), without_credentials(source))),
+            address => {
+                Ok((PictureSource::Source(Box::new(address), size), without_credentials(source)))
+            }
         }
     }
 
     /// Begins one; what the one before has found is gone.
-    pub fn start(&self, wanted: Wanted) -> Result<(), LensError> {
+    pub fn start(&self, run: LensRun) -> Result<(), LensError> {
         let mut running = lock(&self.running);
         if running.as_ref().is_some_and(|it| !it.thread.is_finished()) {
             let status = self.shared.lock().status.clone();
             return Err(LensError::Busy(format!("{}{}", status.camera, status.source)));
         }
-        if !(VIEWS.0..=VIEWS.1).contains(&wanted.most) {
-            return Err(LensError::Views(wanted.most));
+        if !(VIEWS.0..=VIEWS.1).contains(&run.most) {
+            return Err(LensError::Views(run.most));
         }
-        let (shared, stop) = (self.shared.clone(), Stop::default());
-        shared.begin(&wanted);
+        let (shared, stop) = (self.shared.clone(), StopSignal::default());
+        shared.begin(&run);
         let until = stop.clone();
         let builder = std::thread::Builder::new().name("lens".to_owned());
-        let spawned = builder.spawn(move || task::run(&shared, wanted, &until));
+        let spawned = builder.spawn(move || task::run(&shared, run, &until));
         let thread = spawned.map_err(|error| {
             self.shared.lock().status = LensStatus::default();
             LensError::Thread(error.to_string())
@@ -207,14 +209,14 @@ impl LensCalibrator {
     /// How far it is; whoever asks keeps it running.
     pub fn status(&self) -> LensStatus {
         let mut state = self.shared.lock();
-        state.asked = Instant::now();
+        state.last_request = Instant::now();
         state.status.clone()
     }
 
     /// The newest picture that was looked at; `None` before the first. Whoever asks keeps it running.
-    pub fn shown(&self) -> Option<Arc<Shown>> {
+    pub fn shown(&self) -> Option<Arc<AnnotatedPicture>> {
         let mut state = self.shared.lock();
-        state.asked = Instant::now();
+        state.last_request = Instant::now();
         state.shown.clone()
     }
 
@@ -237,12 +239,12 @@ impl LensCalibrator {
                 stop.stop();
                 Ok(())
             }
-            _ => Err(LensError::NothingRuns),
+            _ => Err(LensError::NotRecording),
         }
     }
 
     /// What was found.
-    pub fn found(&self) -> Result<Found, LensError> {
+    pub fn found(&self) -> Result<LensResult, LensError> {
         self.shared.lock().found.clone().ok_or(LensError::NoResult)
     }
 
@@ -265,12 +267,12 @@ impl Shared {
         lock(&self.state)
     }
 
-    fn begin(&self, wanted: &Wanted) {
-        let (camera, source) = match wanted.subject {
-            Subject::Camera(..) => (wanted.shown.clone(), String::new()),
-            Subject::Source(..) => (String::new(), wanted.shown.clone()),
+    fn begin(&self, run: &LensRun) {
+        let (camera, source) = match run.picture_source {
+            PictureSource::Camera(..) => (run.shown.clone(), String::new()),
+            PictureSource::Source(..) => (String::new(), run.shown.clone()),
         };
-        let board = &wanted.board;
+        let board = &run.board;
         let board = format!(
             "{} x {} roundels of {} mm, {} mm from centre to centre",
             board.columns(),
@@ -279,10 +281,10 @@ impl Shared {
             crate::lab::print::millimetres(board.pitch_m() * 1e3)
         );
         *self.lock() = State {
-            status: LensStatus::begun(camera, source, board, wanted.most),
+            status: LensStatus::begun(camera, source, board, run.most),
             shown: None,
             found: None,
-            asked: Instant::now(),
+            last_request: Instant::now(),
             cancelled: false,
         };
     }
@@ -299,13 +301,13 @@ mod tests {
     use super::*;
     use crate::model::hub::Installation;
 
-    fn calibrator(folder: &Path, patience: Duration) -> LensCalibrator {
+    fn calibrator(folder: &Path, idle_timeout: Duration) -> LensCalibrator {
         let hub = Arc::new(Hub::new(Installation {
             name: "lab".to_owned(),
             source_id: "lab-0".to_owned(),
             started: Timestamp::default(),
             snapshot_rate_hz: 60.0,
-            cameras: Installation::numbered([]),
+            cameras: Installation::number_cameras([]),
             kinds: Vec::new(),
             object_names: Default::default(),
             body_names: Vec::new(),
@@ -315,17 +317,17 @@ mod tests {
             status: LensStatus::default(),
             shown: None,
             found: None,
-            asked: Instant::now(),
+            last_request: Instant::now(),
             cancelled: false,
         });
-        LensCalibrator { shared: Arc::new(Shared { hub, state, patience }), ..lenses }
+        LensCalibrator { shared: Arc::new(Shared { hub, state, idle_timeout }), ..lenses }
     }
 
-    fn wanted(lenses: &LensCalibrator, source: &str) -> Wanted {
-        let (subject, shown) = lenses.source(source, None).unwrap();
+    fn run(lenses: &LensCalibrator, source: &str) -> LensRun {
+        let (picture_source, shown) = lenses.source(source, None).unwrap();
         let layout = CodeLayout { bits: 9, min_distance: 1 };
         let board = Board::new((7, 5), 0.036, 0.03, layout).unwrap();
-        Wanted { subject, name: "it".to_owned(), shown, board, most: 40, model: None }
+        LensRun { picture_source, name: "it".to_owned(), shown, board, most: 40, model: None }
     }
 
     fn ended(lenses: &LensCalibrator) {
@@ -345,7 +347,7 @@ mod tests {
         let white: Vec<u8> = b"P5\n64 48\n255\n".iter().copied().chain([255; 64 * 48]).collect();
         std::fs::write(folder.path().join("0.pgm"), white).unwrap();
         let lenses = calibrator(folder.path(), Duration::from_millis(300));
-        lenses.start(wanted(&lenses, "images:*.pgm?fps=50&loop=true")).unwrap();
+        lenses.start(run(&lenses, "images:*.pgm?fps=50&loop=true")).unwrap();
         ended(&lenses);
         let status = lenses.status();
         assert_eq!(status.stage, Stage::Failed);
@@ -359,10 +361,10 @@ mod tests {
         let folder = tempfile::tempdir().unwrap();
         let white: Vec<u8> = b"P5\n64 48\n255\n".iter().copied().chain([255; 64 * 48]).collect();
         std::fs::write(folder.path().join("0.pgm"), white).unwrap();
-        let lenses = calibrator(folder.path(), UNATTENDED);
+        let lenses = calibrator(folder.path(), IDLE_TIMEOUT);
         let source = "images:*.pgm?fps=50";
-        let (subject, _) = lenses.source(source, Some((32, 24))).unwrap();
-        lenses.start(Wanted { subject, ..wanted(&lenses, source) }).unwrap();
+        let (picture_source, _) = lenses.source(source, Some((32, 24))).unwrap();
+        lenses.start(LensRun { picture_source, ..run(&lenses, source) }).unwrap();
         ended(&lenses);
         let error = lenses.status().error;
         assert!(error.contains("asked for pictures of 32 x 24 pixels, found 64 x 48"), "{error}");
@@ -371,8 +373,8 @@ mod tests {
     #[test]
     fn a_source_that_cannot_be_looked_at_says_why() {
         let folder = tempfile::tempdir().unwrap();
-        let lenses = calibrator(folder.path(), UNATTENDED);
-        lenses.start(wanted(&lenses, "images:*.png")).unwrap();
+        let lenses = calibrator(folder.path(), IDLE_TIMEOUT);
+        lenses.start(run(&lenses, "images:*.png")).unwrap();
         ended(&lenses);
         assert!(lenses.status().error.contains("no file matches"), "{}", lenses.status().error);
         assert!(matches!(lenses.source("push:", None), Err(LensError::Fed)));

@@ -7,7 +7,7 @@ use roundel_core::{
 use serde::Serialize;
 use utoipa::ToSchema;
 
-use super::search::{GOOD_VIEWS, Gathered};
+use super::board_search::{CollectedViews, GOOD_VIEWS};
 
 /// How far a lens calibration is.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, ToSchema)]
@@ -182,14 +182,14 @@ pub fn parameters(found: &LensCalibration) -> Vec<(&'static str, f64, f64)> {
 
 impl LensStatus {
     /// Takes over what was found so far, and in the newest picture.
-    pub(super) fn update(&mut self, gathered: &Gathered, newest: Verdict, view: &View) {
+    pub(super) fn update(&mut self, gathered: &CollectedViews, newest: Verdict, view: &View) {
         let chooser = &gathered.chooser;
         (self.width, self.height) = gathered.size;
         self.frames = gathered.frames;
-        self.newest = told(newest).to_owned();
+        self.newest = verdict_text(newest).to_owned();
         self.newest_taken = newest == Verdict::Taken;
         self.outline = corners(&view.outline());
-        self.left_out = gathered.told();
+        self.left_out = gathered.describe();
         if chooser.taken().len() != self.taken || self.coverage.zones.is_empty() {
             self.taken = chooser.taken().len();
             self.coverage = CoverageReport::of(chooser.coverage());
@@ -213,7 +213,7 @@ fn corners(outline: &[PixelPoint]) -> Vec<[f64; 2]> {
 }
 
 /// What became of a picture, for who moves the board.
-fn told(verdict: Verdict) -> &'static str {
+fn verdict_text(verdict: Verdict) -> &'static str {
     match verdict {
         Verdict::Taken => "taken: on to the next place",
         Verdict::NoBoard => "no roundel of the board is seen",

@@ -2,22 +2,22 @@
 //!
 //! | module | what it does |
 //! | --- | --- |
-//! | [`station`] | cameras of a configuration or of a running server, as the plan takes them |
-//! | [`report`] | a map as numbers (JSON) |
-//! | [`picture`] | a map as SVG and PNG |
-//! | [`machine`] | what a machine takes for a frame: measured, kept in a file, read again |
-//! | [`trial`] | the frames that it is measured with, and the clock |
+//! | [`planned_camera`] | cameras of a configuration or of a running server, as the plan takes them |
+//! | [`plan_map`] | a map as numbers (JSON) |
+//! | [`map_drawing`] | a map as SVG and PNG |
+//! | [`machine_timings`] | what a machine takes for a frame: measured, kept in a file, read again |
+//! | [`timing`] | the frames that it is measured with, and the clock |
 //! | `rows` | robots of such a frame in rows |
-//! | [`quiet`] | whether the machine was used by others meanwhile |
+//! | [`contention`] | whether the machine was used by others meanwhile |
 
-pub mod machine;
-pub mod picture;
-pub mod quiet;
-pub mod report;
-mod rows;
-mod scale;
-pub mod station;
-pub mod trial;
+mod color_scale;
+pub mod contention;
+pub mod machine_timings;
+pub mod map_drawing;
+pub mod plan_map;
+pub mod planned_camera;
+mod robot_rows;
+pub mod timing;
 
 /// About so many spots a map has, if nobody says how far apart they are.
-pub const SPOTS: usize = 2400;
+pub const DEFAULT_SPOTS: usize = 2400;

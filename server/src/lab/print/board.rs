@@ -6,9 +6,9 @@ use thiserror::Error;
 use super::{
     codes, marks, millimetres,
     page::{Page, PageSize},
+    page_layout::printable_area,
     path::Place,
     roundel::outline,
-    sheet::window,
 };
 
 /// The board is larger than the page.
@@ -36,12 +36,12 @@ pub fn board_page(board: &Board, page: PageSize) -> Result<Page, BoardPageError>
     let side = |count: usize| (count - 1) as f64 * pitch_mm + outer_mm;
     let (width, height) = (side(board.columns()), side(board.rows()));
     let fits = |page: &PageSize| {
-        let room = window(*page);
+        let room = printable_area(*page);
         room.width() >= width && room.height() >= height
     };
-    let Some(page) = [page, page.turned()].into_iter().find(fits) else {
-        let lying = if width > height { page.turned() } else { page };
-        let room = window(lying);
+    let Some(page) = [page, page.rotated()].into_iter().find(fits) else {
+        let lying = if width > height { page.rotated() } else { page };
+        let room = printable_area(lying);
         return Err(BoardPageError {
             columns: board.columns(),
             rows: board.rows(),
@@ -51,7 +51,7 @@ pub fn board_page(board: &Board, page: PageSize) -> Result<Page, BoardPageError>
             room_mm: (room.width(), room.height()),
         });
     };
-    let window = window(page);
+    let window = printable_area(page);
     let middle = Place::new((window.left + window.right) / 2.0, (window.top + window.bottom) / 2.0);
     let layout = match kind.pattern {
         Pattern::Coded(layout) => Some(layout),
@@ -70,5 +70,5 @@ pub fn board_page(board: &Board, page: PageSize) -> Result<Page, BoardPageError>
         millimetres(pitch_mm),
         layout.map_or(String::new(), |layout| format!(", {}", codes(layout)))
     );
-    Ok(Page { size: page, window, prints: prints.collect(), marks: marks::foot(page, &about) })
+    Ok(Page { size: page, window, prints: prints.collect(), marks: marks::footer(page, &about) })
 }

@@ -3,22 +3,22 @@
 use roundel_core::marker::Polarity;
 
 use super::{
-    page::{Anchor, PageSize, Shape},
+    page::{PageSize, Shape, TextAnchor},
+    page_layout::{EDGE_MM, FOOT_MM, PrintItem, RULER_MM},
     path::{Area, Place},
-    sheet::{EDGE_MM, FOOT_MM, Item, RULER_MM},
 };
 
 /// Length of a cut mark, and how far it stays from the square, millimetres.
 pub(super) const CUT_MM: f64 = 3.0;
 pub(super) const CUT_GAP_MM: f64 = 0.5;
 /// Longest ruler, millimetres.
-const LONGEST_RULER_MM: f64 = 100.0;
+const MAX_RULER_MM: f64 = 100.0;
 /// Lengths of the ruler's marks at each half and each whole centimetre, millimetres.
 const TICKS_MM: (f64, f64) = (1.5, 3.0);
 /// Height of capitals of the small print, millimetres.
 const SMALL_MM: f64 = 1.8;
 /// Below this it cannot be read, millimetres.
-const LEAST_MM: f64 = 0.8;
+const MIN_TEXT_MM: f64 = 0.8;
 /// Width of a character over the height of capitals, about.
 const CHARACTER: f64 = 0.8;
 /// Length of a mark where sheets meet, and how far it stays from the window, millimetres.
@@ -26,7 +26,7 @@ const JOIN_MM: f64 = 1.5;
 const JOIN_GAP_MM: f64 = 0.3;
 
 /// Marks in line with a square's sides, at its corners.
-pub(super) fn cut(square: &Area) -> Vec<Shape> {
+pub(super) fn cut_marks(square: &Area) -> Vec<Shape> {
     let mut marks = Vec::with_capacity(8);
     for (x, away_x) in [(square.left, -1.0), (square.right, 1.0)] {
         for (y, away_y) in [(square.top, -1.0), (square.bottom, 1.0)] {
@@ -41,11 +41,11 @@ pub(super) fn cut(square: &Area) -> Vec<Shape> {
 
 /// Label and size in the square's lower corners, where they stay after cutting and no rim is near. Where they cannot be, on
 /// black or too small to be read, they stand below the square, and tell what is what until it is cut out.
-pub(super) fn corner(item: &Item, square: &Area) -> Vec<Shape> {
+pub(super) fn corner_labels(item: &PrintItem, square: &Area) -> Vec<Shape> {
     let outer_mm = item.kind.outer_diameter_m * 1e3;
     let height_mm = (outer_mm * 0.04).min(SMALL_MM * 1.5);
     let size = format!("{} mm", super::millimetres(outer_mm));
-    if height_mm < LEAST_MM || item.kind.polarity == Polarity::WhiteRing {
+    if height_mm < MIN_TEXT_MM || item.kind.polarity == Polarity::WhiteRing {
         return below(&item.label, &size, square).into_iter().collect();
     }
     let inset = 0.6 * height_mm;
@@ -56,8 +56,8 @@ pub(super) fn corner(item: &Item, square: &Area) -> Vec<Shape> {
         text,
     };
     vec![
-        text(square.left + inset, Anchor::Begin, item.label.clone()),
-        text(square.right - inset, Anchor::End, size),
+        text(square.left + inset, TextAnchor::Begin, item.label.clone()),
+        text(square.right - inset, TextAnchor::End, size),
     ]
 }
 
@@ -71,20 +71,20 @@ fn below(label: &str, size: &str, square: &Area) -> Option<Shape> {
     let texts = [both.as_str(), label, size].into_iter().filter(|text| !text.is_empty());
     let (text, height_mm) = texts
         .map(|text| (text, fits(text).min(SMALL_MM)))
-        .find(|(_, height_mm)| *height_mm >= LEAST_MM)?;
+        .find(|(_, height_mm)| *height_mm >= MIN_TEXT_MM)?;
     Some(Shape::Text {
         at: Place::new((square.left + square.right) / 2.0, square.bottom + CUT_GAP_MM + height_mm),
-        anchor: Anchor::Middle,
+        anchor: TextAnchor::Middle,
         height_mm,
         text: text.to_owned(),
     })
 }
 
 /// The small print at the foot of a page, and a ruler along the foot and one up the right.
-pub(super) fn foot(page: PageSize, about: &str) -> Vec<Shape> {
+pub(super) fn footer(page: PageSize, about: &str) -> Vec<Shape> {
     let (foot_y, right_x) =
         (page.height_mm - EDGE_MM - FOOT_MM + 5.0, page.width_mm - EDGE_MM - RULER_MM + 3.0);
-    let length = |room_mm: f64| ((room_mm / 10.0).floor() * 10.0).min(LONGEST_RULER_MM);
+    let length = |room_mm: f64| ((room_mm / 10.0).floor() * 10.0).min(MAX_RULER_MM);
     let across = length(page.width_mm - 2.0 * EDGE_MM - RULER_MM);
     let up = length(page.height_mm - 2.0 * EDGE_MM - FOOT_MM);
     let mut shapes = vec![
@@ -115,7 +115,7 @@ pub(super) fn foot(page: PageSize, about: &str) -> Vec<Shape> {
     for (index, text) in lines.into_iter().enumerate() {
         shapes.push(Shape::Text {
             at: Place::new(EDGE_MM, foot_y + 3.2 + 3.0 * index as f64),
-            anchor: Anchor::Begin,
+            anchor: TextAnchor::Begin,
             height_mm: SMALL_MM,
             text,
         });
@@ -126,7 +126,7 @@ pub(super) fn foot(page: PageSize, about: &str) -> Vec<Shape> {
 /// Where sheets of one large roundel meet, marked outside of their windows: the left and the upper edge are
 /// cut off at the window where a sheet joins there, and laid on the line that the other sheet's marks span.
 /// `sides`: whether there is a sheet to the left, right, top and bottom.
-pub(super) fn joins(window: &Area, overlap_mm: f64, sides: [bool; 4]) -> Vec<Shape> {
+pub(super) fn join_marks(window: &Area, overlap_mm: f64, sides: [bool; 4]) -> Vec<Shape> {
     let [left, right, top, bottom] = sides;
     let beyond = [JOIN_GAP_MM, JOIN_GAP_MM + JOIN_MM];
     let mut marks = Vec::new();
@@ -166,16 +166,16 @@ mod tests {
 
     fn texts(outer_mm: f64, polarity: Polarity, label: &str) -> Vec<(String, Place)> {
         let kind = Kind { polarity, ..Kind::plain("", outer_mm * 1e-3, 0.4e-3 * outer_mm) };
-        let item = Item { kind, number: None, label: label.to_owned() };
+        let item = PrintItem { kind, number: None, label: label.to_owned() };
         let square = Area::square(Place::new(50.0, 50.0), 1.35 * outer_mm);
         let text = |shape: Shape| match shape {
             Shape::Text { at, height_mm, text, .. } => {
-                assert!((LEAST_MM..=1.5 * SMALL_MM).contains(&height_mm), "{text}: {height_mm}");
+                assert!((MIN_TEXT_MM..=1.5 * SMALL_MM).contains(&height_mm), "{text}: {height_mm}");
                 (text, at)
             }
             Shape::Line { .. } => panic!("a line"),
         };
-        corner(&item, &square).into_iter().map(text).collect()
+        corner_labels(&item, &square).into_iter().map(text).collect()
     }
 
     #[test]

@@ -6,28 +6,28 @@
 //! (`tests/tests/print.rs`).
 
 mod board;
-mod list;
+mod code_list;
+mod job;
 mod marks;
-mod order;
 pub mod page;
+mod page_layout;
 pub mod path;
 mod pdf;
 mod raster;
 mod roundel;
-mod sheet;
 pub mod spec;
 mod svg;
 
 use roundel_core::marker::CodeLayout;
 
 pub use board::{BoardPageError, board_page};
-pub use list::{Listed, list};
-pub use order::{Order, OrderError, configured, of_kind, one_coded};
+pub use code_list::{CodeListing, list_codes};
+pub use job::{PrintJob, PrintJobError, coded_item, config_lines, items_of_kind};
 pub use page::{Page, PageSize, PageSizeError};
+pub use page_layout::{MAX_PAGES, PageLayoutError, PrintItem, lay_out_pages};
 pub use pdf::pdf;
 pub use raster::{DPI_LIMITS, RasterError, png};
 pub use roundel::SIDE_SHARE;
-pub use sheet::{Item, MAX_PAGES, SheetError, sheets};
 pub use svg::svg;
 
 /// Of a board of which nothing else is said: its roundels' outer diameter, metres.

@@ -57,7 +57,7 @@ impl PageSize {
     }
 
     /// Turned by a right angle.
-    pub fn turned(self) -> Self {
+    pub fn rotated(self) -> Self {
         Self { width_mm: self.height_mm, height_mm: self.width_mm }
     }
 
@@ -76,7 +76,7 @@ impl PageSize {
 
 /// How a text stands at its place.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Anchor {
+pub enum TextAnchor {
     /// The place is where the text begins.
     Begin,
     /// The place is the text's middle.
@@ -100,7 +100,7 @@ pub enum Shape {
         /// Where, by the anchor.
         at: Place,
         /// How the place and the text go together.
-        anchor: Anchor,
+        anchor: TextAnchor,
         /// Height of a capital, millimetres.
         height_mm: f64,
         /// Latin letters, digits and signs.
@@ -132,7 +132,7 @@ mod tests {
     fn sizes_are_read_by_name_or_in_millimetres() {
         let a4 = PageSize { width_mm: 210.0, height_mm: 297.0 };
         assert_eq!(PageSize::parse("a4"), Ok(a4));
-        assert_eq!(a4.turned().name(), "A4");
+        assert_eq!(a4.rotated().name(), "A4");
         let roll = PageSize::parse("914.4x2000").unwrap();
         assert_eq!(roll, PageSize { width_mm: 914.4, height_mm: 2000.0 });
         assert_eq!(roll.name(), "914.4 x 2000 mm");

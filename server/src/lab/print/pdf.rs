@@ -3,7 +3,7 @@
 use pdf_writer::{Content, Finish, Name, Pdf, Rect, Ref, Str};
 
 use super::{
-    page::{Anchor, LINE_MM, Page, Shape},
+    page::{LINE_MM, Page, Shape, TextAnchor},
     path::{Path, Place, Step},
 };
 
@@ -74,9 +74,9 @@ fn content(page: &Page) -> Vec<u8> {
                 let size_mm = height_mm / CAPITAL;
                 let width_mm = text.chars().count() as f64 * LETTER * size_mm;
                 let shift = match anchor {
-                    Anchor::Begin => 0.0,
-                    Anchor::Middle => -width_mm / 2.0,
-                    Anchor::End => -width_mm,
+                    TextAnchor::Begin => 0.0,
+                    TextAnchor::Middle => -width_mm / 2.0,
+                    TextAnchor::End => -width_mm,
                 };
                 let (x, y) = at(place.moved(shift, 0.0));
                 content.begin_text().set_font(Name(b"F"), (size_mm * POINTS) as f32);

@@ -6,7 +6,7 @@ use thiserror::Error;
 use tiny_skia::{FillRule, Mask, Paint, PathBuilder, PixmapMut, Rect, Stroke, Transform};
 
 use super::{
-    page::{Anchor, LINE_MM, Page, Shape},
+    page::{LINE_MM, Page, Shape, TextAnchor},
     path::{Path, Step},
 };
 use crate::lab::drawing::glyph;
@@ -107,9 +107,9 @@ fn dots(mark: &Shape) -> Vec<Rect> {
     let width = text.chars().count() as f64 * advance;
     let left = at.x
         - match anchor {
-            Anchor::Begin => 0.0,
-            Anchor::Middle => width / 2.0,
-            Anchor::End => width,
+            TextAnchor::Begin => 0.0,
+            TextAnchor::Middle => width / 2.0,
+            TextAnchor::End => width,
         };
     let mut dots = Vec::new();
     for (index, character) in text.chars().enumerate() {

@@ -11,7 +11,7 @@ use super::path::{Area, Path, Place};
 pub const SIDE_SHARE: f64 = 1.35;
 
 /// The least of that, where a page has no more room: the margin's level is taken within three pixels of the rim.
-pub const LEAST_SIDE_SHARE: f64 = 1.15;
+pub const MIN_SIDE_SHARE: f64 = 1.15;
 
 /// The black of a roundel round `center`: the print's right is the page's right, its up the page's up.
 /// `teeth` are the code's, of coded kinds; `side_mm` is that of the square that it is cut out as.

@@ -5,7 +5,7 @@ use roundel_core::marker::{CodeLayout, Kind, Pattern, Polarity, Ring};
 
 /// Words for polarities.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, ValueEnum)]
-pub enum PolarityWord {
+pub enum PolarityArg {
     /// Black ring, white disc, on white
     #[default]
     BlackRing,
@@ -13,11 +13,11 @@ pub enum PolarityWord {
     WhiteRing,
 }
 
-impl From<PolarityWord> for Polarity {
-    fn from(word: PolarityWord) -> Self {
+impl From<PolarityArg> for Polarity {
+    fn from(word: PolarityArg) -> Self {
         match word {
-            PolarityWord::BlackRing => Self::BlackRing,
-            PolarityWord::WhiteRing => Self::WhiteRing,
+            PolarityArg::BlackRing => Self::BlackRing,
+            PolarityArg::WhiteRing => Self::WhiteRing,
         }
     }
 }
@@ -35,7 +35,7 @@ pub struct Diameters {
 
 /// All that is known of the print.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Print {
+pub struct PrintSpec {
     /// As given, if any.
     pub diameters: Option<Diameters>,
     /// Of coded prints.
@@ -44,7 +44,7 @@ pub struct Print {
     pub polarity: Polarity,
 }
 
-impl Print {
+impl PrintSpec {
     /// The kind to look for; `None` if any plausible ring is wanted. Without diameters its outer one
     /// is a metre.
     pub fn kind(&self) -> Option<Kind> {
@@ -121,14 +121,14 @@ pub fn code(text: &str) -> Result<CodeLayout, String> {
 }
 
 /// As many as there are codes of any length; a request may not ask for memory without end.
-const MOST_NUMBERS: usize = u16::MAX as usize;
+const MAX_NUMBERS: usize = u16::MAX as usize;
 
 /// Numbers of codes, in the order given.
 #[derive(Clone, Debug, PartialEq, Eq)]
-pub struct Numbers(pub Vec<u16>);
+pub struct CodeNumbers(pub Vec<u16>);
 
 /// Reads `1-24,30`.
-pub fn numbers(text: &str) -> Result<Numbers, String> {
+pub fn numbers(text: &str) -> Result<CodeNumbers, String> {
     let wrong = || format!("expected numbers from 1 on, such as 1-24,30, found `{text}`");
     let number = |text: &str| text.trim().parse::<u16>().ok().filter(|&number| number > 0);
     let mut numbers = Vec::new();
@@ -139,11 +139,11 @@ pub fn numbers(text: &str) -> Result<Numbers, String> {
             .filter(|(first, last)| first <= last)
             .ok_or_else(wrong)?;
         numbers.extend(first..=last);
-        if numbers.len() > MOST_NUMBERS {
-            return Err(format!("expected at most {MOST_NUMBERS} numbers, found more"));
+        if numbers.len() > MAX_NUMBERS {
+            return Err(format!("expected at most {MAX_NUMBERS} numbers, found more"));
         }
     }
-    Ok(Numbers(numbers))
+    Ok(CodeNumbers(numbers))
 }
 
 /// Reads `COLUMNSxROWS`.
@@ -167,7 +167,7 @@ mod tests {
         assert_eq!(diameters("160"), Ok(Diameters { outer_m: 0.16, inner_m: None, minor_m: None }));
         let disc = Diameters { outer_m: 0.16, inner_m: Some(0.096), minor_m: Some(0.064) };
         assert_eq!(diameters("160:96:64"), Ok(disc));
-        let print = Print { diameters: Some(disc), code: None, polarity: Polarity::BlackRing };
+        let print = PrintSpec { diameters: Some(disc), code: None, polarity: Polarity::BlackRing };
         let pattern = Pattern::Elliptical { minor_diameter_m: 0.064 };
         assert_eq!(print.kind().map(|kind| kind.pattern), Some(pattern));
         for (text, expected) in [
@@ -203,7 +203,7 @@ mod tests {
 
     #[test]
     fn numbers_are_ranges_and_lists() {
-        assert_eq!(numbers("1-3, 30"), Ok(Numbers(vec![1, 2, 3, 30])));
+        assert_eq!(numbers("1-3, 30"), Ok(CodeNumbers(vec![1, 2, 3, 30])));
         for wrong in ["", "0", "3-1", "a", "1-", "1,,2", "70000"] {
             let error = numbers(wrong).unwrap_err();
             assert!(error.ends_with(&format!("found `{wrong}`")), "{error}");
@@ -222,7 +222,7 @@ mod tests {
 
     #[test]
     fn a_coded_print_has_the_ratio_of_all_coded_prints() {
-        let print = |diameters, code| Print { diameters, code, polarity: Polarity::WhiteRing };
+        let print = |diameters, code| PrintSpec { diameters, code, polarity: Polarity::WhiteRing };
         let layout = CodeLayout { bits: 8, min_distance: 2 };
         let outer = Some(Diameters { outer_m: 0.16, inner_m: None, minor_m: None });
         let kind = print(outer, Some(layout)).kind().unwrap();

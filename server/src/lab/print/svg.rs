@@ -8,7 +8,7 @@ use svg::{
 };
 
 use super::{
-    page::{Anchor, LINE_MM, Page, Shape},
+    page::{LINE_MM, Page, Shape, TextAnchor},
     path::{Path, Step},
 };
 
@@ -38,9 +38,9 @@ pub fn svg(page: &Page) -> String {
             }
             Shape::Text { at, anchor, height_mm, text } => {
                 let anchor = match anchor {
-                    Anchor::Begin => "start",
-                    Anchor::Middle => "middle",
-                    Anchor::End => "end",
+                    TextAnchor::Begin => "start",
+                    TextAnchor::Middle => "middle",
+                    TextAnchor::End => "end",
                 };
                 let text = Text::new(text.as_str()).set("x", at.x).set("y", at.y);
                 let text = text.set("font-size", height_mm / CAPITAL).set("text-anchor", anchor);

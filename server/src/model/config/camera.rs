@@ -10,13 +10,12 @@ use roundel_core::{
 };
 
 use super::{
-    CameraPose, Lenses,
+    Lenses, PoseConfig, camera_pose,
     mask::mask,
-    object::NamedObjects,
-    reader::{Allowed, Table},
-    reference::References,
-    ride,
-    roundel::NamedKinds,
+    object::ParsedObjects,
+    reader::{NumberRange, Table},
+    reference::ParsedReferences,
+    roundel::ParsedKinds,
 };
 use crate::model::{
     address::{SourceAddress, without_credentials},
@@ -44,7 +43,7 @@ pub enum Effect {
     /// Restarts the worker and the estimate of its clock.
     Source,
     /// Gives the worker lens and pose between two frames, so that no track is lost, and drops their calibration.
-    Place,
+    Pose,
     /// Restarts the worker, and drops the calibration of lens and pose.
     Resize,
     /// Restarts the estimate of the clock.
@@ -60,9 +59,9 @@ pub const CAMERA_SCHEMA: [CameraKey; 9] = [
         if (a.width(), a.height()) != (b.width(), b.height()) {
             return Some(Effect::Resize);
         }
-        (a.intrinsics() != b.intrinsics()).then_some(Effect::Place)
+        (a.intrinsics() != b.intrinsics()).then_some(Effect::Pose)
     }),
-    key("pose", "pose", |a, b| (a.pose != b.pose).then_some(Effect::Place)),
+    key("pose", "pose", |a, b| (a.pose != b.pose).then_some(Effect::Pose)),
     key("line_time_us", "line time", |a, b| {
         (a.line_time_s != b.line_time_s).then_some(Effect::Restart)
     }),
@@ -105,9 +104,9 @@ pub struct CameraConfig {
     /// From the camera file, or a simulated camera's own.
     pub calibration: Camera,
     /// Uncertainty of the lens according to the camera file, if it has any.
-    pub lens_doubt: Option<LensDoubt>,
+    pub lens_uncertainty: Option<LensDoubt>,
     /// From the configuration, until a calibration replaces it.
-    pub pose: CameraPose,
+    pub pose: PoseConfig,
     /// Time from one image row's exposure to the next, seconds.
     pub line_time_s: f64,
     /// Standard deviation of the time stamps' offset; by default that of the kind of source. 0: no offset is estimated.
@@ -129,10 +128,10 @@ const MAX_RATE_HZ: f64 = 1000.0;
 pub const MODES: [(&str, Mode); 2] = [("precise", Mode::Precise), ("fast", Mode::Fast)];
 
 /// What cameras are told of the rest of the configuration.
-pub(super) struct Known<'a, 't, 'i> {
-    pub(super) kinds: &'a NamedKinds,
-    pub(super) references: &'a References<'t, 'i>,
-    pub(super) objects: &'a NamedObjects<'t, 'i>,
+pub(super) struct CameraContext<'a, 't, 'i> {
+    pub(super) kinds: &'a ParsedKinds,
+    pub(super) references: &'a ParsedReferences<'t, 'i>,
+    pub(super) objects: &'a ParsedObjects<'t, 'i>,
     /// Lenses in place of those in files, by camera.
     pub(super) lenses: Option<&'a Lenses>,
     /// Whether they are a node's, of which nobody asks where they stand.
@@ -143,7 +142,7 @@ pub(super) struct Known<'a, 't, 'i> {
 pub(super) fn cameras(
     root: &Table<'_, '_>,
     folder: &Path,
-    known: &Known<'_, '_, '_>,
+    known: &CameraContext<'_, '_, '_>,
     mode: Mode,
 ) -> Vec<CameraConfig> {
     let tables = root.tables("camera", "[[camera]]", &CAMERA_KEYS);
@@ -172,12 +171,12 @@ pub(super) fn cameras(
         }
         cameras.push(camera(table, name, folder, (known, mode)));
     }
-    ride::check_references(&tables, &cameras, known.references);
+    camera_pose::check_references(&tables, &cameras, known.references);
     let is_whole = cameras.iter().all(Option::is_some);
     let cameras: Vec<CameraConfig> = cameras.into_iter().flatten().collect();
     // What a camera that could not be read sees, nobody knows.
     if is_whole {
-        ride::check(&tables, &cameras, known.objects);
+        camera_pose::check(&tables, &cameras, known.objects);
     }
     cameras
 }
@@ -186,7 +185,7 @@ fn camera(
     table: &Table<'_, '_>,
     name: Option<&str>,
     folder: &Path,
-    (known, mode): (&Known<'_, '_, '_>, Mode),
+    (known, mode): (&CameraContext<'_, '_, '_>, Mode),
 ) -> Option<CameraConfig> {
     let source = table.required_text("source", "\"images:frames/*.png?fps=30\"");
     let report = |message: String| table.fail(&table.span_of("source"), message);
@@ -202,21 +201,21 @@ fn camera(
     // What a simulated camera does not know better must be written.
     let required = simulated.is_none() && address.is_some();
     let recorded = known.lenses.zip(name).map(|(lenses, name)| lenses.get(name).cloned());
-    let (calibration, lens_doubt) = match (table.value("calibration"), &simulated) {
+    let (calibration, lens_uncertainty) = match (table.value("calibration"), &simulated) {
         _ if recorded.is_some() => (recorded_lens(table, recorded.flatten()), None),
         (None, Some(simulated)) => (Some(simulated.camera.clone()), None),
         _ => calibration(table, folder, required).unzip(),
     };
     let pose = match (table.value("pose"), &simulated) {
-        (None, Some(simulated)) => Some(CameraPose::Known(simulated.world_from_camera)),
-        (None, None) if known.is_node => Some(CameraPose::Known(Rigid::identity())),
-        _ => ride::pose(table, required, known.objects, known.kinds),
+        (None, Some(simulated)) => Some(PoseConfig::Known(simulated.world_from_camera)),
+        (None, None) if known.is_node => Some(PoseConfig::Known(Rigid::identity())),
+        _ => camera_pose::pose(table, required, known.objects, known.kinds),
     };
     let line_time_s = match (table.value("line_time_us"), &simulated) {
         (None, Some(simulated)) => simulated.line_time_s,
-        _ => table.number("line_time_us", Allowed::ZeroUpTo(MAX_LINE_TIME_US), 0.0) * 1e-6,
+        _ => table.number("line_time_us", NumberRange::ZeroUpTo(MAX_LINE_TIME_US), 0.0) * 1e-6,
     };
-    let uncertainty = Allowed::ZeroUpTo(MAX_CLOCK_UNCERTAINTY_MS);
+    let uncertainty = NumberRange::ZeroUpTo(MAX_CLOCK_UNCERTAINTY_MS);
     // Of a camera of which nothing is said, its source knows how far its times may be off.
     let usual_s = address.as_ref().map_or(0.0, |it| it.capture_clock().deviation_s);
     let clock_uncertainty_s =
@@ -224,7 +223,7 @@ fn camera(
     let rate_hz = table
         .value("rate_hz")
         .is_some()
-        .then(|| table.number("rate_hz", Allowed::PositiveUpTo(MAX_RATE_HZ), 0.0));
+        .then(|| table.number("rate_hz", NumberRange::PositiveUpTo(MAX_RATE_HZ), 0.0));
     let mode = table.choice("mode", &MODES).unwrap_or(mode);
     let mask = calibration.as_ref().map(|camera| mask(table, camera));
     if table.is_broken() {
@@ -235,7 +234,7 @@ fn camera(
         source: without_credentials(source?),
         address: address?,
         calibration: calibration?,
-        lens_doubt: lens_doubt.flatten(),
+        lens_uncertainty: lens_uncertainty.flatten(),
         pose: pose?,
         line_time_s,
         clock_uncertainty_s,
@@ -264,7 +263,7 @@ fn calibration(
     } else {
         table.text("calibration")
     }?;
-    match camera_file::load_with_doubt(&folder.join(file)) {
+    match camera_file::load_with_uncertainty(&folder.join(file)) {
         Ok(lens) => Some(lens),
         Err(error) => {
             table.fail(&table.span_of("calibration"), error.to_string());

@@ -7,12 +7,12 @@ use toml::{Spanned, de::DeTable};
 
 use super::{
     Config, ConfigFile, FusionConfig, Lenses, LimitsConfig, ServerConfig,
-    camera::{Known, MODES, cameras},
+    allow_origins::allow_origins,
+    camera::{CameraContext, MODES, cameras},
     error::Problem,
     history::history,
     object::objects,
-    origin::allow_origins,
-    reader::{Allowed, Problems, Table},
+    reader::{NumberRange, Problems, Table},
     recording::recording,
     reference::references,
     roundel::kinds,
@@ -47,7 +47,7 @@ const MAX_DURATION_MS: f64 = 3_600_000.0;
 
 /// What a text is read for.
 #[derive(Clone, Copy, Default)]
-pub(super) struct Purpose<'a> {
+pub(super) struct ParseOptions<'a> {
     /// A node's cameras need no poses.
     pub(super) is_node: bool,
     /// Lenses in place of those in files.
@@ -59,7 +59,7 @@ pub(super) struct Purpose<'a> {
 pub(super) fn parse(
     text: &str,
     folder: &Path,
-    purpose: Purpose<'_>,
+    options: ParseOptions<'_>,
 ) -> Result<Config, Vec<Problem>> {
     let problems = Problems::new(text);
     let (document, errors) = DeTable::parse_recoverable(text);
@@ -72,7 +72,7 @@ pub(super) fn parse(
         );
     }
     let config = if errors.is_empty() {
-        Some(root(&document, (text, folder), &problems, purpose))
+        Some(root(&document, (text, folder), &problems, options))
     } else {
         None
     };
@@ -86,7 +86,7 @@ fn root(
     document: &Spanned<DeTable<'_>>,
     (text, folder): (&str, &Path),
     problems: &Problems<'_>,
-    Purpose { is_node, lenses, is_without_cameras }: Purpose<'_>,
+    ParseOptions { is_node, lenses, is_without_cameras }: ParseOptions<'_>,
 ) -> Option<Config> {
     // What concerns the whole file points to its first line.
     let root = Table::new("", 0..0, document.get_ref(), &ROOT_KEYS, problems);
@@ -98,8 +98,13 @@ fn root(
     let node = node(&root);
     let is_node = is_node || node.is_some();
     let mode = mode(&root);
-    let known =
-        Known { kinds: &kinds, references: &references, objects: &objects, lenses, is_node };
+    let known = CameraContext {
+        kinds: &kinds,
+        references: &references,
+        objects: &objects,
+        lenses,
+        is_node,
+    };
     let cameras =
         if is_without_cameras { Vec::new() } else { cameras(&root, folder, &known, mode) };
     let fusion = fusion(&root);
@@ -128,12 +133,12 @@ fn server(root: &Table<'_, '_>, folder: &Path) -> Option<ServerConfig> {
     let table = table.as_ref();
     let listen = table.and_then(|table| table.text("listen")).unwrap_or(DEFAULT_LISTEN);
     let snapshot_rate_hz = table.map_or(DEFAULT_RATE_HZ, |table| {
-        table.number("snapshot_rate_hz", Allowed::PositiveUpTo(MAX_RATE_HZ), DEFAULT_RATE_HZ)
+        table.number("snapshot_rate_hz", NumberRange::PositiveUpTo(MAX_RATE_HZ), DEFAULT_RATE_HZ)
     });
-    let is_prompt = table.and_then(|table| table.flag("prompt")).unwrap_or(false);
+    let publishes_per_frame = table.and_then(|table| table.flag("prompt")).unwrap_or(false);
     let calibration = table.and_then(|table| table.text("calibration"));
     let calibration = calibration.map(|file| folder.join(file));
-    let watches = table.and_then(|table| table.flag("watch")).unwrap_or(true);
+    let monitors_cameras = table.and_then(|table| table.flag("watch")).unwrap_or(true);
     let setup = table.and_then(|table| table.flag("setup"));
     let allow_origins = table.map(allow_origins).unwrap_or_default();
     match listen.parse::<SocketAddr>() {
@@ -143,9 +148,9 @@ fn server(root: &Table<'_, '_>, folder: &Path) -> Option<ServerConfig> {
             Some(ServerConfig {
                 listen,
                 snapshot_rate_hz,
-                is_prompt,
+                publishes_per_frame,
                 calibration,
-                watches,
+                monitors_cameras,
                 setup,
                 allow_origins,
             })
@@ -177,17 +182,17 @@ fn fusion(root: &Table<'_, '_>) -> FusionConfig {
     let default = FusionConfig::default();
     let Some(table) = root.table("fusion", "[fusion]", &FUSION_KEYS) else { return default };
     let seconds = |key, default_s: f64| {
-        table.number(key, Allowed::PositiveUpTo(MAX_DURATION_MS), default_s * 1e3) * 1e-3
+        table.number(key, NumberRange::PositiveUpTo(MAX_DURATION_MS), default_s * 1e3) * 1e-3
     };
     let fusion = FusionConfig {
         acceleration_m_s2: table.number(
             "acceleration_m_s2",
-            Allowed::PositiveUpTo(1e4),
+            NumberRange::PositiveUpTo(1e4),
             default.acceleration_m_s2,
         ),
         late_window_s: table.number(
             "late_window_ms",
-            Allowed::ZeroUpTo(MAX_DURATION_MS),
+            NumberRange::ZeroUpTo(MAX_DURATION_MS),
             default.late_window_s * 1e3,
         ) * 1e-3,
         predicted_after_s: seconds("predicted_after_ms", default.predicted_after_s),

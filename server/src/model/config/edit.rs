@@ -105,12 +105,12 @@ pub fn rename_carrier(text: &str, from: &str, to: &str) -> Result<String, EditEr
 /// Takes one out, with the comments that stand directly above it.
 pub fn remove<M: Message>(text: &str, name: &str) -> Result<String, EditError> {
     let mut document = parse(text)?;
-    let index = place_of::<M>(&mut document, name)?;
+    let index = index_of::<M>(&mut document, name)?;
     match document.get_mut(M::SECTION) {
         Some(Item::ArrayOfTables(tables)) => {
             let gone = tables.get(index).cloned().unwrap_or_default();
             tables.remove(index);
-            let kept = paragraphs_above(&gone);
+            let kept = comments_above(&gone);
             if !kept.is_empty() {
                 prepend(&mut document, gone.position(), &kept);
             }
@@ -193,7 +193,7 @@ fn tables<'a>(document: &'a mut DocumentMut, section: &str) -> Vec<&'a mut dyn T
     }
 }
 
-fn place_of<M: Message>(document: &mut DocumentMut, name: &str) -> Result<usize, EditError> {
+fn index_of<M: Message>(document: &mut DocumentMut, name: &str) -> Result<usize, EditError> {
     let named = |table: &&mut dyn TableLike| table.get("name").and_then(Item::as_str) == Some(name);
     let place = tables(document, M::SECTION).iter().position(named);
     place.ok_or_else(|| EditError::Missing { what: M::SECTION, name: name.to_owned() })
@@ -203,7 +203,7 @@ fn table_of<'a, M: Message>(
     document: &'a mut DocumentMut,
     name: &str,
 ) -> Result<&'a mut dyn TableLike, EditError> {
-    let place = place_of::<M>(document, name)?;
+    let place = index_of::<M>(document, name)?;
     Ok(tables(document, M::SECTION).swap_remove(place))
 }
 
@@ -262,7 +262,7 @@ fn is_same(a: &Value, b: &Value) -> bool {
 }
 
 /// What stands above a table and is not of it: all before the last empty line.
-fn paragraphs_above(table: &Table) -> String {
+fn comments_above(table: &Table) -> String {
     let prefix = table.decor().prefix().and_then(RawString::as_str).unwrap_or_default();
     let mut kept = 0;
     let mut at = 0;

@@ -19,12 +19,12 @@ pub struct Problem {
     /// What to do, where it does not follow from the message.
     pub help: Option<String>,
     /// The place in the file; `None` if the file itself could not be read.
-    pub place: Option<Place>,
+    pub place: Option<TextLocation>,
 }
 
 /// A place in a text file.
 #[derive(Clone, Debug, PartialEq, Eq)]
-pub struct Place {
+pub struct TextLocation {
     /// From 1.
     pub line: usize,
     /// In characters, from 1.
@@ -35,7 +35,7 @@ pub struct Place {
     pub width: usize,
 }
 
-impl Place {
+impl TextLocation {
     /// The place that a range of bytes of `source` begins at; what goes past the end of that line
     /// is cut.
     pub(super) fn of(source: &str, span: &Range<usize>) -> Self {
@@ -109,10 +109,10 @@ mod tests {
     fn a_place_counts_characters_and_stays_in_its_line() {
         let source = "a = 1\nname = \"Größe\" # x\nb = 2\n";
         let start = source.find("# x").unwrap();
-        let place = Place::of(source, &(start..start + 20));
+        let place = TextLocation::of(source, &(start..start + 20));
         assert_eq!((place.line, place.column, place.width), (2, 16, 3));
         assert_eq!(place.offset(source), start);
-        let past_the_end = Place::of(source, &(900..901));
+        let past_the_end = TextLocation::of(source, &(900..901));
         assert_eq!((past_the_end.line, past_the_end.width), (4, 1));
     }
 
@@ -124,7 +124,7 @@ mod tests {
             problems: vec![Problem {
                 message: "unknown key `listn`".into(),
                 help: Some("the keys of [server] are …".into()),
-                place: Some(Place::of(source, &(11..16))),
+                place: Some(TextLocation::of(source, &(11..16))),
             }],
         };
         assert_eq!(

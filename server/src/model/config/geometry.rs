@@ -3,18 +3,18 @@
 use nalgebra::{Matrix3, Quaternion, Rotation3, Translation3, UnitQuaternion, Vector3};
 use roundel_core::{rigid::Rigid, world::Mount};
 
-use super::reader::{Allowed, Table};
+use super::reader::{NumberRange, Table};
 
 /// How far a quaternion's length may be from 1: what three written decimals can cost.
 const NORM_TOLERANCE: f64 = 0.01;
 /// Reference roundels nearer than this to one another, or to one line, are an error of typing.
-const LEAST_DISTANCE_M: f64 = 1e-3;
+const MIN_SEPARATION_M: f64 = 1e-3;
 /// Roundels of one object whose centres are this far aside, metres, or whose normals have this sine between
 /// them, show how it is turned.
-const LEAST_ASIDE_M: f64 = 0.02;
-const LEAST_APART: f64 = 0.1;
+const MIN_LATERAL_OFFSET_M: f64 = 0.02;
+const MIN_NORMAL_SINE: f64 = 0.1;
 /// `right` and `top` may be off from a right angle by this, as the sine of what is missing.
-const SQUARE_TOLERANCE: f64 = 0.02;
+const RIGHT_ANGLE_TOLERANCE: f64 = 0.02;
 
 /// The pose that a table says by `position_m` and `orientation_xyzw`; `None` if it is wrong (then it is
 /// reported).
@@ -46,7 +46,7 @@ pub(super) fn pose(table: &Table<'_, '_>) -> Option<Rigid> {
 pub(super) fn rotation(part: &Table<'_, '_>, frame: &str) -> Option<UnitQuaternion<f64>> {
     let (right, top) = (part.value("right").is_some(), part.value("top").is_some());
     if !right && !top {
-        let yaw_deg = part.number("yaw_deg", Allowed::Within(360.0), 0.0);
+        let yaw_deg = part.number("yaw_deg", NumberRange::Within(360.0), 0.0);
         return Some(UnitQuaternion::from_axis_angle(&Vector3::z_axis(), yaw_deg.to_radians()));
     }
     if part.value("yaw_deg").is_some() {
@@ -64,7 +64,7 @@ pub(super) fn rotation(part: &Table<'_, '_>, frame: &str) -> Option<UnitQuaterni
         part.fail(&part.span_of("right"), "`right` and `top` must point somewhere, found zeros");
         return None;
     };
-    if x.dot(&y).abs() > SQUARE_TOLERANCE {
+    if x.dot(&y).abs() > RIGHT_ANGLE_TOLERANCE {
         let between_deg = x.dot(&y).acos().to_degrees();
         part.fail_with_help(
             &part.span_of("top"),
@@ -80,22 +80,22 @@ pub(super) fn rotation(part: &Table<'_, '_>, frame: &str) -> Option<UnitQuaterni
 
 /// Whether roundels without codes tell how their object is turned: they lie side by side, or look to
 /// different sides, so that not all of it is along one axis.
-pub(super) fn tell_turn(mounts: &[Mount]) -> bool {
+pub(super) fn determine_orientation(mounts: &[Mount]) -> bool {
     let Some((first, rest)) = mounts.split_first() else { return false };
     let normal = |mount: &Mount| mount.object_from_roundel.rotation * Vector3::z();
     let place_m = |mount: &Mount| mount.object_from_roundel.translation.vector;
     rest.iter().any(|mount| {
         let aside_m = normal(first).cross(&(place_m(mount) - place_m(first))).norm();
         let apart = normal(first).cross(&normal(mount)).norm();
-        aside_m > LEAST_ASIDE_M || apart > LEAST_APART
+        aside_m > MIN_LATERAL_OFFSET_M || apart > MIN_NORMAL_SINE
     })
 }
 
 /// The first two places that are the same.
-pub(super) fn same_place(places: &[Vector3<f64>]) -> Option<(usize, usize)> {
+pub(super) fn coincident_points(places: &[Vector3<f64>]) -> Option<(usize, usize)> {
     (0..places.len()).find_map(|second| {
         (0..second)
-            .find(|&first| (places[first] - places[second]).norm() < LEAST_DISTANCE_M)
+            .find(|&first| (places[first] - places[second]).norm() < MIN_SEPARATION_M)
             .map(|first| (first, second))
     })
 }
@@ -111,7 +111,7 @@ pub(super) fn collinear(places: &[Vector3<f64>]) -> bool {
         return true;
     };
     let Some(direction) = (farthest - first).try_normalize(0.0) else { return true };
-    rest.iter().all(|place| (place - first).cross(&direction).norm() < LEAST_DISTANCE_M)
+    rest.iter().all(|place| (place - first).cross(&direction).norm() < MIN_SEPARATION_M)
 }
 
 #[cfg(test)]
@@ -126,8 +126,8 @@ mod tests {
         assert!(collinear(&line));
         let triangle = [line[0], line[1], Vector3::new(0.0, 0.01, 0.0)];
         assert!(!collinear(&triangle));
-        assert_eq!(same_place(&triangle), None);
-        assert_eq!(same_place(&[line[0], line[1], line[1]]), Some((1, 2)));
+        assert_eq!(coincident_points(&triangle), None);
+        assert_eq!(coincident_points(&[line[0], line[1], line[1]]), Some((1, 2)));
     }
 
     #[test]
@@ -141,9 +141,13 @@ mod tests {
             ),
         };
         let first = mount(0.3, 0.0, 0.0);
-        assert!(!tell_turn(&[first]));
-        assert!(!tell_turn(&[first, mount(0.1, 0.0, 0.0), mount(-0.1, 0.0, std::f64::consts::PI)]));
-        assert!(tell_turn(&[first, mount(0.3, 0.2, 0.0)]));
-        assert!(tell_turn(&[first, mount(0.1, 0.0, 0.5)]));
+        assert!(!determine_orientation(&[first]));
+        assert!(!determine_orientation(&[
+            first,
+            mount(0.1, 0.0, 0.0),
+            mount(-0.1, 0.0, std::f64::consts::PI)
+        ]));
+        assert!(determine_orientation(&[first, mount(0.3, 0.2, 0.0)]));
+        assert!(determine_orientation(&[first, mount(0.1, 0.0, 0.5)]));
     }
 }

@@ -5,7 +5,7 @@ use std::{
     time::Duration,
 };
 
-use super::reader::{Allowed, Table};
+use super::reader::{NumberRange, Table};
 
 /// `[history]`.
 #[derive(Clone, Debug, PartialEq)]
@@ -23,7 +23,7 @@ const MAX_HOURS: f64 = 24.0 * 366.0;
 /// `None` without the table: nothing is kept.
 pub(super) fn history(root: &Table<'_, '_>, folder: &Path) -> Option<HistoryConfig> {
     let table = root.table("history", "[history]", &KEYS)?;
-    let hours = table.number("keep_hours", Allowed::PositiveUpTo(MAX_HOURS), DEFAULT_HOURS);
+    let hours = table.number("keep_hours", NumberRange::PositiveUpTo(MAX_HOURS), DEFAULT_HOURS);
     let file = folder.join(table.text("file").unwrap_or("history.sqlite"));
     Some(HistoryConfig { file, keep: Duration::from_secs_f64(hours * 3600.0) })
 }

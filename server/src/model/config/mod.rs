@@ -5,7 +5,9 @@
 //! unknown key the nearest known one. What is read here holds: sizes are positive, names unique,
 //! references to kinds resolved, camera files loaded, quaternions unit.
 
+mod allow_origins;
 mod camera;
+mod camera_pose;
 mod document;
 pub mod edit;
 mod error;
@@ -14,11 +16,9 @@ mod geometry;
 mod history;
 mod mask;
 mod object;
-mod origin;
 mod reader;
 mod recording;
 mod reference;
-mod ride;
 mod roundel;
 
 use std::{
@@ -35,14 +35,14 @@ use roundel_core::{
 };
 
 pub use camera::{CAMERA_SCHEMA, CameraConfig, Effect, MODES};
-use document::Purpose;
-pub use error::{ConfigError, Place, Problem};
+pub use camera_pose::{MountConfig, PoseConfig};
+use document::ParseOptions;
+pub use error::{ConfigError, Problem, TextLocation};
 pub use file::{ConfigFile, ConfigFileError};
 pub use history::HistoryConfig;
-pub use object::{Carried, ObjectConfig};
-pub use recording::{PictureFormat, RecordingConfig};
+pub use object::{ObjectConfig, ObjectRoundels};
+pub use recording::{FrameFormat, RecordingConfig};
 pub use reference::ReferenceConfig;
-pub use ride::{CameraPose, RideConfig};
 pub use roundel::POLARITIES;
 
 /// A configuration longer than this is certainly another file.
@@ -95,11 +95,11 @@ pub struct ServerConfig {
     /// Snapshots a second.
     pub snapshot_rate_hz: f64,
     /// Whether there is one as soon as a frame was fused, besides.
-    pub is_prompt: bool,
+    pub publishes_per_frame: bool,
     /// Where calibrations of the arena are kept. `None`: until the end of the process.
     pub calibration: Option<PathBuf>,
     /// Whether cameras that were bumped are noticed, left out and found again.
-    pub watches: bool,
+    pub monitors_cameras: bool,
     /// Whether clients may have sources tried; who may can have this machine open any address.
     pub setup: bool,
     /// Origins whose pages browsers let ask this server, as browsers write them; `*` is any.
@@ -153,33 +153,33 @@ impl Config {
     ///
     /// Errors name every problem with its line, and the remedy.
     pub fn load(path: &Path) -> Result<Self, ConfigError> {
-        Self::load_as(path, Purpose::default())
+        Self::load_as(path, ParseOptions::default())
     }
 
     /// The same of a node, whose cameras need no poses whether it says `[node]` or not.
     pub fn load_node(path: &Path) -> Result<Self, ConfigError> {
-        Self::load_as(path, Purpose { is_node: true, ..Purpose::default() })
+        Self::load_as(path, ParseOptions { is_node: true, ..ParseOptions::default() })
     }
 
     /// The same without its cameras, for what is printed before their lenses and places are known.
     pub fn load_without_cameras(path: &Path) -> Result<Self, ConfigError> {
-        Self::load_as(path, Purpose { is_without_cameras: true, ..Purpose::default() })
+        Self::load_as(path, ParseOptions { is_without_cameras: true, ..ParseOptions::default() })
     }
 
-    fn load_as(path: &Path, purpose: Purpose<'_>) -> Result<Self, ConfigError> {
+    fn load_as(path: &Path, options: ParseOptions<'_>) -> Result<Self, ConfigError> {
         let text = read(path).map_err(|(message, help)| ConfigError {
             path: path.to_owned(),
             problems: vec![Problem { message, help: Some(help.to_owned()), place: None }],
         })?;
         let folder = path.parent().unwrap_or(Path::new(""));
-        let mut config = document::parse(&text, folder, purpose)
+        let mut config = document::parse(&text, folder, options)
             .map_err(|problems| ConfigError { path: path.to_owned(), problems })?;
-        config.keep_in(ConfigFile::new(Some(path.to_owned()), text));
+        config.set_file(ConfigFile::new(Some(path.to_owned()), text));
         Ok(config)
     }
 
     /// Says where it is kept, and calibrations beside it if nobody has said where.
-    pub(crate) fn keep_in(&mut self, file: ConfigFile) {
+    pub(crate) fn set_file(&mut self, file: ConfigFile) {
         self.file = file;
         if let Some(path) = self.file.path() {
             let beside = || path.with_extension("calibration.toml");
@@ -189,12 +189,16 @@ impl Config {
 
     /// Reads a configuration's text, which is kept nowhere; paths in it are relative to `folder`.
     pub fn parse(text: &str, folder: &Path) -> Result<Self, Vec<Problem>> {
-        document::parse(text, folder, Purpose::default())
+        document::parse(text, folder, ParseOptions::default())
     }
 
     /// The same of a recording, whose cameras had these lenses; camera files are not read.
     pub fn parse_recorded(text: &str, lenses: &Lenses) -> Result<Self, Vec<Problem>> {
-        document::parse(text, Path::new(""), Purpose { lenses: Some(lenses), ..Purpose::default() })
+        document::parse(
+            text,
+            Path::new(""),
+            ParseOptions { lenses: Some(lenses), ..ParseOptions::default() },
+        )
     }
 }
 

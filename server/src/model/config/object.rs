@@ -15,12 +15,12 @@ use roundel_core::{
 use super::{
     ReferenceConfig, geometry,
     reader::Table,
-    roundel::{NamedKinds, kind_named, motion},
+    roundel::{ParsedKinds, kind_named, motion},
 };
 
 pub const OBJECT_KEYS: [&str; 6] = ["name", "roundel", "code", "offset_m", "motion", "height_m"];
 const PART_KEYS: [&str; 6] = ["kind", "code", "position_m", "yaw_deg", "right", "top"];
-const MOST_CODES: usize = u16::MAX as usize;
+const MAX_CODES: usize = u16::MAX as usize;
 
 /// `[[object]]`.
 #[derive(Clone, Debug, PartialEq)]
@@ -28,12 +28,12 @@ pub struct ObjectConfig {
     /// Shown to clients.
     pub name: String,
     /// What it is known by.
-    pub carries: Carried,
+    pub carries: ObjectRoundels,
 }
 
 /// The roundels that an object is known by.
 #[derive(Clone, Debug, PartialEq)]
-pub enum Carried {
+pub enum ObjectRoundels {
     /// All of a kind.
     Kind {
         /// Which.
@@ -49,13 +49,13 @@ pub enum Carried {
 
 /// What is taken: by whom, for errors.
 struct Claims<'a> {
-    kinds: &'a NamedKinds,
+    kinds: &'a ParsedKinds,
     references: &'a [ReferenceConfig],
     taken: Vec<(KindId, Option<Code>, String)>,
 }
 
 /// The objects that could be read.
-pub(super) struct NamedObjects<'t, 'i> {
+pub(super) struct ParsedObjects<'t, 'i> {
     pub(super) configs: Vec<ObjectConfig>,
     /// Of all, those that could not be read included.
     pub(super) names: Vec<&'t str>,
@@ -67,9 +67,9 @@ pub(super) struct NamedObjects<'t, 'i> {
 /// No roundel is on two objects, or on one of them and among the references.
 pub(super) fn objects<'t, 'i>(
     root: &Table<'t, 'i>,
-    kinds: &NamedKinds,
+    kinds: &ParsedKinds,
     references: &[ReferenceConfig],
-) -> NamedObjects<'t, 'i> {
+) -> ParsedObjects<'t, 'i> {
     let tables = root.tables("object", "[[object]]", &OBJECT_KEYS);
     let mut claims = Claims { kinds, references, taken: Vec::new() };
     let (mut configs, mut table_of, mut names) = (Vec::<ObjectConfig>::new(), vec![], vec![]);
@@ -78,7 +78,7 @@ pub(super) fn objects<'t, 'i>(
         names.extend(name);
         let shown = name.unwrap_or("?");
         let carries = match table.value("roundel") {
-            None => bare(table),
+            None => object_without_roundels(table),
             Some(it) if it.get_ref().as_array().is_some() => {
                 several(table, shown, kinds, &mut claims)
             }
@@ -92,21 +92,21 @@ pub(super) fn objects<'t, 'i>(
         configs.push(ObjectConfig { name: name.to_owned(), carries });
         table_of.push(index);
     }
-    NamedObjects { configs, names, tables, table_of }
+    ParsedObjects { configs, names, tables, table_of }
 }
 
-impl NamedObjects<'_, '_> {
+impl ParsedObjects<'_, '_> {
     /// Those that nothing is printed on.
     pub(super) fn without_roundels(&self) -> impl Iterator<Item = usize> + '_ {
         let is_bare = |object: &ObjectConfig| match &object.carries {
-            Carried::Kind { .. } => false,
-            Carried::Body(body) => body.mounts.is_empty(),
+            ObjectRoundels::Kind { .. } => false,
+            ObjectRoundels::Body(body) => body.mounts.is_empty(),
         };
         (0..self.configs.len()).filter(move |&index| is_bare(&self.configs[index]))
     }
 
     /// Reports that nobody can tell where one of them is, which a camera may ride on.
-    pub(super) fn report_bare(&self, object: usize, carries_camera: bool) {
+    pub(super) fn report_unobservable(&self, object: usize, carries_camera: bool) {
         let table = &self.tables[self.table_of[object]];
         if !carries_camera {
             return table.report_missing("roundel", "\"robot\"");
@@ -123,7 +123,7 @@ impl NamedObjects<'_, '_> {
 }
 
 /// An object that is known by what its own camera sees.
-fn bare(table: &Table<'_, '_>) -> Option<Carried> {
+fn object_without_roundels(table: &Table<'_, '_>) -> Option<ObjectRoundels> {
     for key in ["code", "offset_m"].into_iter().filter(|key| table.value(key).is_some()) {
         table.fail_with_help(
             &table.span_of(key),
@@ -131,43 +131,43 @@ fn bare(table: &Table<'_, '_>) -> Option<Carried> {
             "add `roundel = \"NAME\"`",
         );
     }
-    let motion = own_motion(table)?.unwrap_or_default();
-    Some(Carried::Body(Body { motion, mounts: Vec::new() }))
+    let motion = explicit_motion(table)?.unwrap_or_default();
+    Some(ObjectRoundels::Body(Body { motion, mounts: Vec::new() }))
 }
 
 /// An object by one roundel, of a kind that is its own or with a code.
 fn single(
     table: &Table<'_, '_>,
     name: &str,
-    kinds: &NamedKinds,
+    kinds: &ParsedKinds,
     claims: &mut Claims<'_>,
-) -> Option<Carried> {
+) -> Option<ObjectRoundels> {
     let kind = kind_named(table, "roundel", kinds);
     let offset = match table.value("offset_m") {
         Some(_) => table.numbers::<3>("offset_m"),
         None => Some([0.0; 3]),
     };
-    let motion = own_motion(table)?;
+    let motion = explicit_motion(table)?;
     let (kind, offset_m) = (kind?, Vector3::from(offset?));
     if table.value("code").is_none() {
         claims.take(table, "roundel", (kind, None), name)?;
-        return Some(Carried::Kind { kind, offset_m, motion });
+        return Some(ObjectRoundels::Kind { kind, offset_m, motion });
     }
     let code = code(table, kind, kinds)?;
     claims.take(table, "code", (kind, code), name)?;
     let object_from_roundel = Rigid::translation(-offset_m.x, -offset_m.y, -offset_m.z);
     let mounts = vec![Mount { kind, code, object_from_roundel }];
-    let motion = motion.unwrap_or_else(|| inherited(&mounts[0], kinds));
-    Some(Carried::Body(Body { motion, mounts }))
+    let motion = motion.unwrap_or_else(|| inherited_motion(&mounts[0], kinds));
+    Some(ObjectRoundels::Body(Body { motion, mounts }))
 }
 
 /// An object by a list of roundels.
 fn several(
     table: &Table<'_, '_>,
     name: &str,
-    kinds: &NamedKinds,
+    kinds: &ParsedKinds,
     claims: &mut Claims<'_>,
-) -> Option<Carried> {
+) -> Option<ObjectRoundels> {
     for key in ["code", "offset_m"].into_iter().filter(|key| table.value(key).is_some()) {
         table.fail_with_help(
             &table.span_of(key),
@@ -175,7 +175,7 @@ fn several(
             "each roundel of the list has its own `code`, and `position_m` from the object's origin",
         );
     }
-    let motion = own_motion(table);
+    let motion = explicit_motion(table);
     let parts = table.tables("roundel", "[[object.roundel]]", &PART_KEYS);
     if parts.is_empty() && !table.is_broken() {
         table.fail_with_help(
@@ -193,15 +193,15 @@ fn several(
         }
     }
     let first = mounts.first().filter(|_| is_whole)?;
-    let motion = motion?.unwrap_or_else(|| inherited(first, kinds));
-    Some(Carried::Body(Body { motion, mounts }))
+    let motion = motion?.unwrap_or_else(|| inherited_motion(first, kinds));
+    Some(ObjectRoundels::Body(Body { motion, mounts }))
 }
 
 /// One roundel of a list.
 fn mount(
     part: &Table<'_, '_>,
     name: &str,
-    kinds: &NamedKinds,
+    kinds: &ParsedKinds,
     claims: &mut Claims<'_>,
 ) -> Option<Mount> {
     let kind = kind_named(part, "kind", kinds);
@@ -216,13 +216,13 @@ fn mount(
 }
 
 /// How the object itself is said to move; `None` if that is wrong (then it is reported).
-fn own_motion(table: &Table<'_, '_>) -> Option<Option<MotionClass>> {
+fn explicit_motion(table: &Table<'_, '_>) -> Option<Option<MotionClass>> {
     let is_said = table.value("motion").is_some() || table.value("height_m").is_some();
     if is_said { motion(table).map(Some) } else { Some(None) }
 }
 
 /// As the kind of its first roundel moves, whose height is that of the roundel.
-fn inherited(first: &Mount, kinds: &NamedKinds) -> MotionClass {
+fn inherited_motion(first: &Mount, kinds: &ParsedKinds) -> MotionClass {
     let above_m = first.object_from_roundel.translation.z;
     match kinds.motions.get(usize::from(first.kind.0)).copied().unwrap_or_default() {
         MotionClass::Ground { height_m } => {
@@ -237,7 +237,7 @@ fn inherited(first: &Mount, kinds: &NamedKinds) -> MotionClass {
 pub(super) fn code(
     table: &Table<'_, '_>,
     kind: KindId,
-    kinds: &NamedKinds,
+    kinds: &ParsedKinds,
 ) -> Option<Option<Code>> {
     let kind = kinds.kinds.get(usize::from(kind.0))?;
     let Pattern::Coded(layout) = kind.pattern else {
@@ -255,7 +255,7 @@ pub(super) fn code(
         table.report_missing("code", "3");
         return None;
     }
-    let number = table.whole("code", 0..=MOST_CODES)?;
+    let number = table.whole("code", 0..=MAX_CODES)?;
     let count = layout.codes().ok()?.len();
     if number == 0 || number > count {
         table.fail_with_help(

@@ -11,7 +11,7 @@ use toml::{
     de::{DeTable, DeValue},
 };
 
-use super::error::{Place, Problem};
+use super::error::{Problem, TextLocation};
 use crate::model::suggestion::{list, nearest};
 
 /// Collects what is wrong with one document.
@@ -39,7 +39,7 @@ impl<'s> Problems<'s> {
     }
 
     fn push(&self, span: &Range<usize>, message: String, help: Option<String>) {
-        let place = Some(Place::of(self.source, span));
+        let place = Some(TextLocation::of(self.source, span));
         self.found.borrow_mut().push((span.start, Problem { message, help, place }));
     }
 
@@ -57,7 +57,7 @@ impl<'s> Problems<'s> {
 
 /// Which numbers a key takes.
 #[derive(Clone, Copy, Debug)]
-pub(super) enum Allowed {
+pub(super) enum NumberRange {
     /// Above 0, up to this.
     PositiveUpTo(f64),
     /// From 0 up to this.
@@ -66,8 +66,8 @@ pub(super) enum Allowed {
     Within(f64),
 }
 
-impl Allowed {
-    fn holds(self, value: f64) -> bool {
+impl NumberRange {
+    fn contains(self, value: f64) -> bool {
         value.is_finite()
             && match self {
                 Self::PositiveUpTo(most) => value > 0.0 && value <= most,
@@ -214,7 +214,7 @@ impl<'t, 'i> Table<'t, 'i> {
     }
 
     /// A number; the default if absent, or wrong (then it is reported).
-    pub(super) fn number(&self, key: &'static str, allowed: Allowed, default: f64) -> f64 {
+    pub(super) fn number(&self, key: &'static str, allowed: NumberRange, default: f64) -> f64 {
         let Some(value) = self.value(key) else { return default };
         self.checked(key, value, allowed).unwrap_or(default)
     }
@@ -223,7 +223,7 @@ impl<'t, 'i> Table<'t, 'i> {
     pub(super) fn required_number(
         &self,
         key: &'static str,
-        allowed: Allowed,
+        allowed: NumberRange,
         example: &str,
     ) -> Option<f64> {
         match self.value(key) {
@@ -284,8 +284,13 @@ impl<'t, 'i> Table<'t, 'i> {
         meaning
     }
 
-    fn checked(&self, key: &str, value: &Spanned<DeValue<'_>>, allowed: Allowed) -> Option<f64> {
-        let read = number(value.get_ref()).filter(|read| allowed.holds(*read));
+    fn checked(
+        &self,
+        key: &str,
+        value: &Spanned<DeValue<'_>>,
+        allowed: NumberRange,
+    ) -> Option<f64> {
+        let read = number(value.get_ref()).filter(|read| allowed.contains(*read));
         if read.is_none() {
             self.report_type(key, value, &allowed.describe());
         }

@@ -5,11 +5,11 @@ use std::{
     time::Duration,
 };
 
-use super::reader::{Allowed, Table};
+use super::reader::{NumberRange, Table};
 
 /// What pictures of frames are kept as.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
-pub enum PictureFormat {
+pub enum FrameFormat {
     /// A tenth of the size of PNG; what is found in them again differs a little.
     #[default]
     Jpeg,
@@ -38,7 +38,7 @@ pub struct RecordingConfig {
     /// One in so many frames of each camera is kept; 0: none.
     pub frames_every: u32,
     /// What they are kept as.
-    pub frames_format: PictureFormat,
+    pub frames_format: FrameFormat,
 }
 
 impl Default for RecordingConfig {
@@ -51,7 +51,7 @@ impl Default for RecordingConfig {
             budget_bytes: 20 * GIGABYTE,
             min_free_bytes: GIGABYTE,
             frames_every: 0,
-            frames_format: PictureFormat::default(),
+            frames_format: FrameFormat::default(),
         }
     }
 }
@@ -66,8 +66,7 @@ const KEYS: [&str; 8] = [
     "frames_every",
     "frames_format",
 ];
-const FORMATS: [(&str, PictureFormat); 2] =
-    [("jpeg", PictureFormat::Jpeg), ("png", PictureFormat::Png)];
+const FORMATS: [(&str, FrameFormat); 2] = [("jpeg", FrameFormat::Jpeg), ("png", FrameFormat::Png)];
 const MB: f64 = 1e6;
 const GB: f64 = 1e9;
 const MAX_MB: f64 = 1e9;
@@ -77,18 +76,18 @@ pub(super) fn recording(root: &Table<'_, '_>, folder: &Path) -> RecordingConfig 
     let default = RecordingConfig::default();
     let default = RecordingConfig { folder: folder.join(&default.folder), ..default };
     let Some(table) = root.table("recording", "[recording]", &KEYS) else { return default };
-    let size = |key, unit: f64, allowed: fn(f64) -> Allowed, default: u64| {
+    let size = |key, unit: f64, allowed: fn(f64) -> NumberRange, default: u64| {
         (table.number(key, allowed(MAX_MB * MB / unit), default as f64 / unit) * unit) as u64
     };
     let minutes = default.rotate_after.as_secs_f64() / 60.0;
-    let minutes = table.number("rotate_minutes", Allowed::PositiveUpTo(MAX_MINUTES), minutes);
+    let minutes = table.number("rotate_minutes", NumberRange::PositiveUpTo(MAX_MINUTES), minutes);
     let config = RecordingConfig {
         starts: table.flag("start").unwrap_or(default.starts),
         folder: table.text("folder").map_or(default.folder, |name| folder.join(name)),
-        rotate_bytes: size("rotate_mb", MB, Allowed::PositiveUpTo, default.rotate_bytes),
+        rotate_bytes: size("rotate_mb", MB, NumberRange::PositiveUpTo, default.rotate_bytes),
         rotate_after: Duration::from_secs_f64(minutes * 60.0),
-        budget_bytes: size("budget_gb", GB, Allowed::PositiveUpTo, default.budget_bytes),
-        min_free_bytes: size("min_free_mb", MB, Allowed::ZeroUpTo, default.min_free_bytes),
+        budget_bytes: size("budget_gb", GB, NumberRange::PositiveUpTo, default.budget_bytes),
+        min_free_bytes: size("min_free_mb", MB, NumberRange::ZeroUpTo, default.min_free_bytes),
         frames_every: table.whole("frames_every", 0..=1_000_000).unwrap_or(0) as u32,
         frames_format: table.choice("frames_format", &FORMATS).unwrap_or_default(),
     };

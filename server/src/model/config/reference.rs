@@ -8,8 +8,8 @@ use roundel_core::{id::KindId, marker::Code};
 use super::{
     geometry,
     object::code,
-    reader::{Allowed, Table},
-    roundel::{NamedKinds, kind_named},
+    reader::{NumberRange, Table},
+    roundel::{ParsedKinds, kind_named},
 };
 
 const REFERENCE_KEYS: [&str; 7] =
@@ -17,7 +17,7 @@ const REFERENCE_KEYS: [&str; 7] =
 /// Who surveys by hand reaches this, millimetres …
 const DEFAULT_UNCERTAINTY_MM: f64 = 1.0;
 /// … and what is worse than this is no reference.
-const MOST_UNCERTAINTY_MM: f64 = 1000.0;
+const MAX_UNCERTAINTY_MM: f64 = 1000.0;
 const TURN_KEYS: [&str; 3] = ["yaw_deg", "right", "top"];
 
 /// `[[reference]]`.
@@ -36,28 +36,31 @@ pub struct ReferenceConfig {
 }
 
 /// The references that could be read.
-pub(super) struct References<'t, 'i> {
+pub(super) struct ParsedReferences<'t, 'i> {
     pub(super) configs: Vec<ReferenceConfig>,
     tables: Vec<Table<'t, 'i>>,
     /// Whether the key is there at all.
     is_written: bool,
 }
 
-pub(super) fn references<'t, 'i>(root: &Table<'t, 'i>, kinds: &NamedKinds) -> References<'t, 'i> {
+pub(super) fn references<'t, 'i>(
+    root: &Table<'t, 'i>,
+    kinds: &ParsedKinds,
+) -> ParsedReferences<'t, 'i> {
     let tables = root.tables("reference", "[[reference]]", &REFERENCE_KEYS);
     let configs = tables.iter().filter_map(|table| reference(table, kinds)).collect();
     let is_written = root.value("reference").is_some();
-    let references = References { configs, tables, is_written };
+    let references = ParsedReferences { configs, tables, is_written };
     references.check_distinct();
     references
 }
 
-fn reference(table: &Table<'_, '_>, kinds: &NamedKinds) -> Option<ReferenceConfig> {
+fn reference(table: &Table<'_, '_>, kinds: &ParsedKinds) -> Option<ReferenceConfig> {
     let kind = kind_named(table, "roundel", kinds);
     let position = table.required_numbers::<3>("position_m", "[0.0, 0.0, 0.0]");
     let is_turned = TURN_KEYS.iter().any(|key| table.value(key).is_some());
     let orientation = if is_turned { Some(geometry::rotation(table, "the world")?) } else { None };
-    let allowed = Allowed::PositiveUpTo(MOST_UNCERTAINTY_MM);
+    let allowed = NumberRange::PositiveUpTo(MAX_UNCERTAINTY_MM);
     let deviation_m = table.number("uncertainty_mm", allowed, DEFAULT_UNCERTAINTY_MM) * 1e-3;
     let kind = kind?;
     let code = if table.value("code").is_some() { code(table, kind, kinds)? } else { None };
@@ -65,13 +68,13 @@ fn reference(table: &Table<'_, '_>, kinds: &NamedKinds) -> Option<ReferenceConfi
     Some(ReferenceConfig { kind, code, position_m, deviation_m, orientation })
 }
 
-impl References<'_, '_> {
+impl ParsedReferences<'_, '_> {
     pub(super) fn are_missing(&self) -> bool {
         !self.is_written
     }
 
     /// Each of them could be read: only then they are judged together.
-    fn are_whole(&self) -> bool {
+    fn are_complete(&self) -> bool {
         self.configs.len() == self.tables.len()
     }
 
@@ -82,15 +85,15 @@ impl References<'_, '_> {
     /// Whether a camera in motion can find itself from them, as far as they could be read.
     pub(super) fn localize(&self) -> bool {
         let says_all = |it: &ReferenceConfig| it.code.is_some() && it.orientation.is_some();
-        let broken = self.is_written && !self.are_whole();
+        let broken = self.is_written && !self.are_complete();
         broken || self.configs.iter().any(says_all) || !geometry::collinear(&self.places())
     }
 
     fn check_distinct(&self) {
-        if !self.are_whole() {
+        if !self.are_complete() {
             return;
         }
-        if let Some((first, second)) = geometry::same_place(&self.places()) {
+        if let Some((first, second)) = geometry::coincident_points(&self.places()) {
             self.tables[second].fail(
                 &self.tables[second].span_of("position_m"),
                 format!("references {} and {} have the same place", first + 1, second + 1),
@@ -111,8 +114,8 @@ impl References<'_, '_> {
     }
 
     /// Reports what keeps a camera that stands from finding its place.
-    pub(super) fn check_placing(&self) {
-        let Some(last) = self.tables.last().filter(|_| self.are_whole()) else { return };
+    pub(super) fn check_sufficient_for_localization(&self) {
+        let Some(last) = self.tables.last().filter(|_| self.are_complete()) else { return };
         let places = self.places();
         let span: Range<usize> = last.span().clone();
         if places.len() < 3 {
@@ -121,7 +124,7 @@ impl References<'_, '_> {
                 format!("expected at least 3 reference roundels, found {}", places.len()),
                 "add [[reference]] tables until there are three that are not in one line",
             );
-        } else if geometry::same_place(&places).is_none() && geometry::collinear(&places) {
+        } else if geometry::coincident_points(&places).is_none() && geometry::collinear(&places) {
             last.fail_with_help(
                 &span,
                 "all reference roundels lie in one line",

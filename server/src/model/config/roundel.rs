@@ -9,7 +9,7 @@ use roundel_core::{
     world::MotionClass,
 };
 
-use super::reader::{Allowed, Table};
+use super::reader::{NumberRange, Table};
 use crate::model::suggestion::{list, nearest};
 
 const ROUNDEL_KEYS: [&str; 8] =
@@ -24,18 +24,18 @@ const MOTIONS: [(&str, bool); 2] = [("free", false), ("ground", true)];
 const MAX_HEIGHT_M: f64 = 1000.0;
 
 /// Kinds whose ratios of diameters (of elliptical discs, both of them) differ by less than this, relatively, are mixed up.
-const LEAST_RATIO_DIFFERENCE: f64 = 0.1;
+const MIN_RATIO_DIFFERENCE: f64 = 0.1;
 const MAX_DIAMETER_MM: f64 = 100_000.0;
 
 /// The kinds that could be read, and whether these are all.
-pub(super) struct NamedKinds {
+pub(super) struct ParsedKinds {
     pub(super) kinds: Vec<Kind>,
     /// How the objects that carry them move.
     pub(super) motions: Vec<MotionClass>,
     pub(super) complete: bool,
 }
 
-pub(super) fn kinds(root: &Table<'_, '_>) -> NamedKinds {
+pub(super) fn kinds(root: &Table<'_, '_>) -> ParsedKinds {
     let tables = root.tables("roundel", "[[roundel]]", &ROUNDEL_KEYS);
     if root.value("roundel").is_none() {
         root.fail_with_help(
@@ -57,7 +57,7 @@ pub(super) fn kinds(root: &Table<'_, '_>) -> NamedKinds {
             _ => complete = false,
         }
     }
-    NamedKinds { kinds, motions, complete }
+    ParsedKinds { kinds, motions, complete }
 }
 
 /// How what carries it moves; `None` if it is wrong (then it is reported).
@@ -81,13 +81,13 @@ pub(super) fn motion(table: &Table<'_, '_>) -> Option<MotionClass> {
         );
         return None;
     }
-    let height_m = table.required_number("height_m", Allowed::Within(MAX_HEIGHT_M), "0.3")?;
+    let height_m = table.required_number("height_m", NumberRange::Within(MAX_HEIGHT_M), "0.3")?;
     Some(MotionClass::Ground { height_m: Some(height_m) })
 }
 
 /// One kind by itself.
 fn kind(table: &Table<'_, '_>) -> Option<Kind> {
-    let size = Allowed::PositiveUpTo(MAX_DIAMETER_MM);
+    let size = NumberRange::PositiveUpTo(MAX_DIAMETER_MM);
     let name = table.required_text("name", "\"robot\"");
     let outer_mm = table.required_number("outer_mm", size, "160.0");
     let pattern = pattern(table);
@@ -141,7 +141,7 @@ fn with_ellipse(table: &Table<'_, '_>, kind: Kind) -> Option<Kind> {
         table.fail_with_help(&span, message, "leave out one of them");
         return None;
     }
-    let size = Allowed::PositiveUpTo(MAX_DIAMETER_MM);
+    let size = NumberRange::PositiveUpTo(MAX_DIAMETER_MM);
     let minor_mm = table.required_number("inner_minor_mm", size, "64.0")?;
     let minor_diameter_m = minor_mm * 1e-3;
     let (outer_m, inner_m) = (kind.outer_diameter_m, kind.inner_diameter_m);
@@ -205,7 +205,7 @@ fn is_distinct(table: &Table<'_, '_>, kind: &Kind, earlier: &[Kind]) -> bool {
             table.fail_with_help(&table.span_of("name"), message, "give each its own name");
             return false;
         }
-        if let Some((common, remedy)) = common(kind, other) {
+        if let Some((common, remedy)) = shared_signature(kind, other) {
             let message = format!(
                 "roundels \"{}\" and \"{name}\" cannot be told apart: {common}",
                 other.name
@@ -220,14 +220,14 @@ fn is_distinct(table: &Table<'_, '_>, kind: &Kind, earlier: &[Kind]) -> bool {
 
 /// What two kinds have in common so that nothing tells them apart, and the remedy. Plain, coded and
 /// elliptical ones always differ, and so do black and white rings.
-fn common(kind: &Kind, other: &Kind) -> Option<(String, &'static str)> {
+fn shared_signature(kind: &Kind, other: &Kind) -> Option<(String, &'static str)> {
     if kind.polarity != other.polarity {
         return None;
     }
     match (kind.pattern, other.pattern) {
         (Pattern::Plain, Pattern::Plain) => {
             let (ratio, other_ratio) = (kind.ratio(), other.ratio());
-            alike(ratio, other_ratio).then(|| {
+            are_ratios_alike(ratio, other_ratio).then(|| {
                 (
                     format!("inner to outer diameter {other_ratio:.3} and {ratio:.3}"),
                     "kinds are told apart by this ratio: make them differ by a tenth at least",
@@ -247,7 +247,7 @@ fn common(kind: &Kind, other: &Kind) -> Option<(String, &'static str)> {
             let (minor, other_minor) =
                 (minor_diameter_m / kind.outer_diameter_m, other_minor_m / other.outer_diameter_m);
             let (major, other_major) = (kind.ratio(), other.ratio());
-            (alike(major, other_major) && alike(minor, other_minor)).then(|| {
+            (are_ratios_alike(major, other_major) && are_ratios_alike(minor, other_minor)).then(|| {
                 (
                     format!(
                         "the disc's diameters are {other_major:.3} and {other_minor:.3} of the outer \
@@ -262,15 +262,15 @@ fn common(kind: &Kind, other: &Kind) -> Option<(String, &'static str)> {
 }
 
 /// Whether two ratios of diameters are mixed up.
-fn alike(one: f64, other: f64) -> bool {
-    (one - other).abs() < LEAST_RATIO_DIFFERENCE * one.max(other)
+fn are_ratios_alike(one: f64, other: f64) -> bool {
+    (one - other).abs() < MIN_RATIO_DIFFERENCE * one.max(other)
 }
 
 /// The kind that `roundel = …`, or another key, names.
 pub(super) fn kind_named(
     table: &Table<'_, '_>,
     key: &'static str,
-    kinds: &NamedKinds,
+    kinds: &ParsedKinds,
 ) -> Option<KindId> {
     let name = table.required_text(key, "\"robot\"")?;
     let place = kinds.kinds.iter().position(|kind| kind.name == name);

@@ -10,8 +10,8 @@ use roundel_proto::v1;
 
 use super::pose;
 use crate::model::{
-    command::{Change, Known, Stand, Timekeeping, Told, WrittenSettings},
-    hub::{Installation, RideInfo},
+    command::{AppliedConfig, CameraChange, CameraModel, CameraPose, CameraUpdate, ClockModel},
+    hub::{Installation, MountInfo},
 };
 
 /// The configuration of a recording as it begins.
@@ -33,7 +33,7 @@ pub fn recorded_configuration(
 /// One that fusion goes by from here on.
 pub fn fused_configuration(
     installation: &Installation,
-    written: &WrittenSettings,
+    written: &AppliedConfig,
 ) -> v1::RecordedConfiguration {
     let (renamed_from, renamed_to) = written.renamed.clone().unwrap_or_default();
     v1::RecordedConfiguration {
@@ -45,28 +45,32 @@ pub fn fused_configuration(
 }
 
 /// What fusion was told of a camera.
-pub fn fused_camera(installation: &Installation, told: &Told) -> v1::FusedCamera {
+pub fn fused_camera(installation: &Installation, told: &CameraUpdate) -> v1::FusedCamera {
     let mut message = v1::FusedCamera {
         camera: installation.camera_name(told.camera).to_owned(),
         number: told.camera.0,
         ..v1::FusedCamera::default()
     };
     match &told.change {
-        Change::Removed => message.removed = true,
-        Change::Quarantined => message.place = v1::FusedPlace::Quarantined.into(),
-        Change::Spared(is_spared) => message.spared = Some(*is_spared),
-        Change::Placed(placement) => stands(&mut message, placement),
-        Change::Set(known) => {
-            match &known.place {
+        CameraChange::Removed => message.removed = true,
+        CameraChange::Quarantined => message.place = v1::FusedPlace::Quarantined.into(),
+        CameraChange::HoldBackExempt(is_exempt) => message.spared = Some(*is_exempt),
+        CameraChange::Localized(placement) => write_fixed_pose(&mut message, placement),
+        CameraChange::Set(known) => {
+            match &known.pose {
                 None => {}
-                Some(Stand::At { placement, .. }) => stands(&mut message, placement),
-                Some(Stand::Unknown) => message.place = v1::FusedPlace::Unknown.into(),
-                Some(Stand::On(mount, ride)) => rides(&mut message, mount.as_ref(), ride),
+                Some(CameraPose::Fixed { placement, .. }) => {
+                    write_fixed_pose(&mut message, placement)
+                }
+                Some(CameraPose::Unknown) => message.place = v1::FusedPlace::Unknown.into(),
+                Some(CameraPose::Mounted(mount, ride)) => {
+                    write_mounted_pose(&mut message, mount.as_ref(), ride)
+                }
             }
             match known.clock {
                 None => {}
-                Some(Timekeeping::Exact) => message.clock = v1::FusedClock::Exact.into(),
-                Some(Timekeeping::Estimated(prior)) => {
+                Some(ClockModel::Exact) => message.clock = v1::FusedClock::Exact.into(),
+                Some(ClockModel::Estimated(prior)) => {
                     message.clock = v1::FusedClock::Estimated.into();
                     (message.clock_offset_s, message.clock_skew) = (prior.offset_s, prior.skew);
                 }
@@ -76,13 +80,17 @@ pub fn fused_camera(installation: &Installation, told: &Told) -> v1::FusedCamera
     message
 }
 
-fn stands(message: &mut v1::FusedCamera, placement: &CameraPlacement) {
+fn write_fixed_pose(message: &mut v1::FusedCamera, placement: &CameraPlacement) {
     message.place = v1::FusedPlace::Stands.into();
     message.pose = Some(pose(&placement.world_from_camera));
     message.covariance = upper_triangle(&placement.covariance);
 }
 
-fn rides(message: &mut v1::FusedCamera, mount: Option<&CameraMount>, ride: &RideInfo) {
+fn write_mounted_pose(
+    message: &mut v1::FusedCamera,
+    mount: Option<&CameraMount>,
+    ride: &MountInfo,
+) {
     message.place = v1::FusedPlace::Rides.into();
     message.pose = Some(pose(&ride.object_from_camera));
     message.carrier = ride.carrier.clone();
@@ -93,23 +101,23 @@ fn rides(message: &mut v1::FusedCamera, mount: Option<&CameraMount>, ride: &Ride
 }
 
 /// The same, read from a recording; `None`: it says nothing that this version understands.
-pub fn read_fused_camera(message: &v1::FusedCamera) -> Option<Told> {
-    let told = |change| Some(Told { camera: CameraId(message.number), change });
+pub fn read_fused_camera(message: &v1::FusedCamera) -> Option<CameraUpdate> {
+    let told = |change| Some(CameraUpdate { camera: CameraId(message.number), change });
     if message.removed {
-        return told(Change::Removed);
+        return told(CameraChange::Removed);
     }
-    if let Some(is_spared) = message.spared {
-        return told(Change::Spared(is_spared));
+    if let Some(is_exempt) = message.spared {
+        return told(CameraChange::HoldBackExempt(is_exempt));
     }
     let place = match message.place() {
         v1::FusedPlace::Unspecified => None,
-        v1::FusedPlace::Quarantined => return told(Change::Quarantined),
-        v1::FusedPlace::Unknown => Some(Stand::Unknown),
+        v1::FusedPlace::Quarantined => return told(CameraChange::Quarantined),
+        v1::FusedPlace::Unknown => Some(CameraPose::Unknown),
         v1::FusedPlace::Stands => {
             let covariance = read_covariance(&message.covariance);
             let world_from_camera = read_pose(message.pose.as_ref()?)?;
             let placement = CameraPlacement { world_from_camera, covariance };
-            Some(Stand::At { placement, is_written: false })
+            Some(CameraPose::Fixed { placement, is_configured: false })
         }
         v1::FusedPlace::Rides => {
             let object_from_camera = read_pose(message.pose.as_ref()?)?;
@@ -121,13 +129,13 @@ pub fn read_fused_camera(message: &v1::FusedCamera) -> Option<Told> {
                 localizes,
             });
             let carrier = message.carrier.clone();
-            Some(Stand::On(mount, RideInfo { carrier, object_from_camera, localizes }))
+            Some(CameraPose::Mounted(mount, MountInfo { carrier, object_from_camera, localizes }))
         }
     };
     let clock = match message.clock() {
         v1::FusedClock::Unspecified => None,
-        v1::FusedClock::Exact => Some(Timekeeping::Exact),
-        v1::FusedClock::Estimated => Some(Timekeeping::Estimated(ClockPrior {
+        v1::FusedClock::Exact => Some(ClockModel::Exact),
+        v1::FusedClock::Estimated => Some(ClockModel::Estimated(ClockPrior {
             offset_s: message.clock_offset_s,
             skew: message.clock_skew,
         })),
@@ -135,7 +143,7 @@ pub fn read_fused_camera(message: &v1::FusedCamera) -> Option<Told> {
     if place.is_none() && clock.is_none() {
         return None;
     }
-    told(Change::Set(Box::new(Known { place, clock })))
+    told(CameraChange::Set(Box::new(CameraModel { pose: place, clock })))
 }
 
 /// A recorded pose, bit for bit; `None` if something is missing or not finite.

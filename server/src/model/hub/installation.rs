@@ -32,7 +32,7 @@ pub struct Installation {
 
 /// What an object of the configuration is known by.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Named {
+pub enum ObjectKey {
     /// A whole kind of roundel.
     Kind(KindId),
     /// A code, or several roundels.
@@ -41,7 +41,7 @@ pub enum Named {
 
 impl Installation {
     /// Cameras numbered in their order.
-    pub fn numbered(
+    pub fn number_cameras(
         cameras: impl IntoIterator<Item = CameraInfo>,
     ) -> BTreeMap<CameraId, Arc<CameraInfo>> {
         (0..).map(CameraId).zip(cameras.into_iter().map(Arc::new)).collect()
@@ -58,11 +58,11 @@ impl Installation {
     }
 
     /// Whose the configured name is.
-    pub fn named(&self, name: &str) -> Option<Named> {
+    pub fn object_key(&self, name: &str) -> Option<ObjectKey> {
         let kind = self.object_names.iter().find(|(_, known)| *known == name);
         let body = || (0..).zip(&self.body_names).find(|(_, known)| *known == name);
-        kind.map(|(kind, _)| Named::Kind(*kind))
-            .or_else(|| body().map(|(index, _)| Named::Body(BodyId(index))))
+        kind.map(|(kind, _)| ObjectKey::Kind(*kind))
+            .or_else(|| body().map(|(index, _)| ObjectKey::Body(BodyId(index))))
     }
 
     /// The kind's name; empty for no kind.

@@ -13,7 +13,7 @@ use roundel_core::{
 };
 
 /// How long a lost object stays in the list of objects.
-const LOST_KEPT_SECONDS: f64 = 60.0;
+const LOST_RETENTION_S: f64 = 60.0;
 
 /// An object as the list of objects shows it.
 #[derive(Clone, Debug)]
@@ -53,14 +53,14 @@ impl ObjectRecord {
 
 /// Objects of the newest snapshot, and those that were lost within the last minute.
 #[derive(Debug, Default)]
-pub(super) struct Objects {
+pub(super) struct RecentObjects {
     /// By id, as in the snapshot.
     present: Vec<ObjectRecord>,
     /// In the order in which they were lost.
     lost: VecDeque<ObjectRecord>,
 }
 
-impl Objects {
+impl RecentObjects {
     /// Takes in a new snapshot.
     pub fn take(&mut self, snapshot: &Snapshot) {
         let now = snapshot.objects.iter().map(ObjectRecord::of).collect();
@@ -74,7 +74,7 @@ impl Objects {
             }
         }
         let is_old = |record: &ObjectRecord| {
-            snapshot.pose_time.seconds_since(record.last_seen) >= LOST_KEPT_SECONDS
+            snapshot.pose_time.seconds_since(record.last_seen) >= LOST_RETENTION_S
         };
         while self.lost.front().is_some_and(is_old) {
             self.lost.pop_front();
@@ -90,8 +90,8 @@ impl Objects {
     }
 
     /// The one of them that was seen last.
-    pub fn newest(&self, is_it: impl Fn(&ObjectRecord) -> bool) -> Option<ObjectId> {
-        let all = self.lost.iter().chain(&self.present).filter(|record| is_it(record));
+    pub fn newest(&self, matches: impl Fn(&ObjectRecord) -> bool) -> Option<ObjectId> {
+        let all = self.lost.iter().chain(&self.present).filter(|record| matches(record));
         all.max_by_key(|record| record.last_seen).map(|record| record.id)
     }
 }

@@ -2,7 +2,7 @@ use roundel_core::world::LifeStage;
 use roundel_proto::v1;
 
 use super::*;
-use crate::archive::replay::replayed::read_snapshot;
+use crate::archive::replay::from_recording::read_snapshot;
 
 fn hub() -> Hub {
     Hub::new(Installation {
@@ -10,7 +10,7 @@ fn hub() -> Hub {
         source_id: "s".into(),
         started: Timestamp::default(),
         snapshot_rate_hz: 60.0,
-        cameras: Installation::numbered([CameraInfo {
+        cameras: Installation::number_cameras([CameraInfo {
             name: "north".into(),
             ..CameraInfo::default()
         }]),
@@ -33,12 +33,12 @@ fn a_slow_reader_finds_the_newest_snapshot_and_the_gap() {
 #[test]
 fn events_are_neither_lost_nor_doubled_between_backlog_and_stream() {
     let hub = hub();
-    let happening = Happening::Camera(CameraId(0), CameraStatus::Running);
+    let kind = EventKind::CameraStatusChanged(CameraId(0), CameraStatus::Running);
     for _ in 0..3 {
-        hub.publish_event(Timestamp::default(), happening, String::new());
+        hub.publish_event(Timestamp::default(), kind, String::new());
     }
     let (backlog, mut stream) = hub.events(2);
-    hub.publish_event(Timestamp::default(), happening, String::new());
+    hub.publish_event(Timestamp::default(), kind, String::new());
     assert_eq!(backlog.iter().map(|e| e.sequence).collect::<Vec<_>>(), [2, 3]);
     assert_eq!(stream.try_recv().unwrap().sequence, 4);
 }
@@ -78,6 +78,6 @@ fn who_is_lost_is_listed_for_a_minute_or_until_it_is_back() {
     assert_eq!(listed(62, &[2]), [(2, false), (3, true)]);
     assert_eq!(listed(119, &[2]), [(2, false), (3, true)]);
     assert_eq!(listed(122, &[2]), [(2, false)]);
-    hub.forget_objects();
+    hub.clear_objects();
     assert!(hub.objects().is_empty());
 }

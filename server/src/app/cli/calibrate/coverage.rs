@@ -6,7 +6,7 @@ use roundel_core::calib::lens::{Coverage, Side, VISITED, ZONES};
 const ZONE: [&str; 3] = ["███", "▒▒▒", "···"];
 
 /// The picture's zones, and beside them which sides of the board were nearer to the camera than the other.
-pub(super) fn drawn(coverage: &Coverage) -> String {
+pub(super) fn render(coverage: &Coverage) -> String {
     let side = |wanted: Side| {
         let is_done = coverage.sides().iter().any(|&(side, is_done)| side == wanted && is_done);
         format!("{} {wanted}", if is_done { "█" } else { "·" })
@@ -62,11 +62,11 @@ mod tests {
     fn zones_and_sides_that_are_done_are_filled() {
         let target = Target::from(Checkerboard::new((9, 6), 0.025).unwrap());
         let mut chooser = Chooser::new(target, (900, 600), false);
-        let empty = drawn(chooser.coverage());
+        let empty = render(chooser.coverage());
         assert_eq!(empty.lines().count(), 3);
         assert!(!empty.contains('█') && empty.contains("· right"), "{empty}");
         assert_eq!(chooser.offer(view()), Verdict::Taken);
-        let text = drawn(chooser.coverage());
+        let text = render(chooser.coverage());
         let lines: Vec<&str> = text.lines().collect();
         assert!(lines[0].starts_with("  ███ ··· ···"), "{text}");
         assert!(lines[2].starts_with("  ··· ··· ···"), "{text}");

@@ -7,13 +7,13 @@ use anyhow::bail;
 use indicatif::ProgressBar;
 use roundel_core::calib::lens::Verdict;
 
-use super::views::{Looked, Views};
+use super::views::{BoardViews, ViewOptions};
 use crate::{
     capture::{
         image_file::{self, ImageError},
         source::image_files,
     },
-    lab::lens::search::{Gathered, Search},
+    lab::lens::board_search::{BoardSearch, CollectedViews},
 };
 
 /// What plays a video, if this program cannot.
@@ -24,14 +24,14 @@ const PLAYER: &str = if cfg!(feature = "gst") {
 };
 
 /// The pictures of one size.
-struct Album {
+struct SameSizeImages {
     size: (usize, usize),
     /// In order, with what became of each.
     files: Vec<(PathBuf, Verdict)>,
-    search: Search,
+    search: BoardSearch,
 }
 
-impl Album {
+impl SameSizeImages {
     /// Files of the views that were taken, in their order.
     fn taken(&self) -> Vec<PathBuf> {
         let taken = self.files.iter().filter(|(_, verdict)| *verdict == Verdict::Taken);
@@ -65,19 +65,22 @@ fn shown(path: &Path) -> String {
 }
 
 /// Looks at all files of folders and patterns.
-pub(super) fn gather(patterns: &[String], views: &Views<'_>) -> anyhow::Result<Looked> {
+pub(super) fn collect_views(
+    patterns: &[String],
+    views: &ViewOptions<'_>,
+) -> anyhow::Result<BoardViews> {
     // What this program cannot look for at all is told before any file.
-    Search::new(views.sought, false)?;
+    BoardSearch::new(views.sought, false)?;
     let mut files = Vec::new();
     for pattern in patterns {
         files.extend(image_files(pattern).map_err(anyhow::Error::msg)?);
     }
     let is_one = files.len() == 1;
     let bar = ProgressBar::new(files.len() as u64);
-    let (mut albums, mut out) = (Vec::<Album>::new(), Vec::new());
+    let (mut groups, mut out) = (Vec::<SameSizeImages>::new(), Vec::new());
     for file in files {
         bar.inc(1);
-        let looked = look(&mut albums, &file, views)?;
+        let looked = add_image(&mut groups, &file, views)?;
         match looked {
             Ok(true) => break,
             Ok(false) => {}
@@ -89,13 +92,13 @@ pub(super) fn gather(patterns: &[String], views: &Views<'_>) -> anyhow::Result<L
         }
     }
     bar.finish_and_clear();
-    let most = albums.iter().map(|album| album.files.len()).max();
-    let Some(chosen) = albums.iter().position(|album| Some(album.files.len()) == most) else {
+    let most = groups.iter().map(|group| group.files.len()).max();
+    let Some(chosen) = groups.iter().position(|group| Some(group.files.len()) == most) else {
         bail!("no picture is left of {}: what is wrong with each is said above", out.len());
     };
-    let chosen = albums.swap_remove(chosen);
+    let chosen = groups.swap_remove(chosen);
     let (width, height) = chosen.size;
-    for Album { size, files, .. } in &albums {
+    for SameSizeImages { size, files, .. } in &groups {
         for (file, _) in files {
             let why = format!(
                 "expected {width} x {height} pixels as most have, found {} x {}: pictures of one camera have one size",
@@ -115,41 +118,41 @@ pub(super) fn gather(patterns: &[String], views: &Views<'_>) -> anyhow::Result<L
         eprintln!("left out: {}: {why}", file.display());
     }
     out.extend(left);
-    Ok(Looked { gathered, left_out, taken, out })
+    Ok(BoardViews { gathered, left_out, taken, out })
 }
 
 /// Looks at one: whether there is enough, or why it is left out.
-fn look(
-    albums: &mut Vec<Album>,
+fn add_image(
+    groups: &mut Vec<SameSizeImages>,
     file: &Path,
-    views: &Views<'_>,
+    views: &ViewOptions<'_>,
 ) -> anyhow::Result<Result<bool, String>> {
     let image = match image_file::load(file) {
         Ok(image) => image,
-        Err(error) => return Ok(Err(told(&error))),
+        Err(error) => return Ok(Err(describe_error(&error))),
     };
     let frame = match image.frame() {
         Ok(frame) => frame,
         Err(error) => return Ok(Err(format!("{}: {error}", file.display()))),
     };
     let size = (image.width, image.height);
-    let place = match albums.iter().position(|album| album.size == size) {
+    let place = match groups.iter().position(|group| group.size == size) {
         Some(place) => place,
         None => {
-            let search = Search::new(views.sought, false)?;
-            albums.push(Album { size, files: Vec::new(), search });
-            albums.len() - 1
+            let search = BoardSearch::new(views.sought, false)?;
+            groups.push(SameSizeImages { size, files: Vec::new(), search });
+            groups.len() - 1
         }
     };
-    let album = &mut albums[place];
-    let (verdict, _) = album.search.look(&frame)?;
-    album.files.push((file.to_path_buf(), verdict));
-    let taken = |gathered: &Gathered| gathered.chooser.taken().len();
-    Ok(Ok(album.search.gathered().map_or(0, taken) >= views.most))
+    let group = &mut groups[place];
+    let (verdict, _) = group.search.look(&frame)?;
+    group.files.push((file.to_path_buf(), verdict));
+    let taken = |gathered: &CollectedViews| gathered.chooser.taken().len();
+    Ok(Ok(group.search.gathered().map_or(0, taken) >= views.most))
 }
 
 /// Why a file is no picture; a video is a source.
-fn told(error: &ImageError) -> String {
+fn describe_error(error: &ImageError) -> String {
     match error {
         ImageError::Video { path, .. } => {
             format!("{error}; a video is given as `file:{}`{PLAYER}", path.display())

@@ -18,18 +18,18 @@ use serde_json::{Value, json};
 
 use super::{
     Format, files, output,
-    views::{self, Looked, Views},
+    views::{self, BoardViews, ViewOptions},
 };
 use crate::{
     app::cli::size,
     lab::{
         lens::{
+            board_search::CalibrationTarget,
             chessboard::{self, Chessboard},
             report::{parameters, width_doubt},
-            search::Sought,
         },
         print::{
-            BOARD_LAYOUT, Order, codes,
+            BOARD_LAYOUT, PrintJob, codes,
             spec::{self, Diameters},
         },
     },
@@ -74,8 +74,8 @@ pub(super) struct LensArgs {
     camera: Option<String>,
     /// The printed board: columns and rows of roundels; or chessboard:COLUMNSxROWS:SQUARE_MM by its inner corners, or
     /// charuco:COLUMNSxROWS:SQUARE_MM:MARKER_MM:DICTIONARY by its squares
-    #[arg(long, value_name = "COLUMNSxROWS", value_parser = board_word, default_value = "7x5")]
-    board: BoardWord,
+    #[arg(long, value_name = "COLUMNSxROWS", value_parser = parse_board, default_value = "7x5")]
+    board: BoardArg,
     /// Its roundels' outer diameter, millimetres, as measured on the print [default: 30]
     #[arg(long, value_name = "OUTER_MM", value_parser = spec::diameters, allow_hyphen_values = true)]
     marker: Option<Diameters>,
@@ -87,7 +87,7 @@ pub(super) struct LensArgs {
     code: Option<CodeLayout>,
     /// The distortion model [default: the one that the views speak for]
     #[arg(long, value_enum)]
-    model: Option<ModelWord>,
+    model: Option<ModelArg>,
     /// Most views that are used
     #[arg(long, default_value_t = 40, value_parser = clap::value_parser!(u16).range(5..=500))]
     views: u16,
@@ -107,15 +107,15 @@ pub(super) struct LensArgs {
 
 /// A board as it is described.
 #[derive(Clone, Debug, PartialEq)]
-enum BoardWord {
+enum BoardArg {
     Roundels((usize, usize)),
     Chessboard(Chessboard),
 }
 
-fn board_word(text: &str) -> Result<BoardWord, String> {
+fn parse_board(text: &str) -> Result<BoardArg, String> {
     match chessboard::parse(text) {
-        Some(board) => board.map(BoardWord::Chessboard),
-        None => spec::sides(text).map(BoardWord::Roundels).map_err(|error| {
+        Some(board) => board.map(BoardArg::Chessboard),
+        None => spec::sides(text).map(BoardArg::Roundels).map_err(|error| {
             format!(
                 "{error}; boards of other tools are described as chessboard:9x6:25 or charuco:10x7:25:18:DICT_4X4_50"
             )
@@ -126,7 +126,7 @@ fn board_word(text: &str) -> Result<BoardWord, String> {
 /// Words for distortion models.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
 #[value(rename_all = "snake_case")]
-enum ModelWord {
+enum ModelArg {
     /// k1 k2 p1 p2 k3
     PlumbBob,
     /// k1 k2 p1 p2 k3 k4 k5 k6
@@ -143,9 +143,9 @@ impl LensArgs {
 
     pub(super) fn model(&self) -> Option<Model> {
         self.model.map(|word| match word {
-            ModelWord::PlumbBob => Model::PlumbBob,
-            ModelWord::RationalPolynomial => Model::Rational,
-            ModelWord::Equidistant => Model::Equidistant,
+            ModelArg::PlumbBob => Model::PlumbBob,
+            ModelArg::RationalPolynomial => Model::Rational,
+            ModelArg::Equidistant => Model::Equidistant,
         })
     }
 
@@ -159,28 +159,30 @@ pub(super) fn run(arguments: &LensArgs) -> anyhow::Result<ExitCode> {
     if let Some(file) = &arguments.output {
         output::check(file)?;
     }
-    let sought = sought(arguments)?;
+    let sought = calibration_target(arguments)?;
     let most = usize::from(arguments.views);
-    let mut looked =
-        gather(&arguments.sources, &Views { sought: &sought, most, size: arguments.size })?;
-    let gathered = &looked.gathered;
+    let mut views_found = collect_views(
+        &arguments.sources,
+        &ViewOptions { sought: &sought, most, size: arguments.size },
+    )?;
+    let gathered = &views_found.gathered;
     let taken = gathered.chooser.taken();
     let found = calibrate(gathered.chooser.target(), gathered.size, taken, arguments.model())
         .with_context(|| {
-            format!("no lens was found: {}{}", looked.told(), hint(&sought, &looked))
+            format!("no lens was found: {}{}", views_found.summary(), hint(&sought, &views_found))
         })?;
-    looked.add_left_out(&found);
+    views_found.add_left_out(&found);
     let text = match arguments.format {
-        Format::Json => format!("{}\n", report_of_views(&found, &looked)),
-        Format::Table => table(&found, &looked)?,
+        Format::Json => format!("{}\n", report_of_views(&found, &views_found)),
+        Format::Table => table(&found, &views_found)?,
     };
     let file = arguments.output.as_deref().map(stem).unwrap_or_default();
-    hand_out(arguments, &found, &file, &text)?;
+    write_results(arguments, &found, &file, &text)?;
     Ok(ExitCode::SUCCESS)
 }
 
 /// Searches every picture, or a stream until it ends, there are enough views, or Ctrl-C.
-fn gather(sources: &[String], options: &Views<'_>) -> anyhow::Result<Looked> {
+fn collect_views(sources: &[String], options: &ViewOptions<'_>) -> anyhow::Result<BoardViews> {
     let mut patterns = Vec::new();
     for source in sources {
         if !views::is_stream(source) {
@@ -192,20 +194,25 @@ fn gather(sources: &[String], options: &Views<'_>) -> anyhow::Result<Looked> {
             // next one has not moved.
             SourceAddress::Images(images) if !images.is_timed() => patterns.push(images.pattern),
             address if sources.len() == 1 => {
-                let gathered = views::of_stream(source, &address, options)?;
-                return Ok(Looked { gathered, left_out: 0, taken: Vec::new(), out: Vec::new() });
+                let gathered = views::collect_from_stream(source, &address, options)?;
+                return Ok(BoardViews {
+                    gathered,
+                    left_out: 0,
+                    taken: Vec::new(),
+                    out: Vec::new(),
+                });
             }
             _ => bail!(
                 "one source at a time: {source} is looked at by itself; files and folders may be several"
             ),
         }
     }
-    views::refuse_size(options, "pictures in files")?;
-    files::gather(&patterns, options)
+    views::reject_size_option(options, "pictures in files")?;
+    files::collect_views(&patterns, options)
 }
 
 /// Writes the file if one is wanted, and prints the report, whatever becomes of the other.
-pub(super) fn hand_out(
+pub(super) fn write_results(
     arguments: &LensArgs,
     found: &LensCalibration,
     name: &str,
@@ -215,7 +222,7 @@ pub(super) fn hand_out(
         let name = arguments.name.as_deref().unwrap_or(name);
         let doubt =
             LensDoubt { free: found.model.free().to_vec(), covariance: found.covariance.clone() };
-        output::write(file, &camera_file::write_with_doubt(name, &found.camera, Some(&doubt)))
+        output::write(file, &camera_file::write_with_uncertainty(name, &found.camera, Some(&doubt)))
     });
     std::io::stdout()
         .write_all(report.as_bytes())
@@ -227,30 +234,30 @@ fn stem(file: &Path) -> String {
     file.file_stem().unwrap_or_default().to_string_lossy().into_owned()
 }
 
-fn sought(arguments: &LensArgs) -> anyhow::Result<Sought> {
+fn calibration_target(arguments: &LensArgs) -> anyhow::Result<CalibrationTarget> {
     let LensArgs { marker, pitch, code, .. } = arguments;
     match &arguments.board {
-        BoardWord::Roundels(sides) => {
+        BoardArg::Roundels(sides) => {
             let layout = code.unwrap_or(BOARD_LAYOUT);
-            Ok(Sought::Roundels(Order::board(*sides, *marker, *pitch, layout)?))
+            Ok(CalibrationTarget::Roundels(PrintJob::board(*sides, *marker, *pitch, layout)?))
         }
-        BoardWord::Chessboard(board) => {
+        BoardArg::Chessboard(board) => {
             if marker.is_some() || pitch.is_some() || code.is_some() {
                 bail!(
                     "--marker, --pitch and --code describe a board of roundels; a chessboard's squares are described in \
                      --board, such as chessboard:9x6:25"
                 );
             }
-            Ok(Sought::Chessboard(board.clone()))
+            Ok(CalibrationTarget::Chessboard(board.clone()))
         }
     }
 }
 
 /// What may be wrong where there is no view at all: nothing of a board is found where anything of its description is wrong.
-fn hint(sought: &Sought, Looked { gathered, .. }: &Looked) -> String {
+fn hint(sought: &CalibrationTarget, BoardViews { gathered, .. }: &BoardViews) -> String {
     let is_nowhere = gathered.without_board == gathered.frames;
     match sought {
-        Sought::Roundels(board) if is_nowhere => {
+        CalibrationTarget::Roundels(board) if is_nowhere => {
             let codes = match board.kind().pattern {
                 Pattern::Coded(layout) => format!(" with {}", codes(layout)),
                 _ => String::new(),
@@ -261,7 +268,7 @@ fn hint(sought: &Sought, Looked { gathered, .. }: &Looked) -> String {
                  picture?)"
             )
         }
-        Sought::Chessboard(Chessboard { markers: Some(_), .. }) if is_nowhere => {
+        CalibrationTarget::Chessboard(Chessboard { markers: Some(_), .. }) if is_nowhere => {
             " (are these its counts of squares and its dictionary, and is the square at the top left black?)".to_owned()
         }
         _ if gathered.moving > 0 && gathered.chooser.taken().is_empty() => {
@@ -273,8 +280,8 @@ fn hint(sought: &Sought, Looked { gathered, .. }: &Looked) -> String {
     }
 }
 
-fn report_of_views(found: &LensCalibration, looked: &Looked) -> Value {
-    let Looked { gathered, left_out, taken, out } = looked;
+fn report_of_views(found: &LensCalibration, views_found: &BoardViews) -> Value {
+    let BoardViews { gathered, left_out, taken, out } = views_found;
     let points = gathered.chooser.target().points();
     let views: Vec<_> = found
         .views
@@ -338,10 +345,10 @@ pub(super) fn report(found: &LensCalibration) -> Value {
     })
 }
 
-fn table(found: &LensCalibration, looked: &Looked) -> anyhow::Result<String> {
-    let (mut text, gathered) = (String::new(), &looked.gathered);
+fn table(found: &LensCalibration, views_found: &BoardViews) -> anyhow::Result<String> {
+    let (mut text, gathered) = (String::new(), &views_found.gathered);
     let used = found.views.iter().flatten().count();
-    writeln!(text, "{}", looked.told())?;
+    writeln!(text, "{}", views_found.summary())?;
     writeln!(
         text,
         "{used} views used, {} left out, {} {} left out; rms {:.3} px; {} % of the picture covered",

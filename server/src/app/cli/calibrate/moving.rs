@@ -11,7 +11,7 @@ use super::{
     Format,
     lens::{self, LensArgs},
 };
-use crate::archive::replay::witness::{Witnessed, witness};
+use crate::archive::replay::correspondences::{Correspondences, correspondences};
 
 /// The spinner turns so often while all is solved together.
 const TICK: Duration = Duration::from_millis(200);
@@ -20,11 +20,11 @@ const TICK: Duration = Duration::from_millis(200);
 pub(super) fn run(arguments: &LensArgs, file: &Path, camera: &str) -> anyhow::Result<ExitCode> {
     let bar = ProgressBar::new_spinner();
     bar.set_style(ProgressStyle::with_template("{spinner} {msg}")?);
-    let witnessed = witness(file, camera, |seconds| {
+    let correspondences = correspondences(file, camera, |seconds| {
         bar.set_message(format!("fusing what the others saw: {seconds:.1} s"));
         bar.tick();
     })?;
-    let Witnessed { size, ways, glimpses, clock, damage, .. } = &witnessed;
+    let Correspondences { size, ways, glimpses, clock, damage, .. } = &correspondences;
     for sentence in damage {
         bar.suspend(|| eprintln!("{}: not whole: {sentence}", file.display()));
     }
@@ -33,35 +33,35 @@ pub(super) fn run(arguments: &LensArgs, file: &Path, camera: &str) -> anyhow::Re
     let seen = Seen { size: *size, ways, glimpses, clock: *clock };
     let found = calibrate(&seen, arguments.model());
     bar.finish_and_clear();
-    let found =
-        found.with_context(|| format!("no lens was found: {}", told(camera, &witnessed)))?;
+    let found = found
+        .with_context(|| format!("no lens was found: {}", summary(camera, &correspondences)))?;
     let text = match arguments.format() {
-        Format::Json => format!("{}\n", report(&found, &witnessed)),
-        Format::Table => table(&found, &told(camera, &witnessed))?,
+        Format::Json => format!("{}\n", report(&found, &correspondences)),
+        Format::Table => table(&found, &summary(camera, &correspondences))?,
     };
-    lens::hand_out(arguments, &found.lens, camera, &text)?;
+    lens::write_results(arguments, &found.lens, camera, &text)?;
     Ok(ExitCode::SUCCESS)
 }
 
-fn told(camera: &str, witnessed: &Witnessed) -> String {
-    let Witnessed { ways, glimpses, frames, unwitnessed, .. } = witnessed;
+fn summary(camera: &str, correspondences: &Correspondences) -> String {
+    let Correspondences { ways, glimpses, frames, unmatched, .. } = correspondences;
     format!(
-        "{frames} frames of \"{camera}\", {} sightings of {} roundels that others saw, {unwitnessed} of what nobody else saw",
+        "{frames} frames of \"{camera}\", {} sightings of {} roundels that others saw, {unmatched} of what nobody else saw",
         glimpses.len(),
         ways.len()
     )
 }
 
-fn report(found: &MovingLens, witnessed: &Witnessed) -> serde_json::Value {
+fn report(found: &MovingLens, correspondences: &Correspondences) -> serde_json::Value {
     let mut report = lens::report(&found.lens);
     let place = found.world_from_camera;
     let deviations: Vec<f64> =
         found.pose_covariance.diagonal().iter().map(|it| it.max(0.0).sqrt()).collect();
     let more = json!({
-        "frames": witnessed.frames,
+        "frames": correspondences.frames,
         "sightings": found.sightings,
-        "unwitnessed": witnessed.unwitnessed,
-        "roundels": witnessed.ways.len(),
+        "unwitnessed": correspondences.unmatched,
+        "roundels": correspondences.ways.len(),
         "coverage": found.coverage(),
         "depths_m": found.depths_m,
         "position_m": place.translation.vector.as_slice(),

@@ -9,7 +9,7 @@ use std::{
 
 use anyhow::{Context, bail};
 
-use crate::app::cli::probed;
+use crate::app::cli::check_writable;
 
 /// Whether a file can be written there; leaves everything as it is.
 pub(super) fn check(path: &Path) -> anyhow::Result<()> {
@@ -26,7 +26,8 @@ pub(super) fn check(path: &Path) -> anyhow::Result<()> {
         );
     }
     let kept = path.is_file().then(|| beside(path));
-    let writable = probed(path).and_then(|()| kept.as_deref().map_or(Ok(()), probed));
+    let writable =
+        check_writable(path).and_then(|()| kept.as_deref().map_or(Ok(()), check_writable));
     writable.with_context(|| format!("--output {shown} cannot be written"))
 }
 

@@ -15,8 +15,8 @@ use roundel_core::{calib::lens::LensCalibration, frame::Frame};
 use super::coverage;
 use crate::{
     capture::source::{OpenSource, Playback, SourceError, SourceOpener},
-    lab::lens::search::{Gathered, Search, Sought},
-    model::{address::SourceAddress, stop::Stop},
+    lab::lens::board_search::{BoardSearch, CalibrationTarget, CollectedViews},
+    model::{address::SourceAddress, stop::StopSignal},
 };
 
 /// Asked of a camera that lets one choose, where nobody says a size.
@@ -26,8 +26,8 @@ const USUAL_SIZE: (usize, usize) = (1280, 720);
 const LOGGED: Duration = Duration::from_secs(10);
 
 /// What is looked for.
-pub(super) struct Views<'a> {
-    pub(super) sought: &'a Sought,
+pub(super) struct ViewOptions<'a> {
+    pub(super) sought: &'a CalibrationTarget,
     /// No more than so many.
     pub(super) most: usize,
     /// Columns and rows that are asked of a camera; `None`: the usual ones, or what it gives.
@@ -35,8 +35,8 @@ pub(super) struct Views<'a> {
 }
 
 /// What was looked at.
-pub(super) struct Looked {
-    pub(super) gathered: Gathered,
+pub(super) struct BoardViews {
+    pub(super) gathered: CollectedViews,
     /// Files that could not be looked at.
     pub(super) left_out: usize,
     /// Files of the views that were taken, in their order; a stream has none.
@@ -45,7 +45,7 @@ pub(super) struct Looked {
     pub(super) out: Vec<(PathBuf, String)>,
 }
 
-impl Looked {
+impl BoardViews {
     /// Tells which views the calibration has left out, and why; those of a stream have no names.
     pub(super) fn add_left_out(&mut self, found: &LensCalibration) {
         for (file, view) in self.taken.iter().zip(&found.views) {
@@ -57,8 +57,8 @@ impl Looked {
     }
 
     /// How many pictures were left out, and why.
-    pub(super) fn told(&self) -> String {
-        let pictures = self.gathered.told();
+    pub(super) fn summary(&self) -> String {
+        let pictures = self.gathered.describe();
         match self.left_out {
             0 => pictures,
             1 => format!("{pictures}; 1 file left out"),
@@ -68,7 +68,7 @@ impl Looked {
 }
 
 /// What has been taken has its size.
-pub(super) fn refuse_size(views: &Views<'_>, what: &str) -> anyhow::Result<()> {
+pub(super) fn reject_size_option(views: &ViewOptions<'_>, what: &str) -> anyhow::Result<()> {
     if views.size.is_some() {
         bail!("--size is asked of a camera, and {what} have the size that they have: leave it out");
     }
@@ -82,47 +82,51 @@ pub(super) fn is_stream(source: &str) -> bool {
 }
 
 /// Looks at a picture; whether there is enough.
-fn look(search: &mut Search, frame: &Frame<'_>, views: &Views<'_>) -> anyhow::Result<bool> {
+fn add_image(
+    search: &mut BoardSearch,
+    frame: &Frame<'_>,
+    views: &ViewOptions<'_>,
+) -> anyhow::Result<bool> {
     search.look(frame)?;
     if let Some(error) = search.gathered().and_then(|it| it.other_print(false)) {
         return Err(error.into());
     }
-    let enough = |it: &Gathered| it.chooser.taken().len() >= views.most || it.is_complete();
+    let enough = |it: &CollectedViews| it.chooser.taken().len() >= views.most || it.is_complete();
     Ok(search.gathered().is_some_and(enough))
 }
 
 /// How far it is, with a small map of where the board has been.
-fn message(search: &Search) -> String {
-    let map = search.gathered().map(|it| coverage::drawn(it.chooser.coverage()));
+fn message(search: &BoardSearch) -> String {
+    let map = search.gathered().map(|it| coverage::render(it.chooser.coverage()));
     [Some(search.message()), map].into_iter().flatten().collect::<Vec<_>>().join("\n")
 }
 
-fn done(search: Search, what: &str) -> anyhow::Result<Gathered> {
+fn done(search: BoardSearch, what: &str) -> anyhow::Result<CollectedViews> {
     let gathered = search.into_gathered().with_context(|| format!("{what}: no picture came"))?;
     gathered.other_print(true).map_or(Ok(gathered), |error| Err(error.into()))
 }
 
-pub(super) fn of_stream(
+pub(super) fn collect_from_stream(
     source: &str,
     address: &SourceAddress,
-    views: &Views<'_>,
-) -> anyhow::Result<Gathered> {
+    views: &ViewOptions<'_>,
+) -> anyhow::Result<CollectedViews> {
     let mut size = match address {
         SourceAddress::Push(_) => {
             bail!("a `push:` camera is calibrated where it is: run this there, on its own source")
         }
         SourceAddress::Sim(sim) => {
-            refuse_size(views, "simulated pictures")?;
+            reject_size_option(views, "simulated pictures")?;
             let camera = crate::model::simulated::simulated_camera(sim)?.camera;
             (camera.width(), camera.height())
         }
         SourceAddress::Images(_) => {
-            refuse_size(views, "pictures in files")?;
+            reject_size_option(views, "pictures in files")?;
             USUAL_SIZE
         }
         _ => views.size.unwrap_or(USUAL_SIZE),
     };
-    let (stop, interrupted) = (Stop::default(), Arc::new(AtomicBool::new(false)));
+    let (stop, interrupted) = (StopSignal::default(), Arc::new(AtomicBool::new(false)));
     let (stopping, noted) = (stop.clone(), interrupted.clone());
     // Ctrl-C takes what there is; a second one ends the process.
     thread::Builder::new().name("signals".to_owned()).spawn(move || {
@@ -140,14 +144,14 @@ pub(super) fn of_stream(
     let bar = ProgressBar::new_spinner();
     bar.set_style(ProgressStyle::with_template("{spinner} {msg}")?);
     bar.enable_steady_tick(Duration::from_millis(200));
-    let mut search = Search::new(views.sought, true)?;
+    let mut search = BoardSearch::new(views.sought, true)?;
     let mut logged = Instant::now();
     loop {
         let mut opener = SourceOpener::new(address.clone(), size, clock, playback, stop.clone());
         let outcome = opener.open().and_then(|mut stream| {
             loop {
                 let lent = stream.next_frame()?;
-                match look(&mut search, &lent.frame, views) {
+                match add_image(&mut search, &lent.frame, views) {
                     Ok(false) if !bar.is_hidden() => bar.set_message(message(&search)),
                     Ok(false) if logged.elapsed() >= LOGGED => {
                         logged = Instant::now();
@@ -182,7 +186,7 @@ fn other_size(
     source: &str,
     (width, height): (usize, usize),
     found: (usize, usize),
-    views: &Views<'_>,
+    views: &ViewOptions<'_>,
 ) -> String {
     let (as_what, remedy) = match views.size {
         Some(_) => {

@@ -12,14 +12,14 @@ use roundel_core::{
 };
 use serde_json::{Map, Value, json};
 
-use super::search::{Found, Roundel};
-use crate::{app::cli::told, model::reason};
+use super::search::{ImageDetections, Roundel};
+use crate::{app::cli::error_chain, model::reason};
 
 /// One line, whatever became of the image.
 pub(super) fn json(
     out: &mut impl Write,
     path: &Path,
-    outcome: &anyhow::Result<Found>,
+    outcome: &anyhow::Result<ImageDetections>,
     explain: bool,
 ) -> io::Result<()> {
     let mut line = match outcome {
@@ -36,7 +36,7 @@ pub(super) fn json(
             "height": null,
             "elapsed_us": null,
             "detections": [],
-            "error": told(error),
+            "error": error_chain(error),
         }),
     };
     if let (Some(line), Ok(found), true) = (line.as_object_mut(), outcome, explain) {
@@ -101,7 +101,7 @@ fn rejected(rejected: &Rejected) -> Value {
 pub(super) fn table(
     out: &mut impl Write,
     path: &Path,
-    outcome: &anyhow::Result<Found>,
+    outcome: &anyhow::Result<ImageDetections>,
     explain: bool,
 ) -> io::Result<()> {
     // The error stands on stderr.
@@ -128,7 +128,7 @@ pub(super) fn table(
     if explain {
         writeln!(out, "  refused candidates: {}", found.rejects.total())?;
         for (reject, count) in found.rejects.iter().filter(|(_, count)| *count > 0) {
-            let word = reason::word(reject, ' ');
+            let word = reason::reject_name(reject, ' ');
             writeln!(out, "  {count:>7}  {word:15} {}", reject.reason())?;
         }
     }

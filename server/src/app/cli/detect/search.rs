@@ -13,11 +13,11 @@ use roundel_core::{
 
 use crate::{
     capture::image_file::{self, GreyImage},
-    lab::print::spec::Print,
+    lab::print::spec::PrintSpec,
 };
 
 /// What was found in one image.
-pub(super) struct Found {
+pub(super) struct ImageDetections {
     pub(super) image: GreyImage,
     pub(super) elapsed_us: f64,
     pub(super) roundels: Vec<Roundel>,
@@ -34,8 +34,8 @@ pub(super) struct Roundel {
 }
 
 /// How images are searched.
-pub(super) struct Wish {
-    pub(super) print: Print,
+pub(super) struct SearchOptions {
+    pub(super) print: PrintSpec,
     pub(super) camera: Option<Camera>,
     pub(super) params: Params,
     /// The images are frames of one camera.
@@ -45,22 +45,22 @@ pub(super) struct Wish {
 }
 
 /// Searches images one after the other.
-pub(super) struct Search {
-    finder: Finder,
+pub(super) struct ImageSearch {
+    finder: ImageDetector,
     locator: Option<Locator>,
-    print: Print,
+    print: PrintSpec,
 }
 
-enum Finder {
+enum ImageDetector {
     /// Each image for itself.
     Single { detector: Box<Detector>, scratch: Box<Scratch> },
     /// Frames of one camera.
     Sequence { tracker: Box<Tracker> },
 }
 
-impl Search {
-    pub(super) fn new(wish: Wish) -> anyhow::Result<Self> {
-        let Wish { print, camera, params, sequence, explain } = wish;
+impl ImageSearch {
+    pub(super) fn new(options: SearchOptions) -> anyhow::Result<Self> {
+        let SearchOptions { print, camera, params, sequence, explain } = options;
         let mode = params.mode;
         let kinds = print.kind().into_iter().collect();
         let detector =
@@ -69,16 +69,16 @@ impl Search {
         let finder = if sequence {
             let mut tracker = Box::new(Tracker::new(detector));
             tracker.explain(explain);
-            Finder::Sequence { tracker }
+            ImageDetector::Sequence { tracker }
         } else {
             let mut scratch = Box::<Scratch>::default();
             scratch.explain(explain);
-            Finder::Single { detector: Box::new(detector), scratch }
+            ImageDetector::Single { detector: Box::new(detector), scratch }
         };
         Ok(Self { finder, locator, print })
     }
 
-    pub(super) fn image(&mut self, path: &Path) -> anyhow::Result<Found> {
+    pub(super) fn image(&mut self, path: &Path) -> anyhow::Result<ImageDetections> {
         let image = image_file::load(path)?;
         if let Some(camera) = self.locator.as_ref().map(Locator::camera)
             && (camera.width(), camera.height()) != (image.width, image.height)
@@ -102,11 +102,11 @@ impl Search {
         }
         let elapsed_us = begun.elapsed().as_secs_f64() * 1e6;
         let rejected = self.finder.rejected().to_vec();
-        Ok(Found { image, elapsed_us, roundels, rejects, rejected })
+        Ok(ImageDetections { image, elapsed_us, roundels, rejects, rejected })
     }
 }
 
-impl Finder {
+impl ImageDetector {
     fn find(&mut self, frame: &Frame) -> (Vec<Roundel>, RejectCounts) {
         match self {
             Self::Single { detector, scratch } => {
@@ -135,7 +135,7 @@ impl Finder {
 }
 
 /// Adds the pose, where something says the roundel's size.
-fn locate(locator: &mut Locator, print: &Print, frame: &Frame, roundel: &mut Roundel) {
+fn locate(locator: &mut Locator, print: &PrintSpec, frame: &Frame, roundel: &mut Roundel) {
     let ring = roundel.ring;
     let Some(kind) = print.kind_of(&ring) else { return };
     let located = match (roundel.track, ring.kind) {

@@ -14,22 +14,22 @@ use roundel_core::{
 use serde_json::json;
 
 use super::{
-    Format, ModeWord, PlanArgs,
-    load::{Seen, load},
+    Format, ModeArg, PlanArgs,
+    load::{ApparentSize, load},
     optics, roundel,
 };
 use crate::{
     fusion::calibration::file::CalibrationFile,
     lab::plan::{
-        SPOTS,
-        report::{PlanMap, PlanSummary, used},
-        station::{Named, configured as station},
+        DEFAULT_SPOTS,
+        plan_map::{PlanMap, PlanSummary, usable_stations},
+        planned_camera::{PlannedCamera, from_config as planned_camera},
     },
     model::config::Config,
 };
 
 /// What an installation sees.
-pub(super) fn configured(arguments: &PlanArgs, path: &Path) -> anyhow::Result<()> {
+pub(super) fn plan_installation(arguments: &PlanArgs, path: &Path) -> anyhow::Result<()> {
     let mut config = Config::load(path)?;
     // Where a calibration has found the cameras counts, as at a start of the server.
     if let Some(path) = config.server.calibration.clone()
@@ -39,17 +39,17 @@ pub(super) fn configured(arguments: &PlanArgs, path: &Path) -> anyhow::Result<()
     }
     if let Some(word) = arguments.mode {
         let mode = match word {
-            ModeWord::Precise => roundel_core::marker::Mode::Precise,
-            ModeWord::Fast => roundel_core::marker::Mode::Fast,
+            ModeArg::Precise => roundel_core::marker::Mode::Precise,
+            ModeArg::Fast => roundel_core::marker::Mode::Fast,
         };
         config.cameras.iter_mut().for_each(|camera| camera.mode = mode);
     }
     let kind = configured_kind(arguments, &config)?;
     let imaging = arguments.imaging();
     let trials = Trials::default();
-    let cameras: Vec<Named> =
-        config.cameras.iter().map(|camera| station(camera, imaging, &trials)).collect();
-    let stations = used(&cameras);
+    let cameras: Vec<PlannedCamera> =
+        config.cameras.iter().map(|camera| planned_camera(camera, imaging, &trials)).collect();
+    let stations = usable_stations(&cameras);
     if stations.is_empty() {
         let reasons: Vec<String> = cameras
             .iter()
@@ -59,13 +59,13 @@ pub(super) fn configured(arguments: &PlanArgs, path: &Path) -> anyhow::Result<()
             .collect();
         bail!("expected a camera that stands at a known place, found none; {}", reasons.join("; "));
     }
-    let seen = Field::seen_by(&stations, arguments.height(), SPOTS).with_context(|| {
+    let seen = Field::seen_by(&stations, arguments.height(), DEFAULT_SPOTS).with_context(|| {
         format!("no camera looks down on the plane --height {} m", arguments.height())
     })?;
     let field = Field { step_m: arguments.step.unwrap_or(seen.step_m), ..seen };
     let map = PlanMap::of(&map(&stations, &kind, field)?, &kind.name, &cameras);
     let times = times(arguments, &kind, &cameras)?;
-    told(arguments, &Plan { kind, size: Size::Said, map, grid: None, times })
+    print_plan(arguments, &ArenaPlan { kind, size: Size::Said, map, grid: None, times })
 }
 
 fn configured_kind(arguments: &PlanArgs, config: &Config) -> anyhow::Result<Kind> {
@@ -89,14 +89,14 @@ fn configured_kind(arguments: &PlanArgs, config: &Config) -> anyhow::Result<Kind
 }
 
 /// The fewest cameras that do it.
-pub(super) fn fewest(arguments: &PlanArgs, arena_m: [f64; 2]) -> anyhow::Result<()> {
+pub(super) fn plan_arena(arguments: &PlanArgs, arena_m: [f64; 2]) -> anyhow::Result<()> {
     let (sensor, doubt, _) = optics::sensor(arguments)?;
     let kind = Kind { name: "the roundel".to_owned(), ..arguments.kind()? };
     let Some(mount_m) = arguments.mount else {
         bail!("how high can the cameras hang? Say --mount M, or --mount LOWEST:HIGHEST");
     };
     let half_m = arena_m.map(|side| 0.5 * side);
-    let step_m = arguments.step.unwrap_or((arena_m[0] * arena_m[1] / SPOTS as f64).sqrt());
+    let step_m = arguments.step.unwrap_or((arena_m[0] * arena_m[1] / DEFAULT_SPOTS as f64).sqrt());
     let field = Field {
         low_m: half_m.map(|half| -half),
         high_m: half_m,
@@ -116,9 +116,9 @@ pub(super) fn fewest(arguments: &PlanArgs, arena_m: [f64; 2]) -> anyhow::Result<
             (kind, size, grid)
         }
     };
-    let cameras: Vec<Named> = (1..)
+    let cameras: Vec<PlannedCamera> = (1..)
         .zip(&grid.stations)
-        .map(|(number, station)| Named {
+        .map(|(number, station)| PlannedCamera {
             name: number.to_string(),
             station: Ok(Box::new(station.clone())),
         })
@@ -126,7 +126,7 @@ pub(super) fn fewest(arguments: &PlanArgs, arena_m: [f64; 2]) -> anyhow::Result<
     let fine: Map = map(&grid.stations, &kind, field)?;
     let map = PlanMap::of(&fine, &kind.name, &cameras);
     let times = times(arguments, &kind, &cameras)?;
-    told(arguments, &Plan { kind, size, map, grid: Some(grid), times })
+    print_plan(arguments, &ArenaPlan { kind, size, map, grid: Some(grid), times })
 }
 
 /// Where the roundel's size comes from.
@@ -140,16 +140,16 @@ enum Size {
 }
 
 /// Everything that is told.
-struct Plan {
+struct ArenaPlan {
     kind: Kind,
     size: Size,
     map: PlanMap,
     grid: Option<Grid>,
-    times: Times,
+    times: FrameTimes,
 }
 
 /// What frames take.
-struct Times {
+struct FrameTimes {
     /// Of the camera that takes longest, its name, and of all together, seconds.
     longest_s: f64,
     longest: String,
@@ -159,16 +159,20 @@ struct Times {
 }
 
 /// Of frames in which as many roundels as are said lie straight below each camera, where they are largest.
-fn times(arguments: &PlanArgs, kind: &Kind, cameras: &[Named]) -> anyhow::Result<Times> {
+fn times(
+    arguments: &PlanArgs,
+    kind: &Kind,
+    cameras: &[PlannedCamera],
+) -> anyhow::Result<FrameTimes> {
     let (machine, from) = arguments.machine()?;
     let mut times =
-        Times { longest_s: 0.0, longest: String::new(), together_s: 0.0, machine: from };
+        FrameTimes { longest_s: 0.0, longest: String::new(), together_s: 0.0, machine: from };
     for camera in cameras {
         let Ok(station) = &camera.station else { continue };
         let lens = station.sensor.camera.intrinsics();
         let above_m = station.place.world_from_camera.translation.vector.z - arguments.height();
         let per_m = 0.5 * (lens.fx_px + lens.fy_px) / above_m.abs().max(kind.outer_diameter_m);
-        let seen = Seen { diameter_px: per_m * kind.outer_diameter_m, per_m };
+        let seen = ApparentSize { diameter_px: per_m * kind.outer_diameter_m, per_m };
         let load = load(arguments, &station.sensor, kind, seen)?;
         let frame_s = machine.of(station.sensor.mode).frame_s(&load);
         times.together_s += frame_s;
@@ -179,8 +183,8 @@ fn times(arguments: &PlanArgs, kind: &Kind, cameras: &[Named]) -> anyhow::Result
     Ok(times)
 }
 
-fn told(arguments: &PlanArgs, plan: &Plan) -> anyhow::Result<()> {
-    let Plan { kind, size, map, grid, times } = plan;
+fn print_plan(arguments: &PlanArgs, plan: &ArenaPlan) -> anyhow::Result<()> {
+    let ArenaPlan { kind, size, map, grid, times } = plan;
     let text = match arguments.format {
         Format::Json => {
             let grid = grid.as_ref().map(|grid| {
@@ -213,7 +217,7 @@ fn told(arguments: &PlanArgs, plan: &Plan) -> anyhow::Result<()> {
     arguments.write_map(map)
 }
 
-fn table(arguments: &PlanArgs, Plan { kind, size, map, grid, times }: &Plan) -> String {
+fn table(arguments: &PlanArgs, ArenaPlan { kind, size, map, grid, times }: &ArenaPlan) -> String {
     let size = match size {
         Size::Said => "",
         Size::Assumed => ", assumed since --marker says none",
@@ -268,7 +272,7 @@ fn table(arguments: &PlanArgs, Plan { kind, size, map, grid, times }: &Plan) -> 
         lines.push(String::new());
         return lines.join("\n");
     }
-    let Times { longest_s, longest, together_s, machine } = times;
+    let FrameTimes { longest_s, longest, together_s, machine } = times;
     lines.push(format!(
         "a frame with {} of them straight below: at most {:.3} ms (camera {longest}); all cameras at {} Hz keep {:.2} of a core busy",
         arguments.count(),

@@ -10,7 +10,7 @@ use super::PlanArgs;
 
 /// How large roundels are in a picture.
 #[derive(Clone, Copy, Debug)]
-pub(super) struct Seen {
+pub(super) struct ApparentSize {
     /// Mean diameter, pixels.
     pub(super) diameter_px: f64,
     /// Pixels a metre across the line of sight.
@@ -22,7 +22,7 @@ pub(super) fn load(
     arguments: &PlanArgs,
     sensor: &Sensor,
     kind: &Kind,
-    seen: Seen,
+    size: ApparentSize,
 ) -> anyhow::Result<Load> {
     let (count, speed, rate, lost) =
         (arguments.count(), arguments.speed(), arguments.rate(), arguments.lost());
@@ -35,7 +35,7 @@ pub(super) fn load(
     if !(0.01..=1e5).contains(&rate) {
         bail!("--rate: expected 0.01 to 100000 frames a second, found {rate}");
     }
-    let motion_px = speed / rate * seen.per_m;
+    let motion_px = speed / rate * size.per_m;
     let (width, height) = (sensor.camera.width(), sensor.camera.height());
     if motion_px > width as f64 {
         bail!(
@@ -46,7 +46,7 @@ pub(super) fn load(
     let load = Load {
         image_px: (width * height) as f64,
         roundels: f64::from(count),
-        diameter_px: seen.diameter_px,
+        diameter_px: size.diameter_px,
         motion_px,
         is_coded: matches!(kind.pattern, Pattern::Coded(_)),
         searched_share: lost,

@@ -9,19 +9,20 @@ use serde_json::{Map, Value, json};
 
 use super::{Format, PlanArgs};
 use crate::{
-    app::cli::probed,
+    app::cli::check_writable,
     lab::plan::{
-        machine::{Machine, measure, usual_path},
-        trial::Measured,
+        machine_timings::{MachineTimings, default_path, measure},
+        timing::TimingSample,
     },
 };
 
 pub(super) fn run(arguments: &PlanArgs) -> anyhow::Result<()> {
-    let usual = || usual_path(arguments.config.as_deref());
+    let usual = || default_path(arguments.config.as_deref());
     let path = arguments.machine.clone().or_else(usual).context(
         "where to keep it? There is neither HOME nor XDG_CONFIG_HOME: say --machine FILE",
     )?;
-    make_room(&path).with_context(|| format!("--machine {} cannot be written", path.display()))?;
+    create_parent_folder(&path)
+        .with_context(|| format!("--machine {} cannot be written", path.display()))?;
     eprintln!("Measuring for about a minute: let nothing else run meanwhile.");
     let style = ProgressStyle::with_template("measuring {bar:30} {pos}/{len} {eta}")
         .context("a template of our own")?;
@@ -42,14 +43,14 @@ pub(super) fn run(arguments: &PlanArgs) -> anyhow::Result<()> {
 }
 
 /// Whether the times can be kept there, before a minute is spent on them; makes the folder that they are kept in.
-fn make_room(path: &Path) -> std::io::Result<()> {
+fn create_parent_folder(path: &Path) -> std::io::Result<()> {
     if let Some(folder) = path.parent().filter(|folder| !folder.as_os_str().is_empty()) {
         fs::create_dir_all(folder)?;
     }
-    probed(path)
+    check_writable(path)
 }
 
-fn report(machine: &Machine, measured: &[Measured]) -> serde_json::Value {
+fn report(machine: &MachineTimings, measured: &[TimingSample]) -> serde_json::Value {
     let each: Vec<_> = measured
         .iter()
         .map(|one| {
@@ -78,7 +79,7 @@ fn constants(of: &Constants) -> Value {
     json!({"followed": named(&of.followed), "searched": named(&of.searched)})
 }
 
-fn table(machine: &Machine, measured: &[Measured]) -> String {
+fn table(machine: &MachineTimings, measured: &[TimingSample]) -> String {
     let mut text = "mode     megapixels  roundels         px  px a frame  searched  measured ms  model/measured\n"
         .to_owned();
     for one in measured {

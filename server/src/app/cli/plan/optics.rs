@@ -10,13 +10,13 @@ use super::PlanArgs;
 use crate::model::camera_file;
 
 /// Fields of view that a pinhole has, degrees.
-const FIELDS_DEG: std::ops::RangeInclusive<f64> = 1.0..=150.0;
+const FOV_RANGE_DEG: std::ops::RangeInclusive<f64> = 1.0..=150.0;
 
 /// The camera, how well its lens is known, and what to call it.
 pub(super) fn sensor(arguments: &PlanArgs) -> anyhow::Result<(Sensor, Option<LensDoubt>, String)> {
-    let (camera, doubt, name) = if let Some(path) = &arguments.camera {
-        let (camera, doubt) = camera_file::load_with_doubt(path)?;
-        (camera, doubt, path.display().to_string())
+    let (camera, uncertainty, name) = if let Some(path) = &arguments.camera {
+        let (camera, uncertainty) = camera_file::load_with_uncertainty(path)?;
+        (camera, uncertainty, path.display().to_string())
     } else if let (Some(size), Some(fov_deg)) = (arguments.resolution, arguments.fov) {
         (pinhole(size, fov_deg)?, None, "pinhole".to_owned())
     } else {
@@ -27,16 +27,16 @@ pub(super) fn sensor(arguments: &PlanArgs) -> anyhow::Result<(Sensor, Option<Len
     };
     let (imaging, mode) = (arguments.imaging(), arguments.mode());
     let sensor = Sensor { camera, imaging, mode, trials: Trials::default() };
-    Ok((sensor, doubt, name))
+    Ok((sensor, uncertainty, name))
 }
 
 fn pinhole((width, height): (usize, usize), fov_deg: f64) -> anyhow::Result<Camera> {
-    if !FIELDS_DEG.contains(&fov_deg) {
+    if !FOV_RANGE_DEG.contains(&fov_deg) {
         bail!(
             "--fov: expected {} to {} degrees, found {fov_deg}; a wider lens is no pinhole: calibrate it and say \
              --camera",
-            FIELDS_DEG.start(),
-            FIELDS_DEG.end()
+            FOV_RANGE_DEG.start(),
+            FOV_RANGE_DEG.end()
         );
     }
     let focal_px = 0.5 * width as f64 / (0.5 * fov_deg.to_radians()).tan();

@@ -18,13 +18,13 @@ use serde_json::{Value, json};
 
 use super::{
     Format, PlanArgs,
-    load::{Seen, load},
+    load::{ApparentSize, load},
     optics, roundel,
 };
 use crate::model::config::{MODES, word};
 
 /// Everything that is told.
-struct Told {
+struct PlanResult {
     name: String,
     sensor: Sensor,
     kind: Kind,
@@ -41,15 +41,15 @@ struct Told {
 }
 
 pub(super) fn run(arguments: &PlanArgs) -> anyhow::Result<()> {
-    let told = told(arguments)?;
+    let result = plan_camera(arguments)?;
     let text = match arguments.format {
-        Format::Table => told.table(arguments),
-        Format::Json => format!("{:#}\n", told.json(arguments)),
+        Format::Table => result.table(arguments),
+        Format::Json => format!("{:#}\n", result.json(arguments)),
     };
     std::io::stdout().write_all(text.as_bytes()).context("cannot write to the standard output")
 }
 
-fn told(arguments: &PlanArgs) -> anyhow::Result<Told> {
+fn plan_camera(arguments: &PlanArgs) -> anyhow::Result<PlanResult> {
     let (sensor, doubt, name) = optics::sensor(arguments)?;
     let mut kind = arguments.kind()?;
     let tilt_rad = arguments.tilt().to_radians();
@@ -68,13 +68,13 @@ fn told(arguments: &PlanArgs) -> anyhow::Result<Told> {
     let ring = &expected.sighting.ring.outer;
     // The longer diameter is the one that tilt leaves.
     let per_m = 2.0 * ring.semi_major_px / kind.outer_diameter_m;
-    let seen = Seen { diameter_px: 2.0 * ring.mean_radius_px(), per_m };
+    let seen = ApparentSize { diameter_px: 2.0 * ring.mean_radius_px(), per_m };
     let load = load(arguments, &sensor, &kind, seen)?;
     let (machine, from) = arguments.machine()?;
     let frame_s = machine.of(sensor.mode).frame_s(&load);
-    let paper = papers(&sensor, &kind, tilt_rad);
+    let paper = paper_pinhole(&sensor, &kind, tilt_rad);
     let has_doubt = doubt.is_some();
-    Ok(Told {
+    Ok(PlanResult {
         name,
         sensor,
         kind,
@@ -113,7 +113,7 @@ fn expected(
 }
 
 /// What the paper's model is told of the same camera.
-fn papers(sensor: &Sensor, kind: &Kind, tilt_rad: f64) -> paper::Pinhole {
+fn paper_pinhole(sensor: &Sensor, kind: &Kind, tilt_rad: f64) -> paper::Pinhole {
     let Intrinsics { width, height, fx_px, fy_px, cx_px, cy_px, lens } = sensor.camera.intrinsics();
     let shrink = match lens {
         Lens::PlumbBob(coefficients) => {
@@ -131,9 +131,9 @@ fn papers(sensor: &Sensor, kind: &Kind, tilt_rad: f64) -> paper::Pinhole {
     }
 }
 
-impl Told {
+impl PlanResult {
     /// Equation (19) with the paper's Δe₀ and an exact lens, metres.
-    fn papers_depth_m(&self) -> f64 {
+    fn paper_depth_error_m(&self) -> f64 {
         let untilted = paper::Pinhole { tilt_rad: [0.0; 2], ..self.paper };
         let semi_major_px = 0.5 * untilted.pattern_px(self.distance_m)[0];
         paper::range_share(0.0, paper::AXIS_ERROR_PX, semi_major_px, 0.0) * self.distance_m
@@ -206,7 +206,7 @@ impl Told {
         row(
             "  its distance is known to",
             millimetres(expected.depth_m()),
-            millimetres(self.papers_depth_m()),
+            millimetres(self.paper_depth_error_m()),
         );
         row("  its place across to (2D)", millimetres(expected.across_m()), String::new());
         row("  its place in all to (3D)", millimetres(expected.position_m()), String::new());
@@ -262,7 +262,7 @@ impl Told {
                 "most_corner_distance_m": paper.most_corner_distance_m(),
                 "base_m": paper.base_m(),
                 "least_minor_px": paper.least_px,
-                "depth_deviation_m": self.papers_depth_m(),
+                "depth_deviation_m": self.paper_depth_error_m(),
             },
         })
     }

@@ -18,14 +18,14 @@ use super::progress;
 use crate::{
     app::cli::serve::{Signals, elapsed},
     archive::record::{
+        file_writer::{FileWriter, MessageStamp},
         megabytes,
         schema::Topic,
-        writer::{FileWriter, Stamp},
     },
     model::clock::Clock,
 };
 
-const FLUSH_EVERY: Duration = Duration::from_millis(500);
+const FLUSH_INTERVAL: Duration = Duration::from_millis(500);
 
 /// Records until a signal, the given time, or the end of the connection.
 pub(super) async fn record(
@@ -66,7 +66,7 @@ async fn take_all(
     let mut snapshots = client.snapshots(Subscription::default());
     let mut observations = client.observations(&[]).await?;
     let mut events = client.events(0).await?;
-    let mut flush = tokio::time::interval(FLUSH_EVERY);
+    let mut flush = tokio::time::interval(FLUSH_INTERVAL);
     let end = elapsed(length);
     tokio::pin!(end);
     let bar = progress()?;
@@ -77,11 +77,11 @@ async fn take_all(
         snapshot_rate_hz: info.snapshot_rate_hz,
         ..v1::RecordedConfiguration::default()
     };
-    file.write(Topic::Configuration, Stamp::at(clock.now(), 0), &message)?;
+    file.write(Topic::Configuration, MessageStamp::at(clock.now(), 0), &message)?;
     let mut missed = 0;
     loop {
         let now = clock.now();
-        let at = |publish_ns: i64, sequence: u64| Stamp {
+        let at = |publish_ns: i64, sequence: u64| MessageStamp {
             log_time: now,
             publish_time: Timestamp::from_ns(publish_ns),
             sequence,
@@ -112,7 +112,7 @@ async fn take_all(
             _ = flush.tick() => {
                 let cameras = client.cameras().await?;
                 let message = v1::ListCamerasResponse { cameras };
-                file.write(Topic::Health, Stamp::at(now, 0), &message)?;
+                file.write(Topic::Health, MessageStamp::at(now, 0), &message)?;
                 file.flush().context("the recording cannot be written")?;
                 let seconds = begun.elapsed().as_secs_f64();
                 bar.set_message(format!("{seconds:.0} s, {}, {missed} missed", megabytes(file.bytes())));

@@ -14,11 +14,11 @@ use crate::model::{
 };
 
 /// Whoever has asked the server waits for a second in all.
-const PATIENCE: Duration = Duration::from_millis(700);
+const FRAME_TIMEOUT: Duration = Duration::from_millis(700);
 const QUALITY: u8 = 80;
 
 /// Answers each time that the server asks for a picture of the camera.
-pub(super) async fn show(hub: Arc<Hub>, pushers: Arc<Vec<Pusher>>, index: usize) {
+pub(super) async fn answer_requests(hub: Arc<Hub>, pushers: Arc<Vec<Pusher>>, index: usize) {
     let (pusher, camera) = (&pushers[index], CameraId(index as u32));
     let mut requests = pusher.picture_requests();
     while requests.changed().await.is_ok() {
@@ -34,7 +34,7 @@ async fn newest(hub: &Hub, camera: CameraId) -> v1::PushedPicture {
         return without("the node has no such camera");
     };
     // Whether it came or not: the newest is taken.
-    let _ = timeout(PATIENCE, pictures.changed()).await;
+    let _ = timeout(FRAME_TIMEOUT, pictures.changed()).await;
     let Some(picture) = pictures.borrow().clone() else {
         let state = hub.camera(camera).unwrap_or_default();
         let why = if state.error.is_empty() { "no frame came yet" } else { &state.error };

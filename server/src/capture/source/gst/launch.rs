@@ -6,7 +6,7 @@ use gstreamer as gst;
 use gstreamer::prelude::*;
 use gstreamer_app::AppSink;
 
-use super::{super::MediaAddress, decoding::Decoding, plugin};
+use super::{super::MediaAddress, decode_timer::DecodeTimer, plugin};
 
 /// What the sink takes: formats whose luma can be used as it lies. Others are converted to the first of them that
 /// loses nothing.
@@ -27,7 +27,7 @@ const PAST_STALL: Duration = Duration::from_secs(1);
 pub(super) struct Launched {
     pub(super) pipeline: gst::Pipeline,
     pub(super) sink: AppSink,
-    pub(super) decoding: Decoding,
+    pub(super) decoding: DecodeTimer,
 }
 
 pub(super) fn launch(address: &MediaAddress) -> Result<Launched, String> {
@@ -65,7 +65,7 @@ pub(super) fn launch(address: &MediaAddress) -> Result<Launched, String> {
     let pipeline = element
         .downcast::<gst::Pipeline>()
         .map_err(|_| format!("{address}: expected a pipeline of elements linked by `!`"))?;
-    let decoding = Decoding::default();
+    let decoding = DecodeTimer::default();
     let of_later = decoding.clone();
     pipeline.connect_deep_element_added(move |_, _, element| prepare(element, &of_later));
     pipeline.iterate_recurse().into_iter().flatten().for_each(|it| prepare(&it, &decoding));
@@ -87,7 +87,7 @@ pub(super) fn launch(address: &MediaAddress) -> Result<Launched, String> {
 }
 
 /// Whether frames are stamped by a counter of the camera's own.
-pub(super) fn counts_itself(pipeline: &gst::Pipeline) -> bool {
+pub(super) fn has_camera_timestamps(pipeline: &gst::Pipeline) -> bool {
     let counts = |element: gst::Element| {
         element.factory().is_some_and(|it| OWN_COUNTERS.contains(&it.name().as_str()))
     };
@@ -95,7 +95,7 @@ pub(super) fn counts_itself(pipeline: &gst::Pipeline) -> bool {
 }
 
 /// Of those that the address names and those that GStreamer adds.
-fn prepare(element: &gst::Element, decoding: &Decoding) {
+fn prepare(element: &gst::Element, decoding: &DecodeTimer) {
     // A frame whose predecessors are missing is no picture of anything.
     for (property, value) in
         [("output-corrupt", false), ("wait-for-keyframe", true), ("request-keyframe", true)]

@@ -10,7 +10,7 @@
 //! | `file:` | when it is due; `speed=max`: when it is given |
 //! | `gst:` | base time + time stamp: of a live source, its driver's. Of a source that counts by its camera's clock from the first frame's arrival on, as `aravissrc` does, the count brought to the server's clock: by itself it would drift away |
 
-mod decoding;
+mod decode_timer;
 mod launch;
 mod plugin;
 
@@ -26,20 +26,20 @@ use gstreamer_video as gst_video;
 use gstreamer_video::prelude::*;
 use roundel_core::time::Timestamp;
 
-use decoding::Decoding;
+use decode_timer::DecodeTimer;
 use launch::Launched;
 
 use super::{
     CaptureClock, FrameInfo, FrameSource, LentFrame, MediaAddress, SourceError, SourceParts,
     bad_frame,
-    pixels::{Converter, PixelFormat, Raw, Samples},
+    pixels::{GreyConverter, PixelFormat, RawImage, SampleFormat},
     timing::CameraTimeline,
     wrong_size,
 };
-use crate::model::stop::Stop;
+use crate::model::stop::StopSignal;
 
 /// How often a wait looks whether the server goes down or the pipeline has failed.
-const LOOK_EVERY: gst::ClockTime = gst::ClockTime::from_mseconds(20);
+const POLL_INTERVAL: gst::ClockTime = gst::ClockTime::from_mseconds(20);
 /// A pipeline may take so long to its first frame: connections, negotiation, the first key frame.
 const FIRST_FRAME: Duration = Duration::from_secs(10);
 /// Seconds from NTP's epoch to Unix'.
@@ -55,18 +55,18 @@ pub(super) struct GstSource {
     sink: AppSink,
     address: MediaAddress,
     parts: SourceParts,
-    stop: Stop,
+    stop: StopSignal,
     timeline: CameraTimeline,
-    converter: Converter,
+    converter: GreyConverter,
     current: Option<gst_video::VideoFrame<gst_video::video_frame::Readable>>,
     /// The number of the newest frame, as [`number_frames`] gave it.
     newest: u64,
     patience: Duration,
     /// What the pipeline could not find.
     missing: Vec<String>,
-    decoding: Decoding,
+    decoding: DecodeTimer,
     /// Whether time stamps are the camera's count, and not this machine's clock.
-    counts_itself: bool,
+    has_camera_timestamps: bool,
     /// Frames a second, as the newest frame's source has it.
     promised_hz: Option<f64>,
 }
@@ -75,7 +75,7 @@ impl GstSource {
     pub(super) fn open(
         address: &MediaAddress,
         parts: SourceParts,
-        stop: Stop,
+        stop: StopSignal,
     ) -> Result<Self, SourceError> {
         let failed = SourceError::Failed;
         gst::init().map_err(|error| failed(format!("GStreamer does not start: {error}")))?;
@@ -83,7 +83,7 @@ impl GstSource {
         let bus = pipeline.bus().ok_or_else(|| failed("the pipeline has no bus".to_owned()))?;
         number_frames(&sink);
         pipeline.use_clock(Some(&gst::SystemClock::obtain()));
-        let counts_itself = launch::counts_itself(&pipeline);
+        let has_camera_timestamps = launch::has_camera_timestamps(&pipeline);
         let mut source = Self {
             pipeline,
             bus,
@@ -92,13 +92,13 @@ impl GstSource {
             parts,
             stop,
             timeline: CameraTimeline::default(),
-            converter: Converter::default(),
+            converter: GreyConverter::default(),
             current: None,
             newest: 0,
             patience: FIRST_FRAME.max(address.stall()),
             missing: Vec::new(),
             decoding,
-            counts_itself,
+            has_camera_timestamps,
             promised_hz: None,
         };
         if source.pipeline.set_state(gst::State::Playing).is_err() {
@@ -115,7 +115,7 @@ impl GstSource {
             if self.stop.is_stopped() {
                 return Err(SourceError::Stopped);
             }
-            if let Some(sample) = self.sink.try_pull_sample(LOOK_EVERY) {
+            if let Some(sample) = self.sink.try_pull_sample(POLL_INTERVAL) {
                 self.patience = self.address.stall();
                 return Ok(sample);
             }
@@ -142,7 +142,11 @@ impl GstSource {
                     let what = error.error().to_string();
                     let element = error.src().map(|source| source.name().to_string());
                     let debug = error.debug().map(|debug| debug.to_string()).unwrap_or_default();
-                    return Err(SourceError::Failed(self.told(&what, element.as_deref(), &debug)));
+                    return Err(SourceError::Failed(self.describe_error(
+                        &what,
+                        element.as_deref(),
+                        &debug,
+                    )));
                 }
                 _ => {}
             }
@@ -150,7 +154,7 @@ impl GstSource {
         Ok(())
     }
 
-    fn told(&self, what: &str, element: Option<&str>, debug: &str) -> String {
+    fn describe_error(&self, what: &str, element: Option<&str>, debug: &str) -> String {
         if let Some(missing) = self.missing.first() {
             return self.named(missing);
         }
@@ -199,7 +203,7 @@ impl GstSource {
         let segment = sample.segment().and_then(|segment| segment.downcast_ref::<gst::ClockTime>());
         let running = segment.zip(buffer.and_then(|buffer| buffer.pts()));
         let running = running.and_then(|(segment, pts)| segment.to_running_time(pts));
-        if let Some(count) = running.filter(|_| self.counts_itself) {
+        if let Some(count) = running.filter(|_| self.has_camera_timestamps) {
             let count_ns = i64::try_from(count.nseconds()).unwrap_or(i64::MAX);
             return (self.timeline.capture_time(count_ns, now), CaptureClock::CAMERA);
         }
@@ -289,7 +293,7 @@ impl FrameSource for GstSource {
             .map_err(|_| bad_frame("a buffer that cannot be read"))?;
         // The one before is given back to GStreamer here.
         let frame = self.current.insert(frame);
-        let raw = Raw {
+        let raw = RawImage {
             format,
             bytes: frame.plane_data(0).map_err(bad_frame)?,
             width: found.0,
@@ -312,7 +316,7 @@ fn pixel_format(format: gst_video::VideoFormat) -> Option<PixelFormat> {
         | Known::Y42b
         | Known::Nv16
         | Known::Y444 => Some(PixelFormat::GREY8),
-        Known::Gray16Le => Some(PixelFormat::Grey(Samples::Words(16))),
+        Known::Gray16Le => Some(PixelFormat::Grey(SampleFormat::Words(16))),
         Known::Yuy2 | Known::Yvyu => Some(PixelFormat::Packed { chroma_first: false }),
         Known::Uyvy => Some(PixelFormat::Packed { chroma_first: true }),
         _ => None,

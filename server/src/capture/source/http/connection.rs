@@ -16,11 +16,11 @@ use tokio::{net::TcpStream, time::timeout};
 use crate::model::address::HttpAddress;
 
 /// Timeout of the answer. Cameras may first have to switch on.
-pub(super) const ANSWER: Duration = Duration::from_secs(5);
-const CONNECT: Duration = Duration::from_secs(3);
+pub(super) const RESPONSE_TIMEOUT: Duration = Duration::from_secs(5);
+const CONNECT_TIMEOUT: Duration = Duration::from_secs(3);
 const ACCEPT: &str = "multipart/x-mixed-replace, image/jpeg;q=0.9, */*;q=0.1";
 
-pub(super) enum Answer {
+pub(super) enum ResponseKind {
     Stream(Incoming),
     /// One picture; the next one needs another request.
     Snapshot(Incoming),
@@ -32,14 +32,14 @@ impl Connection {
     /// Connects; a task of the current runtime drives the connection.
     pub(super) async fn open(address: &HttpAddress) -> Result<Self, String> {
         let to = (address.host.as_str(), address.port);
-        let stream = match timeout(CONNECT, TcpStream::connect(to)).await {
+        let stream = match timeout(CONNECT_TIMEOUT, TcpStream::connect(to)).await {
             Ok(Ok(stream)) => stream,
             Ok(Err(error)) => return Err(unreachable(address, &error)),
             Err(_) => {
                 return Err(format!(
                     "{} does not answer within {} s: is the camera on, and in this network?",
                     address.authority(),
-                    CONNECT.as_secs()
+                    CONNECT_TIMEOUT.as_secs()
                 ));
             }
         };
@@ -58,19 +58,22 @@ impl Connection {
     }
 
     /// Requests the picture or the stream.
-    pub(super) async fn ask(mut self, address: &HttpAddress) -> Result<Answer, String> {
+    pub(super) async fn send_request(
+        mut self,
+        address: &HttpAddress,
+    ) -> Result<ResponseKind, String> {
         let request = request(address)?;
         let ask = async {
             self.0.ready().await?;
             self.0.send_request(request).await
         };
-        match timeout(ANSWER, ask).await {
-            Ok(Ok(response)) => judge(address, response),
+        match timeout(RESPONSE_TIMEOUT, ask).await {
+            Ok(Ok(response)) => classify_response(address, response),
             Ok(Err(error)) => Err(describe(address, &error)),
             Err(_) => Err(format!(
                 "{address} took the connection, but gives no answer within {} s: many cameras serve one viewer at \
                  a time; is another one watching?",
-                ANSWER.as_secs()
+                RESPONSE_TIMEOUT.as_secs()
             )),
         }
     }
@@ -117,7 +120,10 @@ pub(super) fn describe(address: &HttpAddress, error: &hyper::Error) -> String {
     }
 }
 
-fn judge(address: &HttpAddress, response: Response<Incoming>) -> Result<Answer, String> {
+fn classify_response(
+    address: &HttpAddress,
+    response: Response<Incoming>,
+) -> Result<ResponseKind, String> {
     let status = response.status();
     if !status.is_success() {
         return Err(refusal(address, status, response.headers()));
@@ -125,21 +131,21 @@ fn judge(address: &HttpAddress, response: Response<Incoming>) -> Result<Answer, 
     let kind = text(response.headers(), header::CONTENT_TYPE);
     let main = kind.split(';').next().unwrap_or_default().trim().to_ascii_lowercase();
     match main.as_str() {
-        "image/jpeg" | "image/jpg" => Ok(Answer::Snapshot(response.into_body())),
+        "image/jpeg" | "image/jpg" => Ok(ResponseKind::Snapshot(response.into_body())),
         // Some cameras send no type, or a generic one.
         "multipart/x-mixed-replace"
         | "multipart/mixed"
         | "application/octet-stream"
         | "video/x-motion-jpeg"
-        | "" => Ok(Answer::Stream(response.into_body())),
+        | "" => Ok(ResponseKind::Stream(response.into_body())),
         _ => Err(format!(
             "{address}: expected multipart/x-mixed-replace or image/jpeg, found {main}: {}",
-            advice(&main)
+            remedy_for(&main)
         )),
     }
 }
 
-fn advice(kind: &str) -> &'static str {
+fn remedy_for(kind: &str) -> &'static str {
     if kind == "text/html" {
         "this is a page for people; find the address of the stream itself in the camera's manual (ESP32-CAM: \
          http://HOST:81/stream)"

@@ -5,7 +5,7 @@
 //! to the server's clock. Any error ends the connection and the source, and the worker's supervisor opens both again.
 
 mod connection;
-mod parts;
+mod jpeg_splitter;
 
 use std::time::{Duration, Instant};
 
@@ -14,17 +14,17 @@ use hyper::body::Incoming;
 use tokio::{runtime::Builder, time::timeout};
 
 use self::{
-    connection::{ANSWER, Answer, Connection, describe},
-    parts::{Part, Parts},
+    connection::{Connection, RESPONSE_TIMEOUT, ResponseKind, describe},
+    jpeg_splitter::{JpegSplitter, StampedJpeg},
 };
 use super::{
     FrameInfo, FrameSource, LentFrame, SourceError, SourceParts,
-    feed::{Feed, Sink},
     jpeg::LumaDecoder,
+    mailbox::{Mailbox, MailboxSender},
     timing::CameraTimeline,
 };
 use crate::model::{address::HttpAddress, capture_clock::CaptureClock};
-use crate::model::{clock::Clock, stop::Stop};
+use crate::model::{clock::Clock, stop::StopSignal};
 
 /// Time for the connection, the answer and the first picture, in addition to the stall timeout.
 const FIRST_PICTURE: Duration = Duration::from_secs(9);
@@ -33,7 +33,7 @@ const MAX_SNAPSHOT: usize = 16 << 20;
 
 /// A camera's JPEGs.
 pub(super) struct HttpSource {
-    feed: Feed<Part>,
+    mailbox: Mailbox<StampedJpeg>,
     decoder: LumaDecoder,
     timeline: CameraTimeline,
     name: String,
@@ -45,16 +45,18 @@ impl HttpSource {
     pub(super) fn open(
         address: &HttpAddress,
         parts: SourceParts,
-        stop: Stop,
+        stop: StopSignal,
     ) -> Result<Self, SourceError> {
         let asked = address.clone();
         let clock = parts.clock;
-        let receive = move |sink: &Sink<Part>| SourceError::Failed(receive(&asked, clock, sink));
+        let receive = move |sink: &MailboxSender<StampedJpeg>| {
+            SourceError::Failed(receive(&asked, clock, sink))
+        };
         // The stall timeout must exceed the interval between snapshots.
         let interval = Duration::from_secs_f64(1.0 / address.snapshot_hz);
         let stall = address.stall.max(interval.mul_f64(2.0).min(Duration::from_secs(3600)));
         Ok(Self {
-            feed: Feed::start("http camera", stop, receive)?,
+            mailbox: Mailbox::start("http camera", stop, receive)?,
             decoder: LumaDecoder::new(parts.size),
             timeline: CameraTimeline::default(),
             name: address.to_string(),
@@ -71,7 +73,7 @@ impl FrameSource for HttpSource {
         let begun = Instant::now();
         loop {
             // A broken picture does not restart the timeout.
-            let taken = self.feed.next(begun, self.patience)?;
+            let taken = self.mailbox.next(begun, self.patience)?;
             (skipped, broken) = (skipped + taken.replaced, broken + taken.broken);
             let decoding = Instant::now();
             let decoded = self.decoder.decode(&taken.item.jpeg);
@@ -81,7 +83,7 @@ impl FrameSource for HttpSource {
                 continue;
             }
             self.patience = self.stall;
-            let Part { arrival, stamp_ns, .. } = taken.item;
+            let StampedJpeg { arrival, stamp_ns, .. } = taken.item;
             let (capture_time, clock) = match stamp_ns {
                 Some(stamp_ns) => {
                     (self.timeline.capture_time(stamp_ns, arrival), CaptureClock::CAMERA)
@@ -95,14 +97,14 @@ impl FrameSource for HttpSource {
 }
 
 /// Receives until it fails or the source is dropped, and returns the reason.
-fn receive(address: &HttpAddress, clock: Clock, sink: &Sink<Part>) -> String {
+fn receive(address: &HttpAddress, clock: Clock, sink: &MailboxSender<StampedJpeg>) -> String {
     let runtime = match Builder::new_current_thread().enable_all().build() {
         Ok(runtime) => runtime,
         Err(error) => return format!("cannot receive from {address}: {error}"),
     };
     let why = runtime.block_on(async {
         tokio::select! {
-            why = converse(address, clock, sink) => why,
+            why = run_connection(address, clock, sink) => why,
             () = sink.cancelled() => "the source was closed".to_owned(),
         }
     });
@@ -111,22 +113,26 @@ fn receive(address: &HttpAddress, clock: Clock, sink: &Sink<Part>) -> String {
     why
 }
 
-async fn converse(address: &HttpAddress, clock: Clock, sink: &Sink<Part>) -> String {
+async fn run_connection(
+    address: &HttpAddress,
+    clock: Clock,
+    sink: &MailboxSender<StampedJpeg>,
+) -> String {
     let interval = Duration::from_secs_f64(1.0 / address.snapshot_hz);
     loop {
         let due = tokio::time::Instant::now() + interval;
         // One connection per picture: many cameras close it after one, some without announcing it.
         let outcome = match Connection::open(address).await {
-            Ok(connection) => connection.ask(address).await,
+            Ok(connection) => connection.send_request(address).await,
             Err(why) => Err(why),
         };
         let part = match outcome {
-            Ok(Answer::Stream(body)) => return stream(address, body, clock, sink).await,
-            Ok(Answer::Snapshot(body)) => snapshot(address, body, clock.now()).await,
+            Ok(ResponseKind::Stream(body)) => return stream(address, body, clock, sink).await,
+            Ok(ResponseKind::Snapshot(body)) => snapshot(address, body, clock.now()).await,
             Err(why) => Err(why),
         };
         match part {
-            Ok(part) => sink.put(part),
+            Ok(part) => sink.send(part),
             Err(why) => return why,
         }
         tokio::time::sleep_until(due).await;
@@ -137,9 +143,9 @@ async fn stream(
     address: &HttpAddress,
     mut body: Incoming,
     clock: Clock,
-    sink: &Sink<Part>,
+    sink: &MailboxSender<StampedJpeg>,
 ) -> String {
-    let mut parts = Parts::default();
+    let mut parts = JpegSplitter::default();
     sink.hint("the camera took the request and sends nothing");
     while let Some(frame) = body.frame().await {
         let frame = match frame {
@@ -150,7 +156,7 @@ async fn stream(
         parts.push(bytes, clock.now());
         let mut is_picture = false;
         while let Some(part) = parts.pop() {
-            sink.put(part);
+            sink.send(part);
             is_picture = true;
         }
         match parts.take_broken() {
@@ -170,7 +176,7 @@ async fn snapshot(
     address: &HttpAddress,
     mut body: Incoming,
     arrival: roundel_core::time::Timestamp,
-) -> Result<Part, String> {
+) -> Result<StampedJpeg, String> {
     let mut jpeg = Vec::new();
     let read = async {
         while let Some(frame) = body.frame().await {
@@ -182,14 +188,14 @@ async fn snapshot(
         }
         Ok(())
     };
-    match timeout(ANSWER, read).await {
+    match timeout(RESPONSE_TIMEOUT, read).await {
         Ok(outcome) => outcome?,
         Err(_) => {
             return Err(format!(
                 "{address}: its picture was not there after {} s",
-                ANSWER.as_secs()
+                RESPONSE_TIMEOUT.as_secs()
             ));
         }
     }
-    Ok(Part { jpeg, arrival, stamp_ns: None })
+    Ok(StampedJpeg { jpeg, arrival, stamp_ns: None })
 }

@@ -1,8 +1,8 @@
 use super::*;
 
 fn grey(format: PixelFormat, bytes: &[u8], size: (usize, usize), stride: usize) -> Vec<u8> {
-    let mut converter = Converter::default();
-    let raw = Raw { format, bytes, width: size.0, height: size.1, stride };
+    let mut converter = GreyConverter::default();
+    let raw = RawImage { format, bytes, width: size.0, height: size.1, stride };
     let frame = converter.grey(&raw).unwrap();
     assert_eq!((frame.width(), frame.height()), size);
     (0..frame.height()).flat_map(|v| frame.row(v).to_vec()).collect()
@@ -12,9 +12,9 @@ fn grey(format: PixelFormat, bytes: &[u8], size: (usize, usize), stride: usize) 
 fn luma_planes_are_used_in_place() {
     // 4 x 2 of NV12 with rows of six bytes; chroma follows.
     let bytes: Vec<u8> = (0..18).collect();
-    let mut converter = Converter::default();
-    let format = PixelFormat::of_fourcc(*b"NV12").unwrap();
-    let raw = Raw { format, bytes: &bytes, width: 4, height: 2, stride: 6 };
+    let mut converter = GreyConverter::default();
+    let format = PixelFormat::from_fourcc(*b"NV12").unwrap();
+    let raw = RawImage { format, bytes: &bytes, width: 4, height: 2, stride: 6 };
     let frame = converter.grey(&raw).unwrap();
     assert!(std::ptr::eq(frame.row(0).as_ptr(), bytes.as_ptr()), "copied");
     assert_eq!([frame.row(0), frame.row(1)], [&[0, 1, 2, 3], &[6, 7, 8, 9]]);
@@ -23,9 +23,9 @@ fn luma_planes_are_used_in_place() {
 #[test]
 fn packed_luma_is_gathered_from_its_side() {
     let bytes = [10, 200, 11, 201, 0, 12, 202, 13, 203, 0];
-    let yuyv = PixelFormat::of_fourcc(*b"YUYV").unwrap();
+    let yuyv = PixelFormat::from_fourcc(*b"YUYV").unwrap();
     assert_eq!(grey(yuyv, &bytes, (2, 2), 5), [10, 11, 12, 13]);
-    let uyvy = PixelFormat::of_fourcc(*b"UYVY").unwrap();
+    let uyvy = PixelFormat::from_fourcc(*b"UYVY").unwrap();
     assert_eq!(grey(uyvy, &bytes, (2, 2), 5), [200, 201, 202, 203]);
 }
 
@@ -33,15 +33,15 @@ fn packed_luma_is_gathered_from_its_side() {
 #[test]
 fn deep_samples_are_rounded_in_every_layout() {
     for (samples, bits) in [
-        (Samples::Words(10), 10),
-        (Samples::Words(12), 12),
-        (Samples::Words(14), 14),
-        (Samples::Words(16), 16),
-        (Samples::Mipi10, 10),
-        (Samples::Mipi12, 12),
-        (Samples::Bits10, 10),
-        (Samples::Bits12, 12),
-        (Samples::Gige12, 12),
+        (SampleFormat::Words(10), 10),
+        (SampleFormat::Words(12), 12),
+        (SampleFormat::Words(14), 14),
+        (SampleFormat::Words(16), 16),
+        (SampleFormat::Mipi10, 10),
+        (SampleFormat::Mipi12, 12),
+        (SampleFormat::Bits10, 10),
+        (SampleFormat::Bits12, 12),
+        (SampleFormat::Gige12, 12),
     ] {
         let unit = 1u32 << (bits - 8);
         let values =
@@ -54,7 +54,7 @@ fn deep_samples_are_rounded_in_every_layout() {
 }
 
 /// As the standards draw them.
-fn pack(samples: Samples, values: &[u32]) -> Vec<u8> {
+fn pack(samples: SampleFormat, values: &[u32]) -> Vec<u8> {
     let bits_of = |width: usize| {
         let mut bytes = vec![0u8; (values.len() * width).div_ceil(8)];
         for (index, value) in values.iter().enumerate() {
@@ -70,18 +70,18 @@ fn pack(samples: Samples, values: &[u32]) -> Vec<u8> {
         padded.flat_map(|group| pack(&group[..size])).collect()
     };
     match samples {
-        Samples::Eight => values.iter().map(|value| *value as u8).collect(),
-        Samples::Words(_) => values.iter().flat_map(|v| (*v as u16).to_le_bytes()).collect(),
-        Samples::Bits10 => bits_of(10),
-        Samples::Bits12 => bits_of(12),
-        Samples::Mipi10 => groups(4, |v| {
+        SampleFormat::Eight => values.iter().map(|value| *value as u8).collect(),
+        SampleFormat::Words(_) => values.iter().flat_map(|v| (*v as u16).to_le_bytes()).collect(),
+        SampleFormat::Bits10 => bits_of(10),
+        SampleFormat::Bits12 => bits_of(12),
+        SampleFormat::Mipi10 => groups(4, |v| {
             let low = v.iter().enumerate().map(|(i, v)| (v & 3) << (2 * i)).sum::<u32>();
             v.iter().map(|v| v >> 2).chain([low]).map(|byte| byte as u8).collect()
         }),
-        Samples::Mipi12 => groups(2, |v| {
+        SampleFormat::Mipi12 => groups(2, |v| {
             [v[0] >> 4, v[1] >> 4, v[0] & 15 | (v[1] & 15) << 4].map(|byte| byte as u8).to_vec()
         }),
-        Samples::Gige12 => groups(2, |v| {
+        SampleFormat::Gige12 => groups(2, |v| {
             [v[0] >> 4, v[0] & 15 | (v[1] & 15) << 4, v[1] >> 4].map(|byte| byte as u8).to_vec()
         }),
     }
@@ -96,7 +96,7 @@ fn mosaics_leave_no_pattern_and_move_nothing() {
         let level = |u: usize, v: usize| colours[order[(v % 2) * 2 + u % 2]] + 4 * u as u32;
         let bytes: Vec<u8> =
             (0..height).flat_map(|v| (0..width).map(move |u| level(u, v) as u8)).collect();
-        let found = grey(PixelFormat::Bayer(Samples::Eight), &bytes, (width, height), width);
+        let found = grey(PixelFormat::Bayer(SampleFormat::Eight), &bytes, (width, height), width);
         for v in 0..height {
             for u in 1..width - 1 {
                 assert_eq!(found[v * width + u], (100 + 4 * u) as u8, "{order:?} ({u}, {v})");
@@ -107,7 +107,7 @@ fn mosaics_leave_no_pattern_and_move_nothing() {
         }
         let words: Vec<u8> =
             bytes.iter().flat_map(|b| (u16::from(*b) << 4).to_le_bytes()).collect();
-        let deep = PixelFormat::Bayer(Samples::Words(12));
+        let deep = PixelFormat::Bayer(SampleFormat::Words(12));
         assert_eq!(grey(deep, &words, (width, height), 2 * width), found);
     }
 }
@@ -115,8 +115,8 @@ fn mosaics_leave_no_pattern_and_move_nothing() {
 #[test]
 fn wrong_pictures_say_what_was_expected() {
     let error = |format, bytes: &[u8], (width, height): (usize, usize), stride| {
-        let raw = Raw { format, bytes, width, height, stride };
-        Converter::default().grey(&raw).unwrap_err().to_string()
+        let raw = RawImage { format, bytes, width, height, stride };
+        GreyConverter::default().grey(&raw).unwrap_err().to_string()
     };
     let yuyv = PixelFormat::Packed { chroma_first: false };
     assert_eq!(
@@ -124,11 +124,11 @@ fn wrong_pictures_say_what_was_expected() {
         "expected at least 16 bytes for 4 x 2 pixels, found 15"
     );
     assert_eq!(error(yuyv, &[0; 99], (4, 2), 7), "expected rows of at least 8 bytes, found 7");
-    let bayer = PixelFormat::Bayer(Samples::Eight);
+    let bayer = PixelFormat::Bayer(SampleFormat::Eight);
     assert!(
         error(bayer, &[0; 9], (9, 1), 9).contains("a mosaic of at least 2 x 2 pixels, found 9 x 1")
     );
     assert!(error(bayer, &[0; 9], (0, 1), 9).contains("found 0 x 1"));
     assert!(error(PixelFormat::GREY8, &[0; 9], (70_000, 1), 70_000).contains("70000 x 1"));
-    assert_eq!(PixelFormat::of_fourcc(*b"H264"), None);
+    assert_eq!(PixelFormat::from_fourcc(*b"H264"), None);
 }

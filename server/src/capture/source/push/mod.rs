@@ -1,11 +1,11 @@
 //! `push:` – frames and detections that a remote program sends.
 //!
-//! Each such camera has a [`Port`]. The API puts in what arrives; the camera's worker takes it out, on its own thread,
+//! Each such camera has a [`PushEndpoint`]. The API puts in what arrives; the camera's worker takes it out, on its own thread,
 //! as from any other source. What is put in was taken: it is acknowledged to the sender and never asked for again.
 
-mod port;
-mod ports;
-mod still;
+mod endpoint;
+mod endpoints;
+mod still_image;
 
 use std::{
     sync::Arc,
@@ -14,21 +14,21 @@ use std::{
 
 use roundel_core::{frame::Frame, time::Timestamp, world::FrameObservations};
 
-pub use port::{Attachment, Greeting, Port, PushError};
-pub use ports::Ports;
-pub use still::Still;
+pub use endpoint::{PushEndpoint, PushError, SenderHello, SenderSession};
+pub use endpoints::PushEndpoints;
+pub use still_image::StillImage;
 
 use super::{
-    Arrival, FrameInfo, FrameSource, LentFrame, Sighting, SourceError, bad_frame,
-    jpeg::{JpegFault, LumaDecoder},
+    FrameInfo, FrameSource, LentFrame, RemoteDetections, SourceError, SourceOutput, bad_frame,
+    jpeg::{JpegError, LumaDecoder},
     timing::CameraTimeline,
 };
 use crate::model::capture_clock::CaptureClock;
-use crate::model::stop::Stop;
+use crate::model::stop::StopSignal;
 
 /// What the times of a sender are.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
-pub enum Times {
+pub enum SenderClock {
     /// Nothing: when a message arrives counts.
     #[default]
     Arrival,
@@ -42,11 +42,11 @@ pub enum Times {
 
 /// What arrived, and when.
 #[derive(Debug)]
-pub struct Pushed {
+pub struct PushedItem {
     /// Frame or detections.
     pub what: Payload,
     /// What their times are.
-    pub times: Times,
+    pub times: SenderClock,
     /// Where they come from, if the sender says so.
     pub clock: Option<CaptureClock>,
     /// When it was here, on the server's clock.
@@ -61,12 +61,12 @@ pub enum Payload {
     /// A JPEG file, likewise.
     Jpeg(Vec<u8>, Timestamp),
     /// What was seen in a frame; the worker gives it its camera and number.
-    Seen(Box<FrameObservations>, Option<RemoteFigures>),
+    Detections(Box<FrameObservations>, Option<RemoteStats>),
 }
 
 /// How a sender's camera does; counts are since the start of the sender.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
-pub struct RemoteFigures {
+pub struct RemoteStats {
     /// Columns of its frames, pixels.
     pub width: usize,
     /// Rows.
@@ -87,7 +87,7 @@ pub struct RemoteFigures {
 
 /// What a push source has to fit into.
 #[derive(Clone, Copy, Debug)]
-pub(super) struct PushParts {
+pub(super) struct PushSourceParams {
     /// Of the camera's calibration.
     pub(super) size: (usize, usize),
     /// Nothing for so long is a stall.
@@ -96,19 +96,23 @@ pub(super) struct PushParts {
 
 /// Takes what arrives at a port.
 pub(super) struct PushSource {
-    port: Arc<Port>,
-    parts: PushParts,
-    stop: Stop,
+    endpoint: Arc<PushEndpoint>,
+    parts: PushSourceParams,
+    stop: StopSignal,
     timeline: CameraTimeline,
     decoder: LumaDecoder,
     grey: Vec<u8>,
 }
 
 impl PushSource {
-    pub(super) fn open(port: Arc<Port>, parts: PushParts, stop: Stop) -> Result<Self, SourceError> {
-        port.ready()?;
+    pub(super) fn open(
+        endpoint: Arc<PushEndpoint>,
+        parts: PushSourceParams,
+        stop: StopSignal,
+    ) -> Result<Self, SourceError> {
+        endpoint.ready()?;
         Ok(Self {
-            port,
+            endpoint,
             parts,
             stop,
             timeline: CameraTimeline::default(),
@@ -119,39 +123,43 @@ impl PushSource {
 
     /// By how much times of which one is `stamp` are to be moved onto the server's clock, and where they come from
     /// then.
-    fn onto_clock(&mut self, by: &By, stamp: Timestamp) -> (i64, CaptureClock) {
+    fn onto_clock(&mut self, by: &StampOrigin, stamp: Timestamp) -> (i64, CaptureClock) {
         let (capture, usual) = match by.times {
-            Times::Arrival => (by.arrived, CaptureClock::ARRIVAL),
-            Times::Counter => {
+            SenderClock::Arrival => (by.arrived, CaptureClock::ARRIVAL),
+            SenderClock::Counter => {
                 let capture = self.timeline.capture_time(stamp.as_ns(), by.arrived);
                 (capture, CaptureClock::CAMERA)
             }
-            Times::Server => (stamp, CaptureClock::DRIVER),
-            Times::Unix => (stamp, CaptureClock::SYNCHRONIZED),
+            SenderClock::Server => (stamp, CaptureClock::DRIVER),
+            SenderClock::Unix => (stamp, CaptureClock::SYNCHRONIZED),
         };
         (capture.ns_since(stamp), by.clock.unwrap_or(usual))
     }
 
-    fn sighting(&mut self, by: &By, mut observations: FrameObservations) -> Sighting {
+    fn remote(
+        &mut self,
+        by: &StampOrigin,
+        mut observations: FrameObservations,
+    ) -> RemoteDetections {
         let (move_ns, clock) = self.onto_clock(by, observations.capture_time);
         observations.capture_time = observations.capture_time.plus_ns(move_ns);
         for detection in &mut observations.detections {
             detection.capture_time = detection.capture_time.plus_ns(move_ns);
         }
         // Its worker is the sender's; but nobody has a frame before it was taken, or after it was here.
-        let is_told = by.times == Times::Server
+        let is_told = by.times == SenderClock::Server
             && observations.received_time >= observations.capture_time
             && observations.received_time <= by.arrived;
         if !is_told {
             observations.received_time = by.arrived;
         }
-        Sighting { observations, clock, skipped: 0, figures: None }
+        RemoteDetections { observations, clock, skipped: 0, figures: None }
     }
 }
 
 /// When something was stamped, by which clock, and when it arrived.
-struct By {
-    times: Times,
+struct StampOrigin {
+    times: SenderClock,
     clock: Option<CaptureClock>,
     arrived: Timestamp,
 }
@@ -161,24 +169,24 @@ impl FrameSource for PushSource {
     fn next_frame(&mut self) -> Result<LentFrame<'_>, SourceError> {
         loop {
             match self.advance()? {
-                Step::Frame(info) => return self.lend(info),
-                Step::Sighting(_) => {}
+                PushStep::Frame(info) => return self.lend(info),
+                PushStep::Detections(_) => {}
             }
         }
     }
 
-    fn next(&mut self) -> Result<Arrival<'_>, SourceError> {
+    fn next(&mut self) -> Result<SourceOutput<'_>, SourceError> {
         match self.advance()? {
-            Step::Frame(info) => self.lend(info).map(Arrival::Frame),
-            Step::Sighting(sighting) => Ok(Arrival::Seen(sighting)),
+            PushStep::Frame(info) => self.lend(info).map(SourceOutput::Frame),
+            PushStep::Detections(remote) => Ok(SourceOutput::Detections(remote)),
         }
     }
 }
 
 /// What was taken last: a frame in `grey`, or detections.
-enum Step {
+enum PushStep {
     Frame(FrameInfo),
-    Sighting(Box<Sighting>),
+    Detections(Box<RemoteDetections>),
 }
 
 impl PushSource {
@@ -192,49 +200,56 @@ impl PushSource {
         Ok(LentFrame { frame, info })
     }
 
-    fn advance(&mut self) -> Result<Step, SourceError> {
+    fn advance(&mut self) -> Result<PushStep, SourceError> {
         let (since, mut skipped, mut broken) = (Instant::now(), 0, 0);
         loop {
-            let (pushed, replaced) = self.port.next(since, self.parts.patience, &self.stop)?;
+            let (pushed, replaced) = self.endpoint.next(since, self.parts.patience, &self.stop)?;
             skipped += replaced;
-            let Pushed { what, times, clock, arrived } = pushed;
-            let by = By { times, clock, arrived };
+            let PushedItem { what, times, clock, arrived } = pushed;
+            let by = StampOrigin { times, clock, arrived };
             let begun = Instant::now();
             let (stamp, decoded) = match what {
-                Payload::Seen(observations, figures) => {
-                    let sighting = self.sighting(&by, *observations);
-                    return Ok(Step::Sighting(Box::new(Sighting { skipped, figures, ..sighting })));
+                Payload::Detections(observations, figures) => {
+                    let remote = self.remote(&by, *observations);
+                    return Ok(PushStep::Detections(Box::new(RemoteDetections {
+                        skipped,
+                        figures,
+                        ..remote
+                    })));
                 }
                 Payload::Grey(pixels, size, stamp) => (stamp, self.keep(pixels, size)),
                 Payload::Jpeg(file, stamp) => (stamp, self.decode(&file)),
             };
             let (move_ns, clock) = self.onto_clock(&by, stamp);
-            if self.decoder.accept(decoded, || format!("a picture of {}", self.port.who()))? {
+            if self
+                .decoder
+                .accept(decoded, || format!("a picture of {}", self.endpoint.sender_label()))?
+            {
                 let (capture_time, decoding) = (stamp.plus_ns(move_ns), begun.elapsed());
                 let info = FrameInfo { capture_time, clock, skipped, broken, decoding };
-                return Ok(Step::Frame(info));
+                return Ok(PushStep::Frame(info));
             }
             broken += 1;
         }
     }
 
-    fn keep(&mut self, pixels: Vec<u8>, size: (usize, usize)) -> Result<(), JpegFault> {
+    fn keep(&mut self, pixels: Vec<u8>, size: (usize, usize)) -> Result<(), JpegError> {
         let (width, height) = size;
         if size != self.parts.size {
-            return Err(JpegFault::Size(width, height));
+            return Err(JpegError::Size(width, height));
         }
         let expected = width * height;
         if pixels.len() != expected {
             let found = pixels.len();
             let reason =
                 format!("expected {expected} pixels for {width} x {height}, found {found}");
-            return Err(JpegFault::Broken(reason));
+            return Err(JpegError::Broken(reason));
         }
         self.grey = pixels;
         Ok(())
     }
 
-    fn decode(&mut self, file: &[u8]) -> Result<(), JpegFault> {
+    fn decode(&mut self, file: &[u8]) -> Result<(), JpegError> {
         self.grey.clear();
         self.decoder.decode(file)
     }

@@ -27,15 +27,15 @@ use crate::model::simulated::simulated_scenario;
 /// 30 Hz it begins when the one before has arrived, 15 ms after that was taken.
 pub const ACTUATION_S: f64 = 0.05;
 /// A robot that hears nothing for so long stops.
-pub const SILENCE_S: f64 = 0.5;
+pub const COMMAND_TIMEOUT_S: f64 = 0.5;
 /// Fastest that a robot may be told to move, m/s.
-pub const TOP_SPEED_M_S: f64 = 1.0;
+pub const MAX_SPEED_M_S: f64 = 1.0;
 /// Fastest that it may be pushed, m/s.
-pub const TOP_PUSH_M_S: f64 = 2.0;
+pub const MAX_PUSH_M_S: f64 = 2.0;
 /// Longest that it may be pushed, milliseconds.
-pub const LONGEST_PUSH_MS: f64 = 5000.0;
+pub const MAX_PUSH_MS: f64 = 5000.0;
 /// An object farther than this from a robot is not taken for it, metres.
-const SAME_M: f64 = 0.15;
+const MATCH_RADIUS_M: f64 = 0.15;
 
 /// Why robots are not driven.
 #[derive(Clone, Debug, PartialEq, Error)]
@@ -56,7 +56,7 @@ pub enum FleetError {
     },
     /// No robot is where the object is.
     #[error(
-        "object {object} is at no simulated robot: the nearest one is {distance_m:.2} m from it, and within {SAME_M} m \
+        "object {object} is at no simulated robot: the nearest one is {distance_m:.2} m from it, and within {MATCH_RADIUS_M} m \
          was expected"
     )]
     NoRobot {
@@ -96,7 +96,7 @@ struct State {
 
 /// A velocity for the robot of an object.
 #[derive(Clone, Copy, Debug)]
-pub struct Order {
+pub struct DriveCommand {
     /// Whose robot.
     pub object: ObjectId,
     /// World frame, m/s.
@@ -121,49 +121,49 @@ impl Fleets {
     /// Tells the robots of these objects how to move, all or none of them; from when on they do.
     pub fn drive(
         &self,
-        orders: &[Order],
+        commands: &[DriveCommand],
         snapshot: &Snapshot,
         now: Timestamp,
     ) -> Result<Timestamp, FleetError> {
-        self.change(orders, snapshot, now, |scenario, robot, order, begin_s| {
-            let span_s = [begin_s, begin_s + SILENCE_S];
-            scenario.drive(robot, Drive { velocity_m_s: order.velocity_m_s, span_s });
+        self.change(commands, snapshot, now, |scenario, robot, command, begin_s| {
+            let span_s = [begin_s, begin_s + COMMAND_TIMEOUT_S];
+            scenario.drive(robot, Drive { velocity_m_s: command.velocity_m_s, span_s });
         })
     }
 
     /// Pushes the robot of an object for a while; from when on.
     pub fn push(
         &self,
-        order: Order,
+        command: DriveCommand,
         duration_s: f64,
         snapshot: &Snapshot,
         now: Timestamp,
     ) -> Result<Timestamp, FleetError> {
-        self.change(&[order], snapshot, now, |scenario, robot, order, begin_s| {
+        self.change(&[command], snapshot, now, |scenario, robot, command, begin_s| {
             let span_s = [begin_s, begin_s + duration_s];
-            scenario.push(robot, Drive { velocity_m_s: order.velocity_m_s, span_s });
+            scenario.push(robot, Drive { velocity_m_s: command.velocity_m_s, span_s });
         })
     }
 
     fn change(
         &self,
-        orders: &[Order],
+        commands: &[DriveCommand],
         snapshot: &Snapshot,
         now: Timestamp,
-        change: impl Fn(&mut Scenario, usize, &Order, f64),
+        change: impl Fn(&mut Scenario, usize, &DriveCommand, f64),
     ) -> Result<Timestamp, FleetError> {
         // An installation has one world; of several, the one that has all these robots.
         let fleets = lock(&self.fleets).clone();
         let mut refused = FleetError::NothingSimulated;
         for fleet in fleets {
             let mut state = lock(&fleet.state);
-            match fleet.robots(&mut state, orders, snapshot) {
+            match fleet.robots(&mut state, commands, snapshot) {
                 Ok(robots) => {
                     let begin = now.plus_seconds(ACTUATION_S);
                     let begin_s = begin.seconds_since(fleet.origin);
                     let scenario = Arc::make_mut(&mut state.scenario);
-                    for (robot, order) in robots.into_iter().zip(orders) {
-                        change(scenario, robot, order, begin_s);
+                    for (robot, command) in robots.into_iter().zip(commands) {
+                        change(scenario, robot, command, begin_s);
                     }
                     return Ok(begin);
                 }
@@ -184,23 +184,23 @@ impl Fleet {
     fn robots(
         &self,
         state: &mut State,
-        orders: &[Order],
+        commands: &[DriveCommand],
         snapshot: &Snapshot,
     ) -> Result<Vec<usize>, FleetError> {
         let truth = state.scenario.truth(snapshot.pose_time.seconds_since(self.origin));
         state.robots.retain(|id, _| snapshot.objects.iter().any(|object| object.id == *id));
-        orders.iter().map(|order| self.robot(state, order, snapshot, &truth)).collect()
+        commands.iter().map(|command| self.robot(state, command, snapshot, &truth)).collect()
     }
 
     fn robot(
         &self,
         state: &mut State,
-        order: &Order,
+        command: &DriveCommand,
         snapshot: &Snapshot,
         truth: &[RobotTruth],
     ) -> Result<usize, FleetError> {
-        let object = order.object.0;
-        let Some(found) = snapshot.objects.iter().find(|found| found.id == order.object) else {
+        let object = command.object.0;
+        let Some(found) = snapshot.objects.iter().find(|found| found.id == command.object) else {
             let ids: Vec<String> = snapshot.objects.iter().map(|o| o.id.0.to_string()).collect();
             let known = match ids.as_slice() {
                 [] => "nor is any other".to_owned(),
@@ -222,8 +222,8 @@ impl Fleet {
             |robot: &RobotTruth| (robot.world_from_roundel.translation.vector - at_m).norm();
         let nearest = truth.iter().min_by(|a, b| off_m(a).total_cmp(&off_m(b)));
         let nearest = nearest.map(|robot| (robot.index, off_m(robot)));
-        let robot = match (nearest, state.robots.get(&order.object)) {
-            (Some((robot, distance_m)), _) if distance_m <= SAME_M => robot,
+        let robot = match (nearest, state.robots.get(&command.object)) {
+            (Some((robot, distance_m)), _) if distance_m <= MATCH_RADIUS_M => robot,
             // Nobody has seen it for long.
             (_, Some(&robot)) if found.stage != LifeStage::Tracked => robot,
             (nearest, _) => {
@@ -234,7 +234,7 @@ impl Fleet {
         if truth[robot].still && truth[robot].code.is_some() {
             return Err(FleetError::Reference { object });
         }
-        state.robots.insert(order.object, robot);
+        state.robots.insert(command.object, robot);
         Ok(robot)
     }
 }

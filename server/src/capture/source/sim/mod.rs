@@ -15,7 +15,7 @@ use roundel_core::{
 use self::fleet::{Fleet, Fleets};
 use super::{FrameInfo, FrameSource, LentFrame, SourceError, bad_frame};
 use crate::model::address::SimAddress;
-use crate::model::{clock::Clock, stop::Stop};
+use crate::model::{clock::Clock, stop::StopSignal};
 
 /// From the middle of the exposure until the worker has the frame: at least and at most.
 pub const SIM_LATENCY_S: [f64; 2] = [0.015, 0.025];
@@ -29,7 +29,7 @@ pub(super) struct SimSource {
     camera: SimCamera,
     origin: Timestamp,
     clock: Clock,
-    stop: Stop,
+    stop: StopSignal,
     latency: ChaCha8Rng,
     next: Option<u64>,
     pixels: Vec<u8>,
@@ -41,7 +41,7 @@ impl SimSource {
         address: &SimAddress,
         (fleets, origin): (&Fleets, Timestamp),
         clock: Clock,
-        stop: Stop,
+        stop: StopSignal,
     ) -> Result<Self, SourceError> {
         let failed = |error: ScenarioError| SourceError::Failed(error.to_string());
         let fleet = fleets.of(address, origin).map_err(failed)?;

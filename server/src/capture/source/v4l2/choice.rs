@@ -5,7 +5,7 @@ use super::{
     pixels,
 };
 use crate::{
-    capture::source::pixels::{PixelFormat, Samples},
+    capture::source::pixels::{PixelFormat, SampleFormat},
     model::{address::DeviceAddress, suggestion::nearest},
 };
 
@@ -67,7 +67,7 @@ pub(super) fn choose(
 /// Passes over the pixels.
 fn cost(pixels: Option<PixelFormat>) -> u8 {
     match pixels {
-        Some(PixelFormat::Grey(Samples::Eight)) => 0,
+        Some(PixelFormat::Grey(SampleFormat::Eight)) => 0,
         Some(PixelFormat::Packed { .. } | PixelFormat::Grey(_)) => 1,
         Some(PixelFormat::Bayer(_)) => 2,
         None => 9,

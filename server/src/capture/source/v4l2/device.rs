@@ -267,7 +267,7 @@ impl<D: Driver> Device<D> {
     pub(super) fn start(&mut self, count: u32) -> io::Result<()> {
         let mut buffers =
             BufferRequest { count, buffer_type: CAPTURE, memory: MAPPED, ..Default::default() };
-        self.driver.call(Request::RequestBuffers(&mut buffers))?;
+        self.driver.call(Request::AllocateBuffers(&mut buffers))?;
         for index in 0..buffers.count {
             let mut buffer = Buffer::numbered(index);
             self.driver.call(Request::QueryBuffer(&mut buffer))?;

@@ -40,10 +40,10 @@ use self::{
 use super::{
     FrameInfo, FrameSource, LentFrame, SourceError, SourceParts, bad_frame,
     jpeg::LumaDecoder,
-    pixels::{Converter, PixelFormat, Raw},
+    pixels::{GreyConverter, PixelFormat, RawImage},
     wrong_size,
 };
-use crate::model::stop::Stop;
+use crate::model::stop::StopSignal;
 use crate::model::{address::DeviceAddress, capture_clock::CaptureClock};
 
 /// One is lent, one waits, and the device fills the others.
@@ -59,7 +59,7 @@ struct V4l2Source<D: Driver> {
     device: Device<D>,
     name: String,
     parts: SourceParts,
-    stop: Stop,
+    stop: StopSignal,
     /// Rate that the device reports.
     promised_hz: Option<f64>,
     choice: Choice,
@@ -68,7 +68,7 @@ struct V4l2Source<D: Driver> {
     lent: Option<u32>,
     /// Sequence number of the newest frame.
     newest: Option<u32>,
-    converter: Converter,
+    converter: GreyConverter,
     decoder: LumaDecoder,
     patience: Duration,
 }
@@ -77,7 +77,7 @@ struct V4l2Source<D: Driver> {
 pub(super) fn open(
     address: &DeviceAddress,
     parts: SourceParts,
-    stop: Stop,
+    stop: StopSignal,
 ) -> Result<Box<dyn FrameSource>, SourceError> {
     let driver = Kernel::open(&address.path).map_err(|error| {
         let remedy = match error.kind() {
@@ -98,7 +98,7 @@ impl<D: Driver> V4l2Source<D> {
         mut device: Device<D>,
         address: &DeviceAddress,
         parts: SourceParts,
-        stop: Stop,
+        stop: StopSignal,
     ) -> Result<Self, SourceError> {
         let name = address.to_string();
         let failed = |what: &str, error: io::Error| {
@@ -154,7 +154,7 @@ impl<D: Driver> V4l2Source<D> {
             stride: set.stride as usize,
             lent: None,
             newest: None,
-            converter: Converter::default(),
+            converter: GreyConverter::default(),
             decoder: LumaDecoder::new(parts.size),
             patience: FIRST_FRAME,
         })
@@ -267,7 +267,7 @@ impl<D: Driver> FrameSource for V4l2Source<D> {
         };
         let (width, height) = self.parts.size;
         let stride = self.stride.max(format.row_bytes(width));
-        let raw = Raw { format, bytes: self.device.content(&filled), width, height, stride };
+        let raw = RawImage { format, bytes: self.device.content(&filled), width, height, stride };
         Ok(LentFrame { frame: self.converter.grey(&raw).map_err(bad_frame)?, info })
     }
 }
@@ -283,7 +283,7 @@ impl<D: Driver> Drop for V4l2Source<D> {
 fn pixels(code: [u8; 4]) -> Option<Option<PixelFormat>> {
     match &code {
         b"MJPG" | b"JPEG" => Some(None),
-        _ => PixelFormat::of_fourcc(code).map(Some),
+        _ => PixelFormat::from_fourcc(code).map(Some),
     }
 }
 

@@ -99,7 +99,7 @@ impl Camera {
                 format.stride = if code == *b"YUYV" { 2 * format.width } else { format.width };
                 self.set = Some((code, format.width, format.height));
             }
-            Request::RequestBuffers(buffers) => {
+            Request::AllocateBuffers(buffers) => {
                 assert_eq!(buffers.memory, MAPPED);
                 // It grants fewer than requested.
                 buffers.count = buffers.count.min(3);
@@ -180,7 +180,8 @@ fn start(camera: Camera, options: &str) -> Result<V4l2Source<Camera>, String> {
     };
     let clock = Clock::anchored(Instant::now(), Timestamp::from_ns(1_700_000_000_000_000_000));
     let parts = SourceParts { size: (WIDTH as usize, HEIGHT as usize), clock };
-    let source = V4l2Source::start(Device { driver: camera }, &address, parts, Stop::default());
+    let source =
+        V4l2Source::start(Device { driver: camera }, &address, parts, StopSignal::default());
     source.map_err(|error| error.to_string())
 }
 

@@ -9,7 +9,7 @@ use roundel_core::{
 };
 use serde::{Deserialize, Serialize};
 
-use crate::model::config::{CameraConfig, CameraPose, Config};
+use crate::model::config::{CameraConfig, Config, PoseConfig};
 
 /// Numbers that were written and read back differ by less, relative to 1 or to themselves.
 const SAME: f64 = 1e-9;
@@ -17,7 +17,7 @@ const SAME: f64 = 1e-9;
 /// One camera's result.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
-pub struct CalibratedCamera {
+pub struct StoredCamera {
     /// As configured.
     pub name: String,
     /// 6x6 over (position m, rotation rad), world frame, left perturbation: upper triangle.
@@ -27,7 +27,7 @@ pub struct CalibratedCamera {
     /// What the pose was found with.
     pub lens: StoredLens,
     /// What the configuration said.
-    pub configured: Configured,
+    pub configured: StoredConfig,
 }
 
 /// world_from_camera.
@@ -52,7 +52,7 @@ pub struct StoredLens {
 /// What the configuration says of a camera.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
-pub struct Configured {
+pub struct StoredConfig {
     /// None: unknown.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub pose: Option<StoredPose>,
@@ -60,13 +60,13 @@ pub struct Configured {
     pub lens: StoredLens,
 }
 
-impl CalibratedCamera {
+impl StoredCamera {
     /// A result, with what the configuration says of the camera.
     pub fn new(
         name: String,
         placement: &CameraPlacement,
         lens: &Camera,
-        configured: Configured,
+        configured: StoredConfig,
     ) -> Self {
         Self {
             name,
@@ -85,14 +85,14 @@ impl CalibratedCamera {
                 "The calibration of camera {name} is dropped: no camera has that name any more."
             )
         })?;
-        if let Some(what) = Configured::of(camera).difference(&self.configured) {
+        if let Some(what) = StoredConfig::of(camera).difference(&self.configured) {
             return Err(format!(
                 "The calibration of camera {name} is dropped: the configuration gives it another {what} than \
                  it did then. The configuration's is used; calibrate the arena anew."
             ));
         }
         let (placement, lens) = self.read()?;
-        camera.pose = CameraPose::Calibrated(Box::new(placement));
+        camera.pose = PoseConfig::Calibrated(Box::new(placement));
         camera.calibration = lens;
         Ok(())
     }
@@ -172,11 +172,11 @@ impl StoredLens {
     }
 }
 
-impl Configured {
+impl StoredConfig {
     /// As it is before a calibration is merged.
     pub fn of(camera: &CameraConfig) -> Self {
         let pose = match &camera.pose {
-            CameraPose::Known(pose) => Some(StoredPose::of(pose)),
+            PoseConfig::Known(pose) => Some(StoredPose::of(pose)),
             _ => None,
         };
         Self { pose, lens: StoredLens::of(&camera.calibration) }

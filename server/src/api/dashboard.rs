@@ -1,0 +1,83 @@
+//! The dashboard and the page of the API (`/api`): the files of `client/dashboard`, held by the binary. A debug build reads them from
+//! the disk at each request, so that a page can be changed under a running server.
+
+use axum::{
+    http::{HeaderMap, HeaderName, HeaderValue, Method, StatusCode, Uri, header},
+    response::{IntoResponse, Response},
+};
+use rust_embed::{EmbeddedFile, RustEmbed};
+
+use super::error::ApiError;
+
+#[derive(RustEmbed)]
+#[folder = "../client/dashboard"]
+#[allow_missing = true]
+struct Files;
+
+/// Nothing but the page's own files and this very server, to which its WebSocket counts as well; `blob:` are pictures that
+/// the page has fetched itself. Nobody may frame it.
+const CONTENT_SECURITY_POLICY: &str = "default-src 'none'; script-src 'self'; style-src 'self'; \
+    img-src 'self' blob:; connect-src 'self'; worker-src 'self'; form-action 'self'; \
+    frame-ancestors 'none'; base-uri 'none'";
+
+/// A file of the dashboard; an error in JSON for all else.
+pub async fn file(method: Method, uri: Uri, headers: HeaderMap) -> Result<Response, ApiError> {
+    let path = uri.path();
+    let name = match path.trim_start_matches('/') {
+        "" => "index.html",
+        "api" => "api.html",
+        name => name,
+    };
+    let Some(file) = Files::get(name) else {
+        return Err(not_found(path));
+    };
+    if method != Method::GET && method != Method::HEAD {
+        return Err(ApiError::MethodNotAllowed);
+    }
+    Ok(file_response(&file, &headers))
+}
+
+fn not_found(path: &str) -> ApiError {
+    let known = if path == "/" {
+        "this build holds no dashboard: client/dashboard/index.html was not there when it was made"
+    } else {
+        "the dashboard is at /, the APIs under /api/v1 are described at /api and /openapi.json"
+    };
+    ApiError::NotFound { what: "path", name: path.to_owned(), known: known.to_owned() }
+}
+
+fn file_response(file: &EmbeddedFile, headers: &HeaderMap) -> Response {
+    let hash = file.metadata.sha256_hash();
+    let tag: String = hash.iter().take(16).map(|byte| format!("{byte:02x}")).collect();
+    let tag = format!("\"{tag}\"");
+    let known = headers.get_all(header::IF_NONE_MATCH);
+    let is_known = known.iter().filter_map(|value| value.to_str().ok()).any(|value| {
+        value == "*" || value.split(',').any(|one| one.trim().trim_start_matches("W/") == tag)
+    });
+    let status = if is_known { StatusCode::NOT_MODIFIED } else { StatusCode::OK };
+    let body = if is_known { Vec::new() } else { file.data.to_vec() };
+    let mut mime = file.metadata.mimetype().to_owned();
+    if mime.starts_with("text/") {
+        mime.push_str("; charset=utf-8");
+    }
+    // Names stay while contents change with the version, so a browser asks each time.
+    let headers = [
+        (header::CONTENT_TYPE, mime),
+        (header::CACHE_CONTROL, "no-cache".into()),
+        (header::ETAG, tag),
+    ];
+    (status, headers, body).into_response()
+}
+
+/// Sets the headers that keep a browser from doing more with a response than was meant.
+pub async fn with_security_headers(mut response: Response) -> Response {
+    const HEADERS: [(HeaderName, &str); 3] = [
+        (header::CONTENT_SECURITY_POLICY, CONTENT_SECURITY_POLICY),
+        (header::X_CONTENT_TYPE_OPTIONS, "nosniff"),
+        (header::REFERRER_POLICY, "no-referrer"),
+    ];
+    for (name, value) in HEADERS {
+        response.headers_mut().insert(name, HeaderValue::from_static(value));
+    }
+    response
+}

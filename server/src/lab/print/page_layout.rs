@@ -1,0 +1,431 @@
+//! Sheets: many roundels on a page, or one that is larger than a page on several.
+//!
+//! In: roundels of any kinds, and a page. Out: pages of outlines. Roundels of one size share pages, as
+//! many as fit, each in a square with cut marks at its corners; the page is turned where more fit then.
+//! A larger one is spread over pages that overlap by [`OVERLAP_MM`], with marks where sheets meet.
+
+use roundel_core::marker::{CodeError, CodeLayout, Dictionary, Kind, Pattern, Tooth};
+use thiserror::Error;
+
+use super::{
+    marks,
+    page::{Page, PageSize, Shape},
+    path::{Area, Place},
+    roundel::{MIN_SIDE_SHARE, SIDE_SHARE, outline},
+};
+
+/// So much of a page's edges printers leave white, millimetres.
+pub(super) const EDGE_MM: f64 = 6.0;
+/// What ruler and small print take at the foot and at the right, millimetres.
+pub(super) const FOOT_MM: f64 = 13.0;
+pub(super) const RULER_MM: f64 = 6.0;
+/// Between squares, for their cut marks, millimetres.
+const GAP_MM: f64 = 2.0 * (marks::CUT_GAP_MM + marks::CUT_MM) + 1.0;
+/// A square that just fits does fit.
+const ROUNDING: f64 = 1e-9;
+/// What pages of one large roundel have in common, millimetres.
+const OVERLAP_MM: f64 = 10.0;
+/// Most pages of one file.
+pub const MAX_PAGES: usize = 500;
+/// Smallest roundel that a printer makes well, millimetres.
+const MIN_OUTER_MM: f64 = 2.0;
+/// Largest roundel, millimetres.
+const MAX_OUTER_MM: f64 = 5000.0;
+
+/// One roundel to print.
+#[derive(Clone, Debug, PartialEq)]
+pub struct PrintItem {
+    /// What it is.
+    pub kind: Kind,
+    /// Which, of a coded kind.
+    pub number: Option<u16>,
+    /// Small print in its corner, such as `#17`.
+    pub label: String,
+}
+
+/// Why there is nothing to print.
+#[derive(Clone, Debug, PartialEq, Error)]
+pub enum PageLayoutError {
+    /// Nothing to print.
+    #[error("nothing to print: expected at least one roundel")]
+    Empty,
+    /// Cannot be printed.
+    #[error(
+        "expected an outer diameter of {MIN_OUTER_MM} to {MAX_OUTER_MM} mm, found {found_mm} mm"
+    )]
+    Size {
+        /// The outer diameter.
+        found_mm: f64,
+    },
+    /// No code of that number.
+    #[error(
+        "there is no code {number} of {bits} bits at a distance of {min_distance}: they are numbered \
+         from 1 to {count}"
+    )]
+    Number {
+        /// As asked for.
+        number: u16,
+        /// The layout's bits.
+        bits: u8,
+        /// The layout's least distance.
+        min_distance: u8,
+        /// How many there are.
+        count: usize,
+    },
+    /// No such codes.
+    #[error(transparent)]
+    Code(#[from] CodeError),
+    /// Too much for one file.
+    #[error(
+        "this takes {found} pages, and a file holds {MAX_PAGES} at most: print fewer roundels at a \
+         time, or on larger pages"
+    )]
+    Pages {
+        /// As many would be needed.
+        found: usize,
+    },
+    /// No room beside ruler and margins.
+    #[error(
+        "a page of {width_mm} x {height_mm} mm has no room for roundels beside the ruler and the edge \
+         that printers leave white: use a larger page"
+    )]
+    Page {
+        /// The page's.
+        width_mm: f64,
+        /// The page's.
+        height_mm: f64,
+    },
+}
+
+/// Lays out `items` in their order.
+pub fn lay_out_pages(items: &[PrintItem], page: PageSize) -> Result<Vec<Page>, PageLayoutError> {
+    if items.is_empty() {
+        return Err(PageLayoutError::Empty);
+    }
+    let mut pages = Vec::new();
+    for alike in items.chunk_by(|one, other| one.kind == other.kind) {
+        let outer_mm = alike[0].kind.outer_diameter_m * 1e3;
+        if !(MIN_OUTER_MM..=MAX_OUTER_MM).contains(&outer_mm) {
+            return Err(PageLayoutError::Size { found_mm: outer_mm });
+        }
+        let side_mm = SIDE_SHARE * outer_mm;
+        let codes = CodeTable::of(&alike[0].kind)?;
+        match Grid::best(page, side_mm).or_else(|| Grid::narrow(page, outer_mm)) {
+            Some(grid) => pages.extend(grid.fill(alike, &codes)?),
+            None => lay_out_tiled((alike, &codes), page, outer_mm, &mut pages)?,
+        }
+        if pages.len() > MAX_PAGES {
+            return Err(PageLayoutError::Pages { found: pages.len() });
+        }
+    }
+    Ok(pages)
+}
+
+/// The part of a page that prints may take.
+pub(super) fn printable_area(page: PageSize) -> Area {
+    Area {
+        left: EDGE_MM,
+        top: EDGE_MM,
+        right: page.width_mm - EDGE_MM - RULER_MM,
+        bottom: page.height_mm - EDGE_MM - FOOT_MM,
+    }
+}
+
+/// Squares side by side on a page.
+struct Grid {
+    page: PageSize,
+    side_mm: f64,
+    columns: usize,
+    rows: usize,
+}
+
+impl Grid {
+    /// As many as fit, on the page as it is or turned; `None` if not one fits.
+    fn best(page: PageSize, side_mm: f64) -> Option<Self> {
+        let [upright, turned] = [page, page.rotated()].map(|page| Self::of(page, side_mm));
+        let room = |grid: &Option<Self>| grid.as_ref().map_or(0, Self::cells);
+        if room(&turned) > room(&upright) { turned } else { upright }
+    }
+
+    /// One with as much margin as the page has, if that is enough; better than two sheets that are glued.
+    fn narrow(page: PageSize, outer_mm: f64) -> Option<Self> {
+        let window = printable_area(page);
+        let side_mm = window.width().min(window.height()) - GAP_MM;
+        (side_mm >= MIN_SIDE_SHARE * outer_mm).then(|| Self::of(page, side_mm)).flatten()
+    }
+
+    /// `None` if not one fits.
+    fn of(page: PageSize, side_mm: f64) -> Option<Self> {
+        let window = printable_area(page);
+        let pitch_mm = side_mm + GAP_MM;
+        let (columns, rows) = (
+            (window.width() / pitch_mm + ROUNDING).floor().max(0.0) as usize,
+            (window.height() / pitch_mm + ROUNDING).floor().max(0.0) as usize,
+        );
+        (columns * rows > 0).then_some(Self { page, side_mm, columns, rows })
+    }
+
+    fn cells(&self) -> usize {
+        self.columns * self.rows
+    }
+
+    /// As many pages as `items` take.
+    fn fill(&self, items: &[PrintItem], codes: &CodeTable) -> Result<Vec<Page>, PageLayoutError> {
+        let window = printable_area(self.page);
+        let pitch_mm = self.side_mm + GAP_MM;
+        let count = items.len().div_ceil(self.cells());
+        if count > MAX_PAGES {
+            return Err(PageLayoutError::Pages { found: count });
+        }
+        let mut pages = Vec::with_capacity(count);
+        for items in items.chunks(self.cells()) {
+            let mut page = Page { size: self.page, window, prints: Vec::new(), marks: Vec::new() };
+            for (index, item) in items.iter().enumerate() {
+                let center = Place::new(
+                    window.left + pitch_mm * ((index % self.columns) as f64 + 0.5),
+                    window.top + pitch_mm * ((index / self.columns) as f64 + 0.5),
+                );
+                let square = Area::square(center, self.side_mm);
+                page.prints.push(outline(&item.kind, &codes.teeth(item)?, center, self.side_mm));
+                page.marks.extend(marks::cut_marks(&square));
+                page.marks.extend(marks::corner_labels(item, &square));
+            }
+            page.marks.extend(marks::footer(self.page, &footer_text(&items[0])));
+            pages.push(page);
+        }
+        Ok(pages)
+    }
+}
+
+/// One roundel after the other, each over several pages.
+fn lay_out_tiled(
+    (items, codes): (&[PrintItem], &CodeTable),
+    page: PageSize,
+    outer_mm: f64,
+    pages: &mut Vec<Page>,
+) -> Result<(), PageLayoutError> {
+    let ways = [page, page.rotated()].map(|page| TiledRoundel::of(page, outer_mm));
+    let fewest = ways.into_iter().flatten().min_by_key(TiledRoundel::count);
+    let Some(tiled) = fewest else {
+        let PageSize { width_mm, height_mm } = page;
+        return Err(PageLayoutError::Page { width_mm, height_mm });
+    };
+    let found = tiled.count().saturating_mul(items.len());
+    if found > MAX_PAGES {
+        return Err(PageLayoutError::Pages { found });
+    }
+    for item in items {
+        let teeth = codes.teeth(item)?;
+        pages.extend((0..tiled.count()).map(|index| tiled.sheet(index, item, &teeth)));
+    }
+    Ok(())
+}
+
+/// Sheets that overlap, and together hold one square.
+struct TiledRoundel {
+    page: PageSize,
+    window: Area,
+    side_mm: f64,
+    columns: usize,
+    rows: usize,
+}
+
+impl TiledRoundel {
+    /// With the usual margin, or, where that takes fewer sheets, with as much as they have, if that is enough; `None` if a
+    /// page holds little more than the overlap.
+    fn of(page: PageSize, outer_mm: f64) -> Option<Self> {
+        let window = printable_area(page);
+        if window.width() < 3.0 * OVERLAP_MM || window.height() < 3.0 * OVERLAP_MM {
+            return None;
+        }
+        // Cut marks lie outside of the square.
+        let steps_mm = [window.width(), window.height()].map(|room_mm| room_mm - OVERLAP_MM);
+        let counts = |side_share: f64| {
+            let more_mm = side_share * outer_mm + GAP_MM - OVERLAP_MM;
+            steps_mm.map(|step_mm| (more_mm / step_mm - ROUNDING).ceil().max(1.0) as usize)
+        };
+        let (usual, least) = (counts(SIDE_SHARE), counts(MIN_SIDE_SHARE));
+        let all = |[columns, rows]: [usize; 2]| columns.saturating_mul(rows);
+        let [columns, rows] = if all(least) < all(usual) { least } else { usual };
+        let has_mm = |step_mm: f64, count: usize| step_mm * count as f64 + OVERLAP_MM - GAP_MM;
+        let room_mm = has_mm(steps_mm[0], columns).min(has_mm(steps_mm[1], rows));
+        let side_mm = room_mm.min(SIDE_SHARE * outer_mm);
+        Some(Self { page, window, side_mm, columns, rows })
+    }
+
+    fn count(&self) -> usize {
+        self.columns.saturating_mul(self.rows)
+    }
+
+    /// The sheet of that number, row by row.
+    fn sheet(&self, index: usize, item: &PrintItem, teeth: &[Tooth]) -> Page {
+        let &Self { page, window, side_mm, columns, rows } = self;
+        let (column, row) = (index % columns, index / columns);
+        // So far apart are sheets that share an overlap; the square is in the middle of all.
+        let middle = |begin: f64, room: f64, count: usize, place: usize| {
+            let step = room - OVERLAP_MM;
+            begin + (step * count as f64 + OVERLAP_MM) / 2.0 - step * place as f64
+        };
+        let center = Place::new(
+            middle(window.left, window.width(), columns, column),
+            middle(window.top, window.height(), rows, row),
+        );
+        let square = Area::square(center, side_mm);
+        let mut marks: Vec<Shape> = marks::cut_marks(&square)
+            .into_iter()
+            .chain(marks::corner_labels(item, &square))
+            .filter(|shape| marks::is_inside(shape, &window))
+            .collect();
+        let joins = [column > 0, column + 1 < columns, row > 0, row + 1 < rows];
+        marks.extend(marks::join_marks(&window, OVERLAP_MM, joins));
+        let about = format!(
+            "{} {}, row {} of {rows}, column {} of {columns}; sheets overlap by {OVERLAP_MM} mm",
+            footer_text(item),
+            item.label,
+            row + 1,
+            column + 1
+        );
+        marks.extend(marks::footer(page, &about));
+        Page {
+            size: page,
+            window,
+            prints: vec![outline(&item.kind, teeth, center, side_mm)],
+            marks,
+        }
+    }
+}
+
+/// The codes of a kind, once for all of its roundels: listing those of 16 bits takes a while.
+struct CodeTable(Option<(CodeLayout, Dictionary)>);
+
+impl CodeTable {
+    fn of(kind: &Kind) -> Result<Self, PageLayoutError> {
+        let Pattern::Coded(layout) = kind.pattern else { return Ok(Self(None)) };
+        Ok(Self(Some((layout, layout.codes()?))))
+    }
+
+    /// None, of a kind without codes.
+    fn teeth(&self, item: &PrintItem) -> Result<Vec<Tooth>, PageLayoutError> {
+        let Some((CodeLayout { bits, min_distance }, codes)) = &self.0 else {
+            return Ok(Vec::new());
+        };
+        let (bits, min_distance) = (*bits, *min_distance);
+        let (number, count) = (item.number.unwrap_or(0), codes.len());
+        codes.teeth(number).ok_or(PageLayoutError::Number { number, bits, min_distance, count })
+    }
+}
+
+/// The kind as it has to be configured.
+fn footer_text(item: &PrintItem) -> String {
+    let kind = &item.kind;
+    let mm = |length_m: f64| super::millimetres(length_m * 1e3);
+    let (outer, inner) = (mm(kind.outer_diameter_m), mm(kind.inner_diameter_m));
+    let size = match kind.pattern {
+        Pattern::Plain => format!("outer {outer} mm, inner {inner} mm"),
+        Pattern::Elliptical { minor_diameter_m } => {
+            format!("outer {outer} mm, inner {inner} x {} mm", mm(minor_diameter_m))
+        }
+        Pattern::Coded(layout) => {
+            let CodeLayout { bits, min_distance } = layout;
+            let inner = if super::job::has_default_ratio(kind) {
+                String::new()
+            } else {
+                format!(", inner {inner} mm")
+            };
+            format!("outer {outer} mm{inner}, code of {bits} bits at distance {min_distance}")
+        }
+    };
+    if kind.name.is_empty() { size } else { format!("{}: {size}", kind.name) }
+}
+
+#[cfg(test)]
+mod tests {
+    use roundel_core::marker::CodeLayout;
+
+    use super::{super::path::Step, *};
+
+    const A4: PageSize = PageSize { width_mm: 210.0, height_mm: 297.0 };
+
+    fn plain(outer_mm: f64) -> PrintItem {
+        let kind = Kind::plain("robot", outer_mm * 1e-3, outer_mm * 0.4e-3);
+        PrintItem { kind, number: None, label: String::new() }
+    }
+
+    /// Where the ring's outline begins: at its right.
+    fn first(page: &Page) -> Place {
+        match page.prints[0].steps[0] {
+            Step::Move(place) => place,
+            step => panic!("{step:?}"),
+        }
+    }
+
+    #[test]
+    fn as_many_fit_on_a_page_as_there_is_room_for() {
+        let pages = lay_out_pages(&vec![plain(50.0); 7], A4).unwrap();
+        assert_eq!(pages.iter().map(|page| page.prints.len()).collect::<Vec<_>>(), [6, 1]);
+        // One of 130 mm fits either way, upright first.
+        assert_eq!(lay_out_pages(&[plain(130.0)], A4).unwrap()[0].size, A4);
+        // One of 160 mm just fits, with less of a margin.
+        let pages = lay_out_pages(&[plain(160.0)], A4).unwrap();
+        assert_eq!((pages.len(), pages[0].prints.len()), (1, 1));
+        // Three fit side by side where the page is turned, two upright.
+        let pages = lay_out_pages(&vec![plain(58.0); 6], A4).unwrap();
+        assert!(pages.len() == 1, "{}", pages.len());
+    }
+
+    #[test]
+    fn a_large_roundel_goes_over_pages_that_overlap() {
+        let pages = lay_out_pages(&[plain(330.0)], A4).unwrap();
+        assert_eq!(pages.len(), 6);
+        // The next page's picture is the same, moved by the window but for the overlap.
+        let (one, next) = (first(&pages[0]), first(&pages[1]));
+        let width = printable_area(A4).width();
+        assert!((one.x - next.x - (width - OVERLAP_MM)).abs() < 1e-9 && one.y == next.y);
+        // Together they hold the whole square.
+        let columns = 3.0;
+        assert!(columns * (width - OVERLAP_MM) + OVERLAP_MM >= 330.0 * SIDE_SHARE);
+    }
+
+    #[test]
+    fn fewer_sheets_are_taken_where_they_leave_enough_of_a_margin() {
+        let a3 = PageSize { width_mm: 297.0, height_mm: 420.0 };
+        for (outer_mm, page, count) in
+            [(600.0, a3, 6), (300.0, A4, 4), (235.0, A4, 2), (236.0, A4, 4)]
+        {
+            let pages = lay_out_pages(&[plain(outer_mm)], page).unwrap();
+            assert_eq!(pages.len(), count, "{outer_mm} mm");
+            // The least margin and its cut marks lie in the windows of the outermost sheets.
+            let reach_mm = 0.5 * (MIN_SIDE_SHARE * outer_mm + GAP_MM);
+            let middle = |page: &Page| first(page).moved(-0.5 * outer_mm, 0.0);
+            let (one, other) = (&pages[0], &pages[count - 1]);
+            let (before, after) = (middle(one), middle(other));
+            assert!(before.x - reach_mm >= one.window.left - ROUNDING, "{outer_mm} mm");
+            assert!(before.y - reach_mm >= one.window.top - ROUNDING, "{outer_mm} mm");
+            assert!(after.x + reach_mm <= other.window.right + ROUNDING, "{outer_mm} mm");
+            assert!(after.y + reach_mm <= other.window.bottom + ROUNDING, "{outer_mm} mm");
+        }
+    }
+
+    #[test]
+    fn what_cannot_be_printed_says_why() {
+        let error = |items: &[PrintItem], page| lay_out_pages(items, page).unwrap_err().to_string();
+        assert!(error(&[], A4).contains("at least one"));
+        assert!(error(&[plain(0.5)], A4).contains("found 0.5 mm"));
+        assert!(
+            error(&[plain(4999.0)], PageSize { width_mm: 100.0, height_mm: 100.0 })
+                .contains("pages")
+        );
+        let tiny = PageSize { width_mm: 50.0, height_mm: 50.0 };
+        assert!(
+            error(&[plain(90.0)], tiny).contains("has no room"),
+            "{}",
+            error(&[plain(90.0)], tiny)
+        );
+        let layout = CodeLayout { bits: 8, min_distance: 2 };
+        let count = layout.codes().unwrap().len();
+        let mut coded = plain(50.0);
+        coded.kind.pattern = Pattern::Coded(layout);
+        coded.number = Some(count as u16 + 1);
+        assert!(error(&[coded], A4).contains(&format!("numbered from 1 to {count}")));
+    }
+}

@@ -1,0 +1,224 @@
+//! `pose` of a `[[camera]]`: where it stands, or which object it rides on.
+//!
+//! A camera that rides is placed by how its object is placed and turned, so that must be seen: by a camera
+//! that stands, or by a camera on it that finds itself from the reference roundels.
+
+use roundel_core::{
+    id::KindId,
+    marker::Pattern,
+    rigid::Rigid,
+    world::{Body, CameraPlacement},
+};
+
+use super::{
+    CameraConfig, ObjectRoundels, geometry, object::ParsedObjects, reader::Table,
+    reference::ParsedReferences, roundel::ParsedKinds,
+};
+use crate::model::suggestion::{list, nearest};
+
+const POSE_KEYS: [&str; 4] = ["position_m", "orientation_xyzw", "object", "localizes"];
+const POSE_HELP: &str = "write { position_m = [x, y, z], orientation_xyzw = [x, y, z, w] }, with \
+                         `object = \"NAME\"` if it rides on one, or \"unknown\" to have it found from \
+                         the reference roundels";
+
+/// Where a camera stands.
+#[derive(Clone, Debug, PartialEq)]
+pub enum PoseConfig {
+    /// world_from_camera.
+    Known(Rigid),
+    /// As a calibration of the arena found it, in place of what the configuration says.
+    Calibrated(Box<CameraPlacement>),
+    /// To be found from the reference roundels.
+    Unknown,
+    /// On an object.
+    Mounted(MountConfig),
+}
+
+/// A camera that rides on an object.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct MountConfig {
+    /// Index among [`super::Config::objects`] of a [`ObjectRoundels::Body`] that shows how it is turned.
+    pub object: usize,
+    /// Where it is fixed.
+    pub object_from_camera: Rigid,
+    /// Whether the reference roundels that it sees say where the object is.
+    pub localizes: bool,
+}
+
+/// The pose of one camera; `None` if it is absent or wrong. `required`: then an absent one is reported
+/// as well.
+pub(super) fn pose(
+    camera: &Table<'_, '_>,
+    required: bool,
+    objects: &ParsedObjects<'_, '_>,
+    kinds: &ParsedKinds,
+) -> Option<PoseConfig> {
+    let Some(value) = camera.value("pose") else {
+        if required {
+            camera.report_missing("pose", "\"unknown\"");
+        }
+        return None;
+    };
+    if let Some(text) = value.get_ref().as_str() {
+        if text == "unknown" {
+            return Some(PoseConfig::Unknown);
+        }
+        let message = format!("`pose` must be a table or \"unknown\", found the text \"{text}\"");
+        camera.fail_with_help(&value.span(), message, POSE_HELP);
+        return None;
+    }
+    if value.get_ref().as_table().is_none() {
+        let message = "`pose` must be a table or \"unknown\"";
+        camera.fail_with_help(&value.span(), message, POSE_HELP);
+        return None;
+    }
+    let table = camera.table("pose", "pose", &POSE_KEYS)?;
+    let place = geometry::pose(&table);
+    let localizes = table.flag("localizes");
+    if table.value("object").is_some() {
+        let object = object_by_name(&table, objects);
+        let object = object.filter(|&object| reveals_orientation(&table, object, objects, kinds));
+        let (object, object_from_camera) = (object?, place?);
+        let localizes = localizes.unwrap_or(false);
+        return Some(PoseConfig::Mounted(MountConfig { object, object_from_camera, localizes }));
+    }
+    if localizes == Some(true) {
+        table.fail_with_help(
+            &table.span_of("localizes"),
+            "`localizes` is for a camera that rides on an object, and `object` is missing",
+            "add `object = \"NAME\"`; a camera that stands finds its place with pose = \"unknown\"",
+        );
+    }
+    place.map(PoseConfig::Known)
+}
+
+/// The place of the object that `object` names among the readable ones.
+fn object_by_name(table: &Table<'_, '_>, objects: &ParsedObjects<'_, '_>) -> Option<usize> {
+    let name = table.required_text("object", "\"drone\"")?;
+    let place = objects.configs.iter().position(|object| object.name == name);
+    let names = || objects.names.iter().copied();
+    // One that is itself wrong is reported where it stands.
+    if place.is_none() && !names().any(|known| known == name) {
+        let meant = nearest(name, names())
+            .map(|meant| format!("; did you mean \"{meant}\"?"))
+            .unwrap_or_default();
+        let help = match objects.names[..] {
+            [] => {
+                "add [[object]] with its `name`, and with the `roundel` that it carries".to_owned()
+            }
+            _ => format!("configured: {}", list(names())),
+        };
+        let message = format!("no [[object]] is named \"{name}\"{meant}");
+        table.fail_with_help(&table.span_of("object"), message, help);
+    }
+    place
+}
+
+/// Whether what is seen of an object says how it is turned; if not, it is reported.
+fn reveals_orientation(
+    table: &Table<'_, '_>,
+    object: usize,
+    objects: &ParsedObjects<'_, '_>,
+    kinds: &ParsedKinds,
+) -> bool {
+    let object = &objects.configs[object];
+    let pattern = |kind: KindId| {
+        kinds.kinds.get(usize::from(kind.0)).map_or(Pattern::Plain, |kind| kind.pattern)
+    };
+    let why = match &object.carries {
+        ObjectRoundels::Kind { kind, .. } => match pattern(*kind) {
+            Pattern::Plain => "its plain roundel looks the same however it is turned",
+            Pattern::Coded(_) => "it is known by a whole kind of roundel, whatever their codes",
+            Pattern::Elliptical { .. } => "its elliptical disc looks the same after half a turn",
+        },
+        ObjectRoundels::Body(Body { mounts, .. })
+            if mounts.is_empty()
+                || mounts.iter().any(|mount| mount.code.is_some())
+                || geometry::determine_orientation(mounts) =>
+        {
+            return true;
+        }
+        ObjectRoundels::Body(Body { mounts, .. }) => match pattern(mounts[0].kind) {
+            Pattern::Elliptical { .. } => "its elliptical disc looks the same after half a turn",
+            _ => "its roundels look the same when it turns about their normal",
+        },
+    };
+    table.fail_with_help(
+        &table.span_of("object"),
+        format!("object \"{}\" does not say which way its camera looks: {why}", object.name),
+        "give it a roundel with a `code`, or list several side by side in its `roundel = [ … ]`",
+    );
+    false
+}
+
+/// Reports cameras whose object nobody can see, and objects that carry nothing to be seen by.
+pub(super) fn check(
+    tables: &[Table<'_, '_>],
+    cameras: &[CameraConfig],
+    objects: &ParsedObjects<'_, '_>,
+) {
+    let rides = || {
+        let ride = |camera: &CameraConfig| match camera.pose {
+            PoseConfig::Mounted(ride) => Some(ride),
+            PoseConfig::Known(_) | PoseConfig::Calibrated(_) | PoseConfig::Unknown => None,
+        };
+        cameras.iter().map(ride)
+    };
+    let one_stands = rides().any(|ride| ride.is_none());
+    let is_localized =
+        |object: usize| rides().flatten().any(|ride| ride.localizes && ride.object == object);
+    let bare: Vec<usize> = objects.without_roundels().collect();
+    for (table, ride) in tables.iter().zip(rides()) {
+        let Some(ride) = ride.filter(|ride| !is_localized(ride.object)) else { continue };
+        if one_stands || bare.contains(&ride.object) {
+            continue;
+        }
+        let name = &objects.configs[ride.object].name;
+        table.fail_with_help(
+            &table.span_of("pose"),
+            format!("no camera can say where \"{name}\" is, which this one rides on: all cameras ride"),
+            "add a camera that stands, or write `localizes = true` to have this one find itself from \
+             reference roundels",
+        );
+    }
+    for object in bare.into_iter().filter(|&object| !is_localized(object)) {
+        let carries_camera = rides().flatten().any(|ride| ride.object == object);
+        objects.report_unobservable(object, carries_camera);
+    }
+}
+
+/// Reports cameras that want more of the reference roundels than these say.
+pub(super) fn check_references(
+    tables: &[Table<'_, '_>],
+    cameras: &[Option<CameraConfig>],
+    references: &ParsedReferences<'_, '_>,
+) {
+    let mut places_some = false;
+    for (table, camera) in tables.iter().zip(cameras) {
+        let Some(camera) = camera else { continue };
+        let (wanted, missing) = match camera.pose {
+            PoseConfig::Unknown => {
+                places_some = true;
+                let help = "add at least three [[reference]] tables, or give the camera's pose";
+                ("pose = \"unknown\"", references.are_missing().then_some(help))
+            }
+            PoseConfig::Mounted(MountConfig { localizes: true, .. }) => {
+                let help = "add [[reference]] with its `position_m`, a `code`, and how it is turned \
+                            (`yaw_deg`, or `right` and `top`), or three of them not in one line";
+                ("localizes = true", (!references.localize()).then_some(help))
+            }
+            _ => continue,
+        };
+        let Some(help) = missing else { continue };
+        let found = if references.are_missing() {
+            "none are configured"
+        } else {
+            "those configured do not say enough: none has both a `code` and its orientation"
+        };
+        let message = format!("`{wanted}` needs reference roundels, and {found}");
+        table.fail_with_help(&table.span_of("pose"), message, help);
+    }
+    if places_some {
+        references.check_sufficient_for_localization();
+    }
+}
