@@ -176,7 +176,7 @@ describe("where objects were", { skip: lacking }, () => {
       const id = await row.getAttribute("data-object-id");
       await row.locator("button").click();
       await page.waitForFunction((wanted) => document.querySelector("#history-objects").value === wanted, id);
-      await page.locator("#history-objects").fill("nobody");
+      await page.locator("#history-objects").fill("unknown");
       await page.locator("#history-show").click();
       await holds(page, "#history-words", "No such object was there then.");
       await page.locator("#history-objects").fill(id);

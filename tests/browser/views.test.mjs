@@ -296,7 +296,7 @@ describe("looking back", () => {
 });
 
 describe("finding", () => {
-  test("an object by number or name, and nobody", async () => {
+  test("an object by number or name, or no object", async () => {
     await withWorld(new World(), {}, async (page) => {
       await page.keyboard.press("/");
       await page.keyboard.type("fork");
@@ -308,7 +308,7 @@ describe("finding", () => {
       await page.keyboard.press("Enter");
       await page.locator("#selection h2", { hasText: "Object 2" }).waitFor();
       assert.ok((await page.locator("#object-rows tr").count()) > 1, "20 to 24 begin with it, too");
-      await page.locator("#search").fill("nobody");
+      await page.locator("#search").fill("unknown");
       await page.locator("#objects-empty", { hasText: "No object fits" }).waitFor();
       await page.keyboard.press("Escape");
       await page.waitForFunction(() => document.querySelectorAll("#object-rows tr").length === 24);
