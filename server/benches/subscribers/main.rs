@@ -141,12 +141,12 @@ struct Figures {
 }
 
 /// A server in another process; it ends with this.
-struct ApiParts {
+struct ServerProcess {
     process: Child,
     address: SocketAddr,
 }
 
-impl ApiParts {
+impl ServerProcess {
     fn start(case: &Case) -> Self {
         let program = std::env::current_exe().expect("this program");
         let arguments: &[&str] = match (case.bare, case.covariances) {
@@ -168,7 +168,7 @@ impl ApiParts {
     }
 }
 
-impl Drop for ApiParts {
+impl Drop for ServerProcess {
     fn drop(&mut self) {
         let _ = self.process.kill();
         let _ = self.process.wait();
@@ -177,7 +177,7 @@ impl Drop for ApiParts {
 
 /// Measures a case.
 async fn run(case: Case, length: Duration) -> Figures {
-    let server = ApiParts::start(&case);
+    let server = ServerProcess::start(&case);
     let readings = Readings::default();
     let mut clients = tokio::task::JoinSet::new();
     for number in 0..case.grpc {

@@ -11,13 +11,12 @@ use std::{
 
 use roundel_core::world::Snapshot;
 use roundel_server::{
-    api::{self, ApiLimits, ApiParts},
+    api::{self, ApiLimits, ApiState},
     model::{
         clock::Clock,
         hub::{CameraInfo, Hub, Installation},
     },
 };
-use tokio_util::sync::CancellationToken;
 
 use crate::{bare, object::object};
 
@@ -49,9 +48,8 @@ pub fn run(bare: Option<bool>) {
     runtime.block_on(async {
         listener.set_nonblocking(true).expect("an option");
         let listener = tokio::net::TcpListener::from_std(listener).expect("a port");
-        let served = ApiParts::of_hub(hub, clock);
         let limits = ApiLimits { max_clients: 4000, ..ApiLimits::default() };
-        api::serve(listener, served, limits, CancellationToken::new()).await;
+        api::serve(listener, ApiState { limits, ..ApiState::new(hub, clock) }).await;
     });
 }
 

@@ -26,7 +26,7 @@ const METHODS: [Method; 5] =
     [Method::GET, Method::POST, Method::PUT, Method::PATCH, Method::DELETE];
 
 /// Whose pages may open WebSockets.
-#[derive(Clone, Debug)]
+#[derive(Clone, Debug, Default)]
 pub struct AllowedOrigins(Vec<String>);
 
 impl AllowedOrigins {
@@ -54,7 +54,7 @@ impl AllowedOrigins {
 }
 
 /// What pages of these origins may; `None`: of none. `*` stands for any origin.
-pub(super) fn layer(origins: &[String]) -> Option<CorsLayer> {
+pub(super) fn layer(AllowedOrigins(origins): &AllowedOrigins) -> Option<CorsLayer> {
     if origins.is_empty() {
         return None;
     }

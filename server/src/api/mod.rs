@@ -79,6 +79,7 @@ use roundel_core::{marker::Kind, plan::Trials};
 use tokio::net::TcpListener;
 use tokio_util::sync::CancellationToken;
 
+pub use self::cors::AllowedOrigins;
 use self::{error::ApiError, snapshot_encoder::SnapshotEncoder};
 use crate::{
     archive::{history::History, record::Recorder, replay::Replay},
@@ -139,41 +140,40 @@ pub struct ApiCounters {
     pub snapshots_missed: AtomicU64,
 }
 
-/// What is served.
-pub struct ApiParts {
-    /// The newest of everything.
+/// Shared by all request handlers.
+pub struct ApiState {
     pub hub: Arc<Hub>,
-    /// The server's clock.
     pub clock: Clock,
-    /// Finds where cameras stand.
     pub calibrator: Arc<Calibrator>,
-    /// Finds lenses.
     pub lenses: Arc<LensCalibrator>,
-    /// Kinds of roundel, by [`roundel_core::id::KindId`]; none where their sizes are not known.
+    /// Kinds of roundel, by [`roundel_core::id::KindId`]; empty where their sizes are not known.
     pub kinds: Vec<Kind>,
-    /// Simulated robots, which clients may drive.
     pub fleets: Arc<Fleets>,
-    /// Where remote programs feed cameras, by camera; `None`: one that is not fed.
     pub ports: Arc<PushEndpoints>,
-    /// Observations that are older against the newest of all cameras are of no use, milliseconds.
+    /// Fusion drops observations that are older than this, milliseconds.
     pub late_window_ms: f64,
-    /// Tries sources; `None`: clients may not.
+    /// `None`: clients may not try sources.
     pub source_probe: Option<Arc<SourceProbe>>,
-    /// Adds, changes and removes cameras and objects; `None`: clients may not.
+    /// `None`: clients may not change the set-up.
     pub camera_manager: Option<Arc<CameraManager>>,
     /// Origins whose pages may send requests; `*` is any.
-    pub allow_origins: Vec<String>,
-    /// Records what is served; `None`: nothing is recorded here.
+    pub allowed_origins: AllowedOrigins,
     pub recorder: Option<Arc<Recorder>>,
     /// The recording that is played; `None`: everything is live.
     pub replay: Option<Replay>,
-    /// Where objects were; `None`: that is not kept.
     pub history: Option<Arc<History>>,
+    /// Starts the shutdown.
+    pub cancel: CancellationToken,
+    pub limits: ApiLimits,
+    pub counters: ApiCounters,
+    pub encoder: SnapshotEncoder,
+    /// Detector timings of earlier plans.
+    pub trials: Trials,
 }
 
-impl ApiParts {
-    /// What a hub alone can serve: nothing is calibrated, fed, changed, recorded or kept here.
-    pub fn of_hub(hub: Arc<Hub>, clock: Clock) -> Self {
+impl ApiState {
+    /// Serves the contents of a hub; everything else is unavailable.
+    pub fn new(hub: Arc<Hub>, clock: Clock) -> Self {
         let calibrator = Arc::new(Calibrator::new(CalibratorParts {
             hub: hub.clone(),
             clock,
@@ -194,100 +194,31 @@ impl ApiParts {
             late_window_ms: 300.0,
             source_probe: None,
             camera_manager: None,
-            allow_origins: Vec::new(),
+            allowed_origins: AllowedOrigins::default(),
             recorder: None,
             replay: None,
             history: None,
+            cancel: CancellationToken::new(),
+            limits: ApiLimits::default(),
+            counters: ApiCounters::default(),
+            encoder: SnapshotEncoder::default(),
+            trials: Trials::default(),
         }
     }
 }
 
-/// What every handler of a request shares.
-pub struct ApiState {
-    /// The newest of everything.
-    pub hub: Arc<Hub>,
-    /// The server's clock.
-    pub clock: Clock,
-    /// Finds where cameras stand.
-    pub calibrator: Arc<Calibrator>,
-    /// Finds lenses.
-    pub lenses: Arc<LensCalibrator>,
-    /// As in [`ApiParts`].
-    pub kinds: Vec<Kind>,
-    /// Simulated robots, which clients may drive.
-    pub fleets: Arc<Fleets>,
-    /// Where remote programs feed cameras.
-    pub ports: Arc<PushEndpoints>,
-    /// As in [`ApiParts`].
-    pub late_window_ms: f64,
-    /// Tries sources, where clients may have them tried.
-    pub source_probe: Option<Arc<SourceProbe>>,
-    /// Adds, changes and removes cameras and objects, where clients may have that done.
-    pub camera_manager: Option<Arc<CameraManager>>,
-    /// Records what is served, where something is recorded.
-    pub recorder: Option<Arc<Recorder>>,
-    /// The recording that is played, where one is.
-    pub replay: Option<Replay>,
-    /// Where objects were, where that is kept.
-    pub history: Option<Arc<History>>,
-    /// Whose pages may ask.
-    pub origins: cors::AllowedOrigins,
-    /// Set when the server goes down.
-    pub cancel: CancellationToken,
-    /// What the port allows.
-    pub limits: ApiLimits,
-    /// What the port has done so far.
-    pub counters: ApiCounters,
-    /// Snapshots as subscribers want them.
-    pub encoder: Arc<SnapshotEncoder>,
-    /// What was tried for plans.
-    pub trials: Trials,
-}
-
-/// Serves every API on `listener` until `cancel`, and then until the last client has gone, at most
-/// for the grace time.
+/// Serves every API on `listener` until `state.cancel`, and then until the last client has left, at most for the grace
+/// time.
 ///
-/// On cancellation, streams end with UNAVAILABLE "server is shutting down", WebSockets with a close
-/// frame (1001), and no connection is taken any more.
-pub async fn serve(
-    listener: TcpListener,
-    served: ApiParts,
-    limits: ApiLimits,
-    cancel: CancellationToken,
-) {
-    let cors = cors::layer(&served.allow_origins);
-    let origins = cors::AllowedOrigins::new(served.allow_origins);
-    let ApiParts { hub, clock, calibrator, lenses, kinds, fleets, ports, .. } = served;
-    let ApiParts {
-        late_window_ms, source_probe, camera_manager, recorder, replay, history, ..
-    } = served;
-    let counters = ApiCounters::default();
-    let encoder = Arc::new(SnapshotEncoder::default());
-    let api = Arc::new(ApiState {
-        hub,
-        clock,
-        calibrator,
-        lenses,
-        kinds,
-        fleets,
-        ports,
-        late_window_ms,
-        source_probe,
-        camera_manager,
-        recorder,
-        replay,
-        history,
-        origins,
-        cancel,
-        limits,
-        counters,
-        encoder,
-        trials: Trials::default(),
-    });
+/// On cancellation, streams end with UNAVAILABLE "server is shutting down", WebSockets with a close frame (1001), and no
+/// connection is accepted any more.
+pub async fn serve(listener: TcpListener, state: ApiState) {
+    let api = Arc::new(state);
+    let cors = cors::layer(&api.allowed_origins);
     let (grpc_router, health) = grpc::router(&api);
     let http_router = http_router(api.clone());
     let readiness = tokio::spawn(metrics::report_readiness(api.clone(), health));
-    let body_timeout = limits.request_timeout;
+    let body_timeout = api.limits.request_timeout;
     let dispatch = dispatch::Dispatch { grpc_router, http_router, cors, body_timeout };
     listener::run(listener, dispatch, api).await;
     // It watches the same token, so it has ended.

@@ -93,7 +93,7 @@ pub async fn stream(
     State(api): State<Arc<ApiState>>,
     request: Request<Body>,
 ) -> Result<Response<Body>, ApiError> {
-    api.origins.check(request.headers())?;
+    api.allowed_origins.check(request.headers())?;
     let selection = StreamSelection::from_query(&api, request.uri())?;
     let protocols = offered(&request);
     let mut handshake = Handshake::new(request).map_err(ApiError::UpgradeRequired)?;

@@ -7,7 +7,7 @@ use tokio_util::sync::CancellationToken;
 
 use super::serve::ServeError;
 use crate::{
-    api,
+    api::{self, ApiState},
     archive::replay::{Replay, ReplayStatus, player::Player, session::ReplaySession},
     model::hub::Hub,
 };
@@ -39,14 +39,14 @@ impl ReplayServer {
         let thread = builder.spawn(move || player.run());
         let thread =
             thread.map_err(|source| ServeError::Thread { name: "replay".to_owned(), source })?;
-        let served = api::ApiParts {
+        let cancel = CancellationToken::new();
+        let state = ApiState {
             late_window_ms,
             replay: Some(replay.clone()),
-            ..api::ApiParts::of_hub(hub.clone(), clock)
+            cancel: cancel.clone(),
+            ..ApiState::new(hub.clone(), clock)
         };
-        let cancel = CancellationToken::new();
-        let api = api::serve(listener, served, api::ApiLimits::default(), cancel.clone());
-        let api = Some(tokio::spawn(api));
+        let api = Some(tokio::spawn(api::serve(listener, state)));
         Ok(Self { address, hub, replay, cancel, player: Some(thread), api })
     }
 

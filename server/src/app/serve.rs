@@ -22,7 +22,7 @@ use tokio_util::sync::CancellationToken;
 pub use crate::fusion::camera_manager::SourceContext;
 use crate::fusion::setup::{ObjectError, fusion_machine, installation, landmarks};
 use crate::{
-    api,
+    api::{self, AllowedOrigins, ApiLimits, ApiState},
     archive::{
         history::{History, HistoryError},
         record::{Recorder, RecordingOptions},
@@ -321,16 +321,9 @@ impl Server {
     }
 
     fn start_api(&mut self, listener: TcpListener, config: &Config, ports: Arc<PushEndpoints>) {
-        let limits = api::ApiLimits {
-            max_clients: config.limits.max_clients,
-            grace: CLIENT_TIMEOUT,
-            ..api::ApiLimits::default()
-        };
         let (kinds, folder) = (config.kinds.clone(), config.folder.clone());
         let source_probe = || Arc::new(SourceProbe::new(kinds, folder, self.clock, self.playback));
-        let served = api::ApiParts {
-            hub: self.hub.clone(),
-            clock: self.clock,
+        let state = ApiState {
             calibrator: self.calibrator.clone(),
             lenses: self.lenses.clone(),
             kinds: config.kinds.clone(),
@@ -339,13 +332,18 @@ impl Server {
             late_window_ms: config.fusion.late_window_s * 1e3,
             source_probe: config.server.setup.then(source_probe),
             camera_manager: self.camera_manager.clone().filter(|_| config.server.setup),
-            allow_origins: config.server.allow_origins.clone(),
+            allowed_origins: AllowedOrigins::new(config.server.allow_origins.clone()),
             recorder: self.recorder.clone(),
-            replay: None,
             history: self.history.clone(),
+            cancel: self.cancel_clients.clone(),
+            limits: ApiLimits {
+                max_clients: config.limits.max_clients,
+                grace: CLIENT_TIMEOUT,
+                ..ApiLimits::default()
+            },
+            ..ApiState::new(self.hub.clone(), self.clock)
         };
-        let cancel = self.cancel_clients.clone();
-        self.api = Some(tokio::spawn(api::serve(listener, served, limits, cancel)));
+        self.api = Some(tokio::spawn(api::serve(listener, state)));
     }
 
     fn stop_cameras(&self) -> Vec<JoinHandle<WorkerCounts>> {

@@ -17,7 +17,7 @@ use roundel_core::{
     world::{LifeStage, ObjectState, ProcessNoise, Snapshot},
 };
 use roundel_server::{
-    api::{self, ApiLimits, ApiParts},
+    api::{self, AllowedOrigins, ApiLimits, ApiState},
     model::{
         clock::Clock,
         hub::{CameraInfo, CameraStatus, Hub, Installation},
@@ -72,12 +72,14 @@ impl Rig {
         let listener = TcpListener::bind(listen).await.unwrap();
         let address = listener.local_addr().unwrap().to_string();
         let (clock, cancel) = (Clock::anchored_now(), CancellationToken::new());
-        let served = ApiParts {
+        let state = ApiState {
             kinds: vec![Kind::plain("robot", 0.16, 0.064), Kind::plain("cart", 0.16, 0.08)],
-            allow_origins: vec![ORIGIN.into()],
-            ..ApiParts::of_hub(hub.clone(), clock)
+            allowed_origins: AllowedOrigins::new(vec![ORIGIN.into()]),
+            limits,
+            cancel: cancel.clone(),
+            ..ApiState::new(hub.clone(), clock)
         };
-        let server = tokio::spawn(api::serve(listener, served, limits, cancel.clone()));
+        let server = tokio::spawn(api::serve(listener, state));
         Self { hub, clock, address, cancel, server }
     }
 

@@ -25,14 +25,13 @@ use roundel_core::{
     world::{CameraPlacement, FrameObservations, LifeStage, ObjectState, ProcessNoise, Snapshot},
 };
 use roundel_server::{
-    api::{self, ApiLimits, ApiParts},
+    api::{self, ApiState},
     model::{
         clock::Clock,
         hub::{CameraInfo, CameraPoseState, CameraStatus, Hub, Installation, Picture, PoseStatus},
     },
 };
 use tokio::net::TcpListener;
-use tokio_util::sync::CancellationToken;
 
 const RATE_HZ: f64 = 60.0;
 /// Cameras have a frame in every other tick.
@@ -66,8 +65,7 @@ fn main() -> anyhow::Result<()> {
         let listener = TcpListener::bind("127.0.0.1:0").await?;
         println!("http://{}/", listener.local_addr()?);
         io::stdout().flush()?;
-        let served = ApiParts::of_hub(hub, clock);
-        api::serve(listener, served, ApiLimits::default(), CancellationToken::new()).await;
+        api::serve(listener, ApiState::new(hub, clock)).await;
         Ok(())
     })
 }
