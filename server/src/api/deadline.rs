@@ -22,7 +22,6 @@ use tonic::Status;
 use super::error::ApiError;
 
 const HEADER: &str = "grpc-timeout";
-/// Longer deadlines are ignored.
 const MAX_TIMEOUT: Duration = Duration::from_secs(365 * 86_400);
 
 /// Answers a call within its deadline, if it has one.

@@ -19,7 +19,6 @@ use super::deadline;
 pub(super) struct Dispatch {
     /// Requests with a content type of `application/grpc…`.
     pub grpc_router: Router,
-    /// All other requests.
     pub http_router: Router,
     /// Access for pages of other origins, if any.
     pub cors: Option<CorsLayer>,

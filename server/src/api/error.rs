@@ -31,13 +31,11 @@ pub enum ApiError {
         field: String,
         /// What it may be.
         expected: String,
-        /// What it was.
         found: String,
     },
     /// The same, in a sentence of its own.
     #[error("{field}: {message}")]
     Invalid {
-        /// As above.
         field: &'static str,
         /// What is wrong, and what to do.
         message: String,
@@ -47,7 +45,6 @@ pub enum ApiError {
     NotFound {
         /// What kind of thing was looked for.
         what: &'static str,
-        /// Under which name.
         name: String,
         /// What there is, or where to look.
         known: String,

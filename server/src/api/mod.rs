@@ -98,7 +98,6 @@ use crate::{
 /// Largest request, by whichever protocol; of pushed frames see [`push`].
 const MAX_REQUEST_BYTES: usize = 256 * 1024;
 
-/// What the port allows.
 #[derive(Clone, Copy, Debug)]
 pub struct ApiLimits {
     /// Open connections; further ones are refused with an error that says so.
@@ -126,13 +125,11 @@ impl Default for ApiLimits {
 /// What the port has done so far.
 #[derive(Debug, Default)]
 pub struct ApiCounters {
-    /// Open connections.
     pub connections: AtomicU64,
     /// Connections refused because of the limit.
     pub connections_refused: AtomicU64,
     /// Subscribers to snapshots right now, by gRPC or WebSocket.
     pub snapshot_subscribers: AtomicU64,
-    /// Snapshots handed to subscribers.
     pub snapshots_sent: AtomicU64,
     /// Clients that were cut off since they took nothing of what there was for them.
     pub subscribers_cut: AtomicU64,
@@ -140,7 +137,6 @@ pub struct ApiCounters {
     pub snapshots_missed: AtomicU64,
 }
 
-/// Shared by all request handlers.
 pub struct ApiState {
     pub hub: Arc<Hub>,
     pub clock: Clock,
@@ -162,12 +158,10 @@ pub struct ApiState {
     /// The recording that is played; `None`: everything is live.
     pub replay: Option<Replay>,
     pub history: Option<Arc<History>>,
-    /// Starts the shutdown.
     pub cancel: CancellationToken,
     pub limits: ApiLimits,
     pub counters: ApiCounters,
     pub encoder: SnapshotEncoder,
-    /// Detector timings of earlier plans.
     pub trials: Trials,
 }
 

@@ -37,13 +37,11 @@ const MAX_NAME: usize = 80;
 #[derive(Clone, Copy, Debug)]
 pub struct PeerAddress(pub SocketAddr);
 
-/// Takes what is pushed.
 #[derive(Clone)]
 pub struct Service {
     api: Arc<ApiState>,
 }
 
-/// The service, for the router.
 pub fn service(api: &Arc<ApiState>) -> PushServer<Service> {
     PushServer::new(Service { api: api.clone() }).max_decoding_message_size(MAX_MESSAGE_BYTES)
 }

@@ -48,7 +48,6 @@ pub(super) fn cameras(api: &ApiState) -> Vec<v1::Camera> {
     each.map(|(id, state)| convert::camera(&installation, *id, state)).collect()
 }
 
-/// One camera.
 pub(super) fn camera(api: &ApiState, id: CameraId) -> Result<v1::Camera, ApiError> {
     match api.hub.camera(id) {
         Some(state) => Ok(convert::camera(&api.hub.installation(), id, &state)),

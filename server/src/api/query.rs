@@ -23,7 +23,6 @@ impl QueryParameters {
         Ok(Self { left, known: Vec::new() })
     }
 
-    /// The text of a parameter.
     pub fn take(&mut self, name: &'static str) -> Result<Option<String>, ApiError> {
         self.known.push(name);
         let mut found = None;

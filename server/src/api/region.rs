@@ -28,7 +28,6 @@ impl Region {
         Ok(Self { min_m, max_m })
     }
 
-    /// Whether a place is inside.
     pub fn contains(&self, point_m: &Vector3<f64>) -> bool {
         (0..3).all(|axis| self.min_m[axis] <= point_m[axis] && point_m[axis] <= self.max_m[axis])
     }

@@ -38,7 +38,6 @@ pub struct FieldNames {
     roundels: &'static str,
 }
 
-/// In gRPC messages.
 pub const MESSAGE_FIELDS: FieldNames = FieldNames {
     ids: "object_ids",
     names: "names",
@@ -66,11 +65,9 @@ pub const QUERY_FIELDS: FieldNames = FieldNames {
 #[derive(Clone, Debug)]
 pub struct Filter {
     spec: Arc<FilterSpec>,
-    /// Of the spec.
     digest: u64,
 }
 
-/// What is in a filter.
 #[derive(Clone, Debug, Default)]
 struct FilterSpec {
     objects: ObjectSelector,
@@ -162,7 +159,6 @@ impl Hash for Filter {
 /// What a subscriber wants, and how often.
 #[derive(Clone, Debug, Default)]
 pub struct Selection {
-    /// What.
     pub filter: Filter,
     /// At most so often, above 0; `None`: each snapshot.
     pub max_rate_hz: Option<f64>,

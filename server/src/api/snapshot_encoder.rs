@@ -18,12 +18,9 @@ use roundel_proto::v1;
 use super::selection::Filter;
 use crate::model::hub::{FusedSnapshot, Hub};
 
-/// How a message is written.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
 pub enum Encoding {
-    /// As on gRPC.
     Protobuf,
-    /// As on REST.
     Json,
 }
 

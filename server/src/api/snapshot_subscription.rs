@@ -22,7 +22,6 @@ use crate::{
 /// No server makes snapshots at such a rate, so a limit there is none.
 const UNLIMITED_HZ: f64 = 1e6;
 
-/// Decides which snapshots are due.
 #[derive(Debug)]
 struct RateLimiter {
     /// `None`: each snapshot.

@@ -185,7 +185,6 @@ impl SessionEnd {
     }
 }
 
-/// One open WebSocket.
 struct Session {
     api: Arc<ApiState>,
     form: Encoding,
@@ -285,7 +284,6 @@ impl Session {
         }
     }
 
-    /// Does what a client says.
     fn handle_request(&mut self, message: &Message) -> Result<(), ApiError> {
         if matches!(message, Message::Text(_) | Message::Binary(_)) {
             self.change(StreamSelection::from_message(&self.api, message, self.form)?);

@@ -50,7 +50,6 @@ impl ReplayServer {
         Ok(Self { address, hub, replay, cancel, player: Some(thread), api })
     }
 
-    /// Where it listens.
     pub fn local_addr(&self) -> SocketAddr {
         self.address
     }

@@ -66,7 +66,6 @@ pub enum ServeError {
     Listen {
         /// What was to be bound.
         address: SocketAddr,
-        /// What the system says.
         source: io::Error,
     },
     /// The clock cannot follow a file of times.
@@ -94,21 +93,13 @@ pub enum ServeError {
     #[error(
         "camera \"{camera}\" has `source = \"push:\"`: a node takes frames from cameras, and only a server can be fed"
     )]
-    NodeIsFed {
-        /// Which camera.
-        camera: String,
-    },
+    NodeIsFed { camera: String },
     /// There cannot be a server there.
     #[error(transparent)]
     Client(roundel_client::Error),
     /// The system gives no thread.
     #[error("cannot start the thread `{name}`: {source}")]
-    Thread {
-        /// Which thread.
-        name: String,
-        /// What the system says.
-        source: io::Error,
-    },
+    Thread { name: String, source: io::Error },
 }
 
 fn remedy(error: &io::Error) -> &'static str {
@@ -243,17 +234,14 @@ impl Server {
         self.playback
     }
 
-    /// Its simulated worlds.
     pub fn fleets(&self) -> &Arc<Fleets> {
         &self.fleets
     }
 
-    /// What calibrates its arena.
     pub fn calibrator(&self) -> &Arc<Calibrator> {
         &self.calibrator
     }
 
-    /// What records what it serves.
     pub fn recorder(&self) -> Option<&Arc<Recorder>> {
         self.recorder.as_ref()
     }

@@ -24,7 +24,6 @@ const HEAD_BYTES: u64 = 16;
 /// More pixels than this are refused: a crafted header must not take all memory.
 const MAX_PIXELS: usize = 1 << 27;
 
-/// An 8-bit grey image.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
 pub struct GreyImage {
     /// Columns, pixels.
@@ -47,30 +46,18 @@ impl GreyImage {
 pub enum ImageError {
     /// It cannot be read.
     #[error("{}: cannot read the image: {source}", .path.display())]
-    Read {
-        /// Which file.
-        path: PathBuf,
-        /// What the system says.
-        source: io::Error,
-    },
+    Read { path: PathBuf, source: io::Error },
     /// It has no bytes.
     #[error("{}: expected an image, found an empty file", .path.display())]
-    Empty {
-        /// Which file.
-        path: PathBuf,
-    },
-    /// It is something else.
+    Empty { path: PathBuf },
     #[error("{}: expected a PNG, JPEG, PGM or BMP image, found {found}", .path.display())]
     FileFormat {
-        /// Which file.
         path: PathBuf,
         /// What its first bytes look like.
         found: String,
     },
-    /// It is a video.
     #[error("{}: expected a PNG, JPEG, PGM or BMP image, found {found} video", .path.display())]
     Video {
-        /// Which file.
         path: PathBuf,
         /// An MP4, an AVI, a Matroska.
         found: &'static str,
@@ -78,21 +65,13 @@ pub enum ImageError {
     /// It is larger than a frame may be.
     #[error("{}: image of {found} is too large: expected at most {MAX_SIDE_PX} pixels a side and {MAX_PIXELS} in all", .path.display())]
     TooLarge {
-        /// Which file.
         path: PathBuf,
         /// Its size.
         found: String,
     },
     /// It begins as an image and does not go on as one.
     #[error("{}: broken or truncated {kind} image: {reason}; save it again", .path.display())]
-    Broken {
-        /// Which file.
-        path: PathBuf,
-        /// PNG, JPEG, PGM or BMP.
-        kind: &'static str,
-        /// What the decoder says.
-        reason: String,
-    },
+    Broken { path: PathBuf, kind: &'static str, reason: String },
 }
 
 /// An error before the file's name is known.
@@ -126,7 +105,6 @@ impl FileFormat {
     }
 }
 
-/// Reads an image file.
 pub fn load(path: &Path) -> Result<GreyImage, ImageError> {
     let read = |source| ImageError::Read { path: path.to_owned(), source };
     let mut file = File::open(path).map_err(read)?;

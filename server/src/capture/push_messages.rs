@@ -31,11 +31,9 @@ const MAX_DEVIATION_MS: f64 = 3.6e6;
 #[derive(Clone, Debug, PartialEq, Eq, Error)]
 #[error("{field}: expected {expected}, found {found}")]
 pub struct WireFieldError {
-    /// Which, from the message on.
     pub field: String,
     /// What it may be.
     pub expected: String,
-    /// What it was.
     pub found: String,
 }
 
@@ -156,7 +154,6 @@ fn sent_clock(field: &str, clock: v1::CaptureClock) -> Result<CaptureClock, Wire
 struct FieldPath<'a> {
     /// Of the frame's observations.
     frame: &'a str,
-    /// Of the detection.
     index: usize,
     /// Of what is in it, a dot first.
     name: &'static str,

@@ -49,17 +49,13 @@ pub struct ProbeReport {
     pub error: String,
     /// Of its pictures; 0 before one.
     pub width: usize,
-    /// Likewise.
     pub height: usize,
-    /// Frames that came.
     pub frames: u64,
-    /// Frames that came broken.
     pub broken: u64,
     /// Frames a second; 0 of fewer than two.
     pub rate_hz: f64,
     /// Frames a second that it says it gives; 0: it does not say.
     pub promised_hz: f64,
-    /// Where its times come from.
     pub capture_clock: Option<CaptureClock>,
     /// Roundels in the newest frame.
     pub roundels: usize,
@@ -69,7 +65,6 @@ pub struct ProbeReport {
     pub detect_ms: f64,
 }
 
-/// Why nothing was tried.
 #[derive(Debug, Error)]
 pub enum ProbeError {
     /// The address is none.
@@ -80,7 +75,6 @@ pub enum ProbeError {
         "width and height: expected 1 to {MAX_SIDE_PX} pixels each, or neither, found {0} x {1}"
     )]
     Size(usize, usize),
-    /// Programs come by themselves.
     #[error(
         "a `push:` camera is fed by a program, so there is nothing to be opened: configure it, and look whether frames arrive"
     )]
@@ -95,7 +89,6 @@ pub enum ProbeError {
 
 /// Tries sources, one at a time.
 pub struct SourceProbe {
-    /// What is searched for.
     kinds: Vec<Kind>,
     /// Relative paths begin here.
     folder: PathBuf,

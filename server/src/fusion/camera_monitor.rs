@@ -24,7 +24,6 @@ use crate::{
 
 /// What the watch needs beside cameras.
 pub struct CameraMonitorParts {
-    /// The reference roundels.
     pub landmarks: Vec<Landmark>,
     /// Keeps what is found out.
     pub calibrator: Arc<Calibrator>,

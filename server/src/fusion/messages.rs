@@ -11,7 +11,6 @@ use crate::model::hub::Installation;
 /// Kind, body and code of an object.
 pub(super) type ObjectIdentity = (Option<KindId>, Option<BodyId>, Option<Code>);
 
-/// Something happened to an object.
 pub(super) fn object_event(
     installation: &Installation,
     event: &Event,
@@ -38,7 +37,6 @@ pub(super) fn clock_step(camera: &str) -> String {
     )
 }
 
-/// Cameras contradict a configured height.
 pub(super) fn height_mismatch(installation: &Installation, wrong: &WrongHeight) -> String {
     let what = match wrong.body {
         Some(_) => format!("\"{}\"", installation.object_name(wrong.kind, wrong.body)),

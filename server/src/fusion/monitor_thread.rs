@@ -28,10 +28,8 @@ const MAX_INPUTS: usize = 4096;
 #[cfg(target_os = "linux")]
 const NICE: i32 = 10;
 
-/// What the watch is told.
 #[derive(Clone, Debug)]
 pub(super) enum MonitorInput {
-    /// Where a camera stands.
     Placed {
         camera: CameraId,
         placement: Box<CameraPlacement>,
@@ -40,7 +38,6 @@ pub(super) enum MonitorInput {
         /// Other than it was known to.
         is_new: bool,
     },
-    /// A camera is gone.
     Removed(CameraId),
     /// A frame, and by how much its stamps are late, seconds.
     Detections(Arc<FrameObservations>, f64),
@@ -82,7 +79,6 @@ impl MonitorThread {
         Self { notes: Vec::new(), batches, findings, is_busy: false, sent: None }
     }
 
-    /// For the next batch.
     pub(super) fn note(&mut self, note: MonitorInput) {
         if self.notes.len() < MAX_INPUTS || !matches!(note, MonitorInput::Detections(..)) {
             self.notes.push(note);

@@ -14,7 +14,6 @@ use crate::model::hub::{CameraPoseState, EventKind, Hub, MountInfo, PoseStatus};
 /// Unknown for so long: told.
 const LOST_AFTER_S: f64 = 1.0;
 
-/// One camera that rides.
 #[derive(Debug)]
 struct MountedCamera {
     camera: CameraId,
@@ -25,7 +24,6 @@ struct MountedCamera {
     reported: Option<bool>,
 }
 
-/// All cameras that ride.
 #[derive(Debug, Default)]
 pub(super) struct MountedCameras {
     cameras: Vec<MountedCamera>,

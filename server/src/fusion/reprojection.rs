@@ -28,7 +28,6 @@ const MAX_AGE_NS: i64 = 250_000_000;
 /// Sum of the squares, pixels², and of how many objects.
 type SquaredSum = (f64, usize);
 
-/// All cameras.
 #[derive(Debug, Default)]
 pub(super) struct ReprojectionMonitor {
     windows: BTreeMap<CameraId, ErrorWindow>,

@@ -22,7 +22,6 @@ impl PublishSchedule {
         Self { period, is_prompt, tick: now + period, last_prompt: now }
     }
 
-    /// The next steady one.
     pub fn tick(&self) -> Instant {
         self.tick
     }

@@ -39,11 +39,8 @@ pub enum SourceAddress {
     Sim(SimAddress),
     /// A network camera that sends JPEGs.
     Http(HttpAddress),
-    /// A camera of this machine.
     Device(DeviceAddress),
-    /// What GStreamer plays.
     Media(MediaAddress),
-    /// What a remote program sends.
     Push(PushAddress),
 }
 
@@ -77,7 +74,6 @@ impl ImagesAddress {
 /// `sim:?preset=r4_lite&seed=1&robots=24&camera=0`.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct SimAddress {
-    /// Which arena.
     pub preset: SimPreset,
     /// Decides paths, noise and lighting; the same seed gives the same world to every camera.
     pub seed: u64,
@@ -87,7 +83,6 @@ pub struct SimAddress {
     pub camera: usize,
 }
 
-/// A simulated arena.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum SimPreset {
     /// The demo's: four cameras of 1280x720 at 30 Hz, plain roundels.
@@ -115,36 +110,21 @@ pub enum AddressError {
     /// An option that the scheme does not have.
     #[error("unknown option `{found}` of an `{scheme}:` source{}; its options: {}", did_you_mean(.nearest), list(.known.iter().copied()))]
     Option {
-        /// The scheme.
         scheme: &'static str,
         /// The option's name.
         found: String,
         /// The option that was probably meant.
         nearest: Option<&'static str>,
-        /// All there are.
         known: &'static [&'static str],
     },
     /// An option's value.
     #[error("option `{option}` must be {expected}, found `{found}`")]
-    Value {
-        /// Which option.
-        option: &'static str,
-        /// What it takes.
-        expected: String,
-        /// What stands there.
-        found: String,
-    },
+    Value { option: &'static str, expected: String, found: String },
     /// No files are named.
     #[error("`images:` needs a folder or a pattern, such as `images:frames/*.png?fps=30`")]
     NoPattern,
-    /// A control of a camera.
     #[error("control `{control}` must be a whole number, found `{found}`")]
-    Control {
-        /// Which one.
-        control: String,
-        /// What stands there.
-        found: String,
-    },
+    Control { control: String, found: String },
     /// Two options that exclude each other, or one that needs another.
     #[error("{0}")]
     Options(&'static str),
@@ -153,9 +133,7 @@ pub enum AddressError {
     Network {
         /// As written, without user and password.
         found: String,
-        /// What is wrong.
         reason: String,
-        /// One that is right.
         example: &'static str,
     },
 }

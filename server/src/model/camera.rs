@@ -15,7 +15,6 @@ use crate::model::capture_clock::CaptureClock;
 /// What is fixed about a camera.
 #[derive(Clone, Debug, Default)]
 pub struct CameraInfo {
-    /// Unique among the cameras.
     pub name: String,
     /// The source's URL, safe to show.
     pub source: String,
@@ -32,19 +31,16 @@ pub struct CameraInfo {
 pub struct MountInfo {
     /// The object's configured name.
     pub carrier: String,
-    /// Where it is fixed.
     pub object_from_camera: Rigid,
     /// Whether the reference roundels that it sees say where the object is.
     pub localizes: bool,
 }
 
-/// How a camera is doing.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub enum CameraStatus {
     /// Being opened, no frame yet.
     #[default]
     Starting,
-    /// Frames arrive.
     Running,
     /// Failed; tried again after a pause.
     Failed,
@@ -55,9 +51,7 @@ pub enum CameraStatus {
 /// How a camera's pose is known, or why it is not.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub enum PoseStatus {
-    /// As configured.
     Configured,
-    /// From the reference roundels.
     Found,
     /// From an arena's calibration.
     Calibrated,
@@ -86,7 +80,6 @@ pub struct CameraPoseState {
 }
 
 impl CameraPoseState {
-    /// Of a camera that stands.
     pub fn fixed(status: PoseStatus, placement: CameraPlacement) -> Self {
         Self { status, placement: Some(placement), time: None, reason: String::new() }
     }
@@ -107,7 +100,6 @@ impl Default for CameraPoseState {
 /// The changing state of a camera.
 #[derive(Clone, Debug, Default)]
 pub struct CameraState {
-    /// How it is doing.
     pub status: CameraStatus,
     /// Why it failed and what to do; empty while it runs.
     pub error: String,
@@ -115,17 +107,14 @@ pub struct CameraState {
     pub width: usize,
     /// Image size, pixels; 0 before the first frame.
     pub height: usize,
-    /// Where it is.
     pub pose: CameraPoseState,
     /// Lens and intrinsics, once known.
     pub camera: Option<Camera>,
     /// Version of the calibration in use; 0: as configured.
     pub calibration_version: u64,
-    /// Frames processed.
     pub frames: u64,
     /// Frames that gave way to newer ones.
     pub dropped: u64,
-    /// Frames that arrived broken.
     pub broken: u64,
     /// Times that the source was opened again.
     pub restarts: u64,
@@ -184,15 +173,12 @@ pub struct DetectionCounts {
 pub struct SenderLink {
     /// What the sender calls itself; empty before the first one.
     pub sender: String,
-    /// Where it connects from.
     pub address: String,
-    /// Whether there is a connection.
     pub connected: bool,
     /// Frames or detections taken, of all senders.
     pub received: u64,
     /// That were numbered and never came.
     pub missing: u64,
-    /// That came twice.
     pub repeated: u64,
     /// The shortest way there and back, milliseconds; 0: unknown.
     pub round_trip_ms: f64,

@@ -30,27 +30,18 @@ const MODELS: &str = "plumb_bob, rational_polynomial or equidistant";
 pub enum CameraFileError {
     /// It cannot be read at all.
     #[error("cannot read camera file {}: {source}; name an existing ROS camera_info YAML file", .path.display())]
-    Read {
-        /// Which file.
-        path: PathBuf,
-        /// What the system says.
-        source: io::Error,
-    },
-    /// Its content is wrong.
+    Read { path: PathBuf, source: io::Error },
     #[error("{}:{line}: {message}; {help}", .path.display())]
     Content {
-        /// Which file.
         path: PathBuf,
         /// From 1.
         line: u64,
         /// What was expected and what was found.
         message: String,
-        /// What to do.
         help: String,
     },
 }
 
-/// The keys that are read.
 #[derive(Deserialize)]
 struct CameraFileYaml {
     image_width: Option<Spanned<f64>>,
@@ -84,7 +75,6 @@ impl FieldError {
     }
 }
 
-/// Reads a camera file.
 pub fn load(path: &Path) -> Result<Camera, CameraFileError> {
     Ok(load_with_uncertainty(path)?.0)
 }

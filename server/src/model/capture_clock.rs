@@ -1,6 +1,5 @@
 //! Clocks of capture times, and their accuracy.
 
-/// Where capture times come from.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Hash)]
 pub enum TimeBase {
     /// The server's clock: simulated frames and played recordings.
@@ -20,7 +19,6 @@ pub enum TimeBase {
 /// Clock of a source's capture times, and their accuracy.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct CaptureClock {
-    /// Which clock.
     pub base: TimeBase,
     /// Standard deviation of what all these times are off by together, seconds, as long as nothing better is
     /// known; 0: they are right.

@@ -31,7 +31,6 @@ impl Clock {
         self.anchor_time
     }
 
-    /// The instant now.
     pub fn now(&self) -> Timestamp {
         self.at(Instant::now())
     }

@@ -24,9 +24,7 @@ pub enum FusionCommand {
 pub struct FusionSettings {
     /// How long objects are predicted and remembered, and how many there may be; `None`: as before.
     pub limits: Option<FusionLimits>,
-    /// What objects are known by.
     pub objects: ObjectUpdate,
-    /// The configuration that says so.
     pub config: AppliedConfig,
 }
 
@@ -39,7 +37,6 @@ pub struct AppliedConfig {
     pub renamed: Option<(String, String)>,
 }
 
-/// What fusion lets objects do.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct FusionLimits {
     /// Rms acceleration that objects are capable of, m/s²; of tracks that begin from now on.
@@ -73,14 +70,11 @@ pub struct CameraModel {
 /// Where a camera stands or what it rides on.
 #[derive(Clone, Debug)]
 pub enum CameraPose {
-    /// There.
     Fixed {
-        /// Where.
         placement: CameraPlacement,
         /// Whether a person has written it, who may not have measured well.
         is_configured: bool,
     },
-    /// Its worker will tell.
     Unknown,
     /// On an object; without a mount, on one that is not followed.
     Mounted(Option<CameraMount>, MountInfo),
@@ -89,7 +83,6 @@ pub enum CameraPose {
 /// How a camera keeps time, of which nothing was learned yet.
 #[derive(Clone, Copy, Debug)]
 pub enum ClockModel {
-    /// Its stamps are right.
     Exact,
     /// They may be off.
     Estimated(ClockPrior),
@@ -98,9 +91,7 @@ pub enum ClockModel {
 /// What fusion is told of a camera.
 #[derive(Clone, Debug)]
 pub struct CameraUpdate {
-    /// Which camera.
     pub camera: CameraId,
-    /// What.
     pub change: CameraChange,
 }
 
@@ -113,7 +104,6 @@ pub enum CameraChange {
     Localized(Box<CameraPlacement>),
     /// Whether it is not held back when it disagrees with others.
     HoldBackExempt(bool),
-    /// It was bumped.
     Quarantined,
     /// It is there no more.
     Removed,

@@ -236,7 +236,6 @@ pub fn object(installation: &Installation, record: &ObjectRecord) -> v1::Object 
     }
 }
 
-/// An event.
 pub fn event(event: &Event) -> v1::Event {
     let object_id = match event.kind {
         EventKind::ObjectStageChanged(id, _) | EventKind::ObjectConfigured(_, Some(id)) => id.0,
@@ -399,7 +398,6 @@ fn agreement(health: &CameraHealth) -> v1::CameraAgreement {
     }
 }
 
-/// Who feeds a camera.
 fn camera_link(link: &SenderLink) -> v1::CameraLink {
     v1::CameraLink {
         sender: link.sender.clone(),

@@ -11,15 +11,12 @@ use super::camera::CameraStatus;
 /// What became of an object of the configuration.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum ConfigChange {
-    /// It is new there.
     Added,
-    /// It is written otherwise.
     Changed,
     /// It is there no more.
     Removed,
 }
 
-/// What an event is about.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum EventKind {
     /// A change in an object's life.
@@ -54,13 +51,11 @@ pub enum EventKind {
     CamerasContradict,
     /// Cameras never agreed: their configured poses are not exact enough.
     CamerasMisplaced,
-    /// They agree again.
     CamerasAgree,
     /// What drives is not as high as was configured.
     HeightContradicted,
     /// A calibration of the arena records.
     CalibrationBegun,
-    /// There is a result.
     CalibrationDone,
     /// There is none, and why.
     CalibrationFailed,
@@ -68,11 +63,8 @@ pub enum EventKind {
     CalibrationApplied,
     /// What happens is recorded from now on.
     RecordingBegun,
-    /// A recording was ended.
     RecordingEnded,
-    /// A recording ended by itself.
     RecordingFailed,
-    /// A recording has gaps.
     RecordingLossy,
 }
 
@@ -117,10 +109,8 @@ pub struct Event {
     pub sequence: u64,
     /// When.
     pub time: Timestamp,
-    /// What.
     pub kind: EventKind,
     /// Name of the camera that it is about, as of then; the camera may have been renamed or removed since.
     pub camera: String,
-    /// One sentence for a person.
     pub message: String,
 }

@@ -94,7 +94,6 @@ pub struct Hub {
     fusion_counts: Mutex<FusionCounts>,
     /// Where a recording takes what it records.
     tap: Tap,
-    /// Cameras added, changed and removed.
     changes: [AtomicU64; 3],
 }
 
@@ -215,7 +214,6 @@ impl Hub {
         cameras.values().filter_map(|slot| lock(&slot.newest).clone()).collect()
     }
 
-    /// Observations from now on.
     pub fn observations(&self) -> broadcast::Receiver<Arc<FrameObservations>> {
         self.observations.subscribe()
     }

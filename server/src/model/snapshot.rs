@@ -9,6 +9,5 @@ pub struct FusedSnapshot {
     pub sequence: u64,
     /// When fusion made it.
     pub fused_time: Timestamp,
-    /// The estimates.
     pub snapshot: Snapshot,
 }

@@ -16,7 +16,6 @@ impl StopSignal {
         self.0.1.notify_all();
     }
 
-    /// Whether it is over.
     pub fn is_stopped(&self) -> bool {
         *self.0.0.lock().unwrap_or_else(PoisonError::into_inner)
     }

@@ -26,16 +26,11 @@ const QUEUE_ITEMS: usize = 4096;
 /// Frames that may wait to be compressed; they are large. Full: dropped and counted.
 const QUEUE_FRAMES: usize = 8;
 
-/// What is recorded.
 #[derive(Clone, Debug)]
 pub enum RecordedItem {
-    /// Fusion has made it.
     Snapshot(Arc<FusedSnapshot>),
-    /// Fusion has taken it, then.
     Detections(Arc<FrameObservations>, Timestamp),
-    /// It has happened.
     Event(Arc<Event>),
-    /// Fusion was told it.
     CameraUpdate(CameraUpdate),
     /// Fusion goes by it from now on.
     Settings(AppliedConfig),
@@ -46,9 +41,7 @@ pub enum RecordedItem {
 /// A frame of a camera, as it was searched.
 #[derive(Clone, Debug)]
 pub struct RawFrame {
-    /// Which camera.
     pub camera: CameraId,
-    /// Counts its frames.
     pub number: u64,
     /// Middle of the exposure.
     pub capture_time: Timestamp,
@@ -63,9 +56,7 @@ pub struct RawFrame {
 /// The same as the bytes of an image file.
 #[derive(Clone, Debug)]
 pub struct CompressedFrame {
-    /// Which camera.
     pub camera: CameraId,
-    /// Counts its frames.
     pub number: u64,
     /// Middle of the exposure.
     pub capture_time: Timestamp,
@@ -73,17 +64,13 @@ pub struct CompressedFrame {
     pub received_time: Timestamp,
     /// `jpeg` or `png`.
     pub format: &'static str,
-    /// The image file.
     pub data: Vec<u8>,
 }
 
-/// What a recording reads from.
 pub struct TapReceiver {
-    /// Everything but frames.
     pub items: Receiver<RecordedItem>,
     /// Frames to be compressed.
     pub frames: Receiver<RawFrame>,
-    /// Takes them back as pictures.
     pub compressed: SyncSender<RecordedItem>,
     /// What fusion knew of cameras as the recording began.
     pub camera_updates: Vec<CameraUpdate>,
@@ -182,7 +169,6 @@ impl Tap {
 }
 
 impl LatestCameraUpdate {
-    /// Takes news.
     pub(crate) fn apply(&mut self, change: &CameraChange) {
         let known = self.known.get_or_insert(CameraModel { pose: None, clock: None });
         match change {

@@ -17,7 +17,6 @@ use crate::{
     },
 };
 
-/// The configuration in force.
 pub fn configuration(in_force: ActiveConfig) -> Result<v1::Configuration, EditError> {
     let ActiveConfig { text, config } = in_force;
     let (cameras, objects) = (read_all(&text)?, read_all(&text)?);
@@ -62,7 +61,6 @@ pub fn configuration(in_force: ActiveConfig) -> Result<v1::Configuration, EditEr
     })
 }
 
-/// What a check has found.
 pub fn configuration_check(found: Result<ApplyPlan, Vec<Problem>>) -> v1::ConfigurationCheck {
     match found {
         Ok(ApplyPlan { changes, needs_restart }) => {

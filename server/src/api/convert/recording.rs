@@ -8,7 +8,6 @@ use crate::archive::{
     replay,
 };
 
-/// How a recording is doing.
 pub fn recording(status: &RecordingStatus) -> v1::Recording {
     let state = match status.state {
         RecordingState::Idle => v1::RecordingState::Idle,
@@ -73,7 +72,6 @@ pub fn replay(status: &replay::ReplayStatus) -> v1::Replay {
     }
 }
 
-/// Where objects were.
 pub fn history(answer: &HistoryResult) -> v1::QueryHistoryResponse {
     let point = |point: &HistoryPoint| {
         let [x, y, z] = point.position_m;

@@ -35,7 +35,6 @@ pub(super) const PATH: &str = "/roundel.v1.Roundel/SubscribeSnapshots";
 /// Average over all connections; a single one may have more.
 const SUBSCRIPTIONS_PER_CLIENT: usize = 4;
 
-/// Answers the call.
 pub(super) async fn subscribe(
     api: Arc<ApiState>,
     request: Request,

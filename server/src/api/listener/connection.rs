@@ -44,7 +44,6 @@ const KEEP_ALIVE_INTERVAL: Duration = Duration::from_secs(10);
 const KEEP_ALIVE_TIMEOUT: Duration = Duration::from_secs(10);
 /// Concurrent requests on one HTTP/2 connection.
 const MAX_STREAMS: u32 = 128;
-/// Largest head of a request.
 const MAX_HEAD_BYTES: usize = 64 * 1024;
 /// First bytes of an HTTP/2 connection (RFC 9113, section 3.4).
 const HTTP2_PREFACE: &[u8] = b"PRI * HTTP/2.0\r\n\r\nSM\r\n\r\n";
@@ -164,7 +163,6 @@ impl Connection {
     }
 }
 
-/// The requests of one connection.
 struct Requests {
     admission: OnceLock<Admission>,
     refused: Notify,

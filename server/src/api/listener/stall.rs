@@ -21,10 +21,8 @@ use tokio::time::sleep;
 
 /// Longer frames are handed out in pieces, since hyper buffers whatever it was given.
 const PIECE_BYTES: usize = 64 * 1024;
-/// Checks within the time limit.
 const CHECKS_PER_LIMIT: u32 = 4;
 
-/// The responses of one connection.
 pub(super) struct ResponseWatch {
     begin: Instant,
     /// For each open body: when it handed out its last frame, ns since `begin`; 0 if it was asked for the next one since.

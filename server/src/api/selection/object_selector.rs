@@ -47,7 +47,6 @@ impl ObjectSelector {
         })
     }
 
-    /// Whether nobody is named.
     pub(super) fn selects_all(&self) -> bool {
         self.ids.is_empty() && self.names.is_empty() && self.codes.is_empty()
     }

@@ -16,10 +16,8 @@ use crate::api::{
 
 /// Said to a client that sends something else than it should.
 const REQUEST_EXAMPLE: &str = r#"a message such as {"snapshots": {"object_ids": [1, 2], "max_rate_hz": 30}, "cameras": true, "events": true}"#;
-/// What can be included.
 const PARTS: [&str; 4] = ["snapshots", "cameras", "events", "observations"];
 
-/// What a client asked for.
 pub(super) struct StreamSelection {
     pub(super) snapshots: Option<Selection>,
     pub(super) cameras: bool,

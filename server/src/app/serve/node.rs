@@ -53,7 +53,6 @@ const FLUSH_TIMEOUT: Duration = Duration::from_secs(2);
 pub struct NodeSourceContext<'a> {
     /// The camera's pose in the configuration.
     pub index: usize,
-    /// The configuration.
     pub config: &'a Config,
     /// The node's clock.
     pub clock: Clock,
@@ -63,7 +62,6 @@ pub struct NodeSourceContext<'a> {
     pub stop: StopSignal,
 }
 
-/// A running node.
 pub struct Node {
     hub: Arc<Hub>,
     pushers: Arc<Vec<Pusher>>,
@@ -76,11 +74,8 @@ pub struct Node {
 /// What became of a camera's frames.
 #[derive(Clone, Debug)]
 pub struct NodeReport {
-    /// Its name.
     pub camera: String,
-    /// Frames that were searched.
     pub frames: u64,
-    /// What became of them.
     pub pushed: PushStatus,
 }
 
@@ -164,7 +159,6 @@ impl Node {
         Ok(Self { hub, pushers, stop, cameras, forwarder, listeners })
     }
 
-    /// How its cameras do.
     pub fn hub(&self) -> &Arc<Hub> {
         &self.hub
     }
@@ -300,7 +294,6 @@ struct ServerListener {
 type Calibrations = tokio::sync::watch::Receiver<Option<v1::PushedCalibration>>;
 
 impl ServerListener {
-    /// Takes lenses over.
     async fn follow(self, mut calibrations: Calibrations) {
         while calibrations.changed().await.is_ok() {
             let Some(calibration) = calibrations.borrow_and_update().clone() else { continue };

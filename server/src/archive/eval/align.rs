@@ -22,7 +22,6 @@ const MAX_INSTANTS: usize = 400;
 pub struct Pair {
     /// As estimated, at the estimate's time.
     pub estimate: Sample,
-    /// In truth, then.
     pub truth: Sample,
 }
 

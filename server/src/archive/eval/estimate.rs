@@ -20,16 +20,13 @@ pub struct RecordedTrajectories {
     pub objects: BTreeMap<u64, RecordedObject>,
     /// Seconds from the capture of the newest observation to the snapshot that it is in.
     pub latencies_s: Vec<f64>,
-    /// Pose times of all snapshots.
     pub times: Vec<Timestamp>,
 }
 
-/// One object.
 #[derive(Clone, Debug, Default)]
 pub struct RecordedObject {
     /// Its number in its code, if it has one.
     pub code: Option<u32>,
-    /// Where it was.
     pub trajectory: Trajectory,
 }
 

@@ -13,7 +13,6 @@ use super::{
 /// A pause this many times as long as usual is a gap.
 const GAP_FACTOR: f64 = 3.0;
 
-/// How to compare.
 #[derive(Clone, Debug)]
 pub struct EvalSettings {
     /// Whether frames may differ by a rigid transform.
@@ -39,22 +38,17 @@ impl Default for EvalSettings {
 pub struct ErrorStatistics {
     /// Root mean square.
     pub rms: f64,
-    /// Mean.
     pub mean: f64,
-    /// Median.
     pub median: f64,
     /// Standard deviation about the mean.
     pub std: f64,
     /// Exceeded by one in twenty.
     pub p95: f64,
-    /// The largest.
     pub max: f64,
-    /// How many.
     pub count: usize,
 }
 
 impl ErrorStatistics {
-    /// Of these.
     pub fn of(mut errors: Vec<f64>) -> Self {
         if errors.is_empty() {
             return Self::default();
@@ -78,10 +72,8 @@ impl ErrorStatistics {
     }
 }
 
-/// One object beside its truth.
 #[derive(Clone, Debug, Serialize)]
 pub struct ObjectMetrics {
-    /// As the truth calls it.
     pub name: String,
     /// The recording's id of it.
     pub object_id: u64,
@@ -104,7 +96,6 @@ pub struct ObjectMetrics {
     pub pairs: Vec<Pair>,
 }
 
-/// What an evaluation says.
 #[derive(Clone, Debug, Serialize)]
 pub struct EvalMetrics {
     /// What the truth's clock was taken to be ahead of the recording's, seconds.
@@ -115,7 +106,6 @@ pub struct EvalMetrics {
     pub rotation_xyzw: [f64; 4],
     /// Of all objects together, metres.
     pub ate_m: ErrorStatistics,
-    /// Likewise.
     pub rpe_m: ErrorStatistics,
     /// Samples between the ends of a move.
     pub rpe_delta: usize,

@@ -74,7 +74,6 @@ pub enum EvalError {
     /// The other system's file is not what it should be.
     #[error("{file}:{line}: {message}")]
     Truth {
-        /// Which file.
         file: String,
         /// Where in it, from 1.
         line: usize,
@@ -92,12 +91,10 @@ pub enum EvalError {
         "the recording and the truth have {found} instants in common, and at least {MIN_PAIRS} are needed; {hint}"
     )]
     Apart {
-        /// How many they have.
         found: usize,
         /// What may be the matter.
         hint: String,
     },
 }
 
-/// Fewer instants say nothing.
 pub const MIN_PAIRS: usize = 10;

@@ -21,7 +21,6 @@ use crate::model::config::HistoryConfig;
 use crate::model::{hub::Hub, stop::StopSignal};
 use store::{HistoryQuery, HistoryResult, Store};
 
-/// A grade of coarseness.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Tier {
     /// From one point of an object to the next.
@@ -44,23 +43,13 @@ pub const TIERS: [Tier; 5] = [
 pub enum HistoryError {
     /// The file is not one, or cannot be used.
     #[error("the history {}: {source}; `file` in [history] says where it is", .path.display())]
-    Store {
-        /// Which.
-        path: PathBuf,
-        /// What SQLite says.
-        source: rusqlite::Error,
-    },
+    Store { path: PathBuf, source: rusqlite::Error },
     /// It is of a later version.
     #[error(
         "the history {} was written by a newer Roundel (format {found}): use that one, or name another `file` in [history]",
         .path.display()
     )]
-    Newer {
-        /// Which.
-        path: PathBuf,
-        /// Its format.
-        found: i64,
-    },
+    Newer { path: PathBuf, found: i64 },
     /// The query is for too much.
     #[error("{0}")]
     TooManyPoints(String),

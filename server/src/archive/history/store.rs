@@ -14,7 +14,6 @@ use rusqlite::{Connection, OptionalExtension, params};
 
 use super::{HistoryError, TIERS};
 
-/// What is written today.
 const FORMAT_VERSION: i64 = 1;
 /// Points that one query may be answered with.
 pub const MAX_POINTS: usize = 5000;
@@ -31,22 +30,18 @@ const TABLES: &str = "
         z REAL NOT NULL, yaw REAL, PRIMARY KEY (tier, object, time_ns)) WITHOUT ROWID;
 ";
 
-/// Who an object is.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
 pub struct HistoryObject {
     /// The run of the server that gave the id.
     pub run: String,
-    /// Given by it.
     pub id: u64,
     /// Its configured name, or empty.
     pub name: String,
-    /// Its kind of roundel.
     pub kind: String,
     /// Number of its code; 0: none.
     pub code: u32,
 }
 
-/// Where something was.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct HistoryPoint {
     /// When.
@@ -57,14 +52,12 @@ pub struct HistoryPoint {
     pub yaw_rad: Option<f64>,
 }
 
-/// What is asked.
 #[derive(Clone, Debug, PartialEq)]
 pub struct HistoryQuery {
     /// Ids, names or codes' numbers; empty: all.
     pub objects: Vec<String>,
     /// Smallest and largest corner.
     pub region_m: Option<[[f64; 3]; 2]>,
-    /// From then …
     pub from: Timestamp,
     /// … until then.
     pub until: Timestamp,
@@ -75,7 +68,6 @@ pub struct HistoryQuery {
     pub step_s: Option<f64>,
 }
 
-/// What is known.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct HistoryResult {
     /// Each object with its points, in the order of time.
@@ -86,7 +78,6 @@ pub struct HistoryResult {
     pub kept: Option<(Timestamp, Timestamp)>,
 }
 
-/// A connection to the file.
 pub struct Store {
     path: PathBuf,
     connection: Connection,
@@ -197,7 +188,6 @@ impl Store {
         keys.collect::<Result<_, _>>().map_err(|it| self.failed(it))
     }
 
-    /// Answers a query.
     pub fn query(&self, query: &HistoryQuery) -> Result<HistoryResult, HistoryError> {
         let objects = self.objects(query)?;
         let length_ns = query.until.ns_since(query.from).max(1);

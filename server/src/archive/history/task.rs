@@ -20,7 +20,6 @@ use super::{
 use crate::model::{hub::Hub, stop::StopSignal};
 
 const POLL_INTERVAL: Duration = Duration::from_millis(50);
-/// Points are written together.
 const WRITE_EVERY: Duration = Duration::from_secs(1);
 const FORGET_EVERY: Duration = Duration::from_secs(60);
 /// A disk that fails is tried again after this; what was to be written meanwhile is lost.

@@ -25,7 +25,6 @@ use super::{
     schema::{FORMAT_VERSION, FRAME_TOPIC_PREFIX, IMAGE_SCHEMA, METADATA, Topic},
 };
 
-/// Opcode and length.
 const RECORD_HEADER_LEN: u64 = 9;
 
 /// A file that is being read.
@@ -76,7 +75,6 @@ impl FileReader {
         Ok(reader)
     }
 
-    /// The file.
     pub fn path(&self) -> &Path {
         &self.path
     }
@@ -106,7 +104,6 @@ impl FileReader {
         self.channels.values().any(|source| matches!(source, Channel::Frame(_)))
     }
 
-    /// Earliest and latest log time.
     pub fn span(&self) -> Option<(Timestamp, Timestamp)> {
         // A chunk without messages, such as that of the schemas, has no times.
         let timed = || self.chunks.iter().filter(|chunk| chunk.end.as_ns() > 0);

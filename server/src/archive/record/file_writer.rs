@@ -126,7 +126,6 @@ impl FileWriter {
         Ok(writer)
     }
 
-    /// Where it is.
     pub fn path(&self) -> &Path {
         &self.path
     }
@@ -136,12 +135,10 @@ impl FileWriter {
         self.written.load(Ordering::Relaxed)
     }
 
-    /// Messages in it.
     pub fn messages(&self) -> u64 {
         self.messages
     }
 
-    /// Adds a message.
     pub fn write(
         &mut self,
         topic: Topic,

@@ -15,12 +15,10 @@ pub const MAX_NAME_LEN: usize = 100;
 const FILE_EXTENSION: &str = ".mcap";
 const SECONDS_A_DAY: i64 = 86_400;
 
-/// A file of a recording.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct RecordingFile {
     /// Without its folder.
     pub name: String,
-    /// Its length.
     pub bytes: u64,
     /// Begin of the recording.
     pub started: Timestamp,

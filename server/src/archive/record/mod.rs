@@ -50,36 +50,21 @@ pub struct RecordingOptions {
 /// Why nothing is recorded, or not ended.
 #[derive(Debug, Error)]
 pub enum RecordError {
-    /// There is one.
     #[error("a recording is being made, into {0}: end it first")]
     Busy(String),
     /// There is none.
     #[error("nothing is being recorded")]
     NotRecording,
-    /// Names become names of files.
     #[error("{0}")]
     Name(String),
     /// The folder cannot be written.
     #[error("cannot record into {}: {source}; correct `folder` in [recording], or its permissions", .folder.display())]
-    Folder {
-        /// Which.
-        folder: PathBuf,
-        /// What the system says.
-        source: io::Error,
-    },
-    /// The disk is too full.
+    Folder { folder: PathBuf, source: io::Error },
     #[error(
         "the disk of {} has {} left, and `min_free_mb` in [recording] keeps {} of it: make room, or record elsewhere",
         .folder.display(), megabytes(*.free_bytes), megabytes(*.min_free_bytes)
     )]
-    Full {
-        /// Which.
-        folder: PathBuf,
-        /// What it has left.
-        free_bytes: u64,
-        /// What it is to keep.
-        min_free_bytes: u64,
-    },
+    Full { folder: PathBuf, free_bytes: u64, min_free_bytes: u64 },
     /// The system gives no thread.
     #[error("cannot start the thread of the recording: {0}")]
     Thread(io::Error),
@@ -94,46 +79,34 @@ pub fn megabytes(bytes: u64) -> String {
     }
 }
 
-/// How far a recording is.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub enum RecordingState {
     /// There was none.
     #[default]
     Idle,
-    /// It is being made.
     Recording,
-    /// It was ended.
     Stopped,
-    /// It ended by itself.
     Failed,
 }
 
 /// How the recording that is being made is doing, or the last one did.
 #[derive(Clone, Debug, Default)]
 pub struct RecordingStatus {
-    /// How far it is.
     pub state: RecordingState,
     /// Its newest file, without folder.
     pub file: String,
-    /// Where its files are.
     pub folder: PathBuf,
     /// When it began.
     pub started: Timestamp,
     /// How long it has lasted, seconds.
     pub seconds: f64,
-    /// Of all its files.
     pub bytes: u64,
-    /// How many files.
     pub files: u32,
-    /// Messages in them.
     pub messages: u64,
     /// Messages that are missing, since the disk is too slow.
     pub dropped: u64,
-    /// What the disk has left.
     pub disk_free_bytes: u64,
-    /// As configured.
     pub budget_bytes: u64,
-    /// Older files that made room.
     pub deleted: u32,
     /// Why it ended by itself, and what to do.
     pub error: String,
@@ -214,7 +187,6 @@ impl Recorder {
         Ok(())
     }
 
-    /// How it is doing.
     pub fn status(&self) -> RecordingStatus {
         let mut status = self.shared.status().clone();
         if status.state == RecordingState::Recording {

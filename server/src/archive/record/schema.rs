@@ -23,17 +23,12 @@ pub const IMAGE_SCHEMA: &str = "foxglove.CompressedImage";
 /// What a recording tells, apart from frames.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
 pub enum Topic {
-    /// What fusion has made.
     Snapshots,
-    /// What it has taken.
     Observations,
-    /// What has happened.
     Events,
     /// What fusion was told of cameras.
     Calibration,
-    /// What all was configured by.
     Configuration,
-    /// How cameras are doing.
     Health,
 }
 
@@ -48,7 +43,6 @@ impl Topic {
         Self::Health,
     ];
 
-    /// As in the file.
     pub fn name(self) -> &'static str {
         match self {
             Self::Snapshots => "/snapshots",
@@ -60,7 +54,6 @@ impl Topic {
         }
     }
 
-    /// Full name of its messages.
     pub fn schema(self) -> &'static str {
         match self {
             Self::Snapshots => "roundel.v1.Snapshot",
@@ -79,7 +72,6 @@ pub struct CompressedImage {
     /// When it was captured.
     #[prost(message, optional, tag = "1")]
     pub timestamp: Option<prost_types::Timestamp>,
-    /// The image file.
     #[prost(bytes = "vec", tag = "2")]
     pub data: Vec<u8>,
     /// `jpeg` or `png`.

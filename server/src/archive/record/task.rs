@@ -47,7 +47,6 @@ pub(super) struct RecordingTask {
     length: Option<Duration>,
     file: Option<FileWriter>,
     file_begun: Instant,
-    /// Of the files before.
     bytes: u64,
     messages: u64,
     files: u32,

@@ -16,18 +16,13 @@ use crate::model::tap::{RecordedItem, TapReceiver};
 /// A chunk is closed after so many recorded seconds, as in recordings that are made live.
 const FLUSH_INTERVAL: Duration = Duration::from_millis(500);
 
-/// What came of it.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct CopySummary {
-    /// Messages that were written.
     pub messages: u64,
-    /// Of them, snapshots.
     pub snapshots: u64,
-    /// Length of the new file.
     pub bytes: u64,
     /// Messages that said what cannot be, and were left out.
     pub invalid_messages: u64,
-    /// Of the recording.
     pub seconds: f64,
 }
 
@@ -88,7 +83,6 @@ pub fn copy(
     Ok(copied)
 }
 
-/// What nobody makes anew.
 fn copy_unchanged(file: &mut FileWriter, raw: &RecordedMessage, wants_all: bool) -> io::Result<()> {
     let sequence = u64::from(raw.sequence);
     let stamp = MessageStamp { log_time: raw.log_time, publish_time: raw.publish_time, sequence };

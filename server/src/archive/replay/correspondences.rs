@@ -77,11 +77,8 @@ pub enum CorrespondenceError {
     /// It has no such camera.
     #[error("{}: expected one of the recorded cameras {cameras}, found \"{camera}\"{hint}", .path.display())]
     NoCamera {
-        /// The file.
         path: PathBuf,
-        /// As asked for.
         camera: String,
-        /// All that there are.
         cameras: String,
         /// What may have been meant.
         hint: String,
@@ -91,45 +88,23 @@ pub enum CorrespondenceError {
         "{}: camera \"{camera}\" rides on an object; only the lens of a camera that stands is found this way: calibrate \
          this one with the printed board", .path.display()
     )]
-    Rides {
-        /// The file.
-        path: PathBuf,
-        /// As asked for.
-        camera: String,
-    },
+    Rides { path: PathBuf, camera: String },
     /// Nobody saw anything, or not the camera.
     #[error(
         "{}: camera \"{camera}\" saw no coded roundel in {frames} frames of {others} frames of all cameras: record while robots \
          with coded roundels ([[roundel]] with `code`) drive before it", .path.display()
     )]
-    SawNothing {
-        /// The file.
-        path: PathBuf,
-        /// As asked for.
-        camera: String,
-        /// Its frames.
-        frames: u64,
-        /// Frames of all cameras.
-        others: u64,
-    },
+    SawNothing { path: PathBuf, camera: String, frames: u64, others: u64 },
     /// No other camera saw what it saw.
     #[error(
         "{}: camera \"{camera}\" saw coded roundels {sightings} times, and no other camera saw one of them at the same time: \
          cameras must overlap, and the others must be placed (`roundel calibrate arena`)", .path.display()
     )]
-    Alone {
-        /// The file.
-        path: PathBuf,
-        /// As asked for.
-        camera: String,
-        /// Coded roundels in its frames.
-        sightings: usize,
-    },
+    Alone { path: PathBuf, camera: String, sightings: usize },
 }
 
 type CodedRoundel = (KindId, Code);
 
-/// What was gathered so far.
 #[derive(Default)]
 struct CorrespondenceBuilder {
     waypoints: BTreeMap<CodedRoundel, Vec<Waypoint>>,

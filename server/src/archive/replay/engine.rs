@@ -57,7 +57,6 @@ const OBSERVATION_CACHE_LEN: usize = 64;
 pub struct EngineSettings {
     /// As it begins.
     pub config: Config,
-    /// Of the cameras, by name.
     pub lenses: Lenses,
     /// Whether it is the recorded one, and changes as that did.
     pub is_recorded: bool,
@@ -77,7 +76,6 @@ struct PoseTime {
     pose_time_ns: i64,
 }
 
-/// Where a recording happens.
 pub struct Engine {
     hub: Arc<Hub>,
     clock: Clock,
@@ -114,7 +112,6 @@ impl Engine {
         }
     }
 
-    /// Whether anything is fused anew.
     pub fn fuses(&self) -> bool {
         self.task.is_some()
     }
@@ -174,7 +171,6 @@ impl Engine {
         Ok(())
     }
 
-    /// Has a message happen.
     pub fn process(&mut self, raw: &RecordedMessage, reader: &mut Reader) {
         let is_sound = match &raw.channel {
             Channel::Topic(Topic::Snapshots) => self.process_snapshot(raw),

@@ -52,37 +52,17 @@ pub enum ReplayError {
     /// It cannot be read.
     #[error(transparent)]
     Read(#[from] ReadError),
-    /// The disk fails.
     #[error("cannot read {}: {source}", .path.display())]
-    Io {
-        /// Which file.
-        path: PathBuf,
-        /// What the system says.
-        source: std::io::Error,
-    },
+    Io { path: PathBuf, source: std::io::Error },
     /// It has no message of the kind that is asked for.
     #[error("{}: has no {what}; {remedy}", .path.display())]
-    Lacks {
-        /// Which file.
-        path: PathBuf,
-        /// What it lacks.
-        what: &'static str,
-        /// What to do.
-        remedy: &'static str,
-    },
+    Lacks { path: PathBuf, what: &'static str, remedy: &'static str },
     /// Its configuration is not one.
     #[error(
         "{}: the configuration {origin} cannot be used: {}; give another one with --config FILE",
         .path.display(), sentences(.problems)
     )]
-    Config {
-        /// Which file.
-        path: PathBuf,
-        /// Whose configuration.
-        origin: String,
-        /// What is wrong with it.
-        problems: Vec<Problem>,
-    },
+    Config { path: PathBuf, origin: String, problems: Vec<Problem> },
     /// What is configured cannot be.
     #[error(transparent)]
     Object(#[from] ObjectError),
@@ -95,11 +75,8 @@ fn sentences(problems: &[Problem]) -> String {
 /// What is to be done, and how far it is.
 #[derive(Clone, Debug, Default)]
 pub struct ReplayStatus {
-    /// The file.
     pub file: PathBuf,
-    /// What is taken from it.
     pub from: ReplayFrom,
-    /// Nothing goes on.
     pub paused: bool,
     /// Recorded seconds in one.
     pub speed: f64,
@@ -148,7 +125,6 @@ impl Replay {
         Self { shared: Arc::new((Mutex::new(state), Condvar::new())) }
     }
 
-    /// How far it is.
     pub fn status(&self) -> ReplayStatus {
         self.lock().status.clone()
     }

@@ -19,15 +19,12 @@ use crate::archive::record::{
 
 /// What is to be done before a message happens.
 enum PlayerStep {
-    /// It is due.
     Play,
-    /// Go on elsewhere.
     Seek(Timestamp),
     /// End.
     StopSignal,
 }
 
-/// Plays a recording.
 pub struct Player {
     pub reader: Reader,
     pub engine: Engine,

@@ -43,7 +43,6 @@ impl Reader {
         Ok(Self { file, reads_ahead, ready, frames, read_until, from })
     }
 
-    /// The file.
     pub fn file(&self) -> &FileReader {
         &self.file
     }
@@ -106,7 +105,6 @@ impl Reader {
         self.frames.remove(&(Arc::from(camera), number))
     }
 
-    /// Whether there was another chunk.
     fn read(&mut self) -> io::Result<bool> {
         let Some(messages) = self.file.next_chunk()? else { return Ok(false) };
         for message in messages {
@@ -129,10 +127,8 @@ impl Reader {
     }
 }
 
-/// What fusion was told.
 #[derive(Clone, Debug)]
 pub enum FusionUpdate {
-    /// Of a camera.
     Camera(v1::FusedCamera),
     /// Of objects and what they may do.
     Settings(v1::RecordedConfiguration),
@@ -140,7 +136,6 @@ pub enum FusionUpdate {
 
 /// What a recording says of itself at its begin, and of cameras and objects later on.
 pub struct RecordingHeader {
-    /// What it was recorded with.
     pub configuration: v1::RecordedConfiguration,
     /// Everything that fusion was told, in its order.
     pub updates: Vec<(Timestamp, FusionUpdate)>,
@@ -149,7 +144,6 @@ pub struct RecordingHeader {
 }
 
 impl RecordingHeader {
-    /// Reads it.
     pub fn read(reader: &mut Reader) -> Result<Self, ReplayError> {
         let configurations = reader.all::<v1::RecordedConfiguration>(Topic::Configuration)?;
         let configuration = configurations.first().map(|(_, it)| it.clone());

@@ -27,9 +27,7 @@ use crate::{
 /// What is to be played.
 #[derive(Clone, Debug, Default)]
 pub struct ReplayOptions {
-    /// The recording.
     pub file: PathBuf,
-    /// What is taken from it.
     pub from: ReplayFrom,
     /// In place of the recorded configuration.
     pub config: Option<PathBuf>,

@@ -107,7 +107,6 @@ impl Schedule {
     }
 }
 
-/// Plays a schedule.
 pub(super) struct ImageSource {
     schedule: Schedule,
     size: (usize, usize),

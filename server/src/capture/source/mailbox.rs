@@ -60,7 +60,6 @@ impl<T> MailboxSender<T> {
         self.0.changed.notify_one();
     }
 
-    /// Counts items that arrived broken.
     pub(super) fn count_broken(&self, count: u64) {
         self.0.lock().broken += count;
     }
@@ -86,9 +85,7 @@ impl<T> MailboxSender<T> {
 #[derive(Debug, PartialEq, Eq)]
 pub(super) struct Received<T> {
     pub(super) item: T,
-    /// Items that it replaced.
     pub(super) replaced: u64,
-    /// Items that arrived broken.
     pub(super) broken: u64,
 }
 

@@ -59,7 +59,6 @@ pub struct FrameInfo {
     pub skipped: u64,
     /// Frames dropped since the one before, because they arrived broken.
     pub broken: u64,
-    /// Time that decoding took.
     pub decoding: Duration,
 }
 
@@ -76,17 +75,14 @@ impl FrameInfo {
 pub struct LentFrame<'a> {
     /// The pixels.
     pub frame: Frame<'a>,
-    /// Capture time and counts.
     pub info: FrameInfo,
 }
 
 /// Why there is no further frame.
 #[derive(Clone, Debug, PartialEq, Eq, Error)]
 pub enum SourceError {
-    /// The server goes down.
     #[error("stopped")]
     Stopped,
-    /// All frames were played.
     #[error("no more frames")]
     Finished,
     /// Pictures of another size than the camera file's.
@@ -95,11 +91,9 @@ pub enum SourceError {
         .expected.0, .expected.1, .found.0, .found.1
     )]
     Size {
-        /// Which picture, or whose.
         what: String,
         /// Columns and rows, as the camera file says.
         expected: (usize, usize),
-        /// Those of the picture.
         found: (usize, usize),
     },
     /// What failed and what to do.
@@ -120,12 +114,10 @@ pub struct RemoteDetections {
     pub figures: Option<push::RemoteStats>,
 }
 
-/// What a source gives.
 #[derive(Debug)]
 pub enum SourceOutput<'a> {
     /// A frame, to be searched.
     Frame(LentFrame<'a>),
-    /// What was seen in one.
     Detections(Box<RemoteDetections>),
 }
 
@@ -157,7 +149,6 @@ struct SourceParts {
 
 /// What a worker opens its source with, and opens it again after a failure.
 pub trait OpenSource: Send {
-    /// Opens the source.
     fn open(&mut self) -> Result<Box<dyn FrameSource>, SourceError>;
 
     /// Waits before it is opened again: so long, unless the source knows better. Whether the server goes down.

@@ -31,7 +31,6 @@ pub enum SampleFormat {
     Mipi12,
     /// Ten bits each without gaps, the lowest first (GenICam's Mono10p).
     Bits10,
-    /// Twelve, likewise (Mono12p).
     Bits12,
     /// Two in three bytes: upper eight, both lower four, upper eight (GigE Vision's Mono12Packed).
     Gige12,
@@ -51,12 +50,10 @@ pub enum PixelFormat {
     Bayer(SampleFormat),
 }
 
-/// A picture as it came.
 #[derive(Clone, Copy, Debug)]
 pub struct RawImage<'a> {
     /// What the bytes mean.
     pub format: PixelFormat,
-    /// From the top left on.
     pub bytes: &'a [u8],
     /// Columns, pixels.
     pub width: usize,
@@ -69,7 +66,6 @@ pub struct RawImage<'a> {
 /// Why bytes are no picture.
 #[derive(Clone, Debug, PartialEq, Eq, Error)]
 pub enum PixelError {
-    /// Its sides.
     #[error(transparent)]
     Frame(#[from] FrameError),
     /// A mosaic without neighbours.
@@ -82,18 +78,11 @@ pub enum PixelError {
     },
     /// Rows overlap.
     #[error("expected rows of at least {expected} bytes, found {found}")]
-    Stride {
-        /// That the width needs.
-        expected: usize,
-        /// That were said.
-        found: usize,
-    },
+    Stride { expected: usize, found: usize },
     /// Too few bytes.
     #[error("expected at least {expected} bytes for {width} x {height} pixels, found {found}")]
     Length {
-        /// That it needs.
         expected: usize,
-        /// That there are.
         found: usize,
         /// Columns.
         width: usize,
@@ -117,7 +106,6 @@ impl SampleFormat {
 }
 
 impl PixelFormat {
-    /// 8-bit grey.
     pub const GREY8: Self = Self::Grey(SampleFormat::Eight);
 
     /// The format of a four-character code, as Video4Linux has them; `None`: it is compressed, or not known.

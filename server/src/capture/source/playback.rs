@@ -38,38 +38,26 @@ pub struct Playback {
 pub enum TimesError {
     /// It cannot be read.
     #[error("cannot read the capture times {}: {source}", .path.display())]
-    Read {
-        /// Which file.
-        path: PathBuf,
-        /// What the system says.
-        source: io::Error,
-    },
+    Read { path: PathBuf, source: io::Error },
     /// A line is no time.
     #[error("{}:{line}: expected nanoseconds since the Unix epoch, found {found:?}", .path.display())]
     Line {
-        /// Which file.
         path: PathBuf,
         /// From 1.
         line: usize,
-        /// What stands there.
         found: String,
     },
     /// Times go backwards or stand still.
     #[error("{}:{line}: expected a time after that of the line before, found {found}", .path.display())]
     Order {
-        /// Which file.
         path: PathBuf,
         /// From 1.
         line: usize,
-        /// What stands there.
         found: i64,
     },
     /// There is none.
     #[error("{}: expected capture times, one a line, found none", .path.display())]
-    Empty {
-        /// Which file.
-        path: PathBuf,
-    },
+    Empty { path: PathBuf },
 }
 
 impl Playback {

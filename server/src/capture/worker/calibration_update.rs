@@ -9,9 +9,7 @@ use super::PoseSource;
 /// What a camera is from its next frame on.
 #[derive(Clone, Debug)]
 pub struct CalibrationUpdate {
-    /// Its lens.
     pub lens: Camera,
-    /// Where it stands.
     pub pose: PoseSource,
     /// Of the calibration that says so.
     pub version: u64,

@@ -57,7 +57,6 @@ use pose_search::{PoseSearch, SearchProgress};
 use rate_monitor::{RateEvent, RateMonitor};
 use statistics::{RateMeter, RunningMedian};
 
-/// What workers hand to fusion.
 #[derive(Clone, Debug)]
 pub struct WorkerOutput {
     /// What was seen in one frame.
@@ -66,14 +65,12 @@ pub struct WorkerOutput {
     pub placement: Option<CameraPlacement>,
 }
 
-/// What a worker has counted.
 #[derive(Clone, Copy, Debug, Default)]
 pub struct WorkerCounts {
     /// Frames processed, which their numbers go on from.
     pub frames: u64,
     /// Frames that gave way to newer ones.
     pub dropped: u64,
-    /// Frames that arrived broken.
     pub broken: u64,
     /// What became of rings and candidates.
     pub detection: DetectionCounts,
@@ -81,21 +78,15 @@ pub struct WorkerCounts {
 
 /// What a worker is made of.
 pub struct WorkerParts {
-    /// Which camera.
     pub id: CameraId,
-    /// Its name, for messages.
     pub name: String,
-    /// Where its frames come from.
     pub opener: Box<dyn OpenSource>,
-    /// What is done with them.
     pub pipeline: Pipeline,
-    /// Where it stands.
     pub pose: PoseSource,
     /// Of the calibration that `pose_source` and the pipeline's lens are of; 0: of the configuration.
     pub calibration_version: u64,
     /// Where news of both arrive.
     pub mailbox: CalibrationMailbox,
-    /// Where the results go.
     pub hub: Arc<Hub>,
     /// To fusion; when it is full, the observations are dropped and counted.
     pub fusion: SyncSender<WorkerOutput>,
@@ -126,7 +117,6 @@ pub struct Worker {
     broken: u64,
     /// Since when frames arrive.
     running_since: Option<Instant>,
-    /// Whether any have arrived before.
     has_run: bool,
 }
 

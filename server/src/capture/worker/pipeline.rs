@@ -17,7 +17,6 @@ use crate::model::hub::DetectionCounts;
 /// What a pipeline is made of.
 #[derive(Clone, Debug)]
 pub struct PipelineParts {
-    /// The roundels looked for.
     pub kinds: Vec<Kind>,
     /// How they are looked for; with the mode, how they are located too.
     pub params: Params,
@@ -34,9 +33,7 @@ pub struct PipelineParts {
 /// Of what camera a frame is, and which of its frames.
 #[derive(Clone, Copy, Debug)]
 pub struct FrameHeader {
-    /// Which camera.
     pub camera: CameraId,
-    /// Of the calibration in use.
     pub calibration_version: u64,
     /// Counts the camera's frames.
     pub frame: u64,
@@ -49,9 +46,7 @@ pub struct FrameHeader {
 /// How long a frame took.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct StageTimes {
-    /// Following and searching.
     pub find_ms: f64,
-    /// Locating what was found.
     pub locate_ms: f64,
 }
 

@@ -20,18 +20,14 @@ const WINDOW_FRAMES: usize = 15;
 /// A place whose references fit worse than this is not believed.
 const MAX_RMS_M: f64 = 0.05;
 
-/// How far the search is.
 #[derive(Debug, PartialEq)]
 pub(super) enum SearchProgress {
     /// The window is not full yet.
     Waiting,
     /// An attempt failed, and why; the next one has begun.
     Failed(String),
-    /// Found.
     Found {
-        /// Where the camera is.
         placement: Box<CameraPlacement>,
-        /// From how many references.
         references: usize,
         /// How well they fit, metres.
         rms_m: f64,

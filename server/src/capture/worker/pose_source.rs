@@ -14,12 +14,7 @@ pub enum PoseSource {
     /// Known from the start, and how.
     Fixed(PoseStatus, Box<CameraPlacement>),
     /// To be found from roundels of these kinds at these places.
-    Unknown {
-        /// The references.
-        references: Vec<Reference>,
-        /// Their kinds of roundel.
-        kinds: Vec<KindId>,
-    },
+    Unknown { references: Vec<Reference>, kinds: Vec<KindId> },
     /// On an object: fusion says where.
     Mounted,
     /// Where it did before: nothing is said of it anew.

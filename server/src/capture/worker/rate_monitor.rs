@@ -19,16 +19,10 @@ const RESTORED_DEVIATION: f64 = 0.1;
 /// Arrivals remembered at most, whatever the rate.
 const MAX_ARRIVALS: usize = 16_384;
 
-/// What there is to tell.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(super) enum RateEvent {
     /// It gives so many a second, and so many were promised.
-    Off {
-        /// Found.
-        found_hz: f64,
-        /// Promised.
-        promised_hz: f64,
-    },
+    Off { found_hz: f64, promised_hz: f64 },
     /// It gives what was promised again.
     Restored,
 }

@@ -168,7 +168,6 @@ mod tests {
         }
     }
 
-    /// One source after the other.
     struct ScriptedOpener(VecDeque<ScriptedSource>);
 
     impl OpenSource for ScriptedOpener {

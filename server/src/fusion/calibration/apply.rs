@@ -16,7 +16,6 @@ use crate::{
 type FoundPose = (CameraId, CameraPlacement, Camera);
 
 impl Shared {
-    /// All that a calibration found.
     pub(super) fn apply(&self, report: &CalibrationReport) {
         let found = report
             .cameras

@@ -30,24 +30,12 @@ const HEADER: &str = "# Where cameras stand, as `roundel calibrate arena` and th
 pub enum CalibrationFileError {
     /// It cannot be read.
     #[error("cannot read calibration file {}: {source}; mend that, or delete the file to go back to the configuration's poses", .path.display())]
-    Read {
-        /// Which file.
-        path: PathBuf,
-        /// What the system says.
-        source: io::Error,
-    },
+    Read { path: PathBuf, source: io::Error },
     /// It cannot be written.
     #[error("cannot write calibration file {}: {source}; the server goes on with the new poses and forgets them when it ends", .path.display())]
-    Write {
-        /// Which file.
-        path: PathBuf,
-        /// What the system says.
-        source: io::Error,
-    },
-    /// Its content is wrong.
+    Write { path: PathBuf, source: io::Error },
     #[error("{}: {message}; the server writes this file: undo what was changed in it, or delete it to go back to the configuration's poses", .path.display())]
     Content {
-        /// Which file.
         path: PathBuf,
         /// What was expected and what was found, where.
         message: String,
@@ -62,7 +50,6 @@ pub struct CalibrationFile {
     pub version: u64,
     /// When, Unix time, seconds.
     pub made_unix_s: i64,
-    /// Those that have one.
     #[serde(default, rename = "camera")]
     pub cameras: Vec<StoredCamera>,
 }

@@ -55,7 +55,6 @@ const MIN_REFERENCES: usize = 3;
 pub struct CalibrationRequest {
     /// How long to record, within [`DURATION_RANGE_S`].
     pub seconds: f64,
-    /// Whether lenses are estimated, too.
     pub refine_lenses: bool,
     /// Whether cameras take the result over.
     pub apply: ApplyPolicy,
@@ -72,23 +71,19 @@ impl Default for CalibrationRequest {
 pub enum ApplyPolicy {
     /// Unless something grave was found.
     IfSound,
-    /// In any case.
     Always,
     /// When somebody says so ([`Calibrator::apply`]).
     Never,
 }
 
-/// How far a calibration is.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub enum CalibrationStage {
     /// None was asked for since the start.
     #[default]
     Idle,
-    /// Robots should drive now.
     Recording,
     /// The recording is being worked on.
     Solving,
-    /// There is a report.
     Done,
     /// There is none, and an error says why.
     Failed,
@@ -97,13 +92,10 @@ pub enum CalibrationStage {
 /// The newest calibration.
 #[derive(Clone, Debug, Default)]
 pub struct CalibrationStatus {
-    /// How far it is.
     pub stage: CalibrationStage,
     /// How long it records, seconds.
     pub seconds: f64,
-    /// Of it so far.
     pub recorded_s: f64,
-    /// What was recorded.
     pub cameras: BTreeMap<CameraId, RecordedCamera>,
     /// Steps of the adjustment so far.
     pub steps: usize,
@@ -118,20 +110,15 @@ pub struct CalibrationStatus {
 /// Why something is not done.
 #[derive(Clone, Debug, PartialEq, Error)]
 pub enum CalibrationError {
-    /// One at a time.
     #[error("a calibration is running already: wait for it, or cancel it")]
     Busy,
     /// Out of bounds.
     #[error("{0}")]
     Seconds(f64),
-    /// The gauge is missing.
     #[error(
         "the configuration has {found} reference roundels: expected [[reference]] tables for at least {MIN_REFERENCES} with known places that one camera sees"
     )]
-    References {
-        /// How many there are.
-        found: usize,
-    },
+    References { found: usize },
     /// No camera stands.
     #[error(
         "no camera of this installation stands still: cameras that ride on objects are not calibrated"
@@ -140,7 +127,6 @@ pub enum CalibrationError {
     /// No result that could be taken over.
     #[error("there is no calibration to take over: start one first")]
     NothingToApply,
-    /// Nothing to cancel.
     #[error("no calibration is running")]
     NotRecording,
     /// The system gives no thread.
@@ -151,11 +137,9 @@ pub enum CalibrationError {
 /// One camera, as the calibrator knows it.
 #[derive(Clone)]
 pub struct CalibratorCamera {
-    /// As configured.
     pub name: String,
     /// What the configuration says; `None` of one that rides.
     pub configured: Option<StoredConfig>,
-    /// Where its worker looks.
     pub mailbox: CalibrationMailbox,
 }
 
@@ -165,7 +149,6 @@ pub struct CalibratorParts {
     pub hub: Arc<Hub>,
     /// The server's clock.
     pub clock: Clock,
-    /// All cameras.
     pub cameras: BTreeMap<CameraId, CalibratorCamera>,
     /// The reference roundels, in the order of the configuration.
     pub landmarks: Vec<Landmark>,

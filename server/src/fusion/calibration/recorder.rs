@@ -19,9 +19,7 @@ const MAX_TIME_DIFFERENCE_S: f64 = 0.1;
 /// What has been recorded of one camera.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct RecordedCamera {
-    /// Frames that came.
     pub frames: u64,
-    /// Different codes that were read.
     pub codes: usize,
     /// Share of the image's fields in which roundels were seen.
     pub coverage: f64,

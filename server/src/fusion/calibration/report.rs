@@ -23,41 +23,34 @@ pub struct CalibrationReport {
     pub cameras: Vec<CameraReport>,
     /// What a person should know, the gravest first.
     pub findings: Vec<Finding>,
-    /// Sightings that were used.
     pub sightings: usize,
     /// Robots' roundels that two cameras saw or more.
     pub roundels: usize,
     /// Of the recording, seconds.
     pub length_s: f64,
-    /// Steps of the adjustment.
     pub steps: usize,
     /// How long that took, seconds.
     pub solve_s: f64,
 }
 
-/// One camera.
 #[derive(Clone, Debug)]
 pub struct CameraReport {
     /// Where it stands, how well that is known, and what says so.
     pub result: CalibratedCamera,
-    /// With which lens.
     pub lens: Camera,
     /// How far from where it stood before, metres and radians; `None` if that was not known.
     pub moved: Option<[f64; 2]>,
 }
 
 impl CameraReport {
-    /// For fusion.
     pub fn placement(&self) -> CameraPlacement {
         let CalibratedCamera { world_from_camera, covariance, .. } = self.result;
         CameraPlacement { world_from_camera, covariance }
     }
 }
 
-/// A finding in words.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Finding {
-    /// A sentence.
     pub text: String,
     /// The result should not be used before somebody has looked at it.
     pub is_grave: bool,

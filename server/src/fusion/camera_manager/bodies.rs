@@ -95,7 +95,6 @@ fn kinds(
     kinds
 }
 
-/// What is another for fusion.
 fn diff(
     (before, numbers): (&[ObjectConfig], &[Option<BodyId>]),
     (after, bodies): (&[ObjectConfig], &[Option<BodyId>]),

@@ -20,18 +20,15 @@ use crate::{
     },
 };
 
-/// The configuration in force.
 pub struct ActiveConfig {
     /// As it is written, without users and passwords.
     pub text: String,
-    /// The same, read.
     pub config: Config,
 }
 
 /// What applying a text would do.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
 pub struct ApplyPlan {
-    /// What would change.
     pub changes: Vec<String>,
     /// What differs and cannot.
     pub needs_restart: Vec<String>,
@@ -48,7 +45,6 @@ struct TargetConfig {
 }
 
 impl CameraManager {
-    /// The configuration in force.
     pub fn configuration(&self) -> Result<ActiveConfig, CameraManagerError> {
         let config = self.lock().config.clone();
         let text = edit::without_credentials(config.file.text())?;

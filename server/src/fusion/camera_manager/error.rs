@@ -39,24 +39,16 @@ pub enum CameraManagerError {
     /// There is no such object, or there is no more.
     #[error("the configuration has no object \"{0}\"")]
     NoObject(String),
-    /// Nobody sees it.
     #[error("no object {0} was seen within the last minute")]
     NotSeen(u64),
     /// It is not known by which code.
     #[error("the code of object {0} was not read yet: it has to be seen larger, or less tilted")]
     CodeNotRead(u64),
-    /// Nothing tells it from others.
     #[error(
         "object {object} carries a plain roundel \"{kind}\" as others do, and nothing tells it from them: give it a \
          roundel with a code, or one of a kind of its own"
     )]
-    Ambiguous {
-        /// Which object.
-        object: u64,
-        /// Its kind of roundel.
-        kind: String,
-    },
-    /// An installation has cameras.
+    Ambiguous { object: u64, kind: String },
     #[error("it is the only camera, and an installation has at least one: add another one first")]
     LastCamera,
     /// What a calibration records has to hold until its end.
@@ -64,7 +56,6 @@ pub enum CameraManagerError {
         "a calibration of the arena is running, which cameras have to stand still for: wait for it, or cancel it"
     )]
     Calibrating,
-    /// The server goes down.
     #[error("the server is shutting down")]
     ShuttingDown,
     /// The configuration cannot be written.
@@ -78,20 +69,10 @@ pub enum CameraManagerError {
     NoFolder,
     /// A lens file cannot be written.
     #[error("cannot write the lens file {}: {source}; make its folder writable for the server, or download the file", .path.display())]
-    Lens {
-        /// Which file.
-        path: PathBuf,
-        /// What the system says.
-        source: io::Error,
-    },
+    Lens { path: PathBuf, source: io::Error },
     /// The system gives no thread.
     #[error("cannot start the thread `{name}`: {source}")]
-    Thread {
-        /// Which thread.
-        name: String,
-        /// What the system says.
-        source: io::Error,
-    },
+    Thread { name: String, source: io::Error },
     /// The kinds of roundel cannot be searched for.
     #[error("kinds of roundel: {0}")]
     Detector(#[from] DetectorError),

@@ -63,7 +63,6 @@ pub use error::CameraManagerError;
 pub struct SourceContext<'a> {
     /// The camera's place in the configuration.
     pub index: usize,
-    /// Its configuration.
     pub camera: &'a CameraConfig,
     /// The server's clock.
     pub clock: Clock,
@@ -75,12 +74,9 @@ pub struct SourceContext<'a> {
     pub port: Option<Arc<PushEndpoint>>,
 }
 
-/// Makes the sources of cameras.
 pub type SourceFactory = Box<dyn FnMut(SourceContext<'_>) -> Box<dyn OpenSource> + Send>;
 
-/// Parts of a camera manager.
 pub struct CameraManagerParts {
-    /// As it is written.
     pub config: Config,
     /// The newest of everything.
     pub hub: Arc<Hub>,
@@ -88,15 +84,11 @@ pub struct CameraManagerParts {
     pub clock: Clock,
     /// The time line of recorded and simulated frames.
     pub playback: Playback,
-    /// Finds where cameras stand.
     pub calibrator: Arc<Calibrator>,
-    /// Where remote programs feed cameras.
     pub ports: Arc<PushEndpoints>,
     /// Where workers send what they see.
     pub to_fusion: mpsc::SyncSender<WorkerOutput>,
-    /// Where fusion hears of cameras.
     pub commands: mpsc::Sender<FusionCommand>,
-    /// Makes the sources of cameras.
     pub sources: SourceFactory,
 }
 
@@ -115,7 +107,6 @@ struct State {
     /// Of each of its cameras.
     ids: Vec<CameraId>,
     next_id: u32,
-    /// Of its objects.
     bodies: BodyTable,
     workers: WorkerThreads,
     to_fusion: mpsc::SyncSender<WorkerOutput>,

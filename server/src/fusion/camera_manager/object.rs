@@ -20,7 +20,6 @@ use crate::model::{
 };
 
 impl CameraManager {
-    /// An object as configured.
     pub fn object_setup(&self, name: &str) -> Result<ObjectSetup, CameraManagerError> {
         Ok(edit::read(self.lock().config.file.text(), name)?)
     }

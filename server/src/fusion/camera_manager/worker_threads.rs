@@ -23,7 +23,6 @@ struct WorkerThread {
     thread: JoinHandle<WorkerCounts>,
 }
 
-/// All workers that run.
 #[derive(Default)]
 pub(super) struct WorkerThreads(BTreeMap<CameraId, WorkerThread>);
 

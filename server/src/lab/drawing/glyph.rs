@@ -2,7 +2,6 @@
 
 /// Dots across a character, without the gap to the next.
 pub(crate) const COLUMNS: i64 = 3;
-/// Dots down a character.
 pub(crate) const ROWS: i64 = 5;
 
 /// The rows of a character from the top, the left dot in the highest of three bits; a letter looks

@@ -62,7 +62,6 @@ fn was_measured(reject: Reject) -> bool {
     reject > Reject::Chord
 }
 
-/// What a text covers.
 #[derive(Clone, Copy)]
 struct Area {
     left: i64,

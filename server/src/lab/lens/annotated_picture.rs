@@ -25,7 +25,6 @@ impl AnnotatedPicture {
         Self { width, height, pixels, rings: rings.to_vec() }
     }
 
-    /// As a JPEG file.
     pub fn jpeg(&self) -> Result<Vec<u8>, EncodingError> {
         let mut canvas = Canvas::of(self.width, self.height, &self.pixels);
         for ring in &self.rings {

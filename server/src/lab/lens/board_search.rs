@@ -55,10 +55,8 @@ pub enum SearchError {
 /// The print is not what was said.
 #[derive(Clone, Debug, PartialEq, Error)]
 pub enum PrintMismatch {
-    /// Of roundels.
     #[error(transparent)]
     Board(LensCalibrationError),
-    /// Of squares.
     #[error(transparent)]
     Chessboard(#[from] ChessboardMismatch),
 }
@@ -72,16 +70,13 @@ pub enum PrintMismatch {
 pub struct SizeChanged {
     /// Of the first one: columns, rows.
     pub expected: (usize, usize),
-    /// Of this one.
     pub found: (usize, usize),
 }
 
-/// What was found so far.
 #[derive(Clone, Debug)]
 pub struct CollectedViews {
     /// Of the pictures: columns, rows.
     pub size: (usize, usize),
-    /// The views that were kept.
     pub chooser: Chooser,
     /// Pictures that were looked at …
     pub frames: usize,
@@ -89,7 +84,6 @@ pub struct CollectedViews {
     pub without_board: usize,
     /// … with less than half of it, or that is another one …
     pub too_little: usize,
-    /// … in motion …
     pub moving: usize,
     /// … like one that was kept …
     pub alike: usize,
@@ -171,7 +165,6 @@ enum Finder {
     Corners(corners::Finder),
 }
 
-/// What one picture shows.
 enum SearchOutcome<'a> {
     Board(View, &'a [Ring]),
     /// Of a chessboard, columns and rows that are not those described.
@@ -255,7 +248,6 @@ impl BoardSearch {
         self.gathered.as_ref()
     }
 
-    /// What was found.
     pub fn into_gathered(self) -> Option<CollectedViews> {
         self.gathered
     }

@@ -12,12 +12,9 @@ use crate::lab::print::spec;
 /// So many pictures of another board are no accident.
 const MIN_MISMATCHES: usize = 3;
 
-/// A chessboard, plain or ChArUco.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Chessboard {
-    /// Its inner corners.
     pub corners: Checkerboard,
-    /// Of a ChArUco board.
     pub markers: Option<Markers>,
 }
 
@@ -89,9 +86,7 @@ fn metres(millimetres: &str) -> Option<f64> {
     .found.0, .found.1, .described.0, .described.1, .found.0, .found.1
 )]
 pub struct ChessboardMismatch {
-    /// Inner corners as described.
     pub described: (usize, usize),
-    /// As they look.
     pub found: (usize, usize),
 }
 

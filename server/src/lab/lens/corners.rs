@@ -39,7 +39,6 @@ enum By {
     Markers(Box<CharucoDetector>),
 }
 
-/// What a picture shows.
 pub(super) enum CornerSearch {
     Board(View),
     /// A grid of so many corners across and down.

@@ -57,13 +57,11 @@ const IDLE_TIMEOUT: Duration = Duration::from_secs(60);
 /// What is to be done.
 #[derive(Clone, Debug)]
 pub struct LensRun {
-    /// What is looked at.
     pub picture_source: PictureSource,
     /// What goes into the file as the camera's name.
     pub name: String,
     /// What stands for the picture_source in what clients are told.
     pub shown: String,
-    /// The printed board.
     pub board: Board,
     /// No more views than this, within [`VIEWS`].
     pub most: usize,
@@ -83,7 +81,6 @@ pub enum LensError {
     /// Out of bounds.
     #[error("expected {least} to {most} views, found {0}", least = VIEWS.0, most = VIEWS.1)]
     Views(usize),
-    /// Programs come by themselves.
     #[error(
         "a `push:` source is fed by a program, so there is nothing to be opened: add the camera with any lens file first, and \
          calibrate it by its name"
@@ -105,9 +102,7 @@ pub enum LensError {
 pub struct LensResult {
     /// The camera of this server; `None`: a source of its own.
     pub camera: Option<String>,
-    /// As the file calls it.
     pub name: String,
-    /// What was found.
     pub lens: Arc<LensCalibration>,
 }
 
@@ -243,7 +238,6 @@ impl LensCalibrator {
         }
     }
 
-    /// What was found.
     pub fn found(&self) -> Result<LensResult, LensError> {
         self.shared.lock().found.clone().ok_or(LensError::NoResult)
     }

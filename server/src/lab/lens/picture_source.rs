@@ -21,7 +21,6 @@ const REQUEST_INTERVAL: Duration = Duration::from_millis(500);
 /// Without a picture for so long, it is told.
 const NO_PICTURE_AFTER: Duration = Duration::from_secs(3);
 
-/// What a calibration looks at.
 #[derive(Clone, Debug)]
 pub enum PictureSource {
     /// A camera that this server runs.
@@ -36,7 +35,6 @@ pub(super) enum PicturesEnd {
     Over,
     /// The source has an end.
     Finished,
-    /// It broke.
     Failed(String),
 }
 

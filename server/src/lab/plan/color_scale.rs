@@ -32,7 +32,6 @@ pub(super) struct ColorScale {
 /// A value that has its place along the scale.
 pub(super) struct Mark {
     value: f64,
-    /// What stands beside it.
     pub(super) text: String,
 }
 
@@ -112,7 +111,6 @@ pub(super) fn nice_step(least: f64) -> f64 {
         .unwrap_or(10.0 * power)
 }
 
-/// Two significant digits.
 pub(super) fn significant(value: f64) -> f64 {
     if value == 0.0 {
         return 0.0;

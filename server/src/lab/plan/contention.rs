@@ -46,7 +46,6 @@ pub struct TimedRounds {
 }
 
 impl ContentionProbe {
-    /// Renders its frames.
     pub fn new() -> anyhow::Result<Self> {
         let mut params = ScenarioParams::r4_lite(1);
         params.robots = 4;

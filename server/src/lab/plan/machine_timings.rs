@@ -25,9 +25,7 @@ const MIN_CASE_SHARE: f64 = 0.75;
 /// Of both modes.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct MachineTimings {
-    /// Of precise mode.
     pub precise: Constants,
-    /// Of fast mode.
     pub fast: Constants,
     /// Whether they were measured, or are those that stand in for it.
     pub is_measured: bool,
@@ -39,7 +37,6 @@ impl Default for MachineTimings {
     }
 }
 
-/// The file.
 #[derive(Debug, Deserialize, Serialize)]
 #[serde(deny_unknown_fields)]
 struct TimingsFile {
@@ -47,7 +44,6 @@ struct TimingsFile {
     fast: ModeEntry,
 }
 
-/// Of a mode.
 #[derive(Debug, Deserialize, Serialize)]
 #[serde(deny_unknown_fields)]
 struct ModeEntry {
@@ -88,7 +84,6 @@ fn read(terms: &Terms) -> Result<[f64; TERMS], String> {
 }
 
 impl MachineTimings {
-    /// Of a mode.
     pub fn of(&self, mode: Mode) -> &Constants {
         match mode {
             Mode::Precise => &self.precise,

@@ -45,7 +45,6 @@ struct MapDrawing {
     shapes: Vec<MapShape>,
 }
 
-/// The map as SVG.
 pub fn svg(map: &PlanMap, show: MapLayer) -> String {
     let MapDrawing { size, shapes } = MapDrawing::of(map, show);
     let paper = Rectangle::new().set("width", size[0]).set("height", size[1]).set("fill", "white");
@@ -97,7 +96,6 @@ pub fn svg(map: &PlanMap, show: MapLayer) -> String {
     document.to_string()
 }
 
-/// The map as PNG.
 pub fn png(map: &PlanMap, show: MapLayer) -> io::Result<Vec<u8>> {
     let drawing = MapDrawing::of(map, show);
     let [width, height] = drawing.size.map(|side| side.round() as u32);

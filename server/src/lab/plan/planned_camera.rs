@@ -15,7 +15,6 @@ use crate::model::{
 /// A camera with its name: planned with, or why not.
 #[derive(Clone, Debug)]
 pub struct PlannedCamera {
-    /// Unique among the cameras.
     pub name: String,
     /// How it sees, or why it is left out and what to do.
     pub station: Result<Box<Station>, String>,

@@ -16,7 +16,6 @@ const GOING_S: [[f64; 2]; 2] = [[0.0, 100.0], [105.0, 115.0]];
 const MOVING_S: f64 = 120.0;
 /// When all move as they were told.
 pub const BEGIN_S: f64 = 125.0;
-/// And still do.
 const END_S: f64 = 1000.0;
 /// How far a place may be off the middle of its cell, a share of that.
 const STRAY_SHARE: f64 = 0.1;

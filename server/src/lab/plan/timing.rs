@@ -41,7 +41,6 @@ const WAY: [f64; 2] = [0.8, 0.6];
 /// Frames a second of robots in rows that stand.
 const STANDING_HZ: f64 = 60.0;
 
-/// Robots below a camera.
 #[derive(Clone, Copy, Debug)]
 pub struct TimingCase {
     /// Columns and rows.
@@ -153,7 +152,6 @@ const CODED_ROWS: [CaseRow; 3] =
     [(MIDDLE, 3, 0.25, 62.0, 6.0), (LARGE, 6, 0.25, 48.0, 6.5), (LARGE, 10, 0.25, 70.0, 5.5)];
 const BITS: u8 = 8;
 
-/// All of them.
 pub fn cases() -> Vec<TimingCase> {
     let of = |in_rows: bool, bits: Option<u8>| {
         move |&(size, robots, outer_m, diameter_px, motion_px): &CaseRow| TimingCase {
@@ -173,12 +171,9 @@ pub fn cases() -> Vec<TimingCase> {
     plain.chain(rows).chain(coded).chain(coded_rows).collect()
 }
 
-/// One measured time.
 #[derive(Clone, Copy, Debug)]
 pub struct TimingSample {
-    /// In which mode.
     pub mode: Mode,
-    /// Of what.
     pub load: Load,
     /// Seconds a frame.
     pub time_s: f64,

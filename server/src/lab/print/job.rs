@@ -20,7 +20,6 @@ use super::{
 pub enum PrintJob {
     /// Roundels, in this order.
     Roundels(Vec<PrintItem>),
-    /// The calibration board.
     Board(Board),
 }
 
@@ -38,19 +37,12 @@ pub enum PrintJobError {
         "expected a disc of {} to {} of the outer diameter, found {found:.3}: another would not be found",
         RATIO_LIMITS.0, RATIO_LIMITS.1
     )]
-    Ratio {
-        /// As asked for.
-        found: f64,
-    },
-    /// Nearly a circle.
+    Ratio { found: f64 },
     #[error(
         "expected the disc's shorter diameter to be at most {AXIS_RATIO_LIMIT} of its longer one, found {found:.3}: \
          of a rounder disc nobody could tell how it is turned; leave it out for a round one"
     )]
-    Axes {
-        /// As asked for.
-        found: f64,
-    },
+    Axes { found: f64 },
     /// Numbers of a kind that has none.
     #[error(
         "numbers are those of codes, and this kind has none: give a code, or a number of copies"
@@ -71,7 +63,6 @@ pub enum PrintJobError {
     /// It does not fit.
     #[error(transparent)]
     BoardPage(#[from] BoardPageError),
-    /// Nor does this.
     #[error(transparent)]
     PageLayout(#[from] PageLayoutError),
 }
@@ -128,7 +119,6 @@ impl PrintJob {
         }
     }
 
-    /// The pages that it takes.
     pub fn pages(&self, page: PageSize) -> Result<Vec<Page>, PrintJobError> {
         Ok(match self {
             Self::Roundels(items) => lay_out_pages(items, page)?,

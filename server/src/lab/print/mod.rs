@@ -32,9 +32,7 @@ pub use svg::svg;
 
 /// Of a board of which nothing else is said: its roundels' outer diameter, metres.
 pub const BOARD_OUTER_M: f64 = 0.03;
-/// Its pitch over that.
 pub const BOARD_PITCH: f64 = 1.2;
-/// Its codes.
 pub const BOARD_LAYOUT: CodeLayout = CodeLayout { bits: 9, min_distance: 1 };
 
 /// A length as people write it: to a hundredth, without zeros at its end.

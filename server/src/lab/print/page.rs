@@ -19,9 +19,7 @@ const SIDE_LIMITS_MM: (f64, f64) = (50.0, 5000.0);
 /// The size of a page, millimetres.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct PageSize {
-    /// Across.
     pub width_mm: f64,
-    /// Down.
     pub height_mm: f64,
 }
 
@@ -56,12 +54,10 @@ impl PageSize {
         Ok(Self { width_mm: side(width)?, height_mm: side(height)? })
     }
 
-    /// Turned by a right angle.
     pub fn rotated(self) -> Self {
         Self { width_mm: self.height_mm, height_mm: self.width_mm }
     }
 
-    /// What people call it.
     pub fn name(&self) -> String {
         let named = NAMED.iter().find(|&&(_, width_mm, height_mm)| {
             (width_mm, height_mm) == (self.width_mm, self.height_mm)
@@ -85,10 +81,8 @@ pub enum TextAnchor {
     End,
 }
 
-/// A mark on the page.
 #[derive(Clone, Debug, PartialEq)]
 pub enum Shape {
-    /// A thin straight line.
     Line {
         /// One end.
         from: Place,
@@ -97,13 +91,11 @@ pub enum Shape {
     },
     /// A line of small print, on its base line.
     Text {
-        /// Where, by the anchor.
         at: Place,
         /// How the place and the text go together.
         anchor: TextAnchor,
         /// Height of a capital, millimetres.
         height_mm: f64,
-        /// Latin letters, digits and signs.
         text: String,
     },
 }
@@ -114,11 +106,9 @@ pub const LINE_MM: f64 = 0.15;
 /// A page: black on white.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Page {
-    /// How large it is.
     pub size: PageSize,
     /// The part in which the prints are; what reaches beyond is cut off, and goes on on another page.
     pub window: Area,
-    /// The prints.
     pub prints: Vec<Path>,
     /// What is round them: cut marks, ruler, small print.
     pub marks: Vec<Shape>,

@@ -32,12 +32,9 @@ const MIN_OUTER_MM: f64 = 2.0;
 /// Largest roundel, millimetres.
 const MAX_OUTER_MM: f64 = 5000.0;
 
-/// One roundel to print.
 #[derive(Clone, Debug, PartialEq)]
 pub struct PrintItem {
-    /// What it is.
     pub kind: Kind,
-    /// Which, of a coded kind.
     pub number: Option<u16>,
     /// Small print in its corner, such as `#17`.
     pub label: String,
@@ -46,44 +43,34 @@ pub struct PrintItem {
 /// Why there is nothing to print.
 #[derive(Clone, Debug, PartialEq, Error)]
 pub enum PageLayoutError {
-    /// Nothing to print.
     #[error("nothing to print: expected at least one roundel")]
     Empty,
     /// Cannot be printed.
     #[error(
         "expected an outer diameter of {MIN_OUTER_MM} to {MAX_OUTER_MM} mm, found {found_mm} mm"
     )]
-    Size {
-        /// The outer diameter.
-        found_mm: f64,
-    },
+    Size { found_mm: f64 },
     /// No code of that number.
     #[error(
         "there is no code {number} of {bits} bits at a distance of {min_distance}: they are numbered \
          from 1 to {count}"
     )]
     Number {
-        /// As asked for.
         number: u16,
         /// The layout's bits.
         bits: u8,
         /// The layout's least distance.
         min_distance: u8,
-        /// How many there are.
         count: usize,
     },
     /// No such codes.
     #[error(transparent)]
     Code(#[from] CodeError),
-    /// Too much for one file.
     #[error(
         "this takes {found} pages, and a file holds {MAX_PAGES} at most: print fewer roundels at a \
          time, or on larger pages"
     )]
-    Pages {
-        /// As many would be needed.
-        found: usize,
-    },
+    Pages { found: usize },
     /// No room beside ruler and margins.
     #[error(
         "a page of {width_mm} x {height_mm} mm has no room for roundels beside the ruler and the edge \

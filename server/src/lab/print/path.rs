@@ -11,9 +11,7 @@ const WIDEST_ARC_RAD: f64 = PI / 12.0;
 /// A place on the page, millimetres.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Place {
-    /// To the right.
     pub x: f64,
-    /// Down.
     pub y: f64,
 }
 
@@ -29,12 +27,10 @@ impl Place {
     }
 }
 
-/// One step of an outline.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum Step {
     /// A new outline begins.
     Move(Place),
-    /// Straight on.
     Line(Place),
     /// A cubic Bézier curve: both handles, then where it ends.
     Cubic(Place, Place, Place),
@@ -119,9 +115,7 @@ pub struct Area {
     pub left: f64,
     /// Least y.
     pub top: f64,
-    /// Largest x.
     pub right: f64,
-    /// Largest y.
     pub bottom: f64,
 }
 
@@ -136,12 +130,10 @@ impl Area {
         }
     }
 
-    /// How wide it is.
     pub fn width(&self) -> f64 {
         self.right - self.left
     }
 
-    /// How high it is.
     pub fn height(&self) -> f64 {
         self.bottom - self.top
     }

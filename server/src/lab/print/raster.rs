@@ -21,11 +21,7 @@ const MAX_PIXELS: usize = 100_000_000;
 pub enum RasterError {
     /// Not a resolution.
     #[error("expected {} to {} dots an inch, found {found}", DPI_LIMITS.0, DPI_LIMITS.1)]
-    Dpi {
-        /// As asked for.
-        found: f64,
-    },
-    /// Too large a picture.
+    Dpi { found: f64 },
     #[error(
         "a page of {width} x {height} pixels is more than the {MAX_PIXELS} that a picture may have: use fewer dots \
          an inch, a smaller page, or PDF"
@@ -99,7 +95,6 @@ fn greys(page: &Page, scale: f64, width: usize, height: usize) -> Option<Vec<u8>
     Some(data.chunks_exact(4).map(|rgba| rgba[0]).collect())
 }
 
-/// The dots of a text.
 fn dots(mark: &Shape) -> Vec<Rect> {
     let Shape::Text { at, anchor, height_mm, text } = mark else { return Vec::new() };
     let dot = height_mm / glyph::ROWS as f64;

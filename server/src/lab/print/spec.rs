@@ -38,9 +38,7 @@ pub struct Diameters {
 pub struct PrintSpec {
     /// As given, if any.
     pub diameters: Option<Diameters>,
-    /// Of coded prints.
     pub code: Option<CodeLayout>,
-    /// Which is black.
     pub polarity: Polarity,
 }
 

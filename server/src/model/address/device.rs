@@ -21,7 +21,6 @@ pub struct DeviceAddress {
 }
 
 impl fmt::Display for DeviceAddress {
-    /// What messages call it.
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         write!(f, "{}", self.path.display())
     }

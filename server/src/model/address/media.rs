@@ -22,20 +22,16 @@ const LATENCY_MS: u64 = 50;
 /// A stream, a file or a pipeline.
 #[derive(Clone, PartialEq)]
 pub enum MediaAddress {
-    /// A network camera or recorder.
     Rtsp {
         /// Without user, password and options.
         url: String,
-        /// User and password.
         credentials: Option<(String, String)>,
-        /// How packets travel.
         transport: Transport,
         /// How long one that is late is waited for.
         latency: Duration,
         /// No picture for so long is a failure.
         stall: Duration,
     },
-    /// A video file.
     File {
         /// Absolute, or relative to the working directory.
         path: PathBuf,
@@ -48,7 +44,6 @@ pub enum MediaAddress {
     Pipeline(String),
 }
 
-/// How RTP packets travel.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Transport {
     /// Within the RTSP connection: none is lost.
@@ -75,7 +70,6 @@ impl fmt::Debug for MediaAddress {
 }
 
 impl fmt::Display for MediaAddress {
-    /// What messages call it.
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         match self {
             Self::Rtsp { url, .. } => f.write_str(url),

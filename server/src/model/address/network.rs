@@ -21,11 +21,8 @@ const MAX_STALL_S: f64 = 3600.0;
 pub struct HttpAddress {
     /// Host and port as a connection takes them; IPv6 addresses without brackets.
     pub host: String,
-    /// 80 where nothing is said.
     pub port: u16,
-    /// Path and query.
     pub target: String,
-    /// User and password.
     pub credentials: Option<(String, String)>,
     /// How often a camera that gives single pictures is asked for one, 1/s.
     pub snapshot_hz: f64,

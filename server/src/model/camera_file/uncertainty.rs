@@ -56,7 +56,6 @@ pub(super) fn uncertainty(
     Ok(Some(LensDoubt { free, covariance: matrix }))
 }
 
-/// The keys that say so.
 pub(super) fn written(lens: &Lens, LensDoubt { free, covariance }: &LensDoubt) -> String {
     let known = coefficient_names(lens);
     let free = free.iter().map(|&index| known[index]);

@@ -27,7 +27,6 @@ use crate::model::{
 pub struct CameraKey {
     /// In TOML, and as a field of `v1::CameraSetup`.
     pub name: &'static str,
-    /// Shown to users.
     pub label: &'static str,
     /// What the difference between two versions of a camera requires, if there is one.
     pub effect: fn(&CameraConfig, &CameraConfig) -> Option<Effect>,
@@ -36,7 +35,6 @@ pub struct CameraKey {
 /// What a changed key requires of a running server.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Effect {
-    /// Restarts the worker.
     Restart,
     /// Restarts the worker under another name.
     Rename,
@@ -81,7 +79,6 @@ const fn key(
     CameraKey { name, label, effect }
 }
 
-/// The keys' names.
 pub const CAMERA_KEYS: [&str; CAMERA_SCHEMA.len()] = {
     let mut names = [""; CAMERA_SCHEMA.len()];
     let mut index = 0;
@@ -95,7 +92,6 @@ pub const CAMERA_KEYS: [&str; CAMERA_SCHEMA.len()] = {
 /// `[[camera]]`.
 #[derive(Clone, Debug)]
 pub struct CameraConfig {
-    /// Unique among the cameras.
     pub name: String,
     /// As written, without user and password.
     pub source: String,
@@ -124,7 +120,6 @@ const MAX_LINE_TIME_US: f64 = 10_000.0;
 const MAX_CLOCK_UNCERTAINTY_MS: f64 = 10_000.0;
 const MAX_RATE_HZ: f64 = 1000.0;
 
-/// Words for modes.
 pub const MODES: [(&str, Mode); 2] = [("precise", Mode::Precise), ("fast", Mode::Fast)];
 
 /// What cameras are told of the rest of the configuration.

@@ -21,7 +21,6 @@ const POSE_HELP: &str = "write { position_m = [x, y, z], orientation_xyzw = [x, 
                          `object = \"NAME\"` if it rides on one, or \"unknown\" to have it found from \
                          the reference roundels";
 
-/// Where a camera stands.
 #[derive(Clone, Debug, PartialEq)]
 pub enum PoseConfig {
     /// world_from_camera.
@@ -30,7 +29,6 @@ pub enum PoseConfig {
     Calibrated(Box<CameraPlacement>),
     /// To be found from the reference roundels.
     Unknown,
-    /// On an object.
     Mounted(MountConfig),
 }
 
@@ -39,7 +37,6 @@ pub enum PoseConfig {
 pub struct MountConfig {
     /// Index among [`super::Config::objects`] of a [`ObjectRoundels::Body`] that shows how it is turned.
     pub object: usize,
-    /// Where it is fixed.
     pub object_from_camera: Rigid,
     /// Whether the reference roundels that it sees say where the object is.
     pub localizes: bool,

@@ -21,12 +21,7 @@ pub enum EditError {
     Text(String),
     /// There is none of that name in the list.
     #[error("the configuration has no {what} \"{name}\"")]
-    Missing {
-        /// Key of the list.
-        what: &'static str,
-        /// Which name.
-        name: String,
-    },
+    Missing { what: &'static str, name: String },
 }
 
 /// Adds a table behind the last of its list.

@@ -11,7 +11,6 @@ pub struct ConfigError {
     pub problems: Vec<Problem>,
 }
 
-/// One thing that is wrong.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Problem {
     /// What was expected and what was found.
@@ -29,7 +28,6 @@ pub struct TextLocation {
     pub line: usize,
     /// In characters, from 1.
     pub column: usize,
-    /// The line itself.
     pub text: String,
     /// Characters of the line that are meant, at least 1.
     pub width: usize,

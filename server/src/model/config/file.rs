@@ -25,7 +25,6 @@ pub struct ConfigFile {
 /// Why a text does not take the place of the one before.
 #[derive(Debug, Error)]
 pub enum ConfigFileError {
-    /// Somebody has changed it.
     #[error(
         "{} was changed since this server read it, so it is not written over: start the server anew to take over what \
          is in it, or undo that change",
@@ -35,14 +34,8 @@ pub enum ConfigFileError {
     /// It is not to be written.
     #[error("{} may not be written (it is read-only): change its permissions, or edit it by hand and start the server anew", .0.display())]
     ReadOnly(PathBuf),
-    /// The system refuses.
     #[error("cannot write {}: {source}; edit it by hand and start the server anew", .path.display())]
-    Write {
-        /// Which file.
-        path: PathBuf,
-        /// What the system says.
-        source: io::Error,
-    },
+    Write { path: PathBuf, source: io::Error },
 }
 
 impl ConfigFile {
@@ -51,7 +44,6 @@ impl ConfigFile {
         Self { path, text }
     }
 
-    /// The text.
     pub fn text(&self) -> &str {
         &self.text
     }
@@ -61,7 +53,6 @@ impl ConfigFile {
         self.path.as_deref()
     }
 
-    /// Tells this text from others.
     pub fn version(&self) -> String {
         let mut hasher = DefaultHasher::new();
         self.text.hash(&mut hasher);

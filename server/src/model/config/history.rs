@@ -10,7 +10,6 @@ use super::reader::{NumberRange, Table};
 /// `[history]`.
 #[derive(Clone, Debug, PartialEq)]
 pub struct HistoryConfig {
-    /// The SQLite file.
     pub file: PathBuf,
     /// How long the finest tier is kept.
     pub keep: Duration,

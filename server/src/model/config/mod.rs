@@ -48,13 +48,10 @@ pub use roundel::POLARITIES;
 /// A configuration longer than this is certainly another file.
 const MAX_BYTES: u64 = 4 << 20;
 
-/// Lenses of cameras, by name.
 pub type Lenses = BTreeMap<String, Camera>;
 
-/// An installation, as configured.
 #[derive(Clone, Debug)]
 pub struct Config {
-    /// What it was read from.
     pub file: ConfigFile,
     /// Relative paths in it begin here.
     pub folder: PathBuf,
@@ -137,7 +134,6 @@ pub struct LimitsConfig {
     pub max_objects: usize,
     /// Roundels that one camera follows at most.
     pub max_roundels_per_camera: usize,
-    /// Open client connections.
     pub max_clients: usize,
 }
 

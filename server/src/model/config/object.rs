@@ -25,18 +25,14 @@ const MAX_CODES: usize = u16::MAX as usize;
 /// `[[object]]`.
 #[derive(Clone, Debug, PartialEq)]
 pub struct ObjectConfig {
-    /// Shown to clients.
     pub name: String,
-    /// What it is known by.
     pub carries: ObjectRoundels,
 }
 
 /// The roundels that an object is known by.
 #[derive(Clone, Debug, PartialEq)]
 pub enum ObjectRoundels {
-    /// All of a kind.
     Kind {
-        /// Which.
         kind: KindId,
         /// The tracked point in the roundel's frame, metres.
         offset_m: Vector3<f64>,
@@ -197,7 +193,6 @@ fn several(
     Some(ObjectRoundels::Body(Body { motion, mounts }))
 }
 
-/// One roundel of a list.
 fn mount(
     part: &Table<'_, '_>,
     name: &str,

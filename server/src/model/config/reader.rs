@@ -55,7 +55,6 @@ impl<'s> Problems<'s> {
     }
 }
 
-/// Which numbers a key takes.
 #[derive(Clone, Copy, Debug)]
 pub(super) enum NumberRange {
     /// Above 0, up to this.

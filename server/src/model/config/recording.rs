@@ -13,7 +13,6 @@ pub enum FrameFormat {
     /// A tenth of the size of PNG; what is found in them again differs a little.
     #[default]
     Jpeg,
-    /// Every grey value.
     Png,
 }
 
@@ -25,7 +24,6 @@ const GIGABYTE: u64 = 1_000_000_000;
 pub struct RecordingConfig {
     /// Whether it begins with the server.
     pub starts: bool,
-    /// Where files go.
     pub folder: PathBuf,
     /// A file that has grown to so much is followed by another one.
     pub rotate_bytes: u64,
@@ -37,7 +35,6 @@ pub struct RecordingConfig {
     pub min_free_bytes: u64,
     /// One in so many frames of each camera is kept; 0: none.
     pub frames_every: u32,
-    /// What they are kept as.
     pub frames_format: FrameFormat,
 }
 

@@ -23,7 +23,6 @@ const TURN_KEYS: [&str; 3] = ["yaw_deg", "right", "top"];
 /// `[[reference]]`.
 #[derive(Clone, Debug, PartialEq)]
 pub struct ReferenceConfig {
-    /// Its kind of roundel.
     pub kind: KindId,
     /// Its code, if that is known.
     pub code: Option<Code>,

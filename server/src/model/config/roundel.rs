@@ -15,7 +15,6 @@ use crate::model::suggestion::{list, nearest};
 const ROUNDEL_KEYS: [&str; 8] =
     ["name", "outer_mm", "inner_mm", "inner_minor_mm", "code", "polarity", "motion", "height_m"];
 const CODE_KEYS: [&str; 2] = ["bits", "min_distance"];
-/// Words for polarities.
 pub const POLARITIES: [(&str, Polarity); 2] =
     [("black_ring", Polarity::BlackRing), ("white_ring", Polarity::WhiteRing)];
 
@@ -85,7 +84,6 @@ pub(super) fn motion(table: &Table<'_, '_>) -> Option<MotionClass> {
     Some(MotionClass::Ground { height_m: Some(height_m) })
 }
 
-/// One kind by itself.
 fn kind(table: &Table<'_, '_>) -> Option<Kind> {
     let size = NumberRange::PositiveUpTo(MAX_DIAMETER_MM);
     let name = table.required_text("name", "\"robot\"");

@@ -12,7 +12,6 @@ use super::CameraInfo;
 /// What is known of a server beside how it is doing. Cameras and objects come and go while a server runs.
 #[derive(Clone, Debug)]
 pub struct Installation {
-    /// The configured name.
     pub name: String,
     /// Tells this run of this server from every other.
     pub source_id: String,
@@ -33,9 +32,7 @@ pub struct Installation {
 /// What an object of the configuration is known by.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum ObjectKey {
-    /// A whole kind of roundel.
     Kind(KindId),
-    /// A code, or several roundels.
     Body(BodyId),
 }
 
@@ -52,12 +49,10 @@ impl Installation {
         self.cameras.get(&id).map_or("", |camera| &camera.name)
     }
 
-    /// The camera of that name.
     pub fn camera_id(&self, name: &str) -> Option<CameraId> {
         self.cameras.iter().find(|(_, camera)| camera.name == name).map(|(id, _)| *id)
     }
 
-    /// Whose the configured name is.
     pub fn object_key(&self, name: &str) -> Option<ObjectKey> {
         let kind = self.object_names.iter().find(|(_, known)| *known == name);
         let body = || (0..).zip(&self.body_names).find(|(_, known)| *known == name);

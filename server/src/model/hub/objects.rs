@@ -18,9 +18,7 @@ const LOST_RETENTION_S: f64 = 60.0;
 /// An object as the list of objects shows it.
 #[derive(Clone, Debug)]
 pub struct ObjectRecord {
-    /// Whose.
     pub id: ObjectId,
-    /// Its kind of roundel.
     pub kind: Option<KindId>,
     /// Which body, if it is one.
     pub body: Option<BodyId>,
@@ -32,7 +30,6 @@ pub struct ObjectRecord {
     pub first_seen: Timestamp,
     /// Capture time of the newest detection.
     pub last_seen: Timestamp,
-    /// Detections used.
     pub observations: u64,
 }
 
@@ -61,7 +58,6 @@ pub(super) struct RecentObjects {
 }
 
 impl RecentObjects {
-    /// Takes in a new snapshot.
     pub fn take(&mut self, snapshot: &Snapshot) {
         let now = snapshot.objects.iter().map(ObjectRecord::of).collect();
         let before = std::mem::replace(&mut self.present, now);
@@ -81,7 +77,6 @@ impl RecentObjects {
         }
     }
 
-    /// All of them, by id.
     pub fn all(&self) -> Vec<ObjectRecord> {
         let lost = self.lost.iter().map(|record| (record.id, record));
         // One that has come back is present.

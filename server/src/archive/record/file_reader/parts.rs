@@ -12,16 +12,9 @@ use crate::archive::record::schema::{FORMAT_VERSION, FRAME_TOPIC_PREFIX, Topic};
 pub enum ReadError {
     /// The system does not give it.
     #[error("cannot read {}: {source}", .path.display())]
-    Open {
-        /// Which.
-        path: PathBuf,
-        /// What the system says.
-        source: io::Error,
-    },
-    /// It is something else.
+    Open { path: PathBuf, source: io::Error },
     #[error("{}: expected a recording (an MCAP file, as `roundel record` makes them), found {found}", .path.display())]
     Foreign {
-        /// Which.
         path: PathBuf,
         /// What it seems to be.
         found: String,
@@ -32,20 +25,11 @@ pub enum ReadError {
          version or a newer one",
         .path.display()
     )]
-    Newer {
-        /// Which.
-        path: PathBuf,
-        /// Who made it.
-        version: String,
-        /// Its format.
-        format: u32,
-    },
+    Newer { path: PathBuf, version: String, format: u32 },
 }
 
-/// What a message is.
 #[derive(Clone, Debug, PartialEq, Eq, PartialOrd, Ord)]
 pub enum Channel {
-    /// One of ours.
     Topic(Topic),
     /// A frame of a camera.
     Frame(Arc<str>),
@@ -54,7 +38,6 @@ pub enum Channel {
 }
 
 impl Channel {
-    /// Name of the topic.
     pub fn name(&self) -> String {
         match self {
             Self::Topic(topic) => topic.name().to_owned(),
@@ -64,18 +47,14 @@ impl Channel {
     }
 }
 
-/// A message of a recording.
 #[derive(Clone, Debug)]
 pub struct RecordedMessage {
-    /// What it is.
     pub channel: Channel,
     /// When it was recorded.
     pub log_time: Timestamp,
     /// When it was made.
     pub publish_time: Timestamp,
-    /// Counts those of its kind.
     pub sequence: u32,
-    /// Encoded.
     pub data: Vec<u8>,
 }
 
@@ -95,9 +74,7 @@ pub struct Damage {
 pub struct ChunkInfo {
     /// Its record's first byte.
     pub offset: u64,
-    /// Earliest log time in it.
     pub begin: Timestamp,
-    /// Latest log time in it.
     pub end: Timestamp,
     /// Channels of which messages are in it, where an index says so.
     pub(super) channels: Vec<u16>,

@@ -12,7 +12,6 @@ use super::{super::MediaAddress, decode_timer::DecodeTimer, plugin};
 /// loses nothing.
 const FORMATS: &str = "video/x-raw,format=(string){GRAY8,I420,NV12,NV21,YV12,Y42B,NV16,Y444,YUY2,YVYU,UYVY,GRAY16_LE}";
 const SINK: &str = "roundel";
-/// What takes the address.
 pub(super) const ORIGIN: &str = "origin";
 const BACKLOG: &str = "backlog";
 /// Sources that stamp frames by their camera's counter.

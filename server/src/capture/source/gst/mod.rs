@@ -48,7 +48,6 @@ const UNIX_FROM_NTP_S: u64 = 2_208_988_800;
 const STEP_EARLY_S: f64 = 0.5;
 const STEP_LATE_S: f64 = 5.0;
 
-/// A pipeline that plays.
 pub(super) struct GstSource {
     pipeline: gst::Pipeline,
     bus: gst::Bus,

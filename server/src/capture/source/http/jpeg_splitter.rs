@@ -20,7 +20,6 @@ const MAX_HEADER: usize = 4096;
 const START: [u8; 3] = [0xFF, 0xD8, 0xFF];
 const STAMP: &str = "x-timestamp";
 
-/// A picture as received.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
 pub(super) struct StampedJpeg {
     /// From its first marker to its last one.
@@ -31,7 +30,6 @@ pub(super) struct StampedJpeg {
     pub(super) stamp_ns: Option<i64>,
 }
 
-/// Position in a picture.
 #[derive(Clone, Copy, Debug)]
 enum ScanState {
     /// A marker begins at this byte.
@@ -73,7 +71,6 @@ impl JpegSplitter {
         while self.advance(now) {}
     }
 
-    /// The next whole picture.
     pub(super) fn pop(&mut self) -> Option<StampedJpeg> {
         self.found.pop_front()
     }

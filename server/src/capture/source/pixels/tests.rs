@@ -53,7 +53,6 @@ fn deep_samples_are_rounded_in_every_layout() {
     }
 }
 
-/// As the standards draw them.
 fn pack(samples: SampleFormat, values: &[u32]) -> Vec<u8> {
     let bits_of = |width: usize| {
         let mut bytes = vec![0u8; (values.len() * width).div_ceil(8)];

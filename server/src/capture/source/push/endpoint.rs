@@ -28,13 +28,10 @@ const REPLACEABLE_AFTER: Duration = Duration::from_secs(3);
 /// What a sender says first.
 #[derive(Clone, Debug, Default)]
 pub struct SenderHello {
-    /// What it calls itself.
     pub sender: String,
-    /// Where it connects from.
     pub address: String,
     /// Tells this run of it from every other.
     pub run_id: String,
-    /// What its times are.
     pub times: SenderClock,
     /// The least sequence that is still to come.
     pub next_sequence: u64,
@@ -45,16 +42,10 @@ pub struct SenderHello {
 /// Why something is not taken.
 #[derive(Clone, Debug, PartialEq, Eq, Error)]
 pub enum PushError {
-    /// Somebody else is feeding it.
     #[error(
         "{sender} ({address}) is feeding this camera; end it first, or give each its own camera"
     )]
-    Taken {
-        /// Who.
-        sender: String,
-        /// Where from.
-        address: String,
-    },
+    Taken { sender: String, address: String },
     /// The same sender has come back over another connection.
     #[error("the same run of this sender has connected anew")]
     Superseded,
@@ -98,7 +89,6 @@ impl EndpointState {
         self.newest += gap;
     }
 
-    /// Why nothing comes.
     fn failure_reason(&self) -> String {
         let SenderLink { sender, address, connected, .. } = &self.link;
         match (connected, sender.as_str()) {
@@ -116,7 +106,6 @@ impl EndpointState {
     }
 }
 
-/// The entrance of one camera.
 #[derive(Default)]
 pub struct PushEndpoint {
     state: Mutex<EndpointState>,
@@ -265,7 +254,6 @@ impl PushEndpoint {
         stop.is_stopped()
     }
 
-    /// Who sends, for messages.
     pub(super) fn sender_label(&self) -> String {
         let state = self.lock();
         format!("{} ({})", state.link.sender, state.link.address)

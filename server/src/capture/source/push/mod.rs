@@ -34,7 +34,6 @@ pub enum SenderClock {
     Arrival,
     /// On the server's clock.
     Server,
-    /// A counter of its own.
     Counter,
     /// Unix time that it keeps in step.
     Unix,
@@ -45,7 +44,6 @@ pub enum SenderClock {
 pub struct PushedItem {
     /// Frame or detections.
     pub what: Payload,
-    /// What their times are.
     pub times: SenderClock,
     /// Where they come from, if the sender says so.
     pub clock: Option<CaptureClock>,
@@ -58,7 +56,6 @@ pub struct PushedItem {
 pub enum Payload {
     /// 8-bit grey without gaps; columns, rows, and the middle of the exposure.
     Grey(Vec<u8>, (usize, usize), Timestamp),
-    /// A JPEG file, likewise.
     Jpeg(Vec<u8>, Timestamp),
     /// What was seen in a frame; the worker gives it its camera and number.
     Detections(Box<FrameObservations>, Option<RemoteStats>),

@@ -2,10 +2,8 @@
 
 use crate::capture::source::jpeg::{JpegError, LumaDecoder};
 
-/// As it came.
 #[derive(Debug)]
 pub enum StillImage {
-    /// A JPEG file.
     Jpeg(Vec<u8>),
     /// 8-bit grey without gaps; columns and rows.
     Grey(Vec<u8>, (usize, usize)),

@@ -48,31 +48,21 @@ pub enum FleetError {
     NothingSimulated,
     /// The object is not followed.
     #[error("object {object} is not followed now; {known}")]
-    NoObject {
-        /// Which one.
-        object: u64,
-        /// Those there are.
-        known: String,
-    },
+    NoObject { object: u64, known: String },
     /// No robot is where the object is.
     #[error(
         "object {object} is at no simulated robot: the nearest one is {distance_m:.2} m from it, and within {MATCH_RADIUS_M} m \
          was expected"
     )]
     NoRobot {
-        /// Which one.
         object: u64,
         /// From the nearest robot, metres.
         distance_m: f64,
     },
-    /// It stands for good.
     #[error(
         "object {object} is parked as a reference of the arena, by which cameras are calibrated: it stays there"
     )]
-    Reference {
-        /// Which one.
-        object: u64,
-    },
+    Reference { object: u64 },
 }
 
 /// All simulated worlds of one server: those of its sources, each once.
@@ -97,7 +87,6 @@ struct State {
 /// A velocity for the robot of an object.
 #[derive(Clone, Copy, Debug)]
 pub struct DriveCommand {
-    /// Whose robot.
     pub object: ObjectId,
     /// World frame, m/s.
     pub velocity_m_s: Vector3<f64>,

@@ -26,7 +26,6 @@ pub(super) const CONTROL_READ_ONLY: u32 = 0x4;
 /// Another control, such as automatic exposure, overrides it.
 pub(super) const CONTROL_INACTIVE: u32 = 0x10;
 
-/// Declares the arguments of ioctls.
 macro_rules! arguments {
     ($($name:ident { $($field:ident: $kind:ty),* $(,)? })*) => {$(
         #[derive(Clone, Copy, Debug, Default)]

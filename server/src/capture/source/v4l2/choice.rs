@@ -12,7 +12,6 @@ use crate::{
 /// Rate where the address has none.
 const DEFAULT_HZ: f64 = 30.0;
 
-/// The chosen format.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(super) struct Choice {
     pub(super) code: [u8; 4],

@@ -37,11 +37,9 @@ pub(super) trait Driver: Send {
 /// A format in one size.
 #[derive(Clone, Debug, Default, PartialEq, Serialize)]
 pub struct FormatListing {
-    /// Four-character code.
     pub format: String,
     /// The driver's description.
     pub description: String,
-    /// Whether Roundel can use it.
     pub is_read: bool,
     /// Columns, pixels; 0: any.
     pub width: u32,
@@ -65,11 +63,9 @@ pub struct ControlListing {
     pub least: i32,
     /// Maximum.
     pub most: i32,
-    /// Distance of values.
     pub step: i32,
     /// Value when plugged in.
     pub default: i32,
-    /// Current value.
     pub value: i32,
     /// Whether it can be set now: it is not read-only and no other control overrides it.
     pub is_settable: bool,
@@ -105,7 +101,6 @@ impl Buffer {
     }
 }
 
-/// An open device.
 #[derive(Debug)]
 pub(super) struct Device<D> {
     pub(super) driver: D,

@@ -26,7 +26,6 @@ use rustix::{
 
 use super::{abi::Request, device::Driver};
 
-/// An open device file.
 #[derive(Debug)]
 pub(super) struct Kernel {
     file: File,
@@ -53,7 +52,6 @@ impl Drop for Mapping {
 }
 
 impl Kernel {
-    /// Opens a device file.
     pub(super) fn open(path: &Path) -> io::Result<Self> {
         let flags = OFlags::NONBLOCK.bits() as i32;
         let file = OpenOptions::new().read(true).write(true).custom_flags(flags).open(path)?;

@@ -12,15 +12,10 @@ use super::{
 /// A device that gives frames, or why it cannot be queried.
 #[derive(Clone, Debug, Default, Serialize)]
 pub struct DeviceListing {
-    /// Device file.
     pub path: PathBuf,
-    /// Name of the device.
     pub card: String,
-    /// Where it is plugged in.
     pub bus: String,
-    /// Formats and sizes.
     pub formats: Vec<FormatListing>,
-    /// Controls.
     pub controls: Vec<ControlListing>,
     /// Why the query failed; empty where it did not.
     pub error: String,

@@ -54,17 +54,14 @@ const POLL_EVERY: Duration = Duration::from_millis(20);
 const FIRST_FRAME: Duration = Duration::from_secs(5);
 const STALL: Duration = Duration::from_secs(1);
 
-/// A camera that streams.
 struct V4l2Source<D: Driver> {
     device: Device<D>,
     name: String,
     parts: SourceParts,
     stop: StopSignal,
-    /// Rate that the device reports.
     promised_hz: Option<f64>,
     choice: Choice,
     stride: usize,
-    /// The buffer that is lent.
     lent: Option<u32>,
     /// Sequence number of the newest frame.
     newest: Option<u32>,

@@ -27,7 +27,6 @@ const AUTO_EXPOSURE: u32 = 0x009A_0901;
 /// A frame that the camera will have: sequence, flags, age in ms, content.
 type Coming = (u32, u32, i64, Vec<u8>);
 
-/// Code, sizes, rates.
 type Listed = ([u8; 4], Vec<(u32, u32)>, Vec<u32>);
 
 #[derive(Default)]

@@ -18,15 +18,12 @@ const SAME: f64 = 1e-9;
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct StoredCamera {
-    /// As configured.
     pub name: String,
     /// 6x6 over (position m, rotation rad), world frame, left perturbation: upper triangle.
     pub covariance: Vec<f64>,
-    /// Where it stands.
     pub pose: StoredPose,
     /// What the pose was found with.
     pub lens: StoredLens,
-    /// What the configuration said.
     pub configured: StoredConfig,
 }
 
@@ -38,7 +35,6 @@ pub struct StoredPose {
     orientation_xyzw: Vec<f64>,
 }
 
-/// A lens with its image.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct StoredLens {
@@ -56,7 +52,6 @@ pub struct StoredConfig {
     /// None: unknown.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub pose: Option<StoredPose>,
-    /// Of its camera file.
     pub lens: StoredLens,
 }
 
@@ -182,7 +177,6 @@ impl StoredConfig {
         Self { pose, lens: StoredLens::of(&camera.calibration) }
     }
 
-    /// What differs, in a word.
     fn difference(&self, other: &Self) -> Option<&'static str> {
         let same = |one: f64, other: f64| (one - other).abs() <= SAME * (1.0 + one.abs());
         let are_same = |(one, other): (&StoredPose, &StoredPose)| {

@@ -18,9 +18,7 @@ const REQUIRED: [&str; 2] = ["name", "source"];
 
 /// A message that is one table of a list of tables.
 pub trait Message: Serialize + DeserializeOwned {
-    /// Key of the list.
     const SECTION: &'static str;
-    /// All keys of a table.
     const KEYS: &'static [&'static str];
 
     /// Replaces fields by the keys that have another form.
@@ -108,7 +106,6 @@ pub(super) fn to_table<M: Message>(message: &M) -> Result<InlineTable, EditError
     Ok(table)
 }
 
-/// The message of a table.
 pub(super) fn of_table<M: Message>(table: &dyn TableLike) -> Result<M, EditError> {
     let values =
         table.iter().filter_map(|(key, item)| Some((key, item.clone().into_value().ok()?)));

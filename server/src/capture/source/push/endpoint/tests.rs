@@ -43,7 +43,6 @@ fn failure(endpoint: &PushEndpoint) -> String {
     }
 }
 
-/// received, missing, repeated.
 fn counts(endpoint: &PushEndpoint) -> [u64; 3] {
     let link = endpoint.link();
     [link.received, link.missing, link.repeated]
