@@ -140,10 +140,10 @@ fn cycles_are_found_at_every_depth() {
     assert_eq!(import_cycles(&files(&three)).len(), 1);
     let none = [
         ("a/mod.rs", "mod b; mod c; pub use b::B; use self::c::C;"),
-        ("a/b.rs", "use super::{SubscriberFields, c::{self, C}}; use crate::d::D;"),
+        ("a/b.rs", "use super::{Own, c::{self, C}}; use crate::d::D;"),
         (
             "a/c.rs",
-            "use super::SubscriberFields; #[cfg(test)] mod tests { use super::super::b::B; }",
+            "use super::Own; #[cfg(test)] mod tests { use super::super::b::B; }",
         ),
         ("d.rs", "// crate::a::b"),
     ];
