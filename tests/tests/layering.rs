@@ -141,10 +141,7 @@ fn cycles_are_found_at_every_depth() {
     let none = [
         ("a/mod.rs", "mod b; mod c; pub use b::B; use self::c::C;"),
         ("a/b.rs", "use super::{Own, c::{self, C}}; use crate::d::D;"),
-        (
-            "a/c.rs",
-            "use super::Own; #[cfg(test)] mod tests { use super::super::b::B; }",
-        ),
+        ("a/c.rs", "use super::Own; #[cfg(test)] mod tests { use super::super::b::B; }"),
         ("d.rs", "// crate::a::b"),
     ];
     assert_clean(&import_cycles(&files(&none)));

@@ -6,14 +6,12 @@
 use std::{sync::Arc, time::Duration};
 
 use axum::body::Bytes;
-use jpeg_encoder::{ColorType, Encoder};
 use roundel_core::{camera::PixelPoint, time::Timestamp};
 use tokio::time::timeout;
 
 use super::{ApiState, error::ApiError, queries};
-use crate::{lab::drawing::Canvas, model::hub::Picture};
+use crate::{lab::drawing::Overlay, model::hub::Picture};
 
-const QUALITY: u8 = 80;
 /// How long a picture may take to come: a camera of 1 Hz still makes one.
 const FRAME_TIMEOUT: Duration = Duration::from_secs(1);
 
@@ -67,29 +65,29 @@ pub async fn jpeg(picture: &Arc<Picture>, mask: &[Vec<PixelPoint>]) -> Result<By
 /// Draws the mask and the detections into the picture and encodes it.
 pub fn encode(picture: &Picture, mask: &[Vec<PixelPoint>]) -> Result<Bytes, ApiError> {
     let sides = u16::try_from(picture.width).ok().zip(u16::try_from(picture.height).ok());
-    let Some((width, height)) = sides.filter(|&(width, height)| width > 0 && height > 0) else {
+    if !sides.is_some_and(|(width, height)| width > 0 && height > 0) {
         return Err(ApiError::Internal(format!(
             "expected a picture of 1 to 65535 pixels a side, found {} x {}",
             picture.width, picture.height
         )));
-    };
+    }
     let expected = picture.width * picture.height;
     if picture.pixels.len() != expected {
         return Err(ApiError::Internal(format!(
-            "expected {expected} pixels for {width} x {height}, found {}",
+            "expected {expected} pixels for {} x {}, found {}",
+            picture.width,
+            picture.height,
             picture.pixels.len()
         )));
     }
-    let mut canvas = Canvas::of(picture.width, picture.height, &picture.pixels);
+    let mut overlay = Overlay::new(picture.width, picture.height, &picture.pixels);
     for corners in mask {
-        canvas.draw_polygon(corners);
+        overlay.draw_polygon(corners);
     }
     for detection in &picture.observations.detections {
-        canvas.draw_ring(&detection.ring, Some(detection.track));
+        overlay.draw_ring(&detection.ring, Some(detection.track));
     }
-    let mut jpeg = Vec::with_capacity(expected / 4);
-    Encoder::new(&mut jpeg, QUALITY)
-        .encode(canvas.rgb(), width, height, ColorType::Rgb)
-        .map_err(|error| ApiError::Internal(format!("could not encode the picture: {error}")))?;
-    Ok(jpeg.into())
+    let jpeg = overlay.jpeg();
+    jpeg.map(Bytes::from)
+        .map_err(|error| ApiError::Internal(format!("could not encode the picture: {error}")))
 }

@@ -24,8 +24,8 @@ use super::{
 };
 use crate::lab::{
     plan::{
-        DEFAULT_SPOTS,
-        map_drawing::{self, MapLayer},
+        DEFAULT_SPOTS, map_drawing,
+        plan_map::MapLayer,
         plan_map::{PlanMap, usable_stations},
         planned_camera::{self, PlannedCamera},
     },

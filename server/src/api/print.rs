@@ -77,7 +77,7 @@ pub async fn file(State(_): State<Arc<ApiState>>, uri: Uri) -> Result<Response, 
         match format.as_str() {
             "pdf" => Ok(sent("application/pdf", "roundels.pdf", print::pdf(&pages, "Roundels"))),
             "svg" => {
-                let svg = print::svg(page_of(&pages, sheet)?);
+                let svg = page_of(&pages, sheet)?.svg();
                 Ok(sent("image/svg+xml", "roundels.svg", svg.into_bytes()))
             }
             "png" => {

@@ -4,6 +4,7 @@
 
 use std::{fs, path::Path, process::Command};
 
+use kurbo::{BezPath, Point, Shape as _};
 use rayon::prelude::*;
 use roundel_core::{
     calib::board::Board,
@@ -11,11 +12,7 @@ use roundel_core::{
 };
 use roundel_server::{
     capture::image_file::{self, GreyImage},
-    lab::print::{
-        self, Page, PageSize, PrintItem, board_page, items_of_kind, lay_out_pages,
-        path::{self, Place, Step},
-        spec,
-    },
+    lab::print::{self, Page, PageSize, PrintItem, board_page, items_of_kind, lay_out_pages, spec},
 };
 use roundel_tests::process::roundel;
 
@@ -56,15 +53,9 @@ impl Pdf {
     }
 }
 
-/// The middle of what is printed there: outlines are the same to each side.
-fn middle(outline: &path::Path) -> Place {
-    let (mut least, mut most) = ((f64::MAX, f64::MAX), (f64::MIN, f64::MIN));
-    for step in &outline.steps {
-        let (Step::Move(at) | Step::Line(at) | Step::Cubic(.., at)) = *step else { continue };
-        least = (least.0.min(at.x), least.1.min(at.y));
-        most = (most.0.max(at.x), most.1.max(at.y));
-    }
-    Place::new((least.0 + most.0) / 2.0, (least.1 + most.1) / 2.0)
+/// The centre of a print, whose outline is symmetrical.
+fn middle(outline: &BezPath) -> Point {
+    outline.bounding_box().center()
 }
 
 /// A page, with what is on it.
@@ -85,12 +76,12 @@ impl Sheet<'_> {
         close(image.width as f64 * MM, page.size.width_mm, "the page's width");
         close(image.height as f64 * MM, page.size.height_mm, "the page's height");
         let rings = found(kind, image);
-        let places: Vec<Place> = page.prints.iter().map(middle).collect();
+        let places: Vec<Point> = page.prints.iter().map(middle).collect();
         let mut missing: Vec<Option<u16>> = numbers.clone();
         for ring in &rings {
             // Pixel centres are whole numbers.
             let (x, y) = ((ring.outer.center.u + 0.5) * MM, (ring.outer.center.v + 0.5) * MM);
-            let near = |at: &Place| (x - at.x).abs() < TRUE_MM && (y - at.y).abs() < TRUE_MM;
+            let near = |at: &Point| (x - at.x).abs() < TRUE_MM && (y - at.y).abs() < TRUE_MM;
             let Some(index) = places.iter().position(near) else {
                 panic!("{}: a roundel at ({x}, {y}) mm, where none is printed", kind.name);
             };
@@ -297,8 +288,8 @@ fn laid_together(kind: &Kind, pages: &[Page], pdf: &Pdf) -> GreyImage {
             side as isize / 2 - (middle.y / MM).round() as isize,
         );
         let window = page.window;
-        for v in at(window.top) + 1..at(window.bottom) - 1 {
-            for u in at(window.left) + 1..at(window.right) - 1 {
+        for v in at(window.y0) + 1..at(window.y1) - 1 {
+            for u in at(window.x0) + 1..at(window.x1) - 1 {
                 let (x, y) = (left + u as isize, top + v as isize);
                 if (0..side as isize).contains(&x) && (0..side as isize).contains(&y) {
                     whole.pixels[y as usize * side + x as usize] =

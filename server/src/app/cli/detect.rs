@@ -19,7 +19,7 @@ use self::search::{ImageDetections, ImageSearch, SearchOptions};
 use super::error_chain;
 use crate::{
     lab::{
-        drawing::Canvas,
+        drawing::Overlay,
         print::spec::{self, Diameters, PolarityArg, PrintSpec},
     },
     model::camera_file,
@@ -161,17 +161,17 @@ fn drawing_name(image: &Path, taken: &mut HashSet<String>) -> String {
 
 fn draw(target: &Path, found: &ImageDetections) -> anyhow::Result<()> {
     let (width, height) = (found.image.width, found.image.height);
-    let mut canvas = Canvas::of(width, height, &found.image.pixels);
-    canvas.draw_rejected(&found.rejected);
+    let mut overlay = Overlay::new(width, height, &found.image.pixels);
+    overlay.draw_rejected(&found.rejected);
     for roundel in &found.roundels {
-        canvas.draw_ring(&roundel.ring, roundel.track);
+        overlay.draw_ring(&roundel.ring, roundel.track);
     }
     let file = BufWriter::new(File::create(target)?);
     let mut encoder = png::Encoder::new(file, u32::try_from(width)?, u32::try_from(height)?);
     encoder.set_color(png::ColorType::Rgb);
     encoder.set_compression(png::Compression::Fast);
     let mut writer = encoder.write_header()?;
-    writer.write_image_data(canvas.rgb())?;
+    writer.write_image_data(&overlay.rgb())?;
     writer.finish()?;
     Ok(())
 }

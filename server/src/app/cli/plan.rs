@@ -23,7 +23,8 @@ use roundel_core::{
 use crate::lab::{
     plan::{
         machine_timings::{MachineTimings, default_path},
-        map_drawing::{self, MapLayer},
+        map_drawing,
+        plan_map::MapLayer,
         plan_map::PlanMap,
     },
     print::spec::{self, Diameters, PolarityArg, PrintSpec},

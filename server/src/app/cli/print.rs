@@ -113,7 +113,7 @@ pub(super) fn run(arguments: &PrintArgs) -> anyhow::Result<ExitCode> {
             vec![file.clone()]
         }
         _ => each(file, &pages, |page| match ending.as_str() {
-            "svg" => Ok(print::svg(page).into_bytes()),
+            "svg" => Ok(page.svg().into_bytes()),
             _ => {
                 let mut bytes = Vec::new();
                 print::png(page, arguments.dpi.unwrap_or(DPI), &mut bytes)?;

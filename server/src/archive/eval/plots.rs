@@ -1,122 +1,97 @@
-//! An evaluation as pictures (SVG): where all went, from above, and how far off it was over time.
+//! An evaluation as pictures (SVG): trajectories from above, and the distance from the truth over time.
 
 use std::{fs, io, ops::Range, path::Path};
 
-use plotters::{
-    chart::ChartBuilder,
-    prelude::{IntoDrawingArea, LineSeries, Palette, Palette99, PathElement, SVGBackend},
-    style::{BLACK, Color, RGBColor, WHITE},
-};
+use kurbo::{Point, Rect, Size};
+use nalgebra::Point3;
 use roundel_core::time::Timestamp;
 
 use super::metrics::{EvalMetrics, errors};
+use crate::lab::drawing::{Anchor, Axes, Color, Drawing, LETTER_PX, Shape};
 
-const SIZE: (u32, u32) = (900, 600);
-const TRUTH: RGBColor = RGBColor(150, 150, 150);
+const SIZE: Size = Size::new(900.0, 600.0);
+const AREA: Rect = Rect::new(70.0, 48.0, 880.0, 548.0);
+const TRUTH: Color = [150; 3];
+/// Colours of objects, which repeat.
+const OBJECTS: [Color; 6] =
+    [[0, 114, 178], [213, 94, 0], [0, 158, 115], [204, 121, 167], [230, 159, 0], [86, 180, 233]];
 
-/// Draws `above.svg` and `error.svg` into a folder, which is made if it is not there.
+/// Draws `above.svg` and `error.svg` into a folder, which is created if necessary.
 pub fn draw(metrics: &EvalMetrics, folder: &Path) -> io::Result<()> {
     fs::create_dir_all(folder)?;
-    let drawn = [("above.svg", plot_top_view(metrics)), ("error.svg", plot_errors(metrics))];
-    for (name, picture) in drawn {
-        let picture = picture.map_err(|error| io::Error::other(error.to_string()))?;
-        fs::write(folder.join(name), picture)?;
-    }
-    Ok(())
+    fs::write(folder.join("above.svg"), plot_top_view(metrics).svg("px"))?;
+    fs::write(folder.join("error.svg"), plot_errors(metrics).svg("px"))
 }
 
-type PlotResult = Result<String, Box<dyn std::error::Error>>;
-
-fn plot_top_view(metrics: &EvalMetrics) -> PlotResult {
-    let each = metrics.objects.iter();
-    let truths = each.clone().map(|object| {
-        object.pairs.iter().map(|pair| (pair.truth.position_m.x, pair.truth.position_m.y)).collect()
-    });
-    let truths: Vec<Vec<(f64, f64)>> = truths.collect();
-    let moved = each.map(|object| {
-        let place = |pair: &super::align::Pair| {
-            let point = nalgebra::Point3::from(pair.estimate.position_m);
-            let place = metrics.truth_from_estimate * point;
-            (place.x, place.y)
-        };
-        object.pairs.iter().map(place).collect()
-    });
-    let moved: Vec<Vec<(f64, f64)>> = moved.collect();
-    let all = || truths.iter().chain(&moved).flatten();
-    let (mut xs, mut ys) = (range(all().map(|it| it.0)), range(all().map(|it| it.1)));
-    // A metre is as long in both ways.
-    let scale = ((xs.end - xs.start) / 1.5).max(ys.end - ys.start);
-    xs = about(&xs, scale * 1.5);
-    ys = about(&ys, scale);
-    let mut text = String::new();
-    {
-        let root = SVGBackend::with_string(&mut text, SIZE).into_drawing_area();
-        root.fill(&WHITE)?;
-        let mut chart = ChartBuilder::on(&root)
-            .caption("from above: truth grey, recording coloured", ("sans-serif", 18))
-            .margin(12)
-            .x_label_area_size(36)
-            .y_label_area_size(48)
-            .build_cartesian_2d(xs, ys)?;
-        chart.configure_mesh().x_desc("x, m").y_desc("y, m").draw()?;
-        for line in truths {
-            chart.draw_series(LineSeries::new(line, TRUTH.stroke_width(3)))?;
-        }
-        for (index, line) in moved.into_iter().enumerate() {
-            chart.draw_series(LineSeries::new(line, Palette99::pick(index).stroke_width(1)))?;
-        }
-        root.present()?;
-    }
-    Ok(text)
+/// A line of a chart through pairs of values.
+struct Curve {
+    points: Vec<(f64, f64)>,
+    width: f64,
+    color: Color,
 }
 
-fn plot_errors(metrics: &EvalMetrics) -> PlotResult {
+fn plot_top_view(metrics: &EvalMetrics) -> Drawing {
+    let truths = metrics.objects.iter().map(|object| {
+        let truth = object.pairs.iter().map(|pair| &pair.truth.position_m);
+        Curve { points: truth.map(|at| (at.x, at.y)).collect(), width: 3.0, color: TRUTH }
+    });
+    let moved = metrics.objects.iter().zip(OBJECTS.iter().cycle()).map(|(object, &color)| {
+        let estimates = object.pairs.iter().map(|pair| Point3::from(pair.estimate.position_m));
+        let moved = estimates.map(|at| metrics.truth_from_estimate * at);
+        Curve { points: moved.map(|at| (at.x, at.y)).collect(), width: 1.0, color }
+    });
+    let curves: Vec<Curve> = truths.chain(moved).collect();
+    let (mut x, mut y) = (range(&curves, |it| it.0), range(&curves, |it| it.1));
+    // Both axes have the same scale.
+    let metres_per_px = ((x.end - x.start) / AREA.width()).max((y.end - y.start) / AREA.height());
+    x = widened(&x, metres_per_px * AREA.width());
+    y = widened(&y, metres_per_px * AREA.height());
+    chart(&curves, (x, y), "from above: truth grey, recording coloured", ["x, m", "y, m"])
+}
+
+fn plot_errors(metrics: &EvalMetrics) -> Drawing {
     let begin = metrics.objects.iter().filter_map(|it| it.pairs.first()).map(|it| it.estimate.time);
     let begin: Timestamp = begin.min().unwrap_or_default();
-    let lines: Vec<(String, Vec<(f64, f64)>)> = metrics
-        .objects
-        .iter()
-        .map(|object| {
-            let errors = errors(&object.pairs, &metrics.truth_from_estimate);
-            let point = |(pair, error): (&super::align::Pair, &nalgebra::Vector3<f64>)| {
-                (pair.estimate.time.seconds_since(begin), error.norm() * 1e3)
-            };
-            (object.name.clone(), object.pairs.iter().zip(&errors).map(point).collect())
-        })
-        .collect();
-    let all = || lines.iter().flat_map(|(_, line)| line);
-    let (times, most) = (range(all().map(|it| it.0)), range(all().map(|it| it.1)).end);
-    let mut text = String::new();
-    {
-        let root = SVGBackend::with_string(&mut text, SIZE).into_drawing_area();
-        root.fill(&WHITE)?;
-        let mut chart = ChartBuilder::on(&root)
-            .caption("distance from the truth", ("sans-serif", 18))
-            .margin(12)
-            .x_label_area_size(36)
-            .y_label_area_size(56)
-            .build_cartesian_2d(times, 0.0..most)?;
-        chart.configure_mesh().x_desc("s").y_desc("mm").draw()?;
-        for (index, (name, line)) in lines.into_iter().enumerate() {
-            let color = Palette99::pick(index).to_rgba();
-            chart
-                .draw_series(LineSeries::new(line, color.stroke_width(1)))?
-                .label(name)
-                .legend(move |(x, y)| PathElement::new([(x, y), (x + 16, y)], color));
-        }
-        chart
-            .configure_series_labels()
-            .background_style(WHITE.mix(0.8))
-            .border_style(BLACK)
-            .draw()?;
-        root.present()?;
+    let curves = metrics.objects.iter().zip(OBJECTS.iter().cycle()).map(|(object, &color)| {
+        let errors_m = errors(&object.pairs, &metrics.truth_from_estimate);
+        let times_s = object.pairs.iter().map(|pair| pair.estimate.time.seconds_since(begin));
+        let points = times_s.zip(errors_m.iter().map(|error_m| error_m.norm() * 1e3)).collect();
+        Curve { points, width: 1.0, color }
+    });
+    let curves: Vec<Curve> = curves.collect();
+    let (times, most) = (range(&curves, |it| it.0), range(&curves, |it| it.1).end);
+    let mut drawing = chart(&curves, (times, 0.0..most), "distance from the truth", ["s", "mm"]);
+    for ((object, curve), line) in metrics.objects.iter().zip(&curves).zip(1..) {
+        let at = Point::new(AREA.x1 - 30.0, AREA.y0 + 18.0 * f64::from(line));
+        let sample = [at - (0.0, 5.0), at + (20.0, -5.0)];
+        drawing.shapes.push(Shape::polyline(sample, 2.0, curve.color));
+        drawing.shapes.push(Shape::text(at - (8.0, 0.0), Anchor::End, LETTER_PX, &object.name));
     }
-    Ok(text)
+    drawing
 }
 
-/// From the least to the most, never empty.
-fn range(numbers: impl Iterator<Item = f64>) -> Range<f64> {
-    let (low, high) = numbers
+fn chart(
+    curves: &[Curve],
+    (x, y): (Range<f64>, Range<f64>),
+    title: &str,
+    names: [&str; 2],
+) -> Drawing {
+    let axes = Axes { area: AREA, x, y };
+    let mut shapes = axes.grid();
+    shapes.extend(curves.iter().map(|curve| {
+        let points = curve.points.iter().map(|&(x, y)| axes.point(x, y));
+        Shape::polyline(points, curve.width, curve.color)
+    }));
+    shapes.extend(axes.frame(names));
+    let at = Point::new(AREA.center().x, AREA.y0 - 18.0);
+    shapes.push(Shape::text(at, Anchor::Middle, LETTER_PX, title));
+    Drawing { size: SIZE, shapes }
+}
+
+/// The values of all curves with a margin, never empty.
+fn range(curves: &[Curve], value: impl Fn(&(f64, f64)) -> f64) -> Range<f64> {
+    let values = curves.iter().flat_map(|curve| &curve.points).map(value);
+    let (low, high) = values
         .fold((f64::INFINITY, f64::NEG_INFINITY), |(low, high), it| (low.min(it), high.max(it)));
     if !low.is_finite() {
         return 0.0..1.0;
@@ -125,7 +100,7 @@ fn range(numbers: impl Iterator<Item = f64>) -> Range<f64> {
     low - margin..high + margin
 }
 
-fn about(range: &Range<f64>, length: f64) -> Range<f64> {
+fn widened(range: &Range<f64>, length: f64) -> Range<f64> {
     let middle = (range.start + range.end) / 2.0;
     middle - length / 2.0..middle + length / 2.0
 }

@@ -1,12 +1,39 @@
-//! Letters of three by five dots: enough to read a number, with its sign and its point, or a word in a picture.
+//! A bitmap font of three by five dots: capitals, digits and the signs of numbers.
 
-/// Dots across a character, without the gap to the next.
-pub(crate) const COLUMNS: i64 = 3;
-pub(crate) const ROWS: i64 = 5;
+use kurbo::{BezPath, Point, Rect, Shape as _};
 
-/// The rows of a character from the top, the left dot in the highest of three bits; a letter looks
-/// the same large and small, and what has no shape here is a blank.
-pub(crate) fn rows(character: char) -> [u8; ROWS as usize] {
+use super::{Anchor, TOLERANCE};
+
+const COLUMNS: usize = 3;
+const ROWS: usize = 5;
+/// Dots from one character to the next.
+const ADVANCE: usize = COLUMNS + 1;
+
+/// The width of a text whose capitals are that high, with a gap of one dot at its end.
+pub(crate) fn width(text: &str, height: f64) -> f64 {
+    (text.chars().count() * ADVANCE) as f64 * height / ROWS as f64
+}
+
+/// The dots of a text.
+pub(super) fn outline(text: &str, at: Point, anchor: Anchor, height: f64) -> BezPath {
+    let dot = height / ROWS as f64;
+    let origin = at - (anchor.share() * width(text, height), height);
+    let mut path = BezPath::new();
+    for (index, character) in text.chars().enumerate() {
+        for (row, bits) in rows(character).into_iter().enumerate() {
+            for column in (0..COLUMNS).filter(|column| bits >> (COLUMNS - 1 - column) & 1 == 1) {
+                let (x, y) = ((index * ADVANCE + column) as f64 * dot, row as f64 * dot);
+                let corner = origin + (x, y);
+                path.extend(Rect::from_origin_size(corner, (dot, dot)).path_elements(TOLERANCE));
+            }
+        }
+    }
+    path
+}
+
+/// The rows of a character from the top, with the left dot in the highest of three bits; lower case looks like
+/// upper case, and unknown characters are blank.
+fn rows(character: char) -> [u8; ROWS] {
     match character.to_ascii_uppercase() {
         '0' | 'O' => [0b111, 0b101, 0b101, 0b101, 0b111],
         '1' => [0b010, 0b110, 0b010, 0b010, 0b111],
@@ -56,7 +83,7 @@ pub(crate) fn rows(character: char) -> [u8; ROWS as usize] {
         '%' => [0b101, 0b001, 0b010, 0b100, 0b101],
         '(' => [0b001, 0b010, 0b010, 0b010, 0b001],
         ')' => [0b100, 0b010, 0b010, 0b010, 0b100],
-        _ => [0; ROWS as usize],
+        _ => [0; ROWS],
     }
 }
 

@@ -1,13 +1,11 @@
 //! The newest picture of a lens calibration, with the rings that were found in it.
 
-use jpeg_encoder::{ColorType, Encoder, EncodingError};
+use jpeg_encoder::EncodingError;
 use roundel_core::{frame::Frame, marker::Ring};
 
-use crate::lab::drawing::Canvas;
+use crate::lab::drawing::Overlay;
 
-const QUALITY: u8 = 80;
-
-/// A picture that was looked at.
+/// A picture with its rings.
 #[derive(Clone, Debug)]
 pub struct AnnotatedPicture {
     width: usize,
@@ -17,7 +15,7 @@ pub struct AnnotatedPicture {
 }
 
 impl AnnotatedPicture {
-    /// A copy of a frame, and what was found in it.
+    /// Copies a frame and its rings.
     pub(super) fn of(frame: &Frame<'_>, rings: &[Ring]) -> Self {
         let (width, height) = (frame.width(), frame.height());
         let mut pixels = Vec::with_capacity(width * height);
@@ -25,20 +23,12 @@ impl AnnotatedPicture {
         Self { width, height, pixels, rings: rings.to_vec() }
     }
 
+    /// The picture as a JPEG file.
     pub fn jpeg(&self) -> Result<Vec<u8>, EncodingError> {
-        let mut canvas = Canvas::of(self.width, self.height, &self.pixels);
+        let mut overlay = Overlay::new(self.width, self.height, &self.pixels);
         for ring in &self.rings {
-            canvas.draw_ring(ring, None);
+            overlay.draw_ring(ring, None);
         }
-        let mut jpeg = Vec::with_capacity(self.pixels.len() / 4);
-        // Sides of frames are far below.
-        let side = |side: usize| u16::try_from(side).unwrap_or(u16::MAX);
-        Encoder::new(&mut jpeg, QUALITY).encode(
-            canvas.rgb(),
-            side(self.width),
-            side(self.height),
-            ColorType::Rgb,
-        )?;
-        Ok(jpeg)
+        overlay.jpeg()
     }
 }

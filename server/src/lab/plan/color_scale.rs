@@ -1,6 +1,6 @@
-//! The scale of a map's colours, and round numbers for its marks.
+//! The scale of a map's colours, and round numbers for its values.
 
-use super::{map_drawing::MapLayer, plan_map::PlanMap};
+use super::plan_map::{MapLayer, PlanMap};
 
 /// Colours of the scale, from the best to the worst: those of viridis, from its light end on.
 const COLOURS: [[f64; 3]; 5] = [
@@ -32,6 +32,7 @@ pub(super) struct ColorScale {
 /// A value that has its place along the scale.
 pub(super) struct Mark {
     value: f64,
+    /// What stands beside it.
     pub(super) text: String,
 }
 
@@ -101,16 +102,7 @@ fn quantiles(mut all: Vec<f64>) -> Vec<Mark> {
     values.map(mark).into()
 }
 
-/// 1, 2 or 5 times a power of ten, not below this.
-pub(super) fn nice_step(least: f64) -> f64 {
-    let power = 10f64.powf(least.log10().floor());
-    [1.0, 2.0, 5.0, 10.0]
-        .into_iter()
-        .map(|digit| digit * power)
-        .find(|step| *step >= least)
-        .unwrap_or(10.0 * power)
-}
-
+/// Two significant digits.
 pub(super) fn significant(value: f64) -> f64 {
     if value == 0.0 {
         return 0.0;
@@ -166,9 +158,7 @@ mod tests {
     }
 
     #[test]
-    fn marks_are_round() {
-        assert!((nice_step(0.13) - 0.2).abs() < 1e-12);
-        assert!((nice_step(7.0) - 10.0).abs() < 1e-12);
+    fn values_are_round() {
         assert!((significant(0.123_4) - 0.12).abs() < 1e-12);
         assert!((significant(1234.0) - 1200.0).abs() < 1e-9);
     }

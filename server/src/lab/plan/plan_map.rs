@@ -113,3 +113,13 @@ impl PlanStation {
         }
     }
 }
+
+/// What a drawing's colours show.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, clap::ValueEnum)]
+pub enum MapLayer {
+    /// How exactly a roundel would be located
+    #[default]
+    Precision,
+    /// How many cameras would see it
+    Cameras,
+}

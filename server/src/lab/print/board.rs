@@ -1,5 +1,6 @@
 //! The page of a calibration board.
 
+use kurbo::Point;
 use roundel_core::{calib::board::Board, marker::Pattern};
 use thiserror::Error;
 
@@ -7,7 +8,6 @@ use super::{
     codes, marks, millimetres,
     page::{Page, PageSize},
     page_layout::printable_area,
-    path::Place,
     roundel::outline,
 };
 
@@ -52,7 +52,7 @@ pub fn board_page(board: &Board, page: PageSize) -> Result<Page, BoardPageError>
         });
     };
     let window = printable_area(page);
-    let middle = Place::new((window.left + window.right) / 2.0, (window.top + window.bottom) / 2.0);
+    let middle = window.center();
     let layout = match kind.pattern {
         Pattern::Coded(layout) => Some(layout),
         _ => None,
@@ -60,7 +60,8 @@ pub fn board_page(board: &Board, page: PageSize) -> Result<Page, BoardPageError>
     let words = layout.and_then(|layout| layout.codes().ok());
     let prints = board.centers().map(|(number, center)| {
         let teeth = words.as_ref().and_then(|codes| codes.teeth(number)).unwrap_or_default();
-        outline(&kind, &teeth, middle.moved(center.x * 1e3, -center.y * 1e3), pitch_mm)
+        let center = Point::new(middle.x + center.x * 1e3, middle.y - center.y * 1e3);
+        outline(&kind, &teeth, center, pitch_mm)
     });
     let about = format!(
         "calibration board: {} x {} roundels of {} mm, {} mm from centre to centre{}",

@@ -1,9 +1,8 @@
 //! Roundels on paper: true to scale, as PDF, SVG or PNG.
 //!
 //! In: kinds of roundel, as the detector knows them ([`roundel_core::marker::Kind`]), numbers of codes, and
-//! a page. Out: files. All geometry is in millimetres from the page's top left corner ([`path`]); each
-//! format draws the same [`page::Page`]s. What is drawn is tested against the detector
-//! (`tests/tests/print.rs`).
+//! a page. Out: files. All geometry is in millimetres from the page's top left corner. Each format draws the
+//! same [`page::Page`]s through `drawing`. The detector reads them in `tests/tests/print`.
 
 mod board;
 mod code_list;
@@ -11,28 +10,25 @@ mod job;
 mod marks;
 pub mod page;
 mod page_layout;
-pub mod path;
-mod pdf;
 mod raster;
 mod roundel;
 pub mod spec;
-mod svg;
 
 use roundel_core::marker::CodeLayout;
 
 pub use board::{BoardPageError, board_page};
 pub use code_list::{CodeListing, list_codes};
 pub use job::{PrintJob, PrintJobError, coded_item, config_lines, items_of_kind};
-pub use page::{Page, PageSize, PageSizeError};
-pub use page_layout::{MAX_PAGES, PageLayoutError, PrintItem, lay_out_pages};
-pub use pdf::pdf;
+pub use page::{Page, PageSize, PageSizeError, PrintItem, pdf};
+pub use page_layout::{MAX_PAGES, PageLayoutError, lay_out_pages};
 pub use raster::{DPI_LIMITS, RasterError, png};
 pub use roundel::SIDE_SHARE;
-pub use svg::svg;
 
-/// Of a board of which nothing else is said: its roundels' outer diameter, metres.
+/// Default outer diameter of a board's roundels, metres.
 pub const BOARD_OUTER_M: f64 = 0.03;
+/// Default pitch over the outer diameter.
 pub const BOARD_PITCH: f64 = 1.2;
+/// Default codes of a board.
 pub const BOARD_LAYOUT: CodeLayout = CodeLayout { bits: 9, min_distance: 1 };
 
 /// A length as people write it: to a hundredth, without zeros at its end.

@@ -1,8 +1,24 @@
-//! Pages: their sizes, and what is on them.
+//! Pages: their sizes, and their drawing.
 
+use kurbo::{BezPath, Rect, Size};
+use roundel_core::marker::Kind;
 use thiserror::Error;
 
-use super::path::{Area, Path, Place};
+use crate::lab::drawing::{self, Drawing, Shape};
+
+/// So much of a page's edges printers leave white, millimetres.
+pub(super) const EDGE_MM: f64 = 6.0;
+/// What ruler and small print take at the foot and at the right, millimetres.
+pub(super) const FOOT_MM: f64 = 13.0;
+pub(super) const RULER_MM: f64 = 6.0;
+
+#[derive(Clone, Debug, PartialEq)]
+pub struct PrintItem {
+    pub kind: Kind,
+    pub number: Option<u16>,
+    /// Small print in its corner, such as `#17`.
+    pub label: String,
+}
 
 /// Sizes that have a name, millimetres upright.
 const NAMED: [(&str, f64, f64); 6] = [
@@ -19,7 +35,9 @@ const SIDE_LIMITS_MM: (f64, f64) = (50.0, 5000.0);
 /// The size of a page, millimetres.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct PageSize {
+    /// Across.
     pub width_mm: f64,
+    /// Down.
     pub height_mm: f64,
 }
 
@@ -54,10 +72,12 @@ impl PageSize {
         Ok(Self { width_mm: side(width)?, height_mm: side(height)? })
     }
 
+    /// Turned by a right angle.
     pub fn rotated(self) -> Self {
         Self { width_mm: self.height_mm, height_mm: self.width_mm }
     }
 
+    /// What people call it.
     pub fn name(&self) -> String {
         let named = NAMED.iter().find(|&&(_, width_mm, height_mm)| {
             (width_mm, height_mm) == (self.width_mm, self.height_mm)
@@ -70,48 +90,40 @@ impl PageSize {
     }
 }
 
-/// How a text stands at its place.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum TextAnchor {
-    /// The place is where the text begins.
-    Begin,
-    /// The place is the text's middle.
-    Middle,
-    /// The place is where the text ends.
-    End,
-}
-
-#[derive(Clone, Debug, PartialEq)]
-pub enum Shape {
-    Line {
-        /// One end.
-        from: Place,
-        /// The other end.
-        to: Place,
-    },
-    /// A line of small print, on its base line.
-    Text {
-        at: Place,
-        /// How the place and the text go together.
-        anchor: TextAnchor,
-        /// Height of a capital, millimetres.
-        height_mm: f64,
-        text: String,
-    },
-}
-
 /// How thick lines are, millimetres.
 pub const LINE_MM: f64 = 0.15;
 
-/// A page: black on white.
+/// A page: black on white, in millimetres from its top left corner.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Page {
+    /// How large it is.
     pub size: PageSize,
-    /// The part in which the prints are; what reaches beyond is cut off, and goes on on another page.
-    pub window: Area,
-    pub prints: Vec<Path>,
-    /// What is round them: cut marks, ruler, small print.
+    /// The part that holds the prints. It cuts off the rest of a print, which another page shows.
+    pub window: Rect,
+    /// The prints.
+    pub prints: Vec<BezPath>,
+    /// Cut marks, rulers and small print.
     pub marks: Vec<Shape>,
+}
+
+impl Page {
+    pub(super) fn drawing(&self) -> Drawing {
+        let prints = Shape::Clipped { window: self.window, paths: self.prints.clone() };
+        Drawing {
+            size: Size::new(self.size.width_mm, self.size.height_mm),
+            shapes: std::iter::once(prints).chain(self.marks.iter().cloned()).collect(),
+        }
+    }
+
+    /// The page as an SVG file.
+    pub fn svg(&self) -> String {
+        self.drawing().svg("mm")
+    }
+}
+
+/// Pages as a PDF file.
+pub fn pdf(pages: &[Page], title: &str) -> Vec<u8> {
+    drawing::pdf(pages.iter().map(Page::drawing), title)
 }
 
 #[cfg(test)]

@@ -4,21 +4,17 @@
 //! many as fit, each in a square with cut marks at its corners; the page is turned where more fit then.
 //! A larger one is spread over pages that overlap by [`OVERLAP_MM`], with marks where sheets meet.
 
+use kurbo::{Point, Rect};
 use roundel_core::marker::{CodeError, CodeLayout, Dictionary, Kind, Pattern, Tooth};
 use thiserror::Error;
 
 use super::{
     marks,
-    page::{Page, PageSize, Shape},
-    path::{Area, Place},
-    roundel::{MIN_SIDE_SHARE, SIDE_SHARE, outline},
+    page::{EDGE_MM, FOOT_MM, Page, PageSize, PrintItem, RULER_MM},
+    roundel::{MIN_SIDE_SHARE, SIDE_SHARE, outline, square},
 };
+use crate::lab::drawing::Shape;
 
-/// So much of a page's edges printers leave white, millimetres.
-pub(super) const EDGE_MM: f64 = 6.0;
-/// What ruler and small print take at the foot and at the right, millimetres.
-pub(super) const FOOT_MM: f64 = 13.0;
-pub(super) const RULER_MM: f64 = 6.0;
 /// Between squares, for their cut marks, millimetres.
 const GAP_MM: f64 = 2.0 * (marks::CUT_GAP_MM + marks::CUT_MM) + 1.0;
 /// A square that just fits does fit.
@@ -31,14 +27,6 @@ pub const MAX_PAGES: usize = 500;
 const MIN_OUTER_MM: f64 = 2.0;
 /// Largest roundel, millimetres.
 const MAX_OUTER_MM: f64 = 5000.0;
-
-#[derive(Clone, Debug, PartialEq)]
-pub struct PrintItem {
-    pub kind: Kind,
-    pub number: Option<u16>,
-    /// Small print in its corner, such as `#17`.
-    pub label: String,
-}
 
 /// Why there is nothing to print.
 #[derive(Clone, Debug, PartialEq, Error)]
@@ -109,13 +97,9 @@ pub fn lay_out_pages(items: &[PrintItem], page: PageSize) -> Result<Vec<Page>, P
 }
 
 /// The part of a page that prints may take.
-pub(super) fn printable_area(page: PageSize) -> Area {
-    Area {
-        left: EDGE_MM,
-        top: EDGE_MM,
-        right: page.width_mm - EDGE_MM - RULER_MM,
-        bottom: page.height_mm - EDGE_MM - FOOT_MM,
-    }
+pub(super) fn printable_area(page: PageSize) -> Rect {
+    let (right, bottom) = (page.width_mm - EDGE_MM - RULER_MM, page.height_mm - EDGE_MM - FOOT_MM);
+    Rect { x0: EDGE_MM, y0: EDGE_MM, x1: right, y1: bottom }
 }
 
 /// Squares side by side on a page.
@@ -168,11 +152,11 @@ impl Grid {
         for items in items.chunks(self.cells()) {
             let mut page = Page { size: self.page, window, prints: Vec::new(), marks: Vec::new() };
             for (index, item) in items.iter().enumerate() {
-                let center = Place::new(
-                    window.left + pitch_mm * ((index % self.columns) as f64 + 0.5),
-                    window.top + pitch_mm * ((index / self.columns) as f64 + 0.5),
+                let center = Point::new(
+                    window.x0 + pitch_mm * ((index % self.columns) as f64 + 0.5),
+                    window.y0 + pitch_mm * ((index / self.columns) as f64 + 0.5),
                 );
-                let square = Area::square(center, self.side_mm);
+                let square = square(center, self.side_mm);
                 page.prints.push(outline(&item.kind, &codes.teeth(item)?, center, self.side_mm));
                 page.marks.extend(marks::cut_marks(&square));
                 page.marks.extend(marks::corner_labels(item, &square));
@@ -211,7 +195,7 @@ fn lay_out_tiled(
 /// Sheets that overlap, and together hold one square.
 struct TiledRoundel {
     page: PageSize,
-    window: Area,
+    window: Rect,
     side_mm: f64,
     columns: usize,
     rows: usize,
@@ -253,11 +237,11 @@ impl TiledRoundel {
             let step = room - OVERLAP_MM;
             begin + (step * count as f64 + OVERLAP_MM) / 2.0 - step * place as f64
         };
-        let center = Place::new(
-            middle(window.left, window.width(), columns, column),
-            middle(window.top, window.height(), rows, row),
+        let center = Point::new(
+            middle(window.x0, window.width(), columns, column),
+            middle(window.y0, window.height(), rows, row),
         );
-        let square = Area::square(center, side_mm);
+        let square = square(center, side_mm);
         let mut marks: Vec<Shape> = marks::cut_marks(&square)
             .into_iter()
             .chain(marks::corner_labels(item, &square))
@@ -329,7 +313,9 @@ fn footer_text(item: &PrintItem) -> String {
 mod tests {
     use roundel_core::marker::CodeLayout;
 
-    use super::{super::path::Step, *};
+    use kurbo::PathEl;
+
+    use super::*;
 
     const A4: PageSize = PageSize { width_mm: 210.0, height_mm: 297.0 };
 
@@ -339,10 +325,10 @@ mod tests {
     }
 
     /// Where the ring's outline begins: at its right.
-    fn first(page: &Page) -> Place {
-        match page.prints[0].steps[0] {
-            Step::Move(place) => place,
-            step => panic!("{step:?}"),
+    fn first(page: &Page) -> Point {
+        match page.prints[0].elements()[0] {
+            PathEl::MoveTo(place) => place,
+            other => panic!("{other:?}"),
         }
     }
 
@@ -383,13 +369,13 @@ mod tests {
             assert_eq!(pages.len(), count, "{outer_mm} mm");
             // The least margin and its cut marks lie in the windows of the outermost sheets.
             let reach_mm = 0.5 * (MIN_SIDE_SHARE * outer_mm + GAP_MM);
-            let middle = |page: &Page| first(page).moved(-0.5 * outer_mm, 0.0);
+            let middle = |page: &Page| first(page) - (0.5 * outer_mm, 0.0);
             let (one, other) = (&pages[0], &pages[count - 1]);
             let (before, after) = (middle(one), middle(other));
-            assert!(before.x - reach_mm >= one.window.left - ROUNDING, "{outer_mm} mm");
-            assert!(before.y - reach_mm >= one.window.top - ROUNDING, "{outer_mm} mm");
-            assert!(after.x + reach_mm <= other.window.right + ROUNDING, "{outer_mm} mm");
-            assert!(after.y + reach_mm <= other.window.bottom + ROUNDING, "{outer_mm} mm");
+            assert!(before.x - reach_mm >= one.window.x0 - ROUNDING, "{outer_mm} mm");
+            assert!(before.y - reach_mm >= one.window.y0 - ROUNDING, "{outer_mm} mm");
+            assert!(after.x + reach_mm <= other.window.x1 + ROUNDING, "{outer_mm} mm");
+            assert!(after.y + reach_mm <= other.window.y1 + ROUNDING, "{outer_mm} mm");
         }
     }
 

@@ -2,9 +2,10 @@
 
 use std::f64::consts::TAU;
 
+use kurbo::{Arc, BezPath, Ellipse, Point, Rect, Shape as _, Vec2};
 use roundel_core::marker::{CodeLayout, Kind, Pattern, Polarity, Tooth};
 
-use super::path::{Area, Path, Place};
+use crate::lab::drawing::TOLERANCE;
 
 /// Side of the square that a roundel is cut out as, over its outer diameter: what is left beside the
 /// ring is the margin that the detector takes its level from.
@@ -15,43 +16,76 @@ pub const MIN_SIDE_SHARE: f64 = 1.15;
 
 /// The black of a roundel round `center`: the print's right is the page's right, its up the page's up.
 /// `teeth` are the code's, of coded kinds; `side_mm` is that of the square that it is cut out as.
-pub fn outline(kind: &Kind, teeth: &[Tooth], center: Place, side_mm: f64) -> Path {
+pub fn outline(kind: &Kind, teeth: &[Tooth], center: Point, side_mm: f64) -> BezPath {
     let (outer_mm, inner_mm) = (kind.outer_diameter_m * 500.0, kind.inner_diameter_m * 500.0);
-    let mut path = Path::default();
+    let mut path = BezPath::new();
     if kind.polarity == Polarity::WhiteRing {
-        path.add_rectangle(&Area::square(center, side_mm));
+        path.extend(square(center, side_mm).path_elements(TOLERANCE));
     }
-    path.add_ellipse(center, outer_mm, outer_mm);
+    let mut add_ellipse = |across_mm, down_mm| {
+        let ellipse = Ellipse::new(center, (across_mm, down_mm), 0.0);
+        path.extend(ellipse.path_elements(TOLERANCE));
+    };
+    add_ellipse(outer_mm, outer_mm);
     match kind.pattern {
-        Pattern::Plain => path.add_ellipse(center, inner_mm, inner_mm),
-        Pattern::Elliptical { minor_diameter_m } => {
-            path.add_ellipse(center, inner_mm, minor_diameter_m * 500.0);
-        }
-        Pattern::Coded(_) => {
+        Pattern::Elliptical { minor_diameter_m } => add_ellipse(inner_mm, minor_diameter_m * 500.0),
+        Pattern::Coded(_) if !teeth.is_empty() => {
             add_toothed_disc(&mut path, center, inner_mm, teeth);
         }
+        Pattern::Plain | Pattern::Coded(_) => add_ellipse(inner_mm, inner_mm),
     }
     path
 }
 
+/// A square round its centre.
+pub(super) fn square(center: Point, side_mm: f64) -> Rect {
+    Rect::from_center_size(center, (side_mm, side_mm))
+}
+
 /// The disc between the teeth, as one outline: each tooth reaches from its rim down to its core. Drawn as
 /// a hole of the ring rather than as black on white, so that no seam shows between ring and teeth.
-fn add_toothed_disc(path: &mut Path, center: Place, rim_mm: f64, teeth: &[Tooth]) {
+fn add_toothed_disc(path: &mut BezPath, center: Point, rim_mm: f64, teeth: &[Tooth]) {
     let core_mm = rim_mm * CodeLayout::CORE_SHARE;
-    let Some(first) = teeth.first() else {
-        path.add_ellipse(center, rim_mm, rim_mm);
-        return;
+    // Angles of teeth are counter-clockwise, and y grows downwards.
+    let at = |radius_mm: f64, angle_rad: f64| center + radius_mm * Vec2::from_angle(-angle_rad);
+    let add_arc = |path: &mut BezPath, radius_mm: f64, from_rad: f64, to_rad: f64| {
+        let arc = Arc::new(center, (radius_mm, radius_mm), -from_rad, from_rad - to_rad, 0.0);
+        path.extend(arc.append_iter(TOLERANCE));
     };
-    path.begin_on_circle(center, core_mm, first.from_rad);
+    let first_rad = teeth[0].from_rad;
+    path.move_to(at(core_mm, first_rad));
     for (index, tooth) in teeth.iter().enumerate() {
-        path.arc_on_circle(center, core_mm, tooth.from_rad, tooth.to_rad);
-        let next_rad = teeth.get(index + 1).map_or(first.from_rad + TAU, |next| next.from_rad);
+        add_arc(path, core_mm, tooth.from_rad, tooth.to_rad);
+        let next_rad = teeth.get(index + 1).map_or(first_rad + TAU, |next| next.from_rad);
         // A code's last tooth may reach the first one over the print's right.
         if next_rad - tooth.to_rad > 1e-9 {
-            path.line_to_circle(center, rim_mm, tooth.to_rad);
-            path.arc_on_circle(center, rim_mm, tooth.to_rad, next_rad);
-            path.line_to_circle(center, core_mm, next_rad);
+            path.line_to(at(rim_mm, tooth.to_rad));
+            add_arc(path, rim_mm, tooth.to_rad, next_rad);
+            path.line_to(at(core_mm, next_rad));
         }
     }
-    path.close();
+    path.close_path();
+}
+
+#[cfg(test)]
+mod tests {
+    use kurbo::ParamCurve as _;
+
+    use super::*;
+
+    #[test]
+    fn a_circle_of_curves_is_a_circle() {
+        let center = Point::new(30.0, 40.0);
+        let print = outline(&Kind::plain("", 0.05, 0.02), &[], center, 60.0);
+        let radii_mm = print.segments().flat_map(|curve| {
+            [0.0, 0.2, 0.5, 0.8, 1.0].map(|share| curve.eval(share).distance(center))
+        });
+        let mut count = 0;
+        for radius_mm in radii_mm {
+            let wanted_mm = if radius_mm > 20.0 { 25.0 } else { 10.0 };
+            assert!((radius_mm - wanted_mm).abs() < 2e-6, "{radius_mm}");
+            count += 1;
+        }
+        assert!(count >= 2 * 4 * 5, "{count}");
+    }
 }
