@@ -9,8 +9,8 @@ use std::{
 
 use roundel_tests::{
     layering::{
-        forbidden_dependencies, import_cycles, impurities, misplaced_types, shipped_code,
-        stray_names, upward_imports, upward_server_imports,
+        KNOWN_CYCLES, forbidden_dependencies, import_cycles, impurities, misplaced_types,
+        shipped_code, stray_names, upward_imports, upward_server_imports,
     },
     process::workspace_root,
 };
@@ -100,11 +100,21 @@ fn imports_of_the_server_run_down() {
 }
 
 #[test]
-fn no_files_of_server_proto_and_client_import_each_other_in_a_cycle() {
-    for folder in ["server/src", "proto/src", "client/rust/src"] {
+fn files_do_not_import_each_other_in_a_cycle() {
+    for folder in ["proto/src", "core/src", "server/src", "client/rust/src", "tests/src"] {
         let files = sources(&workspace_root().join(folder));
         assert!(!files.is_empty(), "{folder}");
-        assert_clean(&import_cycles(&files));
+        let mut cycles = import_cycles(&files);
+        for (_, module) in KNOWN_CYCLES.iter().filter(|(known, _)| *known == folder) {
+            let known = format!("cycle in {module}: ");
+            let count = cycles.len();
+            cycles.retain(|cycle| !cycle.starts_with(&known));
+            assert!(
+                cycles.len() < count,
+                "{folder}/{module} has no cycle any more: remove it from the list"
+            );
+        }
+        assert_clean(&cycles);
     }
 }
 
