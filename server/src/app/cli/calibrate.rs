@@ -208,6 +208,10 @@ async fn follow(changes: &mut Messages<v1::Calibration>) -> anyhow::Result<v1::C
 
 /// Calibrates a lens from pictures or a stream, or from a recording of a moving camera.
 fn run_lens(arguments: &lens::LensArgs) -> anyhow::Result<ExitCode> {
+    // Before a camera is opened.
+    if let Some(file) = arguments.output() {
+        output::check(file)?;
+    }
     match arguments.recorded_camera() {
         Some((file, camera)) => moving::run(arguments, file, camera),
         None => lens::run(arguments),

@@ -141,6 +141,10 @@ impl LensArgs {
         Some((self.from_recording.as_deref()?, self.camera.as_deref()?))
     }
 
+    pub(super) fn output(&self) -> Option<&Path> {
+        self.output.as_deref()
+    }
+
     pub(super) fn model(&self) -> Option<Model> {
         self.model.map(|word| match word {
             ModelArg::PlumbBob => Model::PlumbBob,
@@ -156,9 +160,6 @@ impl LensArgs {
 
 /// Chooses views, solves, writes the file, and prints the report.
 pub(super) fn run(arguments: &LensArgs) -> anyhow::Result<ExitCode> {
-    if let Some(file) = &arguments.output {
-        output::check(file)?;
-    }
     let sought = calibration_target(arguments)?;
     let most = usize::from(arguments.views);
     let mut views_found = collect_views(
