@@ -50,11 +50,12 @@ pub fn change<M: Message>(
     keys: &[&str],
 ) -> Result<String, EditError> {
     let mut document = parse(text)?;
-    let mut wanted = to_table(message)?;
+    let changed = to_table(message)?;
     let table = table_of::<M>(&mut document, name)?;
+    // A key may be listed twice: two fields of a message can have the same one.
     for key in keys {
-        match wanted.remove(key) {
-            Some(value) => set(table, key, value),
+        match changed.get(key) {
+            Some(value) => set(table, key, value.clone()),
             None => {
                 table.remove(key);
             }

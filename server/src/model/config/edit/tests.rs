@@ -225,6 +225,16 @@ fn what_is_the_same_of_an_object_stays_as_it_was_written() {
 }
 
 #[test]
+fn a_list_of_roundels_becomes_one_kind() {
+    let drone = ObjectSetup { roundel: "robot".into(), code: Some(6), ..ObjectSetup::default() };
+    // The fields `roundel` and `roundels` of a message are both the key `roundel`.
+    let text = change(OBJECTS, "drone", &drone, &["roundel", "roundel", "code"]).unwrap();
+    let read: ObjectSetup = super::read(&text, "drone").unwrap();
+    assert_eq!((read.roundel.as_str(), read.code), ("robot", Some(6)), "{text}");
+    assert!(read.roundels.is_empty(), "{text}");
+}
+
+#[test]
 fn cameras_ride_on_by_the_new_name() {
     let text = rename_carrier(OBJECTS, "drone", "bee").unwrap();
     assert_eq!(text, OBJECTS.replace("object = \"drone\" }", "object = \"bee\" }"));
