@@ -121,6 +121,8 @@ impl Connection {
         });
         let limits = api.limits;
         let protocol = tokio::select! {
+            // A client that has sent its request is not evicted because this task is late.
+            biased;
             protocol = timeout(limits.request_timeout, detect_protocol(&stream)) => protocol,
             () = pending.evicted() => return,
             () = api.cancel.cancelled() => return,
@@ -141,6 +143,7 @@ impl Connection {
         loop {
             let is_closing = closing_until.is_some();
             tokio::select! {
+                biased;
                 ended = connection.as_mut() => {
                     if let Err(error) = ended {
                         log_error(error.as_ref(), &api);
@@ -148,7 +151,7 @@ impl Connection {
                     return;
                 }
                 () = stalled.as_mut() => return count_stalled(&api),
-                () = pending.evicted() => return,
+                () = pending.evicted(), if !pending.is_over() => return,
                 () = sleep_until(closing_until.unwrap_or_else(Instant::now)), if is_closing => return,
                 () = requests.refused.notified() => {
                     connection.as_mut().graceful_shutdown();
