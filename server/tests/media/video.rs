@@ -4,7 +4,7 @@ use std::{path::Path, time::Duration};
 
 use roundel_core::{
     camera::{Camera, Intrinsics, Lens},
-    world::EventKind,
+    world,
 };
 use roundel_server::{
     app::serve::Server,
@@ -76,10 +76,14 @@ async fn play(url: &str) {
     assert!(state.frames + state.dropped >= 270, "{} + {}", state.frames, state.dropped);
     assert_eq!(base, Some(TimeBase::Synchronized));
     let (events, _) = server.hub().events(1000);
-    let count = |kind: EventKind| {
+    let count = |kind: world::EventKind| {
         let of_kind = |it: &EventKind| matches!(it, EventKind::ObjectStageChanged(_, found) if *found == kind);
         events.iter().filter(|event| of_kind(&event.kind)).count()
     };
-    assert_eq!((count(EventKind::Appeared), count(EventKind::Lost)), (1, 0), "{events:#?}");
+    assert_eq!(
+        (count(world::EventKind::Appeared), count(world::EventKind::Lost)),
+        (1, 0),
+        "{events:#?}"
+    );
     server.shutdown().await;
 }

@@ -6,7 +6,8 @@ use gstreamer as gst;
 use gstreamer::prelude::*;
 use gstreamer_app::AppSink;
 
-use super::{super::MediaAddress, decode_timer::DecodeTimer, plugin};
+use super::{decode_timer::DecodeTimer, plugin};
+use crate::model::address::MediaAddress;
 
 /// What the sink takes: formats whose luma can be used as it lies. Others are converted to the first of them that
 /// loses nothing.

@@ -30,12 +30,12 @@ use decode_timer::DecodeTimer;
 use launch::Launched;
 
 use super::{
-    CaptureClock, FrameInfo, FrameSource, LentFrame, MediaAddress, SourceError, SourceParts,
-    bad_frame,
+    CaptureClock, FrameInfo, FrameSource, LentFrame, SourceError, SourceParts, bad_frame,
     pixels::{GreyConverter, PixelFormat, RawImage, SampleFormat},
     timing::CameraTimeline,
     wrong_size,
 };
+use crate::model::address::MediaAddress;
 use crate::model::stop::StopSignal;
 
 /// How often a wait looks whether the server goes down or the pipeline has failed.
