@@ -43,7 +43,7 @@ pub struct Case {
     name: &'static str,
     grpc: usize,
     websockets: usize,
-    /// Of those by gRPC, how many never read.
+    /// gRPC subscribers that never read.
     stuck: usize,
     covariances: bool,
     /// Whether pages take protobuf instead of JSON.
@@ -133,7 +133,6 @@ fn main() {
     }
 }
 
-/// Of one case.
 struct Figures {
     p99_ms: f64,
     /// The server's processor time.

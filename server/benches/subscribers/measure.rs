@@ -8,7 +8,7 @@ use std::{
 
 use crate::serve::RATE_HZ;
 
-/// Of `/proc/PID/stat`, the same on all Linux systems that are.
+/// Clock ticks of `/proc/PID/stat`.
 const TICKS_PER_S: f64 = 100.0;
 
 /// What all subscribers received so far.
@@ -63,7 +63,6 @@ impl Readings {
     }
 }
 
-/// Of one case.
 pub struct Summary {
     pub line: String,
     pub p99_ms: f64,
@@ -79,7 +78,6 @@ pub struct Usage {
 }
 
 impl Usage {
-    /// Of a process of that id.
     pub fn of(process: u32) -> Self {
         let status = fs::read_to_string(format!("/proc/{process}/status")).unwrap_or_default();
         let resident = status.lines().find_map(|line| line.strip_prefix("VmRSS:"));

@@ -29,7 +29,7 @@ pub fn run(bare: Option<bool>) {
     let hub = Arc::new(Hub::new(installation(clock)));
     let feeding = hub.clone();
     thread::spawn(move || feed(&feeding, clock));
-    // Whoever has started this ends: so does this.
+    // Ends with the parent process.
     thread::spawn(|| {
         let _ = io::stdin().read(&mut [0]);
         std::process::exit(0);

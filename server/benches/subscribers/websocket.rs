@@ -9,7 +9,7 @@ use crate::{Case, arrival::arrive, measure::Readings, messages};
 const BINARY: u8 = 2;
 const PING: u8 = 9;
 const PONG: u8 = 10;
-/// Of a message, as much as has its times.
+/// Enough of a message to hold its times.
 const LOOKED_AT: usize = 512;
 
 /// Reads all that comes.
@@ -37,7 +37,7 @@ pub async fn read(address: SocketAddr, case: Case, readings: Readings) {
             }
             while let Some((opcode, payload, length)) = frame(&bytes[used..]) {
                 if opcode == PING {
-                    // Of no bytes, masked with zeros.
+                    // Empty, masked with zeros.
                     pongs.extend_from_slice(&[0x80 | PONG, 0x80, 0, 0, 0, 0]);
                 } else if opcode == BINARY {
                     // A StreamMessage of one snapshot: behind its key and its length of three bytes.

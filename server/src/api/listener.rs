@@ -1,7 +1,7 @@
 //! The one port: accepts connections, enforces the limits on them, and ends them on shutdown.
 //!
 //! A connection is *pending* until its first request has arrived (its preface for HTTP/2), and takes one of
-//! [`ApiLimits::max_clients`](super::ApiLimits) slots only then, so that silent connections lock nobody out. hyper serves
+//! [`ApiLimits::max_clients`](super::ApiLimits) slots only then, so that silent connections do not block other clients. hyper serves
 //! HTTP/1.1 and HTTP/2; `dispatch` hands each request to tonic or axum.
 
 mod connection;

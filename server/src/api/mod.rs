@@ -102,12 +102,11 @@ const MAX_REQUEST_BYTES: usize = 256 * 1024;
 pub struct ApiLimits {
     /// Open connections; further ones are refused with an error that says so.
     pub max_clients: usize,
-    /// How long clients may take to end after the shutdown's begin, before they are cut off.
+    /// Time for clients to leave after the shutdown starts.
     pub grace: Duration,
-    /// How long a client may take nothing of what there is for it before it is cut off, with its connection.
+    /// A client that reads nothing for this long is disconnected.
     pub send_timeout: Duration,
-    /// Within this time a client that has connected says what it speaks and sends a request's head, also between two
-    /// requests; and so long it may pause within a request's body.
+    /// Limit for the first bytes of a connection, for a request's head, and for a pause within its body.
     pub request_timeout: Duration,
 }
 
@@ -122,7 +121,6 @@ impl Default for ApiLimits {
     }
 }
 
-/// What the port has done so far.
 #[derive(Debug, Default)]
 pub struct ApiCounters {
     pub connections: AtomicU64,
@@ -131,9 +129,9 @@ pub struct ApiCounters {
     /// Subscribers to snapshots right now, by gRPC or WebSocket.
     pub snapshot_subscribers: AtomicU64,
     pub snapshots_sent: AtomicU64,
-    /// Clients that were cut off since they took nothing of what there was for them.
+    /// Clients disconnected because they read nothing.
     pub subscribers_cut: AtomicU64,
-    /// Snapshots that subscribers wanted and were too slow for.
+    /// Snapshots that slow subscribers skipped.
     pub snapshots_missed: AtomicU64,
 }
 

@@ -1,10 +1,8 @@
-//! Snapshots as bytes, made once for all subscribers that want the same.
+//! Encodes each snapshot once per filter and encoding, and shares the bytes among subscribers.
 //!
-//! In: a fused snapshot and a [`Filter`]. Out: the message as protobuf or JSON, but for what belongs to one subscriber
-//! ([`SubscriberFields`]), which is written in front of it: protobuf takes fields in any order, and so does JSON. Encoding 100 objects
-//! costs some 50 µs, and a subscriber more only what sending costs; see `benches/subscribers`.
-//!
-//! Only the forms of the newest snapshot are kept.
+//! The shared bytes lack the [`SubscriberFields`], which are sent in front of them: neither protobuf nor JSON prescribes an
+//! order of fields. Only the encodings of the newest snapshot are cached. `benches/subscribers` compares sharing with
+//! encoding for each subscriber.
 
 use std::{
     collections::HashMap,
@@ -24,30 +22,29 @@ pub enum Encoding {
     Json,
 }
 
-/// What a snapshot's message says to one subscriber only.
+/// Fields of a snapshot message that differ between subscribers.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct SubscriberFields {
-    /// When it was handed to the subscriber's connection, ns since the Unix epoch.
+    /// Time of handing the message to the connection, ns since the Unix epoch.
     pub sent_time_ns: i64,
-    /// Snapshots that it was too slow for, since the message before.
+    /// Snapshots skipped since the subscriber's previous message.
     pub missed: u64,
 }
 
 impl SubscriberFields {
-    /// Its fields as protobuf, to be sent before those of all.
+    /// Protobuf fields to send in front of the shared ones.
     pub fn protobuf(self) -> Vec<u8> {
         let Self { sent_time_ns, missed } = self;
         v1::Snapshot { sent_time_ns, missed, ..Default::default() }.encode_to_vec()
     }
 
-    /// Its fields in JSON behind a text, to be followed by those of all, as the encoder wrote them.
+    /// `before` and the opened JSON object; the shared fields continue it.
     pub fn json(self, before: &str) -> String {
         let Self { sent_time_ns, missed } = self;
         format!(r#"{before}{{"sent_time_ns":"{sent_time_ns}","missed":{missed},"#)
     }
 }
 
-/// The forms of the newest snapshot that somebody wanted so far.
 #[derive(Default)]
 pub struct SnapshotEncoder {
     forms: Mutex<EncodingCache>,
@@ -63,7 +60,7 @@ struct EncodingCache {
 }
 
 impl SnapshotEncoder {
-    /// The snapshot's message without [`SubscriberFields`], as chosen by `filter`; encoded if nobody wanted it before.
+    /// The filtered snapshot without [`SubscriberFields`]. Encodes it if no subscriber has requested it yet.
     pub fn shared(
         &self,
         hub: &Hub,
@@ -74,7 +71,7 @@ impl SnapshotEncoder {
         let encode = || encode(&filter.message(&hub.installation(), fused), form);
         let mut forms = self.lock();
         let Some(shared) = forms.slot(fused.sequence, filter, form) else {
-            // Of a reader that is one behind: the forms are of a newer one already.
+            // The cache already holds a newer snapshot.
             drop(forms);
             return encode();
         };

@@ -73,7 +73,7 @@ pub struct EncodedSnapshot {
     pub shared: Bytes,
 }
 
-/// The snapshots of one subscriber, from the newest one on.
+/// Yields the newest snapshot to one subscriber, and counts those it skipped.
 pub struct SnapshotSubscription {
     api: Arc<ApiState>,
     receiver: watch::Receiver<Arc<FusedSnapshot>>,
@@ -82,7 +82,7 @@ pub struct SnapshotSubscription {
 }
 
 impl SnapshotSubscription {
-    /// Begins with the newest snapshot there is.
+    /// Starts with the newest snapshot, if there is one.
     pub fn new(api: Arc<ApiState>, selection: Selection) -> Self {
         let mut receiver = api.hub.snapshots();
         let is_first_there = receiver.borrow_and_update().sequence > 0;
@@ -95,13 +95,12 @@ impl SnapshotSubscription {
         Self { api, receiver, selection, rate_limiter }
     }
 
-    /// The next snapshot that is due, in the form wanted; `None` when there will be no more. Nothing is lost if the
-    /// wait is given up.
+    /// The next due snapshot; `None` when the hub is gone. Cancel safe.
     pub async fn next(&mut self, form: Encoding) -> Option<EncodedSnapshot> {
         loop {
             self.receiver.changed().await.ok()?;
             let fused = self.receiver.borrow_and_update().clone();
-            // The times of a recording that is played go fast, and back.
+            // Times of a replay may run fast or backwards.
             let is_played = self.api.replay.is_some();
             let time = if is_played { self.api.clock.now() } else { fused.fused_time };
             let Some(missed) = self.rate_limiter.admit(fused.sequence, time) else {

@@ -46,16 +46,12 @@ use crate::model::hub;
 use socket::{Handshake, Socket, offered};
 use stream_selection::StreamSelection;
 
-/// Clients say little. What is sent to them needs no buffer, since each message is flushed: without this, a thousand
-/// pages would take 256 MB.
+/// Client messages are short, and tungstenite's default of 128 kB per connection would add up.
 const READ_BUFFER_BYTES: usize = 4 * 1024;
-/// How often a client is asked whether it lives.
 const PING_INTERVAL: Duration = Duration::from_secs(5);
-/// A client that answers no ping for this long is cut off.
+/// A client that answers no ping for this long is disconnected.
 const SILENCE_TIMEOUT: Duration = Duration::from_secs(20);
-/// How long a client may take to answer a close frame.
 const CLOSE_TIMEOUT: Duration = Duration::from_millis(500);
-/// How often the cameras are sent.
 const CAMERA_INTERVAL: Duration = Duration::from_millis(500);
 /// Remembered events that are sent first.
 const EVENT_BACKLOG: usize = 50;
@@ -161,11 +157,10 @@ fn stream_message(EncodedSnapshot { own, shared }: &EncodedSnapshot) -> Vec<u8> 
 
 /// Why a session ends.
 enum SessionEnd {
-    /// The server goes down: the client is told.
     Shutdown,
-    /// The client said something that ends a WebSocket: it is told what.
+    /// The client broke the protocol: close code and reason.
     Wrong(CloseCode, String),
-    /// The client has gone, or does not read: nothing can be told.
+    /// The client has left or does not read, so no close frame is sent.
     Gone,
 }
 

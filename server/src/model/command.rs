@@ -1,4 +1,4 @@
-//! Commands to the fusion thread.
+//! Commands to the fusion thread, and the camera updates that recordings keep.
 
 use nalgebra::Vector3;
 use roundel_core::{
@@ -8,103 +8,95 @@ use roundel_core::{
 
 use super::camera::MountInfo;
 
-/// What is to become of a camera, or of objects.
+/// Changes cameras, objects or parameters while fusion runs.
 #[derive(Clone, Debug)]
 pub enum FusionCommand {
-    /// It is there, and this is what is known of it.
+    /// Adds a camera, or replaces its model.
     SetCamera(CameraId, Box<CameraModel>),
-    /// It is there no more.
     RemoveCamera(CameraId),
-    /// Objects are known by something else than before, or may do something else.
     SetParams(Box<FusionSettings>),
 }
 
-/// What is another in the settings than before.
+/// Parameters and objects of one configuration.
 #[derive(Clone, Debug)]
 pub struct FusionSettings {
-    /// How long objects are predicted and remembered, and how many there may be; `None`: as before.
+    /// `None`: unchanged.
     pub limits: Option<FusionLimits>,
     pub objects: ObjectUpdate,
     pub config: AppliedConfig,
 }
 
-/// A configuration that fusion goes by from some moment on.
+/// The configuration that fusion applied, for recordings.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
 pub struct AppliedConfig {
-    /// Its text, without passwords.
+    /// TOML without passwords.
     pub text: String,
-    /// The object that has another name than in the one before, and that name.
+    /// Old and new name of the object that the change renamed.
     pub renamed: Option<(String, String)>,
 }
 
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct FusionLimits {
-    /// Rms acceleration that objects are capable of, m/s²; of tracks that begin from now on.
+    /// Rms acceleration of objects, m/s²; applies to new tracks.
     pub acceleration_m_s2: f64,
-    /// Not seen for so long: predicted, seconds.
+    /// A track without detections for this long is predicted, seconds.
     pub predicted_after_s: f64,
-    /// Not seen for so long: lost, seconds.
+    /// A track without detections for this long is lost, seconds.
     pub lost_after_s: f64,
-    /// Followed at most.
     pub max_objects: usize,
 }
 
-/// What is another in objects than before.
+/// Difference between two versions of the configured objects.
 #[derive(Clone, Debug, Default)]
 pub struct ObjectUpdate {
-    /// What bodies carry; nothing of one that was removed.
+    /// Bodies that changed; an empty body was removed.
     pub bodies: Vec<(BodyId, Body)>,
-    /// Of what is known by a whole kind: the followed point in the roundel's frame, metres, and how it moves.
+    /// Objects identified by their kind: followed point in the roundel's frame, metres, and motion class.
     pub kinds: Vec<(KindId, Vector3<f64>, MotionClass)>,
 }
 
-/// What is known of a camera.
+/// Pose and clock of a camera as configured or calibrated.
 #[derive(Clone, Debug)]
 pub struct CameraModel {
-    /// Where it stands or what it rides on; `None`: as before.
+    /// `None`: unchanged.
     pub pose: Option<CameraPose>,
-    /// How it keeps time; `None`: as before.
+    /// `None`: unchanged.
     pub clock: Option<ClockModel>,
 }
 
-/// Where a camera stands or what it rides on.
 #[derive(Clone, Debug)]
 pub enum CameraPose {
     Fixed {
         placement: CameraPlacement,
-        /// Whether a person has written it, who may not have measured well.
+        /// From the configuration, and therefore possibly measured by hand.
         is_configured: bool,
     },
     Unknown,
-    /// On an object; without a mount, on one that is not followed.
+    /// On a moving object; no mount if that object is not tracked.
     Mounted(Option<CameraMount>, MountInfo),
 }
 
-/// How a camera keeps time, of which nothing was learned yet.
+/// Prior of a camera's clock, before fusion has estimated it.
 #[derive(Clone, Copy, Debug)]
 pub enum ClockModel {
     Exact,
-    /// They may be off.
     Estimated(ClockPrior),
 }
 
-/// What fusion is told of a camera.
+/// One change of a camera as fusion applied it.
 #[derive(Clone, Debug)]
 pub struct CameraUpdate {
     pub camera: CameraId,
     pub change: CameraChange,
 }
 
-/// What fusion can be told of a camera.
 #[derive(Clone, Debug)]
 pub enum CameraChange {
-    /// It is there, and so much is known of it.
     Set(Box<CameraModel>),
-    /// Its worker has found it there.
+    /// The worker estimated the pose from references.
     Localized(Box<CameraPlacement>),
-    /// Whether it is not held back when it disagrees with others.
+    /// Whether detections are used although they disagree with other cameras.
     HoldBackExempt(bool),
     Quarantined,
-    /// It is there no more.
     Removed,
 }

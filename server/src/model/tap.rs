@@ -1,8 +1,7 @@
-//! Where a recording takes what it records: beside the way of the data, never in it.
+//! Hook through which the hub, fusion and workers offer data to a recording.
 //!
-//! Fusion, workers and the hub offer what they have anyway; while nothing is recorded that costs a look at a flag.
-//! The queue is bounded; full: what is offered is dropped and counted, so that a slow disk slows nobody but the file.
-//! What fusion takes, is told and gives goes through in its order, which is what makes a recording repeatable.
+//! Without a recording, an offer costs one atomic load. The queue is bounded and drops and counts items when it is full,
+//! so a slow disk never blocks a producer. Fusion's inputs and outputs keep their order, so replays are repeatable.
 
 use std::{
     collections::BTreeMap,

@@ -1,16 +1,16 @@
-//! Replay: a recording is served as if it were live, through the same hub and APIs, or fused anew into another file.
+//! Replay: serves a recording through the hub and APIs as if it were live, or fuses it again into another file.
 //!
 //! | module | what it does |
 //! | --- | --- |
-//! | [`reader`] | what the file says, in its order, from any place |
-//! | [`engine`] | has it happen: as recorded, fused anew, or searched and fused anew |
-//! | `player` | the thread that keeps time, and obeys: pause, speed, seek |
+//! | [`reader`] | messages of the file in order, from any time |
+//! | [`engine`] | feeds messages to the hub: as recorded, fused again, or detected and fused again |
+//! | `player` | thread that paces messages: pause, speed, seek |
 //! | [`session`] | a recording that is ready to be played |
-//! | [`copy`] | as fast as it goes, into a file |
-//! | [`correspondences`] | fused anew without one camera: where the others had what that one saw |
+//! | [`copy`] | fuses at full speed into a file |
+//! | [`correspondences`] | fuses without one camera, and matches its detections to the others' tracks |
 //!
-//! Times are those of the recording. The server's clock begins at the recording's begin and runs on by itself; after a
-//! pause, a seek or at another speed than 1 it is not where the recording is, which the status says.
+//! Message times are those of the recording. The server's clock starts at the recording's start and runs in real time, so
+//! after a pause, a seek or a change of speed it differs from the playback position, which the status reports.
 
 pub mod copy;
 pub mod correspondences;

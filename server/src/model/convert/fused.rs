@@ -1,4 +1,4 @@
-//! What fusion was told, as it is recorded.
+//! Camera updates and configurations as recordings keep them.
 
 use nalgebra::{Quaternion, UnitQuaternion, Vector3};
 use roundel_core::{
@@ -44,7 +44,6 @@ pub fn fused_configuration(
     }
 }
 
-/// What fusion was told of a camera.
 pub fn fused_camera(installation: &Installation, told: &CameraUpdate) -> v1::FusedCamera {
     let mut message = v1::FusedCamera {
         camera: installation.camera_name(told.camera).to_owned(),
