@@ -159,7 +159,6 @@ impl Drop for CameraLease<'_> {
     }
 }
 
-/// One sender's connection.
 struct PushSession<'a> {
     lease: CameraLease<'a>,
     times: SenderClock,

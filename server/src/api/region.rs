@@ -9,9 +9,7 @@ use super::error::ApiError;
 /// infinitely far.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Region {
-    /// Its lowest corner.
     pub min_m: Vector3<f64>,
-    /// Its highest corner.
     pub max_m: Vector3<f64>,
 }
 

@@ -64,7 +64,6 @@ impl ReplayServer {
         &self.replay
     }
 
-    /// Ends it.
     pub async fn shutdown(mut self) {
         self.replay.stop();
         if let Some(player) = self.player.take() {

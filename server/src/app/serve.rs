@@ -224,7 +224,6 @@ impl Server {
         &self.hub
     }
 
-    /// The server's clock.
     pub fn clock(&self) -> Clock {
         self.clock
     }

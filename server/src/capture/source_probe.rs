@@ -42,7 +42,6 @@ const PROBE_TIMEOUT: Duration = Duration::from_secs(15);
 /// Asked of a camera that lets one choose, where nobody says a size.
 const DEFAULT_SIZE: (usize, usize) = (1280, 720);
 
-/// What came out.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct ProbeReport {
     /// Why there are no frames, or no more, and what to do; empty if all is well.

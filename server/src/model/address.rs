@@ -101,7 +101,6 @@ impl SimPreset {
 /// Why a text is no source.
 #[derive(Clone, Debug, PartialEq, Eq, Error)]
 pub enum AddressError {
-    /// No such scheme.
     #[error("no source begins with `{found}`: expected {}{}", list(SCHEMES), suggest_scheme(.found))]
     Scheme {
         /// What stands before the colon, or the whole text.

@@ -107,7 +107,6 @@ impl EventKind {
 pub struct Event {
     /// Grows by one with each event.
     pub sequence: u64,
-    /// When.
     pub time: Timestamp,
     pub kind: EventKind,
     /// Name of the camera that it is about, as of then; the camera may have been renamed or removed since.

@@ -285,7 +285,6 @@ impl Hub {
         *lock(&self.fusion_counts)
     }
 
-    /// Every camera's state.
     pub fn cameras(&self) -> BTreeMap<CameraId, CameraState> {
         let cameras = self.cameras.read().unwrap_or_else(PoisonError::into_inner);
         cameras.iter().map(|(id, slot)| (*id, lock(&slot.state).clone())).collect()

@@ -5,7 +5,6 @@ use roundel_proto::v1;
 use crate::capture::source_probe::ProbeReport;
 use crate::model::convert::{capture_clock, pixels};
 
-/// What came out.
 pub fn trial(trial: &ProbeReport) -> v1::SourceTest {
     v1::SourceTest {
         error: trial.error.clone(),

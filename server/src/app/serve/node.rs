@@ -54,7 +54,6 @@ pub struct NodeSourceContext<'a> {
     /// The camera's pose in the configuration.
     pub index: usize,
     pub config: &'a Config,
-    /// The node's clock.
     pub clock: Clock,
     /// The time line of recorded and simulated frames.
     pub playback: Playback,

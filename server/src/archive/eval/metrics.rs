@@ -111,7 +111,6 @@ pub struct EvalMetrics {
     pub rpe_delta: usize,
     /// From the newest capture to the snapshot with it, milliseconds.
     pub latency_ms: ErrorStatistics,
-    /// Each object.
     pub objects: Vec<ObjectMetrics>,
     /// Names in the truth for which the recording has no object.
     pub missing: Vec<String>,

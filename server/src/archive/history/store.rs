@@ -44,7 +44,6 @@ pub struct HistoryObject {
 
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct HistoryPoint {
-    /// When.
     pub time: Timestamp,
     /// World frame, metres.
     pub position_m: [f64; 3],
@@ -59,7 +58,6 @@ pub struct HistoryQuery {
     /// Smallest and largest corner.
     pub region_m: Option<[[f64; 3]; 2]>,
     pub from: Timestamp,
-    /// … until then.
     pub until: Timestamp,
     /// No more points than this, of all objects together.
     pub max_points: usize,

@@ -96,7 +96,6 @@ pub struct RecordingStatus {
     /// Its newest file, without folder.
     pub file: String,
     pub folder: PathBuf,
-    /// When it began.
     pub started: Timestamp,
     /// How long it has lasted, seconds.
     pub seconds: f64,
@@ -151,7 +150,6 @@ impl Recorder {
         Self { shared, running: Mutex::default() }
     }
 
-    /// Begins a recording.
     pub fn start(&self, options: &RecordingOptions) -> Result<(), RecordError> {
         let mut running = lock(&self.running);
         if running.as_ref().is_some_and(|thread| !thread.is_finished()) {

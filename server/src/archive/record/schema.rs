@@ -77,7 +77,6 @@ pub struct CompressedImage {
     /// `jpeg` or `png`.
     #[prost(string, tag = "3")]
     pub format: String,
-    /// The camera's name.
     #[prost(string, tag = "4")]
     pub frame_id: String,
 }

@@ -89,7 +89,6 @@ pub(super) struct Received<T> {
     pub(super) broken: u64,
 }
 
-/// The consumer's side.
 pub(super) struct Mailbox<T> {
     shared: Arc<Shared<T>>,
     thread: Option<JoinHandle<()>>,

@@ -70,25 +70,13 @@ pub enum PixelError {
     Frame(#[from] FrameError),
     /// A mosaic without neighbours.
     #[error("expected a mosaic of at least 2 x 2 pixels, found {width} x {height}")]
-    Mosaic {
-        /// Columns.
-        width: usize,
-        /// Rows.
-        height: usize,
-    },
+    Mosaic { width: usize, height: usize },
     /// Rows overlap.
     #[error("expected rows of at least {expected} bytes, found {found}")]
     Stride { expected: usize, found: usize },
     /// Too few bytes.
     #[error("expected at least {expected} bytes for {width} x {height} pixels, found {found}")]
-    Length {
-        expected: usize,
-        found: usize,
-        /// Columns.
-        width: usize,
-        /// Rows.
-        height: usize,
-    },
+    Length { expected: usize, found: usize, width: usize, height: usize },
 }
 
 impl SampleFormat {

@@ -90,7 +90,6 @@ pub struct WorkerParts {
     pub hub: Arc<Hub>,
     /// To fusion; when it is full, the observations are dropped and counted.
     pub fusion: SyncSender<WorkerOutput>,
-    /// The server's clock.
     pub clock: Clock,
     /// Frames a second that the camera is to give, as a person has said; `None`: as its driver says.
     pub promised_hz: Option<f64>,
@@ -98,7 +97,6 @@ pub struct WorkerParts {
     pub before: WorkerCounts,
 }
 
-/// One camera's worker.
 pub struct Worker {
     parts: WorkerParts,
     pose_search: Option<PoseSearch>,

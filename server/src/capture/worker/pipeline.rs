@@ -22,7 +22,6 @@ pub struct PipelineParts {
     pub params: Params,
     /// Where they are not looked for.
     pub mask: Mask,
-    /// The camera's model.
     pub camera: Camera,
     /// Time between the exposures of two image rows.
     pub line_time_s: f64,
@@ -39,7 +38,6 @@ pub struct FrameHeader {
     pub frame: u64,
     /// When its middle row was exposed.
     pub capture_time: Timestamp,
-    /// When it arrived.
     pub received_time: Timestamp,
 }
 
@@ -102,7 +100,6 @@ impl Pipeline {
         Some(ImageQuality { blur_px: median(|it| it.blur_px)?, noise: median(|it| it.noise)? })
     }
 
-    /// The camera's model.
     pub fn camera(&self) -> &Camera {
         self.locator.camera()
     }

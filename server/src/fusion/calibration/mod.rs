@@ -89,7 +89,6 @@ pub enum CalibrationStage {
     Failed,
 }
 
-/// The newest calibration.
 #[derive(Clone, Debug, Default)]
 pub struct CalibrationStatus {
     pub stage: CalibrationStage,
@@ -101,7 +100,6 @@ pub struct CalibrationStatus {
     pub steps: usize,
     /// Why there is no result, or why it could not be kept.
     pub error: String,
-    /// What came out.
     pub report: Option<Arc<CalibrationReport>>,
     /// Version that cameras use since they took it over; 0: they have not.
     pub applied_version: u64,
@@ -147,7 +145,6 @@ pub struct CalibratorCamera {
 pub struct CalibratorParts {
     /// Where observations come from and events go to.
     pub hub: Arc<Hub>,
-    /// The server's clock.
     pub clock: Clock,
     pub cameras: BTreeMap<CameraId, CalibratorCamera>,
     /// The reference roundels, in the order of the configuration.
@@ -185,7 +182,6 @@ impl Calibrator {
         Self { shared: Arc::new(shared), running: Mutex::default() }
     }
 
-    /// Begins one.
     pub fn start(&self, request: CalibrationRequest) -> Result<(), CalibrationError> {
         let mut running = lock(&self.running);
         if running.as_ref().is_some_and(|(_, thread)| !thread.is_finished()) {

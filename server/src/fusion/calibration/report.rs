@@ -16,7 +16,6 @@ use crate::model::hub::{CameraState, Installation};
 const CLOCK_OFF_S: f64 = 1e-3;
 const CLOCK_DEVIATIONS: f64 = 5.0;
 
-/// What came out.
 #[derive(Clone, Debug)]
 pub struct CalibrationReport {
     /// In the order of the configuration, without those that nothing ties to the references.

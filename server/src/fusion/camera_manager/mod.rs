@@ -64,7 +64,6 @@ pub struct SourceContext<'a> {
     /// The camera's place in the configuration.
     pub index: usize,
     pub camera: &'a CameraConfig,
-    /// The server's clock.
     pub clock: Clock,
     /// The time line of recorded and simulated frames.
     pub playback: Playback,
@@ -80,7 +79,6 @@ pub struct CameraManagerParts {
     pub config: Config,
     /// The newest of everything.
     pub hub: Arc<Hub>,
-    /// The server's clock.
     pub clock: Clock,
     /// The time line of recorded and simulated frames.
     pub playback: Playback,

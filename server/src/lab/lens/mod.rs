@@ -125,7 +125,6 @@ pub struct LensCalibrator {
 }
 
 struct Running {
-    /// Ends the pictures.
     stop: StopSignal,
     thread: JoinHandle<()>,
 }

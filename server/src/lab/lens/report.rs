@@ -199,7 +199,6 @@ impl LensStatus {
         self.error.clear();
     }
 
-    /// One that begins.
     pub(super) fn begun(camera: String, source: String, board: String, most: usize) -> Self {
         let stage = Stage::Gathering;
         let (enough, least) = (GOOD_VIEWS.min(most), LEAST_VIEWS);

@@ -57,7 +57,6 @@ pub enum PrintJobError {
     /// No such codes.
     #[error(transparent)]
     Code(#[from] CodeError),
-    /// No such board.
     #[error(transparent)]
     Board(#[from] BoardError),
     /// It does not fit.

@@ -41,7 +41,6 @@ pub struct PageSize {
     pub height_mm: f64,
 }
 
-/// No such page.
 #[derive(Clone, Debug, PartialEq, Eq, Error)]
 #[error(
     "expected a page of {names} or WIDTHxHEIGHT in millimetres, each {} to {}, found `{found}`",
@@ -100,7 +99,6 @@ pub struct Page {
     pub size: PageSize,
     /// The part that holds the prints. It cuts off the rest of a print, which another page shows.
     pub window: Rect,
-    /// The prints.
     pub prints: Vec<BezPath>,
     /// Cut marks, rulers and small print.
     pub marks: Vec<Shape>,

@@ -33,7 +33,6 @@ const MAX_OUTER_MM: f64 = 5000.0;
 pub enum PageLayoutError {
     #[error("nothing to print: expected at least one roundel")]
     Empty,
-    /// Cannot be printed.
     #[error(
         "expected an outer diameter of {MIN_OUTER_MM} to {MAX_OUTER_MM} mm, found {found_mm} mm"
     )]
@@ -64,12 +63,7 @@ pub enum PageLayoutError {
         "a page of {width_mm} x {height_mm} mm has no room for roundels beside the ruler and the edge \
          that printers leave white: use a larger page"
     )]
-    Page {
-        /// The page's.
-        width_mm: f64,
-        /// The page's.
-        height_mm: f64,
-    },
+    Page { width_mm: f64, height_mm: f64 },
 }
 
 /// Lays out `items` in their order.

@@ -25,12 +25,7 @@ pub enum RasterError {
         "a page of {width} x {height} pixels is more than the {MAX_PIXELS} that a picture may have: use fewer dots \
          an inch, a smaller page, or PDF"
     )]
-    TooLarge {
-        /// Columns.
-        width: usize,
-        /// Rows.
-        height: usize,
-    },
+    TooLarge { width: usize, height: usize },
     /// It could not be written.
     #[error("cannot write the picture")]
     Png(#[from] png::EncodingError),

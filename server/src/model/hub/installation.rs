@@ -15,7 +15,6 @@ pub struct Installation {
     pub name: String,
     /// Tells this run of this server from every other.
     pub source_id: String,
-    /// When it started.
     pub started: Timestamp,
     /// Snapshots a second.
     pub snapshot_rate_hz: f64,

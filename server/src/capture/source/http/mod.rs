@@ -31,7 +31,6 @@ const FIRST_PICTURE: Duration = Duration::from_secs(9);
 /// Longest single picture, bytes.
 const MAX_SNAPSHOT: usize = 16 << 20;
 
-/// A camera's JPEGs.
 pub(super) struct HttpSource {
     mailbox: Mailbox<StampedJpeg>,
     decoder: LumaDecoder,

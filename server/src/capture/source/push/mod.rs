@@ -42,7 +42,6 @@ pub enum SenderClock {
 /// What arrived, and when.
 #[derive(Debug)]
 pub struct PushedItem {
-    /// Frame or detections.
     pub what: Payload,
     pub times: SenderClock,
     /// Where they come from, if the sender says so.
@@ -51,7 +50,6 @@ pub struct PushedItem {
     pub arrived: Timestamp,
 }
 
-/// Frame or detections.
 #[derive(Debug)]
 pub enum Payload {
     /// 8-bit grey without gaps; columns, rows, and the middle of the exposure.
@@ -66,7 +64,6 @@ pub enum Payload {
 pub struct RemoteStats {
     /// Columns of its frames, pixels.
     pub width: usize,
-    /// Rows.
     pub height: usize,
     /// Frames that it left out because they came too fast.
     pub dropped: u64,

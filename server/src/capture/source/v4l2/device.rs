@@ -59,9 +59,7 @@ pub struct FormatListing {
 pub struct ControlListing {
     /// The name in a source's address, which is also that of `v4l2-ctl`: `exposure_time_absolute`.
     pub name: String,
-    /// Minimum.
     pub least: i32,
-    /// Maximum.
     pub most: i32,
     pub step: i32,
     /// Value when plugged in.

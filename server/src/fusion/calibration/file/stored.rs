@@ -14,7 +14,6 @@ use crate::model::config::{CameraConfig, Config, PoseConfig};
 /// Numbers that were written and read back differ by less, relative to 1 or to themselves.
 const SAME: f64 = 1e-9;
 
-/// One camera's result.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct StoredCamera {
