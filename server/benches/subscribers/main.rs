@@ -174,12 +174,23 @@ impl Drop for ServerProcess {
     }
 }
 
+/// Pauses after every few connections: all at once would overflow the listener's accept queue, and the kernel would reset
+/// those that do not fit.
+async fn pace_connections(number: usize) {
+    const BATCH: usize = 20;
+    const PAUSE: Duration = Duration::from_millis(20);
+    if number % BATCH == BATCH - 1 {
+        tokio::time::sleep(PAUSE).await;
+    }
+}
+
 /// Measures a case.
 async fn run(case: Case, length: Duration) -> Figures {
     let server = ServerProcess::start(&case);
     let readings = Readings::default();
     let mut clients = tokio::task::JoinSet::new();
     for number in 0..case.grpc {
+        pace_connections(number).await;
         let request = grpc::request(&case, number);
         if case.bare {
             clients.spawn(bare::read(server.address, readings.clone()));
@@ -189,7 +200,8 @@ async fn run(case: Case, length: Duration) -> Figures {
             clients.spawn(grpc::read(server.address, request, readings.clone()));
         }
     }
-    for _ in 0..case.websockets {
+    for number in 0..case.websockets {
+        pace_connections(number).await;
         clients.spawn(websocket::read(server.address, case, readings.clone()));
     }
     tokio::time::sleep(WARM_UP).await;
